@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.physics.batch import CURRENT_LIMIT
 from isd_gym.common.errors import InputError, shown
-from isd_gym.env.history import BOUND
 from isd_gym.common.inputs import number, parse_json, read_bytes, too_large
+from isd_gym.env.history import BOUND
+from isd_gym.physics.batch import CURRENT_LIMIT
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import SLEW_RATE, vehicle
 

@@ -9,9 +9,9 @@ import numpy as np
 from isd_gym.baselines import noisy
 from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.baselines.model import N_SENSORS
-from isd_gym.physics.batch import SLEW_LIMIT
-from isd_gym.env.environment import ISDSuspensionVectorEnv
 from isd_gym.common.errors import InputError
+from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.physics.batch import SLEW_LIMIT
 
 from .memory import Filter, tuples
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym.common.errors import InputError, shown
-from isd_gym.env.history import LARGEST, SIGNALS, History, Remembered, history_of
 from isd_gym.common.inputs import number
+from isd_gym.env.history import LARGEST, SIGNALS, History, Remembered, history_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.common.errors import InputError, plain, shown
 from isd_gym.common.files import whole_folder
-from isd_gym.env.history import LARGEST
 from isd_gym.common.inputs import number, parse_json, read_bytes
+from isd_gym.env.history import LARGEST
+from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import vehicle
 

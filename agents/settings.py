@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from isd_gym.physics.network import Network
 from isd_gym.env.sensors import Sensors
+from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import Vehicle, vehicle
 
 from .memory import Memory

@@ -23,16 +23,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym.baselines.controller import steps_ahead
-from isd_gym.physics.batch import with_found_ranges
+from isd_gym.benchmark.policies import find, passive
+from isd_gym.benchmark.scoring import Entry, drive, score
 from isd_gym.common.errors import InputError, how_to_install, shown
 from isd_gym.common.files import claim_folder, held, write_text, writing
 from isd_gym.common.inputs import read_json
-from isd_gym.physics.network import Network
-from isd_gym.benchmark.policies import find, passive
 from isd_gym.env.registration import BY_CORNERS
-from isd_gym.physics.road import road as find_road
-from isd_gym.benchmark.scoring import Entry, drive, score
 from isd_gym.env.sensors import Sensors
+from isd_gym.physics.batch import with_found_ranges
+from isd_gym.physics.network import Network
+from isd_gym.physics.road import road as find_road
 from isd_gym.physics.vehicle import vehicle
 
 from . import checkpoint

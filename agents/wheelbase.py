@@ -21,12 +21,12 @@ from scipy.linalg import block_diag, expm, solve_discrete_are
 from isd_gym.baselines.car import CarWeights, WholeCar, columns
 from isd_gym.baselines.lqg import LawSettings
 from isd_gym.baselines.model import dry, equations, white_covariance
+from isd_gym.common.errors import InputError
+from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.env.sensors import ANGULAR_NOISE, NOISE
 from isd_gym.physics.batch import SLEW_LIMIT
 from isd_gym.physics.cost import StageCost
-from isd_gym.env.environment import ISDSuspensionVectorEnv
-from isd_gym.common.errors import InputError
 from isd_gym.physics.road import paper_road
-from isd_gym.env.sensors import ANGULAR_NOISE, NOISE
 from isd_gym.physics.vehicle import state_channels, vehicle
 
 from .memory import Echo, Filter, Memory, tuples

@@ -11,9 +11,9 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.physics.cost import StageCost
 from isd_gym.benchmark.driving import Idle
 from isd_gym.common.errors import InputError
+from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import require_quarter_car, vehicle
 

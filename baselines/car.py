@@ -23,7 +23,18 @@ from isd_gym.physics import elements as el
 from isd_gym.physics.batch import state_channels
 from isd_gym.physics.vehicle import Vehicle, vehicle
 
-from .model import ROAD_INTENSITY, Laws, Sensors, _riccati, device_reach, equations, lift, stationary, steady_gain, white_covariance
+from .model import (
+    ROAD_INTENSITY,
+    Laws,
+    Sensors,
+    _riccati,
+    device_reach,
+    equations,
+    lift,
+    stationary,
+    steady_gain,
+    white_covariance,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
-from isd_gym.env.environment import MEASURED
 from isd_gym.common.errors import InputError
+from isd_gym.env.environment import MEASURED
+from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.physics.vehicle import vehicle
 
 if TYPE_CHECKING:

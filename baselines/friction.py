@@ -22,16 +22,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics.batch import CURRENT_LIMIT
 from isd_gym.physics.cost import StageCost
-from isd_gym.common.errors import InputError
 from isd_gym.physics.kernel import jit
 from isd_gym.physics.vehicle import SLEW_RATE
 
 from .controller import CURRENT, BatchController, rises, steps_ahead
 from .estimator import Estimator
-from .model import ROAD_INTENSITY, Model, Sensors, Weights, device_reach, equivalent_damping, move_regulator, prediction_model
+from .model import (
+    ROAD_INTENSITY,
+    Model,
+    Sensors,
+    Weights,
+    device_reach,
+    equivalent_damping,
+    move_regulator,
+    prediction_model,
+)
 
 if TYPE_CHECKING:
     from isd_gym.physics.network import Network

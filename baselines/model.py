@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
+from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics.batch import signal_channels, state_channels
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network, assemble
 from isd_gym.physics.road import paper_road
 from isd_gym.physics.vehicle import require_quarter_car

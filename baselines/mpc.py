@@ -19,14 +19,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
+from isd_gym.common.errors import InputError
 from isd_gym.physics.batch import CURRENT_LIMIT
 from isd_gym.physics.cost import StageCost
-from isd_gym.common.errors import InputError
 from isd_gym.physics.vehicle import SLEW_RATE
 
 from .controller import CURRENT, BatchController
 from .estimator import Estimator
-from .model import ROAD_INTENSITY, Model, Sensors, Weights, device_reach, move_regulator, prediction_model, statistical_linearisation
+from .model import (
+    ROAD_INTENSITY,
+    Model,
+    Sensors,
+    Weights,
+    device_reach,
+    move_regulator,
+    prediction_model,
+    statistical_linearisation,
+)
 from .qp import Program, program
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.physics.cost import StageCost
 from isd_gym.common.errors import InputError
+from isd_gym.physics.cost import StageCost
 
 from .car import CarWeights, car_model, car_regulator
 from .controller import Signals, WholeCarController

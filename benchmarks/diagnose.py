@@ -143,8 +143,8 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
     import families
     import hidden
 
-    from isd_gym.records.data import Table, write_table
     from isd_gym.physics.network import Network
+    from isd_gym.records.data import Table, write_table
 
     case = (hidden if job.suite == "home" else families).make_case(job.kind, job.seed)
 

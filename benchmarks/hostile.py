@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.records.data import Table, check, read_table, write_table
 from isd_gym.common.errors import InputError
 from isd_gym.common.files import claim_folder, whole_folder, write_text
 from isd_gym.physics.network import Network, builtin_networks, linearise
 from isd_gym.physics.road import road
+from isd_gym.records.data import Table, check, read_table, write_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable

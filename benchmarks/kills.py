@@ -109,9 +109,9 @@ def rig(folder: Path) -> None:
     """A mass on a spring that is pushed; its friction is what the model lacks."""
     import numpy as np
 
-    from isd_gym.records.data import Table, write_table
     from isd_gym.physics.network import Network
     from isd_gym.physics.simulate import simulate
+    from isd_gym.records.data import Table, write_table
 
     model = {
         "schema": "isd-model/1",

@@ -29,10 +29,10 @@ from scipy.optimize import nnls
 
 from isd_gym import baselines
 from isd_gym.baselines.qp import SOLVERS, Program, program
-from isd_gym.physics.cost import StageCost
-from isd_gym.common.files import write_text
-from isd_gym.physics.network import Network
 from isd_gym.benchmark.scoring import Entry, drive
+from isd_gym.common.files import write_text
+from isd_gym.physics.cost import StageCost
+from isd_gym.physics.network import Network
 
 SCHEMA = "isd-mpc-times/1"
 REPLAYS = 7

@@ -43,8 +43,8 @@ def case(kind: str, seed: int, known: bool) -> dict[str, Any]:
     """One car, and what was said of it."""
     from hidden import make
 
-    from isd_gym.records.data import Table, write_table
     from isd_gym.physics.network import Network
+    from isd_gym.records.data import Table, write_table
 
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     snr = float(rng.choice([26.0, 32.0, 40.0]))

@@ -25,13 +25,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from grading import grade, graded, named, pair
 
-from isd_gym.records.data import Table, read_table
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.structure import add, base_structure
 from isd_gym.diagnosis.hypotheses.library import hypotheses
 from isd_gym.physics.elements import beside as standing
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

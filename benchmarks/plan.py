@@ -26,13 +26,13 @@ from typing import Any
 import numpy as np
 
 from isd_gym.contrib.forecast import EffectForecast, Plan, plan
-from isd_gym.records.data import Table
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis.planning import Rig, infer_rig, make_excitation, make_record
 from isd_gym.physics.elements import TYPES
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
 
 BAR = 1.5
 FURTHEST = 5.0  # multiples of the planned size beyond which nobody looks

@@ -112,8 +112,8 @@ def train(name: str, seed: int, folder: Path) -> None:
 
 def collect(folder: Path) -> None:
     """Score all models of a folder on the scoring roads; results of recipes without a model there stay."""
-    from isd_gym.env.registration import LEARNING
     from isd_gym.benchmark.scoring import score
+    from isd_gym.env.registration import LEARNING
 
     before = json.loads(RESULT.read_text(encoding="utf-8"))
     rows: dict[str, Any] = {}

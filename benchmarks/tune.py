@@ -19,10 +19,10 @@ import numpy as np
 
 from isd_gym import baselines
 from isd_gym.agents.settings import robust
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Network
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import Entry, Run, drive
+from isd_gym.physics.cost import StageCost
+from isd_gym.physics.network import Network
 
 NETWORK = Network.load("quarter-car-isd")
 

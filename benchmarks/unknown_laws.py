@@ -163,8 +163,8 @@ RIGS = {"shaken": shaken, "car": car}
 
 def case(rig: str, law: str, seed: int, samples: int = 2400) -> dict[str, Any]:
     """Make a rig, diagnose it, and say what came of it."""
-    from isd_gym.records.data import Table
     from isd_gym.diagnosis import diagnose
+    from isd_gym.records.data import Table
 
     rng = np.random.default_rng([seed, list(RIGS).index(rig), list(LAWS).index(law)])
     plane, force = LAWS[law]

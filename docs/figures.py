@@ -21,11 +21,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.benchmark.policies import conventional, find
-from isd_gym.view.report.schematic import draw
+from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import iso_road, paper_road, road
 from isd_gym.physics.simulate import simulate
+from isd_gym.view.report.schematic import draw
 
 HERE = Path(__file__).parent / "figures"
 # Okabe and Ito: told apart by the colour-blind too
@@ -77,10 +77,10 @@ def law() -> None:
 
 def reports() -> None:
     """What a score's and a diagnosis' page draw: 32 episodes, and the records of the tutorial on diagnoses."""
-    from isd_gym.diagnosis import diagnose
     from isd_gym.benchmark.policies import passive
-    from isd_gym.view.report import score_report, write_report
     from isd_gym.benchmark.scoring import score
+    from isd_gym.diagnosis import diagnose
+    from isd_gym.view.report import score_report, write_report
 
     with tempfile.TemporaryDirectory() as folder:
         names = ("passive", "isd-passive", "skyhook", "lqg", "mpc", "mpc-friction", "ppo", "sac")
@@ -239,8 +239,8 @@ def projection() -> None:
 
 def show() -> None:
     """Frames of ``isd-gym show``: two quarter cars after eight seconds, the picture of the README; a half and a full car on a bump."""
-    from isd_gym.view.rendering import Renderer
     from isd_gym.benchmark.show import snapshots
+    from isd_gym.view.rendering import Renderer
 
     frames: dict[str, tuple[tuple[str, ...], str, float, tuple[int, int], str]] = {
         "show": (("mpc", "passive"), "quarter-car-isd", 8.0, (1000, 560), "paper"),

@@ -3,10 +3,18 @@
 Importing the package makes its environments known to Gymnasium and loads nothing else: the names below, and the modules
 (`isd_gym.env.environment`, `isd_gym.physics.road`, ...), come with their first use.
 
-What a suspension is: `elements`, `network`, `networks` (the built-in models). How it moves: `kernel`, `road`, `simulate`,
-`vehicle`, `batch`. Records: `data`, `schemas`. Functional mock-up units: `fmi`. The environment: `task`, `env`, `cost`, `sb3`;
-on it `benchmark` (policies, scores, cards, sweeps). The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`. The
-program: `commands`.
+Rooms, lower ones first:
+
+- `common`: errors, files, units.
+- `records`: what was measured, and its files.
+- `physics`: what a suspension is and how it moves.
+- `env`: the environments of Gymnasium; `sb3` gives them to Stable-Baselines3.
+- `benchmark`: policies, scores and cards; `baselines` and `agents` have controllers and trained policies.
+- `diagnosis`: which effect a model lacks.
+- `view`: pages and pictures.
+- `commands`: the program.
+
+`contrib` has parts beside these, which nothing of the above imports.
 """
 
 from __future__ import annotations
@@ -17,38 +25,39 @@ TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
     from typing import Any
 
-    from .benchmark.scoring import Score
-    from .benchmark.scoring import score
-    from .physics.cost import StageCost
-    from .records.data import Table
-    from .records.data import read_table
-    from .diagnosis import Diagnosis
-    from .diagnosis import diagnose
-    from .env.environment import ISDSuspensionEnv
-    from .env.environment import ISDSuspensionVectorEnv
-    from .common.errors import InputError
-    from .physics.network import Network
-    from .physics.network import linearise
-    from .physics.simulate import simulate
+    from .benchmark.scoring import Score as Score
+    from .benchmark.scoring import score as score
+    from .common.errors import InputError as InputError
+    from .diagnosis import Diagnosis as Diagnosis
+    from .diagnosis import diagnose as diagnose
+    from .env.environment import ISDSuspensionEnv as ISDSuspensionEnv
+    from .env.environment import ISDSuspensionVectorEnv as ISDSuspensionVectorEnv
+    from .physics.cost import StageCost as StageCost
+    from .physics.network import Network as Network
+    from .physics.network import linearise as linearise
+    from .physics.simulate import simulate as simulate
+    from .records.data import Table as Table
+    from .records.data import read_table as read_table
 
 __version__ = "0.1.0"
 
-#: public name -> its module; `simulate` is a callable module, see its end
+#: public name -> its module
 _HOME = {
-    "Diagnosis": "discrepancy",
-    "ISDSuspensionEnv": "env",
-    "ISDSuspensionVectorEnv": "env",
-    "InputError": "errors",
-    "Network": "network",
+    "Diagnosis": "diagnosis",
+    "ISDSuspensionEnv": "env.environment",
+    "ISDSuspensionVectorEnv": "env.environment",
+    "InputError": "common.errors",
+    "Network": "physics.network",
     "Score": "benchmark.scoring",
-    "StageCost": "cost",
-    "Table": "data",
-    "diagnose": "discrepancy",
-    "linearise": "network",
-    "read_table": "data",
+    "StageCost": "physics.cost",
+    "Table": "records.data",
+    "diagnose": "diagnosis",
+    "linearise": "physics.network",
+    "read_table": "records.data",
     "score": "benchmark.scoring",
+    "simulate": "physics.simulate",
 }
-__all__ = [*_HOME, "simulate"]
+__all__ = [*_HOME]
 
 
 def __getattr__(name: str) -> Any:

@@ -18,14 +18,14 @@ from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from .physics.batch import CURRENT_LIMIT
 from .benchmark.driving import Entry
 from .benchmark.policies import find, passive
 from .benchmark.scoring import drive
-from .env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
 from .common.errors import InputError
 from .common.files import check_file, whole
+from .env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
 from .env.history import history_of
+from .physics.batch import CURRENT_LIMIT
 from .physics.vehicle import SLEW_RATE
 
 if TYPE_CHECKING:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from isd_gym.records.data import Table
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -16,6 +15,7 @@ from isd_gym.diagnosis.hypotheses.score_test import ScoredStart, score_hypothese
 from isd_gym.diagnosis.selection.admissibility import Travel, admissible_starts, is_observed
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
+from isd_gym.records.data import Table
 
 DRUM = {
     "schema": "isd-model/1",

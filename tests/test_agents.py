@@ -34,10 +34,10 @@ from isd_gym.agents.policy import (
     write_safetensors,
 )
 from isd_gym.agents.settings import MEMORY, SETTINGS
-from isd_gym.physics.cost import StageCost
-from isd_gym.common.errors import InputError
-from isd_gym.physics.network import Network
 from isd_gym.benchmark.policies import conventional
+from isd_gym.common.errors import InputError
+from isd_gym.physics.cost import StageCost
+from isd_gym.physics.network import Network
 
 needs_sb3 = pytest.mark.skipif(
     find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isd_gym.records.data import Table
-from isd_gym.records.data.quality import known_check
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import diagnose, workflow
 from isd_gym.diagnosis.records import find_misreading, read_record
 from isd_gym.diagnosis.simulation.problem import Problem
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
+from isd_gym.records.data.quality import known_check
 
 CAR = {
     "schema": "isd-model/1",

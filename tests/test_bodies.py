@@ -261,14 +261,14 @@ def test_energy_of_a_half_car_is_balanced():
 
 @pytest.mark.parametrize("name", OLD)
 def test_old_files_are_written_as_they_were(name):
-    text = (resources.files("isd_gym") / "networks" / f"{name}.json").read_text()
+    text = (resources.files("isd_gym.physics") / "networks" / f"{name}.json").read_text()
     assert json.dumps(Network.load(name).to_dict()) == json.dumps(json.loads(text))
 
 
 @pytest.mark.parametrize("name", CARS)
 def test_a_car_is_written_as_it_was_read(name):
     network = Network.load(name)
-    text = (resources.files("isd_gym") / "networks" / f"{name}.json").read_text()
+    text = (resources.files("isd_gym.physics") / "networks" / f"{name}.json").read_text()
     assert network.dumps() == text
     again = Network.from_dict(json.loads(network.dumps()))
     assert again == network

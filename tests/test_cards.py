@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from isd_gym.benchmark import cards
+from isd_gym.benchmark.scoring import score
 from isd_gym.commands import main
 from isd_gym.common.errors import InputError
-from isd_gym.benchmark.scoring import score
 
 ON = {"episodes": 4, "duration": 0.5}
 

@@ -9,8 +9,8 @@ import sys
 import numpy as np
 import pytest
 
-from isd_gym.records.data import read_table
 from isd_gym.physics.network import Network
+from isd_gym.records.data import read_table
 
 
 def run(*args, cwd=None, env=None):
@@ -389,8 +389,8 @@ def test_the_list_of_commands_is_not_cut():
 
 
 def test_policies_lists_what_can_be_scored(tmp_path):
-    from isd_gym.physics.network import Network
     from isd_gym.benchmark.policies import available, find
+    from isd_gym.physics.network import Network
 
     done = run("policies", "--json", str(tmp_path / "p.json"))
     known = json.loads((tmp_path / "p.json").read_text())["policies"]

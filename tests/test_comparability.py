@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from isd_gym.benchmark.comparability import Comparable, comparable
-from isd_gym.physics.network import Network
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import Entry, Idle, score
 from isd_gym.env.sensors import Sensors
+from isd_gym.physics.network import Network
 
 CAR = Network.load("quarter-car-isd")
 HEAVY = CAR.with_parameters({"body.mass": 400.0})

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from isd_gym import simulate
-from isd_gym.records.data import Table
-from isd_gym.diagnosis import diagnose
 from isd_gym.common.errors import InputError
+from isd_gym.diagnosis import diagnose
 from isd_gym.physics.network import Network, cut, rejoin
+from isd_gym.records.data import Table
 
 
 def car():

@@ -13,11 +13,20 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import io, signal
 
-from isd_gym.records.data import Finding, Table, check, integral_consistency, noise_level, read_table, smooth_derivatives, write_table
+from isd_gym.common.errors import InputError
+from isd_gym.records.data import (
+    Finding,
+    Table,
+    check,
+    integral_consistency,
+    noise_level,
+    read_table,
+    smooth_derivatives,
+    write_table,
+)
 from isd_gym.records.data.quality import held_samples
 from isd_gym.records.data.signals import stamp_rounding, unwrapped
 from isd_gym.records.data.table import read_columns, read_rasters
-from isd_gym.common.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

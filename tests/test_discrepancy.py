@@ -15,12 +15,19 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from isd_gym.records.data import Table
-from isd_gym.diagnosis import CRITERIA, Diagnosis, SearchSettings, diagnose
-from isd_gym.diagnosis.estimation.noise import Noise, lagged, noise_after_filters, noise_of, predicted, whitener
 from isd_gym.common.errors import InputError
+from isd_gym.diagnosis import CRITERIA, Diagnosis, SearchSettings, diagnose
+from isd_gym.diagnosis.estimation.noise import (
+    Noise,
+    lagged,
+    noise_after_filters,
+    noise_of,
+    predicted,
+    whitener,
+)
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from isd_gym.physics import elements as el
 from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
 from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
 from isd_gym.diagnosis.hypotheses.forces import dissipated_work
 from isd_gym.diagnosis.selection.held_out import effect_size
 from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network
 
 STIFFNESS = 250e3  # [N/m]; the mass is 1 kg, so that a period takes 12.6 ms

@@ -15,8 +15,8 @@ import typer
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
-from isd_gym.physics import elements
 from isd_gym.common.plugins import COMMANDS, plugins
+from isd_gym.physics import elements
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])

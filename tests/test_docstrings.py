@@ -19,7 +19,12 @@ DIAGNOSIS = (
     "isd_gym/contrib/no_road",
     "isd_gym/contrib/fmi/identification",
 )
-INTERNAL = ("isd_gym/physics/kernel", *DIAGNOSIS, "isd_gym/records/formats", "isd_gym/records/schemas/__main__.py")
+INTERNAL = (
+    "isd_gym/physics/kernel",
+    *DIAGNOSIS,
+    "isd_gym/records/formats",
+    "isd_gym/records/schemas/__main__.py",
+)
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from isd_gym.physics.cost import StageCost
-from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.common.errors import InputError
+from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
 IDS = ["ISDSuspension-v0", "ISDSuspensionEq8-v0"]

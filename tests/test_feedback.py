@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
-from isd_gym.records.data import Table
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -18,6 +17,7 @@ from isd_gym.diagnosis.records import find_feedback, read_record
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.diagnosis.verdict.closed_loop import imitated_share
 from isd_gym.physics.network import Network
+from isd_gym.records.data import Table
 
 Array = NDArray[np.float64]
 STEP, SAMPLES = 0.01, 4000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
 from isd_gym.diagnosis.estimation.sensitivities import tangents
@@ -13,7 +14,6 @@ from isd_gym.diagnosis.hypotheses.library import hypotheses
 from isd_gym.diagnosis.hypotheses.motion import simulate_variants
 from isd_gym.diagnosis.hypotheses.score_test import build_starts
 from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 

@@ -6,11 +6,11 @@ import zipfile
 import numpy as np
 import pytest
 
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table, write_table
 from isd_gym.records.data.table import read_rasters
-from isd_gym.common.errors import InputError
 from isd_gym.records.loggers.record_reading import records_of
-from isd_gym.physics.network import Network
 
 openpyxl = pytest.importorskip("openpyxl")
 h5py = pytest.importorskip("h5py")

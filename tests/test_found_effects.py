@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from isd_gym.records.data import Table
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -15,6 +14,7 @@ from isd_gym.diagnosis.hypotheses.motion import motions
 from isd_gym.diagnosis.hypotheses.position_spectrum import spectral_pitches, thinning_loses
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
+from isd_gym.records.data import Table
 
 
 def named(found):

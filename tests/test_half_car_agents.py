@@ -19,9 +19,9 @@ from isd_gym.agents.memory import Echo, Memory, _Echo
 from isd_gym.agents.policy import Head, Policy
 from isd_gym.agents.settings import PPOSettings, SACSettings, tuned
 from isd_gym.agents.wheelbase import car_filter, road_model
-from isd_gym.physics.cost import StageCost
-from isd_gym.env.environment import ISDSuspensionVectorEnv
 from isd_gym.common.errors import InputError
+from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import vehicle
 

@@ -14,7 +14,6 @@ from families.plant import Signal, integrate
 from reference import simulate as by_reference
 
 from isd_gym import simulate
-from isd_gym.records.data import Table
 from isd_gym.diagnosis import Diagnosis, SearchSettings, diagnose
 from isd_gym.diagnosis.estimation.structure import in_line
 from isd_gym.diagnosis.hypotheses.forces import _measured_force
@@ -22,6 +21,7 @@ from isd_gym.diagnosis.hypotheses.library import pairs
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.physics.elements.base import held_still
 from isd_gym.physics.network import Network
+from isd_gym.records.data import Table
 
 FREE = ("stiffness", "damping")
 

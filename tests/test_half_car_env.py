@@ -10,9 +10,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.integrate import trapezoid
 
-from isd_gym.physics.cost import FULL_CAR, HALF_CAR, StageCost
-from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.common.errors import InputError
+from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.physics.cost import FULL_CAR, HALF_CAR, StageCost
 from isd_gym.physics.network import Network, linearise
 from isd_gym.physics.road import Road, paper_road
 from isd_gym.physics.vehicle import vehicle

@@ -19,12 +19,12 @@ from scipy.io import savemat
 from isd_gym.agents.convert import convert, read_normalize, read_torch
 from isd_gym.agents.pickles import array, read_pickle
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
-from isd_gym.records.data import Table, read_table, write_table
 from isd_gym.common.errors import InputError, markdown, plain, shown
 from isd_gym.common.files import claim_folder, whole, whole_folder
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table, read_table, write_table
 
 
 def refused(run, match=None):
@@ -119,8 +119,8 @@ def test_names_are_shown_in_one_line_that_steers_nothing():
 )
 def test_a_name_that_no_file_can_have_is_one_line(name, tmp_path):
     from isd_gym.benchmark.grid import Grid
-    from isd_gym.physics.elements.base import register_file
     from isd_gym.benchmark.policies import find
+    from isd_gym.physics.elements.base import register_file
 
     for use in (Network.load, Policy.load, read_table, road, Grid.load, register_file):
         refused(lambda use=use: use(name))
@@ -767,9 +767,7 @@ def table(tmp_path, suffix, n=100):
 
 
 #: begin of a helper's program whose reader of .mat files is another one
-OTHER = (
-    f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); import isd_gym.records.formats.mat as m; "
-)
+OTHER = f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); import isd_gym.records.formats.mat as m; "
 
 
 def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, monkeypatch):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from isd_gym.records.data import Table
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.estimation.direct_problem import prefer_direct_problem, swap_roles
 from isd_gym.diagnosis.estimation.input_noise import propagate_input_noise
@@ -16,6 +15,7 @@ from isd_gym.diagnosis.records.filtering import find_noise_band
 from isd_gym.diagnosis.selection.settings import SearchSettings
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
+from isd_gym.records.data import Table
 
 Array = NDArray[np.float64]
 STEP, SAMPLES = 0.01, 3000

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from isd_gym.records.data import Table
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis.hypotheses import library
 from isd_gym.diagnosis.selection import screening
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
 
 if TYPE_CHECKING:
     from isd_gym.diagnosis import Diagnosis

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from isd_gym import simulate
 from isd_gym.commands import app
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.initial_states import states_along
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -18,7 +19,6 @@ from isd_gym.diagnosis.hypotheses.library import hypotheses, pairs
 from isd_gym.diagnosis.hypotheses.missing_force import Deconvolution
 from isd_gym.diagnosis.hypotheses.motion import motions
 from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network, assemble, linearise
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98

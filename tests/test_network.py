@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp, trapezoid
 
-from isd_gym.physics import elements as el
 from isd_gym.common.errors import InputError
+from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network, assemble, builtin_networks, linearise
 from isd_gym.physics.simulate import simulate
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.initial_states import motion_rows
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -13,7 +14,6 @@ from isd_gym.diagnosis.estimation.structure import base_structure
 from isd_gym.diagnosis.hypotheses.score_test import residual_of
 from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Channel, Network
 from isd_gym.records.schemas import load
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from isd_gym.physics import elements as el
-from isd_gym.records.data import Table
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.common.errors import InputError
+from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network
+from isd_gym.records.data import Table
 
 RIG = {
     "schema": "isd-model/1",

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isd_gym.records.data import Table
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
 
 RIG = {
     "schema": "isd-model/1",

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import random_networks
 
-from isd_gym.physics import elements as el
 from isd_gym.common.errors import InputError
+from isd_gym.physics import elements as el
 from isd_gym.physics.network import Channel, Network
 from isd_gym.physics.simulate import Plant, simulate
 

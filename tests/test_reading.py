@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from isd_gym.common.errors import InputError
+from isd_gym.common.units import convert
+from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table
 from isd_gym.records.data.table import read_rasters
-from isd_gym.common.errors import InputError
-from isd_gym.view.inspection import inspect
 from isd_gym.records.loggers import ChannelMap, Recording
 from isd_gym.records.loggers.record_reading import records_of
-from isd_gym.physics.network import Network
-from isd_gym.common.units import convert
+from isd_gym.view.inspection import inspect
 
 RIG = Network.load(
     {

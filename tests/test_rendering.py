@@ -13,8 +13,8 @@ import numpy as np
 import picture_checks
 import pytest
 
-from isd_gym.view import rendering
 from isd_gym.common.errors import InputError, how_to_install
+from isd_gym.view import rendering
 from isd_gym.view.rendering import Renderer, Snapshot, backend, write_video
 from isd_gym.view.rendering.canvas import Canvas
 

@@ -17,17 +17,17 @@ from scipy.ndimage import uniform_filter
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
-from isd_gym.view import rendering
-from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
-from isd_gym.common.errors import InputError
-from isd_gym.physics.network import Network
 from isd_gym.benchmark.policies import find
+from isd_gym.benchmark.show import snapshots
+from isd_gym.common.errors import InputError
+from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.physics.network import Network
+from isd_gym.view import rendering
 from isd_gym.view.rendering import CarSnapshot, CornerSnapshot, Renderer, Snapshot, backend, renderer
 from isd_gym.view.rendering.canvas import Canvas
 from isd_gym.view.rendering.palette import MUTED, PALE
 from isd_gym.view.rendering.rigid_car import RigidCarScene
 from isd_gym.view.rendering.wheel import RUBBER
-from isd_gym.benchmark.show import snapshots
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -18,10 +18,11 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
-from isd_gym.records import schemas
 from isd_gym.benchmark import show
 from isd_gym.benchmark.comparability import Comparable
-from isd_gym.records.data import Table, read_table
+from isd_gym.benchmark.policies import find, passive
+from isd_gym.benchmark.scoring import score
+from isd_gym.common.errors import InputError, ReportError
 from isd_gym.diagnosis import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -35,14 +36,13 @@ from isd_gym.diagnosis.verdict.explanation import draw_law as series_law
 from isd_gym.diagnosis.verdict.findings import Finding, LawProbability
 from isd_gym.diagnosis.verdict.gates import gates_of
 from isd_gym.physics.elements import TYPES, CoulombFriction
-from isd_gym.common.errors import InputError, ReportError
 from isd_gym.physics.network import Network
-from isd_gym.benchmark.policies import find, passive
+from isd_gym.physics.simulate import simulate
+from isd_gym.records import schemas
+from isd_gym.records.data import Table, read_table
 from isd_gym.view.report import charts, plots
 from isd_gym.view.report import diagnosis as report
 from isd_gym.view.report import score as score_page
-from isd_gym.benchmark.scoring import score
-from isd_gym.physics.simulate import simulate
 
 jsonschema = pytest.importorskip("jsonschema")
 

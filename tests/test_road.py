@@ -5,7 +5,17 @@ import pytest
 from scipy.signal import welch
 
 from isd_gym.common.errors import InputError
-from isd_gym.physics.road import ISO_CLASSES, PAPER_KAPPA, Road, bump, iso_road, paper_road, pothole, road, sweep
+from isd_gym.physics.road import (
+    ISO_CLASSES,
+    PAPER_KAPPA,
+    Road,
+    bump,
+    iso_road,
+    paper_road,
+    pothole,
+    road,
+    sweep,
+)
 
 
 def spatial_psd(ground, speed, step, roads=40, length=4000.0):

@@ -9,8 +9,8 @@ from scipy.integrate import quad
 from scipy.signal import csd, welch
 from scipy.special import kv
 
-from isd_gym.physics import tracks
 from isd_gym.common.errors import InputError
+from isd_gym.physics import tracks
 from isd_gym.physics.road import Road, bump, iso_road, on_side, paper_road, pothole, road
 from isd_gym.physics.tracks import SUM_STATES, TRACK_STATES, WheelPositions
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from isd_gym.records.data import Table, check
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.records import read_record
 from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network, own_time, slowest_time
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table, check
 
 
 def rig(period: float, size: float) -> tuple[Network, Table]:

@@ -5,13 +5,13 @@ import pytest
 
 from isd_gym import baselines
 from isd_gym.baselines.car import CarWeights, blind_gain, car_model, car_regulator, simulated_cost
-from isd_gym.contrib.ceilings.bounds import ideal_car, lq_bound, reference, wheelbase_bound
-from isd_gym.physics.cost import StageCost
 from isd_gym.benchmark.driving import Crew, Entry, travel
-from isd_gym.env.environment import ISDSuspensionVectorEnv
-from isd_gym.common.errors import InputError
-from isd_gym.physics.network import Network
 from isd_gym.benchmark.policies import find
+from isd_gym.common.errors import InputError
+from isd_gym.contrib.ceilings.bounds import ideal_car, lq_bound, reference, wheelbase_bound
+from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.physics.cost import StageCost
+from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
 from isd_gym.physics.vehicle import vehicle
 

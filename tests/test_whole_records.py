@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isd_gym.records.data import Table
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis import result_builder as builder
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
@@ -17,10 +17,10 @@ from isd_gym.diagnosis.records import split_records
 from isd_gym.diagnosis.selection.candidate import Candidate
 from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
-from isd_gym.view.report import write_report
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
+from isd_gym.view.report import write_report
 
 STEP = 0.01
 

@@ -10,7 +10,17 @@ import pytest
 from isd_gym.diagnosis.selection.criteria import CRITERIA
 from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis.verdict.gates import Reason, decide, gate, gates_of, table_gates
-from isd_gym.diagnosis.verdict.wording import ADVICE, NOT_BORNE_OUT, described, failures, plain_number, plain_value, statements_of, summary_of, unit_summary_of
+from isd_gym.diagnosis.verdict.wording import (
+    ADVICE,
+    NOT_BORNE_OUT,
+    described,
+    failures,
+    plain_number,
+    plain_value,
+    statements_of,
+    summary_of,
+    unit_summary_of,
+)
 
 FRICTION = {
     "effect": "coulomb_friction",

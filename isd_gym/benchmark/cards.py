@@ -16,15 +16,15 @@ import numpy as np
 
 from ..common.errors import InputError, markdown, shown
 from ..common.inputs import read_json
-from ..records.schemas.checking import check
 from ..common.seeds import named_roads
+from ..records.schemas.checking import check
 from .scoring import compare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 SCHEMA, SCORE = "isd-card/1", "isd-score/1"
-BUILT_IN = Path(__file__).parents[1] / "references"
+BUILT_IN = Path(__file__).parent / "references"
 #: keys that must agree for two scores on the same roads, and tolerance of the roads' fingerprints
 SAME = ("network", "road", "speed", "episodes", "duration", "seed")
 CLOSE = 1e-6

@@ -16,8 +16,8 @@ from ..physics.road import road as find_road
 from ..physics.vehicle import vehicle
 
 if TYPE_CHECKING:
-    from ..physics.road import Road
     from ..env.sensors import Sensors
+    from ..physics.road import Road
 
 #: smallest sample for statements about the mean over roads, equal to the benchmark's; duration in seconds
 EPISODES, DURATION = 32, 20.0

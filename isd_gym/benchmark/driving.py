@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ..physics.batch import CURRENT_LIMIT
 from ..common.errors import InputError
+from ..physics.batch import CURRENT_LIMIT
 from ..physics.vehicle import kind, vehicle
 
 if TYPE_CHECKING:

@@ -43,15 +43,15 @@ from typing import Any
 
 from ..common.errors import InputError, hint, shown
 from ..common.inputs import is_number, parse_json, read_bytes
-from ..physics.network import Network
 from ..env.sensors import Sensors
+from ..physics.network import Network
 from .engine import Task
 
 SCHEMA = "isd-sweep/1"
 #: largest numbers of conditions and items, largest number in a grid, and largest size of a file of a grid
 #: [bytes]
 CONDITIONS, ITEMS, LARGEST, BELONGING = 10_000, 1_000_000, 1e100, 2**30
-BUILT_IN = Path(__file__).parents[1] / "grids"
+BUILT_IN = Path(__file__).parent / "grids"
 SENSES = tuple(f.name for f in fields(Sensors))
 #: keys of [random]: ranges of numbers, and choices
 RANGES, CHOICES = ("speed", "preview", "noise", "road_error", "road_lag", "road_range"), ("road", "network")

@@ -11,11 +11,11 @@ from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
-from ..physics.cost import StageCost
 from ..common.errors import InputError, shown
+from ..common.plugins import POLICIES, plugins
+from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.network.bodies import Point
-from ..common.plugins import POLICIES, plugins
 from ..physics.vehicle import kind, vehicle
 from .driving import Entry, Idle
 from .own_controller import entry_of_file

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..physics import elements as el
-from .comparability import Comparable, comparable
-from ..physics.cost import StageCost, square
 from ..common.errors import InputError, shown
 from ..common.inputs import check_memory
-from ..physics.network import Network
-from ..physics.road import road as find_road
 from ..common.seeds import generators, named_roads
 from ..env.sensors import Sensors
+from ..physics import elements as el
+from ..physics.cost import StageCost, square
+from ..physics.network import Network
+from ..physics.road import road as find_road
 from ..physics.vehicle import Corner, Vehicle, vehicle
+from .comparability import Comparable, comparable
 from .driving import Controller, Crew, Entry, Idle, travel
 from .policies import find_all, passive
 

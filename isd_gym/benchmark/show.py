@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .driving import Entry
-    from ..view.rendering import CarSnapshot, Snapshot
     from ..physics.road import Road
+    from ..view.rendering import CarSnapshot, Snapshot
+    from .driving import Entry
 
 #: size of a picture [px] by number of cars
 SIZE = {1: (960, 600), 2: (1200, 640)}

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from .console import printer
 from ..common.errors import InputError, plain
 from ._columns import print_columns
 from ._score_bounds import known_ceilings
+from .console import printer
 
 
 def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import typer
 
-from .console import printer, write_json
 from ..common.errors import ReportError, plain
+from .console import printer, write_json
 
 
 def write_result(result: Any, out: Path, about: dict[str, str]) -> Path | ReportError:

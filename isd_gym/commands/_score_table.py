@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from .console import printer
 from ..common.errors import plain, shown
 from ._columns import print_columns
+from .console import printer
 
 
 def print_score(result: Any) -> None:

@@ -11,11 +11,29 @@ from typing import Annotated
 
 import typer
 
-from .console import check_file, lines
 from ..common.errors import InputError, shown
 from ..common.plugins import wing
 from ._diagnose_result import print_diagnosis, write_result
-from ._options import ColumnsOption, ElementsOption, EngineOption, FileRateOption, JsonOption, MapOption, RenameOption, SignOption, UnitOption, channel_names, check_channels, check_records, column_names, complete, network_names, pairs, signs_of
+from ._options import (
+    ColumnsOption,
+    ElementsOption,
+    EngineOption,
+    FileRateOption,
+    JsonOption,
+    MapOption,
+    RenameOption,
+    SignOption,
+    UnitOption,
+    channel_names,
+    check_channels,
+    check_records,
+    column_names,
+    complete,
+    network_names,
+    pairs,
+    signs_of,
+)
+from .console import check_file, lines
 
 #: share of --max-seconds that is kept for the report; of 15 s at most
 REPORT = 0.2
@@ -131,13 +149,13 @@ def command(
     Without a road: isd-gym diagnose drive.csv --model car.json --cut wheel --out found
     """
     begun = monotonic()
-    from ..physics import elements as el
     from ..diagnosis import SearchSettings
     from ..diagnosis import diagnose as run
     from ..diagnosis.simulation.time_limit import TimeLimit
-    from ..records.loggers.record_reading import records_of
+    from ..physics import elements as el
     from ..physics.network import Network
     from ..physics.network import cut as cut_at
+    from ..records.loggers.record_reading import records_of
     from ..view.report import check_target
 
     check_file(json_file)

@@ -7,9 +7,20 @@ from typing import Annotated
 
 import typer
 
-from .console import check_file, terminal_columns, write_json
 from ..common.errors import InputError, shown
-from ._options import ColumnsOption, FileRateOption, JsonOption, MapOption, RenameOption, SignOption, check_channels, column_names, pairs, signs_of
+from ._options import (
+    ColumnsOption,
+    FileRateOption,
+    JsonOption,
+    MapOption,
+    RenameOption,
+    SignOption,
+    check_channels,
+    column_names,
+    pairs,
+    signs_of,
+)
+from .console import check_file, terminal_columns, write_json
 
 
 def command(
@@ -52,10 +63,10 @@ def command(
     Example: isd-gym inspect body.csv wheel.mf4 --model car.json --out map.json
     """
     from ..common.files import write_text
-    from ..view.inspection import inspect, lines, page
+    from ..physics.network import Network
     from ..records.loggers import ChannelMap, Column
     from ..records.loggers.mapping import files_of
-    from ..physics.network import Network
+    from ..view.inspection import inspect, lines, page
 
     files = [file for word in data for file in files_of(word)]
     for target in (out, html, json_file):

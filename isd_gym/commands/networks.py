@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from .console import check_file, print_names
 from ..common.errors import InputError
 from ._options import complete, network_names
+from .console import check_file, print_names
 
 
 def command(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .console import print_names, write_json
 from ._options import JsonOption
+from .console import print_names, write_json
 
 
 def command(json_file: JsonOption = None) -> None:

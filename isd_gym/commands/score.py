@@ -8,11 +8,24 @@ from typing import Annotated, Any
 
 import typer
 
-from .console import check_file, progress, warm_up, write_json
 from ._card_table import print_track
-from ._options import POLICIES, DurationOption, JsonOption, MapOption, NetworkOption, PreviewOption, RoadOption, SeedOption, SpeedOption, TrainedOption, complete, policy_names
+from ._options import (
+    POLICIES,
+    DurationOption,
+    JsonOption,
+    MapOption,
+    NetworkOption,
+    PreviewOption,
+    RoadOption,
+    SeedOption,
+    SpeedOption,
+    TrainedOption,
+    complete,
+    policy_names,
+)
 from ._score_bounds import bounds_beside, known_ceilings, known_optimum
 from ._score_table import print_score
+from .console import check_file, progress, warm_up, write_json
 
 
 def command(
@@ -73,12 +86,12 @@ def command(
     from ..benchmark.policies import find_all, passive
     from ..benchmark.scoring import check_size, unscored
     from ..benchmark.scoring import score as run
-    from ..records.loggers import ChannelMap
-    from ..records.loggers.record_reading import road_of
+    from ..env.sensors import Sensors
     from ..physics.network import Network
     from ..physics.road import road as find_road
-    from ..env.sensors import Sensors
     from ..physics.vehicle import vehicle
+    from ..records.loggers import ChannelMap
+    from ..records.loggers.record_reading import road_of
 
     check_file(json_file, network, model, road)
     senses = Sensors.of(sensors)

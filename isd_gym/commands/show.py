@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from .console import check_file, progress, warm_up
 from ..common.errors import InputError
 from ._options import NetworkOption, PolicyArgument, PreviewOption, RoadOption, SpeedOption, TrainedOption
+from .console import check_file, progress, warm_up
 
 LONGEST = 3600.0  # duration of a drive [s]
 
@@ -40,9 +40,9 @@ def command(
     Example: isd-gym show mpc --against passive --out mpc.mp4
     """
     from ..benchmark.policies import find_all
+    from ..benchmark.show import check_window, film, live
     from ..physics.network import Network
     from ..physics.road import road as find_road
-    from ..benchmark.show import check_window, film, live
 
     check_file(out)
     if seconds > LONGEST:

@@ -8,9 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from .console import check_file, printer, tell, write_json
 from ..common.errors import InputError, plain, shown
-from ._options import ColumnsOption, FileRateOption, JsonOption, MapOption, ModelArgument, RenameOption, SignOption, UnitOption, channel_names, check_records
+from ._options import (
+    ColumnsOption,
+    FileRateOption,
+    JsonOption,
+    MapOption,
+    ModelArgument,
+    RenameOption,
+    SignOption,
+    UnitOption,
+    channel_names,
+    check_records,
+)
+from .console import check_file, printer, tell, write_json
 
 if TYPE_CHECKING:
     from ..diagnosis.prediction_errors import PredictionErrors
@@ -193,13 +204,13 @@ def _write(
     """Simulate the inputs of a table and write the outputs."""
     import numpy as np
 
+    from ..common.units import convert
+    from ..physics.simulate import simulate as run
     from ..records.data import Table, write_table
     from ..records.loggers import files_of
     from ..records.loggers.record_reading import outputs_of, records_of
     from ..records.loggers.resampling import inputs_of
     from ..records.loggers.start import motions_at, motions_of, state_of
-    from ..physics.simulate import simulate as run
-    from ..common.units import convert
 
     check_file(out, model, *files_of(data))
     by = named.get("by")

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..records.data import Table, write_table
 from ..common.files import claim_folder, write_text
 from ..physics.network import Network
+from ..records.data import Table, write_table
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,7 +14,17 @@ from .estimation.noise import white_filters
 from .estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from .hypotheses.library import hypotheses
 from .planning import next_experiment, played
-from .result import BestCandidate, Contender, Diagnosis, Effect, Quantity, Remainder, SimulationFit, Stretches, Trace
+from .result import (
+    BestCandidate,
+    Contender,
+    Diagnosis,
+    Effect,
+    Quantity,
+    Remainder,
+    SimulationFit,
+    Stretches,
+    Trace,
+)
 from .selection.candidate import Candidate, parameter_values
 from .selection.free_force import FreeForce, fit_free_force
 from .selection.simulation_fit import fit_simulation_error

@@ -11,17 +11,28 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from threadpoolctl import threadpool_limits
 
-from ..records.data import Table
 from ..common.errors import InputError
-from ..records.loggers.recording import Recording
 from ..physics.network import Network, assemble, rejoin
 from ..physics.network import cut as network_cut
+from ..records.data import Table
+from ..records.loggers.recording import Recording
 from .estimation.clock_lag import align_clocks
 from .estimation.direct_problem import prefer_direct_problem
 from .estimation.gauss_newton import Fitter, residuals
 from .estimation.noise import whitener
 from .hypotheses.library import hypotheses
-from .records import LEAD_IN, Feedback, check_sampling_rates, cut_segments, differentiate_inputs, find_feedback, find_misreading, read_record, split_records, thin_long_record
+from .records import (
+    LEAD_IN,
+    Feedback,
+    check_sampling_rates,
+    cut_segments,
+    differentiate_inputs,
+    find_feedback,
+    find_misreading,
+    read_record,
+    split_records,
+    thin_long_record,
+)
 from .result import Diagnosis, Stretches
 from .result_builder import ResultBuilder
 from .selection.admissibility import admissible_starts

@@ -18,12 +18,11 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from ..common.errors import InputError, plain, shown
-from ..physics.network import Network
-from .pictures import Onlooker
 from ..common.seeds import road_index, scoring_generator
-from .task import CONTROL_STEP
-from .task import EXCEEDS, Options, Task, info_maker
+from ..physics.network import Network
 from ..physics.vehicle import vehicle
+from .pictures import Onlooker
+from .task import EXCEEDS, Options, Task, info_maker
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -10,13 +10,13 @@ import numpy as np
 
 from ..physics import elements as el
 from ..physics.network import GROUND
-from .task import PICTURE_WINDOW
 from ..physics.vehicle import CURRENT_LIMIT
+from .task import PICTURE_WINDOW
 
 if TYPE_CHECKING:
+    from ..physics.vehicle import Corner
     from ..view.rendering import CarSnapshot, CornerSnapshot, Snapshot
     from .task import Task
-    from ..physics.vehicle import Corner
 
 PAST = 4.0  # length of the curves [s]
 

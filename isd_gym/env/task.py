@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
+from ..common.errors import InputError, shown
 from ..physics import elements as el
 from ..physics.batch import CURRENT_LIMIT, Batch, ranges
 from ..physics.cost import StageCost
-from ..common.errors import InputError, shown
-from .history import BOUND, Remembered, history_of
 from ..physics.network import Network
 from ..physics.road import Road, road
-from .sensors import Sensors, Sight
 from ..physics.tyre_contact import warn_of_pulling_tyres
 from ..physics.vehicle import SLEW_RATE, Vehicle, state_channels, vehicle
+from .history import BOUND, Remembered, history_of
+from .sensors import Sensors, Sight
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

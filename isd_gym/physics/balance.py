@@ -11,8 +11,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from . import elements as el
     from ..common.arrays import Array
+    from . import elements as el
 
 #: largest relative difference between a force and the law's answer in balance
 TIGHT = 1e-9

@@ -16,20 +16,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import elements as el
 from ..common.arrays import Z95
 from ..common.errors import InputError
+from . import elements as el
 from .kernel import layout as place
 from .kernel.layout import TOGETHER, WIDTH, aligned
 from .network import Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
 from .tracks import SUM_STATES
-from .vehicle import CURRENT_LIMIT
-from .vehicle import SLEW_LIMIT
-from .vehicle import SLEW_RATE, vehicle
-from .vehicle import signal_channels
-from .vehicle import state_channels
+from .vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -26,8 +26,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..common.errors import InputError, shown
-from .tracks import DIFFERENCE_STATES, ONE_WHEEL, SUM_STATES, WheelPositions, coherence, delayed, track_filters
 from ..common.units import convert
+from .tracks import (
+    DIFFERENCE_STATES,
+    ONE_WHEEL,
+    SUM_STATES,
+    WheelPositions,
+    coherence,
+    delayed,
+    track_filters,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

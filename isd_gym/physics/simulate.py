@@ -7,21 +7,19 @@ model over given inputs.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.linalg import expm
 
+from ..common.errors import InputError, shown
+from ..common.units import HELD, convert
 from . import elements as el
 from .balance import Balance
-from ..common.errors import InputError, shown
 from .kernel.layout import CLOSED, CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
-from ..common.units import HELD, convert
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -842,12 +840,3 @@ def _simulate_as_needed(
         return outputs
     fine = max(min(step, FINE * scale), dt * len(time) / MOST_STEPS)
     return simulate(network, time, inputs, step=fine, initial=initial, extra=extra, interpolation="spline")
-
-
-class _Module(ModuleType):
-    """A callable module: `isd_gym.simulate` is both the module and the function."""
-
-    __call__ = staticmethod(simulate)
-
-
-sys.modules[__name__].__class__ = _Module

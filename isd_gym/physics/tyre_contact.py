@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import elements as el
 from ..common.errors import InputError, TyreContactWarning, plain
+from . import elements as el
 from .network import Channel
 from .network.linear import transfer
 

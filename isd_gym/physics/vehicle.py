@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from . import elements as el
 from ..common.errors import InputError
+from . import elements as el
 from .network import GROUND, Channel, Network
 from .tracks import WheelPositions
 

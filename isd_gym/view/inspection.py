@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..records.data.columns import did_you_mean
 from ..common.errors import InputError, plain, shown
+from ..records.data.columns import did_you_mean
 from ..records.loggers.facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
 from ..records.loggers.mapping import Logger
 from ..records.loggers.recording import EPOCH, Raster, continuous, rasters
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from ..physics.network import Network
     from ..records.loggers.mapping import ChannelMap
     from ..records.loggers.match import Suggestion
-    from ..physics.network import Network
 
 LAST_STAMP = 253402300799.0  # end of the year 9999 [s since 1970]; later stamps are no dates
 

@@ -9,6 +9,9 @@ import pytest
 from gymnasium.utils import seeding
 
 from isd_gym.baselines.model import Weights, prediction_model, preview_regulator, regulator
+from isd_gym.benchmark.policies import find, passive
+from isd_gym.benchmark.scoring import drive
+from isd_gym.common.errors import InputError
 from isd_gym.contrib.ceilings.ceiling import (
     Ceiling,
     CeilingSettings,
@@ -20,11 +23,8 @@ from isd_gym.contrib.ceilings.ceiling import (
 )
 from isd_gym.contrib.ceilings.clairvoyant import Episode, Schedule
 from isd_gym.physics.cost import StageCost
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
-from isd_gym.benchmark.policies import find, passive
 from isd_gym.physics.road import road
-from isd_gym.benchmark.scoring import drive
 
 CAR, PAPER, COST = Network.load("quarter-car-isd"), road("paper"), StageCost()
 

@@ -8,12 +8,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from isd_gym.common.errors import InputError
+from isd_gym.common.seeds import scoring_generator
 from isd_gym.contrib.ceilings import clairvoyant as oracle
 from isd_gym.physics.cost import StageCost
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
-from isd_gym.common.seeds import scoring_generator
 
 
 def _convex() -> Network:

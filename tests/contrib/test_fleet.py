@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from isd_gym.commands import app
+from isd_gym.common.errors import InputError, ReportError
 from isd_gym.contrib.fleet.cases import (
     Case,
     _task,
@@ -20,7 +21,6 @@ from isd_gym.contrib.fleet.cases import (
     write_page,
 )
 from isd_gym.records.data import Table, write_table
-from isd_gym.common.errors import InputError, ReportError
 
 
 def case(folder, name, *files):

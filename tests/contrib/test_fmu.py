@@ -11,10 +11,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from isd_gym.common.errors import InputError
 from isd_gym.contrib.fmi.command import command
 from isd_gym.contrib.fmi.export import Running, base_units, export_fmu, identifier
 from isd_gym.physics.elements import ActuatorLag, SensorGain
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 

@@ -8,13 +8,13 @@ import pytest
 from typer.testing import CliRunner
 
 from isd_gym import cli
+from isd_gym.common.errors import InputError
 from isd_gym.contrib.fmi.cosimulation import Unit
 from isd_gym.contrib.fmi.export import export_fmu
 from isd_gym.contrib.fmi.identification import diagnose_unit
-from isd_gym.records.data import Table, write_table
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table, write_table
 
 pytest.importorskip("pythonfmu")
 pytest.importorskip("fmpy")

@@ -8,8 +8,8 @@ import pytest
 
 from isd_gym.agents.policy import SHIPPED, Policy
 from isd_gym.benchmark import cards
-from isd_gym.contrib import hub
 from isd_gym.common.errors import InputError
+from isd_gym.contrib import hub
 
 pytest.importorskip("pygame", reason="films need isd-gym[render]")
 pytest.importorskip("imageio_ffmpeg", reason="films need isd-gym[render]")

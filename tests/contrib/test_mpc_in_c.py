@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from isd_gym import baselines
-from isd_gym.contrib.exports.mpc_in_c import export_c
 from isd_gym.common.errors import InputError
+from isd_gym.contrib.exports.mpc_in_c import export_c
 
 compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(compiler is None, reason="no C compiler")

@@ -10,14 +10,24 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym.contrib.forecast import plan, read_rivals
-from isd_gym.records.data import Table, read_table
-from isd_gym.diagnosis import Criteria, diagnose
-from isd_gym.diagnosis.planning import KINDS, Excitation, Limits, Rig, design_test, infer_rig, list_excitations, make_excitation, make_record
 from isd_gym.common.errors import InputError
+from isd_gym.contrib.forecast import plan, read_rivals
+from isd_gym.diagnosis import Criteria, diagnose
+from isd_gym.diagnosis.planning import (
+    KINDS,
+    Excitation,
+    Limits,
+    Rig,
+    design_test,
+    infer_rig,
+    list_excitations,
+    make_excitation,
+    make_record,
+)
 from isd_gym.physics.network import Network
-from isd_gym.records.schemas import load
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table, read_table
+from isd_gym.records.schemas import load
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from isd_gym.benchmark import engine
+from isd_gym.benchmark.driving import Entry
 from isd_gym.benchmark.engine import Task
 from isd_gym.benchmark.grid import Condition, Grid
-from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
-from isd_gym.benchmark.driving import Entry
-from isd_gym.common.errors import InputError
-from isd_gym.physics.network import Network
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
+from isd_gym.common.errors import InputError
+from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
+from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import vehicle
 
 GRID = """

@@ -20,10 +20,10 @@ import numpy as np
 from scipy.linalg import null_space, solve_continuous_are, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
+from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics.batch import signal_channels
 from isd_gym.physics.cost import StageCost
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import REFERENCE_FREQUENCY, Road
 from isd_gym.physics.road import road as find_road

@@ -41,13 +41,13 @@ import numpy as np
 import typer
 from scipy.linalg import expm
 
-from isd_gym.physics import elements as el
 from isd_gym.baselines.controller import steps_ahead
 from isd_gym.baselines.model import Model, Weights, device_reach, prediction_model, statistical_linearisation
-from isd_gym.physics.cost import StageCost
-from isd_gym.common.errors import InputError
-from isd_gym.physics.network import Network
 from isd_gym.benchmark.policies import conventional
+from isd_gym.common.errors import InputError
+from isd_gym.physics import elements as el
+from isd_gym.physics.cost import StageCost
+from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
 from isd_gym.physics.road import road as find_road
 from isd_gym.physics.simulate import PHYSICS_STEP
@@ -366,7 +366,7 @@ def passive_cost(
     return total / steps
 
 
-FILE = Path(__file__).parents[2] / "bounds" / "ceiling.json"
+FILE = Path(__file__).parents[2] / "benchmark" / "bounds" / "ceiling.json"
 #: first seed of roads that were not used for tuning
 SEED = 600_000
 ROADS = 16

@@ -31,15 +31,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isd_gym.common.errors import InputError
+from isd_gym.common.files import write_text
+from isd_gym.common.seeds import generators
 from isd_gym.physics import elements as el
 from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT, signal_channels
 from isd_gym.physics.cost import StageCost
-from isd_gym.common.errors import InputError
-from isd_gym.common.files import write_text
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
 from isd_gym.physics.road import road as find_road
-from isd_gym.common.seeds import generators
 from isd_gym.physics.simulate import PHYSICS_STEP, Plant, discretise
 
 from . import relaxed
@@ -546,7 +546,7 @@ def keep(
         pass  # an unwritable cache only costs time
 
 
-FILE = Path(__file__).parents[2] / "bounds" / "clairvoyant.json"
+FILE = Path(__file__).parents[2] / "benchmark" / "bounds" / "clairvoyant.json"
 
 
 def reference(

@@ -22,11 +22,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.records import schemas
 from isd_gym.benchmark.engine import Outcome, Task, stored
 from isd_gym.benchmark.engine import run as run_tasks
 from isd_gym.common.errors import InputError, ReportError, plain, shown
 from isd_gym.common.files import claim_folder, write_text
+from isd_gym.records import schemas
 from isd_gym.records.schemas.checking import problems
 
 if TYPE_CHECKING:
@@ -184,9 +184,9 @@ def diagnose_case(
         InputError: The records or the model cannot be used.
     """
     from isd_gym.diagnosis import SearchSettings, diagnose
+    from isd_gym.physics.network import Network
     from isd_gym.records.loggers import ChannelMap
     from isd_gym.records.loggers.record_reading import records_of
-    from isd_gym.physics.network import Network
 
     del name, files  # part of the task's key only
     network, by = Network.load(model), None

@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.physics.elements import SensorDelay
 from isd_gym.common.errors import InputError, how_to_install
 from isd_gym.common.files import check_file, whole, writing
+from isd_gym.common.units import TABLE, convert
+from isd_gym.physics.elements import SensorDelay
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import PHYSICS_STEP, Plant, effective_current, sense
-from isd_gym.common.units import TABLE, convert
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

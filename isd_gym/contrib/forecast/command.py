@@ -24,9 +24,9 @@ from isd_gym.commands.console import check_file, printer, progress
 from isd_gym.common.errors import InputError, plain, shown
 
 if TYPE_CHECKING:
-    from isd_gym.records.data import Table
     from isd_gym.diagnosis.planning import Rig
     from isd_gym.physics.network import Network
+    from isd_gym.records.data import Table
 
     from .result import Plan
 
@@ -112,8 +112,8 @@ def command(
     Example: isd-gym plan car.json --limit road=15mm --html plan.html
     """
     from isd_gym.physics import elements as el
-    from isd_gym.records.loggers import files_of
     from isd_gym.physics.network import Network
+    from isd_gym.records.loggers import files_of
 
     from .workflow import plan as run
 
@@ -172,10 +172,10 @@ def _check_undecided(after: Path) -> None:
 
 def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
     """Return the records of DATA with the inputs of the model, and the outputs if complete."""
+    from isd_gym.common.units import convert
     from isd_gym.records.data import Table
     from isd_gym.records.loggers.record_reading import outputs_of, records_of
     from isd_gym.records.loggers.resampling import inputs_of
-    from isd_gym.common.units import convert
 
     out = []
     for word in data:

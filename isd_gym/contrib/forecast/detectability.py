@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter
 from isd_gym.diagnosis.estimation.initial_states import transfer_states
 from isd_gym.diagnosis.estimation.noise import channel_moments, predicted, white_filters
@@ -22,14 +23,13 @@ from isd_gym.diagnosis.simulation.problem import BROKEN
 from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence, as_numbers
 from isd_gym.diagnosis.verdict.gates import decide
 from isd_gym.diagnosis.verdict.measurement import find_contradiction
-from isd_gym.common.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isd_gym.physics import elements as el
     from isd_gym.diagnosis.simulation.problem import Array, Problem
     from isd_gym.diagnosis.verdict.gates import Decision
+    from isd_gym.physics import elements as el
 
     from .virtual_bench import BenchFit, VirtualBench
 

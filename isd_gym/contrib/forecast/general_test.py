@@ -8,15 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.planning.design import MOST, Design, Rival
-from isd_gym.diagnosis.planning.excitation import Excitation, Rig, list_excitations, make_excitation, make_record
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, Record
 from isd_gym.common.errors import InputError, shown
 from isd_gym.common.errors import plain as one_line
 from isd_gym.common.inputs import read_json
+from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis.planning.design import MOST, Design, Rival
+from isd_gym.diagnosis.planning.excitation import (
+    Excitation,
+    Rig,
+    list_excitations,
+    make_excitation,
+    make_record,
+)
+from isd_gym.diagnosis.selection.criteria import CRITERIA
+from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, Record
 
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise

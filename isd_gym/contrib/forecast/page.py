@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym.common.files import check_file, whole, write_text
-from isd_gym.view.report.plots import Picture, channel_text, embedded, figure, page, pixels, save, style, unit_text
+from isd_gym.view.report.plots import (
+    Picture,
+    channel_text,
+    embedded,
+    figure,
+    page,
+    pixels,
+    save,
+    style,
+    unit_text,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

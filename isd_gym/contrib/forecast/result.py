@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.diagnosis.result import _plain
 from isd_gym.common.files import write_text
+from isd_gym.diagnosis.result import _plain
 
 if TYPE_CHECKING:
     from pathlib import Path

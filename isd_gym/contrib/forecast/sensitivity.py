@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isd_gym.common.errors import InputError, shown
 from isd_gym.diagnosis.estimation.sensitivities import tangents
 from isd_gym.diagnosis.estimation.structure import Hypothesis, Structure, add, in_line, twin
 from isd_gym.diagnosis.hypotheses.library import hypotheses
@@ -21,7 +22,6 @@ from isd_gym.diagnosis.selection.candidate import is_special_case
 from isd_gym.diagnosis.selection.criteria import CRITERIA
 from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, bare, deviation_within
 from isd_gym.physics.elements import Start, parameter_fields
-from isd_gym.common.errors import InputError, shown
 from isd_gym.physics.network import Channel, Network, assemble
 
 from .virtual_bench import REQUIRED_DEVIANCE

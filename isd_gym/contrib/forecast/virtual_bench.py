@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isd_gym.common.errors import InputError, shown
 from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter, residuals
 from isd_gym.diagnosis.estimation.initial_states import states_along, transfer_states
 from isd_gym.diagnosis.estimation.noise import floor_of, innovations, white_filters, whitener
@@ -24,7 +25,6 @@ from isd_gym.diagnosis.selection.candidate import Candidate
 from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
 from isd_gym.diagnosis.selection.held_out import SMALL, HeldOutEvaluator
 from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, Record, bare
-from isd_gym.common.errors import InputError, shown
 from isd_gym.physics.network import Network, assemble
 
 if TYPE_CHECKING:

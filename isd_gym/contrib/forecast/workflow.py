@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.records.data import Table, read_table
+from isd_gym.common.errors import InputError
+from isd_gym.common.units import convert
 from isd_gym.diagnosis.planning.excitation import Excitation, Rig, infer_rig, make_excitation, make_record
 from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
 from isd_gym.diagnosis.simulation.problem import Array, Record
-from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network
-from isd_gym.common.units import convert
+from isd_gym.records.data import Table, read_table
 
 from .effects import forecast_effects
 from .result import Plan

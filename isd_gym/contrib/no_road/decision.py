@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.physics import elements as el
 from isd_gym.diagnosis.estimation.noise import lagged, predicted
 from isd_gym.diagnosis.estimation.structure import REACH as FAR
 from isd_gym.diagnosis.selection.criteria import CRITERIA
 from isd_gym.diagnosis.verdict.gates import COMPARE, Gate
+from isd_gym.physics import elements as el
 from isd_gym.physics.network.cut import cut_nodes
 
 from .estimation import estimate_uncertainty

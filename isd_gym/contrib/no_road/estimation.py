@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.physics import elements as el
 from isd_gym.common.arrays import Z95
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.structure import add
 from isd_gym.diagnosis.result import Quantity
-from isd_gym.common.errors import InputError
+from isd_gym.physics import elements as el
 
 from .kalman import IMPOSSIBLE, KalmanModel, Prior
 

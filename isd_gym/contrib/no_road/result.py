@@ -6,8 +6,8 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.diagnosis.result import _plain
 from isd_gym.common.files import claim_folder, write_text
+from isd_gym.diagnosis.result import _plain
 
 from .estimation import Estimates
 

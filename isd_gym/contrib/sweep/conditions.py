@@ -15,8 +15,8 @@ from isd_gym.benchmark.grid import SCHEMA, Condition, Grid, belongings
 from isd_gym.common.errors import InputError, markdown
 from isd_gym.common.files import claim_folder, write_text
 from isd_gym.common.inputs import is_number
-from isd_gym.physics.network import Network
 from isd_gym.common.seeds import named_roads
+from isd_gym.physics.network import Network
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -94,8 +94,8 @@ def drive_item(
 
 def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
     """Return the policy with counted commands: all, not finite, and outside of the limits of Table 5."""
-    from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
     from isd_gym.benchmark.driving import Entry
+    from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
 
     currents = [i for i, signal in enumerate(car.measured) if signal.kind == "current"]
 

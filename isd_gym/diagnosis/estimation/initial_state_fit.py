@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...records.data import Table
 from ...common.errors import InputError
-from ...physics.network import Network, assemble
 from ...common.units import convert
+from ...physics.network import Network, assemble
+from ...records.data import Table
 from ..records import read_record
 from ..simulation.node_motion import transfer_matrix
 from ..simulation.problem import Array, Problem, bare

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics import elements as el
 from ...common.arrays import Z95
 from ...common.errors import InputError
+from ...physics import elements as el
 from ...physics.network import GROUND, Channel, Network
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics import elements as el
 from ...common.errors import InputError
+from ...common.units import convert
+from ...physics import elements as el
 from ...physics.network import GROUND, Channel, Network, linearise
 from ...physics.network.frames import frames, order_told
-from ...common.units import convert
 from ..estimation.gauss_newton import Fitter
 from ..estimation.noise import white_filters
 from ..estimation.structure import base_structure

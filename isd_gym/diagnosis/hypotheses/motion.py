@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from ...physics.elements import Motion, Setting
 from ...common.errors import InputError
+from ...physics.elements import Motion, Setting
 from ...physics.network import MOTIONS, Channel, Network, assemble
 from ...physics.network.frames import order_told
 from ...physics.simulate import side_by_side

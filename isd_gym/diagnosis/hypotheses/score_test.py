@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import block_diag
 
-from ...physics.elements import PERIODS
 from ...common.errors import InputError
+from ...physics.elements import PERIODS
 from ...physics.network import assemble
 from ..estimation.sensitivities import tangents
 from ..estimation.structure import Hypothesis, Structure, add

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics.elements import PROBE
 from ...common.errors import InputError
+from ...physics.elements import PROBE
 from ...physics.network import assemble
 from ..estimation.structure import add
 from ..simulation.problem import bare

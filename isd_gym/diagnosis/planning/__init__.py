@@ -4,7 +4,16 @@
 """
 
 from .design import Design, Rival, design_test, next_experiment, played
-from .excitation import KINDS, Excitation, Limits, Rig, infer_rig, list_excitations, make_excitation, make_record
+from .excitation import (
+    KINDS,
+    Excitation,
+    Limits,
+    Rig,
+    infer_rig,
+    list_excitations,
+    make_excitation,
+    make_record,
+)
 
 __all__ = [
     "KINDS",

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...records.data import Table, write_table
 from ...common.errors import InputError
 from ...physics.network import assemble
+from ...records.data import Table, write_table
 from ..estimation.gauss_newton import Fitter, residuals
 from ..estimation.noise import innovations, white_filters
 from ..selection.criteria import CRITERIA

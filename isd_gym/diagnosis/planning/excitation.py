@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...records.data import Table
 from ...common.errors import InputError, shown
-from ...physics.network import Channel, Network, assemble
 from ...common.units import convert
+from ...physics.network import Channel, Network, assemble
+from ...records.data import Table
 from ..simulation.problem import Array, Record, bare
 
 if TYPE_CHECKING:

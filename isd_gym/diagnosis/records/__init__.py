@@ -6,7 +6,13 @@ and test records.
 
 from .agreement import find_misreading
 from .feedback import Feedback, find_feedback
-from .filtering import choose_decimation, count_derivatives, differentiate_inputs, estimate_white_noise, find_computed_forces
+from .filtering import (
+    choose_decimation,
+    count_derivatives,
+    differentiate_inputs,
+    estimate_white_noise,
+    find_computed_forces,
+)
 from .multirate import build_record, check_sampling_rates
 from .reading import read_record, thin_long_record
 from .splitting import LEAD_IN, cut_segments, split_records

@@ -16,8 +16,8 @@ import numpy as np
 from scipy import signal
 
 from ...common.errors import InputError, plain
-from ...physics.network import own_time
 from ...common.units import TABLE, convert
+from ...physics.network import own_time
 from ..simulation.problem import Problem
 
 if TYPE_CHECKING:

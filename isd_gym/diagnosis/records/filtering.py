@@ -15,8 +15,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import firwin, welch
 
 from ...common.errors import InputError
-from ...physics.network import MOTIONS, natural_frequencies, transfer
 from ...common.units import convert
+from ...physics.network import MOTIONS, natural_frequencies, transfer
 from ..simulation.interpolation import differences
 from ..simulation.problem import low_pass
 from .multirate import build_record

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.signal import welch
 from scipy.sparse import csr_matrix
 
+from ...common.errors import InputError
+from ...common.units import HELD, convert
 from ...records.data import Table, check
 from ...records.data.quality import Scale, admit
-from ...common.errors import InputError
 from ...records.loggers.recording import Recording, Signal
 from ...records.loggers.resampling import sampled
-from ...common.units import HELD, convert
 from ..simulation.interpolation import through
 from ..simulation.problem import Array, Problem, Record, pace
 

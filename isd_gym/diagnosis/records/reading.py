@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...records.data import Table, check, read_table
-from ...records.data.quality import CAR, Scale, admit, known_check, rises_unevenly
 from ...common.errors import InputError, MissingColumn
-from ...records.loggers.recording import Recording, Signal
+from ...common.units import HELD, convert
 from ...physics.network import Channel, Network, own_time, slowest_time, without
 from ...physics.simulate import COARSE
-from ...common.units import HELD, convert
+from ...records.data import Table, check, read_table
+from ...records.data.quality import CAR, Scale, admit, known_check, rises_unevenly
+from ...records.loggers.recording import Recording, Signal
 from ..simulation.problem import Array, Problem, Record, thinned
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording

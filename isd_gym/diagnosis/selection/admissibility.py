@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics import elements as el
 from ...common.errors import InputError
+from ...physics import elements as el
 from ...physics.network import linearise
 from ..hypotheses.motion import motions
 from ..hypotheses.position_spectrum import RESOLVED, typical_advance

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...physics import elements as el
 from ...common.arrays import Z95
-from ...physics.elements.starts import generic_starts
 from ...common.errors import InputError
+from ...physics import elements as el
+from ...physics.elements.starts import generic_starts
 from ...physics.network import Network, assemble
 from ...physics.network.frames import order_told
 from ..estimation.gauss_newton import Fit, Fitter, residuals

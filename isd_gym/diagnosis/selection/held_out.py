@@ -15,7 +15,16 @@ from ...physics.simulate import effective_current
 from ..estimation.gauss_newton import Fit, Fitter, residuals
 from ..estimation.initial_states import next_states, transfer_states
 from ..estimation.multiple_shooting import is_lightly_damped
-from ..estimation.noise import Floor, Noise, Whitener, floors_of, noise_after_filters, noise_of, white_filters, whitener
+from ..estimation.noise import (
+    Floor,
+    Noise,
+    Whitener,
+    floors_of,
+    noise_after_filters,
+    noise_of,
+    white_filters,
+    whitener,
+)
 from ..estimation.structure import Structure, base_structure
 from ..hypotheses.forces import element_forces, place_forces, work_share
 from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics.elements import beside
 from ...common.errors import InputError
+from ...physics.elements import beside
 from ...physics.network import GROUND
 from ..estimation.gauss_newton import Fit, Fitter, gap, residuals
 from ..estimation.initial_states import guess, states_along, transfer_states
@@ -29,7 +29,16 @@ from ..hypotheses.score_test import ScoredStart, with_fitted_effects
 from ..simulation.problem import BROKEN
 from ..simulation.time_limit import adopt, running
 from .admissibility import admissible_starts
-from .candidate import Candidate, deviance, refit_with_other_shape, settle, simplest_first, transfer, white_noise, with_fit
+from .candidate import (
+    Candidate,
+    deviance,
+    refit_with_other_shape,
+    settle,
+    simplest_first,
+    transfer,
+    white_noise,
+    with_fit,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics import elements as el
 from ...common.arrays import Z95
+from ...physics import elements as el
 from ..estimation.gauss_newton import Fitter
 from ..result import Quantity
 from ..simulation.problem import BROKEN

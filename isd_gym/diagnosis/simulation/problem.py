@@ -16,10 +16,15 @@ from scipy.signal import firwin, oaconvolve
 
 from ...common.arrays import Array  # noqa: TC001  (re-exported)
 from ...common.errors import InputError
-from ...physics.network import Network, assemble
-from ...physics.simulate import COARSE, FINE, Plant, effective_current
-from ...physics.simulate import pace  # re-exported
 from ...common.units import HELD, convert
+from ...physics.network import Network, assemble
+from ...physics.simulate import (
+    COARSE,
+    FINE,
+    Plant,
+    effective_current,
+    pace,  # re-exported
+)
 from .cache import SimulationCache
 from .interpolation import interpolated, splined_input
 from .node_motion import transfer_matrix

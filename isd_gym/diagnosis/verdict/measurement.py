@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...physics import elements as el
 from ...common.errors import InputError
+from ...physics import elements as el
 from ..estimation.structure import owner_pair
 from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.motion import motions
@@ -17,7 +17,13 @@ from ..selection.candidate import Candidate, simpler_structures
 from ..selection.criteria import CRITERIA
 from ..selection.equivalent_laws import is_sound, repeats
 from ..selection.free_force import fit_in_place_of
-from ..selection.uncertainty import covariance, differing_part, intervals, parameters_at_limits, relative_uncertainty
+from ..selection.uncertainty import (
+    covariance,
+    differing_part,
+    intervals,
+    parameters_at_limits,
+    relative_uncertainty,
+)
 from ..selection.weights import WeightedCandidate, weigh_candidates, weight_of_all
 from ..simulation.problem import BROKEN
 from .evidence import EffectEvidence, Evidence, as_numbers

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...physics.elements import TYPES, spoken
 from ...common.units import practical
+from ...physics.elements import TYPES, spoken
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -24,10 +24,50 @@ arguments, that registers the elements). All commands then know the elements.
 
 from __future__ import annotations
 
-from .base import GROUND, MECHANISMS, PROBE, TYPES, Element, Motion, Setting, Start, beside, discover, parameter, parameter_fields, plausible, register, register_file, rms, spoken
-from .drives import DRIVE_ORDER, ActuatorDelay, ActuatorLag, DriveDeadZone, QuadraticThrust, ThrustSaturation, delayed
+from .base import (
+    GROUND,
+    MECHANISMS,
+    PROBE,
+    TYPES,
+    Element,
+    Motion,
+    Setting,
+    Start,
+    beside,
+    discover,
+    parameter,
+    parameter_fields,
+    plausible,
+    register,
+    register_file,
+    rms,
+    spoken,
+)
+from .drives import (
+    DRIVE_ORDER,
+    ActuatorDelay,
+    ActuatorLag,
+    DriveDeadZone,
+    QuadraticThrust,
+    ThrustSaturation,
+    delayed,
+)
 from .friction import AsymmetricFriction, CoulombFriction, StribeckFriction
-from .laws import PERIODS, AsymmetricDamping, Backlash, BumpStop, CoggingForce, ConstantForce, CubicStiffness, DegressiveDamping, GasSpring, GravitySine, Hysteresis, QuadraticDamping, TyreLiftOff
+from .laws import (
+    PERIODS,
+    AsymmetricDamping,
+    Backlash,
+    BumpStop,
+    CoggingForce,
+    ConstantForce,
+    CubicStiffness,
+    DegressiveDamping,
+    GasSpring,
+    GravitySine,
+    Hysteresis,
+    QuadraticDamping,
+    TyreLiftOff,
+)
 from .linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
 from .scheduled import ScheduledDamping, ScheduledFriction
 from .sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude

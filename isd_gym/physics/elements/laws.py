@@ -11,7 +11,21 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from .base import GROUND, PROBE, Array, Element, Motion, Setting, Start, beside, held_still, parameter, plausible, register, rms
+from .base import (
+    GROUND,
+    PROBE,
+    Array,
+    Element,
+    Motion,
+    Setting,
+    Start,
+    beside,
+    held_still,
+    parameter,
+    plausible,
+    register,
+    rms,
+)
 from .linear import LinearDamping, is_device
 
 if TYPE_CHECKING:

@@ -9,7 +9,30 @@ import numpy as np
 from ..cost import square
 from .jit import compiled
 from .lanes import bits, load, noise, select, some, spread, store
-from .layout import ACCELERATION_LIMIT, AHEAD, ALL, COUNT, CURRENT_LIMIT, DEPTH, DRIVE_ACTS, IS_COMMANDED, KEPT, KEPT_NOW, NOW, QUARTER_CAR, REWARD, SHOWS, SLEW_LIMIT, SUBSTEPS, TOGETHER, TRAVEL_LIMIT, WHOLE, WIDTH, cars_layout, layout
+from .layout import (
+    ACCELERATION_LIMIT,
+    AHEAD,
+    ALL,
+    COUNT,
+    CURRENT_LIMIT,
+    DEPTH,
+    DRIVE_ACTS,
+    IS_COMMANDED,
+    KEPT,
+    KEPT_NOW,
+    NOW,
+    QUARTER_CAR,
+    REWARD,
+    SHOWS,
+    SLEW_LIMIT,
+    SUBSTEPS,
+    TOGETHER,
+    TRAVEL_LIMIT,
+    WHOLE,
+    WIDTH,
+    cars_layout,
+    layout,
+)
 from .linear import U, clip
 from .steps import march, outputs, pool_of
 

@@ -70,7 +70,7 @@ def _stamp_of(registered: tuple[tuple[str, Any], ...]) -> int:
         files = resources.files(package).iterdir()  # the package may be in a zip archive
         for file in sorted((f for f in files if f.name.endswith(".py")), key=lambda f: f.name):
             digest.update(file.read_bytes())
-    digest.update(resources.files(__name__.partition(".")[0]).joinpath("cost.py").read_bytes())
+    digest.update(resources.files(__name__.rsplit(".", 2)[0]).joinpath("cost.py").read_bytes())
     for name, law in registered:
         digest.update(name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode())
     return int.from_bytes(digest.digest()[:6], "big")

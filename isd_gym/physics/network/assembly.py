@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import elements as el
 from ...common.errors import InputError
 from ...common.units import HELD
+from .. import elements as el
 from .coordinates import coordinates
 from .frames import complete, frames, unknown
 from .model import GROUND, MOTIONS, Channel, Network

@@ -11,10 +11,10 @@ from difflib import get_close_matches
 from importlib import resources
 from typing import TYPE_CHECKING, Any, cast
 
-from .. import elements as el
 from ...common.errors import InputError, shown
 from ...common.inputs import parse_json, read_bytes
 from ...common.units import QUANTITIES, TURNING, si_of
+from .. import elements as el
 from .bodies import AXES, LEVER_UNITS, Body, Lever, angle_node, body_of
 from .model import ELEMENTS, Channel, Network, check_name
 
@@ -33,7 +33,7 @@ def builtin_networks() -> list[str]:
     Returns:
         Names, sorted.
     """
-    folder = resources.files("isd_gym") / "networks"
+    folder = resources.files("isd_gym.physics") / "networks"
     return sorted(p.name.removesuffix(".json") for p in folder.iterdir() if p.name.endswith(".json"))
 
 
@@ -55,7 +55,7 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
     where = f"model {shown(text_name, 200)}"
     known = builtin_networks()
     if text_name in known:
-        builtin = resources.files("isd_gym") / "networks" / f"{text_name}.json"
+        builtin = resources.files("isd_gym.physics") / "networks" / f"{text_name}.json"
         data = parse_json(builtin.read_bytes(), where)
     else:
         if not os.path.exists(source):  # an existence test covers impossible file names, too

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
-from .. import elements as el
 from ...common.errors import InputError, harmless, hint, shown
 from ...common.inputs import number
 from ...common.units import HELD, QUANTITIES, TURNING, UNITS, about_axis, si_of
+from .. import elements as el
 from .bodies import LEVER_UNITS, MASSES, Body, Lever
 
 if TYPE_CHECKING:

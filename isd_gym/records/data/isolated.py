@@ -25,7 +25,7 @@ PATIENCE = 20.0  # multiple of the processor time, in wall-clock time: a busy ma
 #: program of the helper; the package may lie in a folder that is no entry of the path
 PROGRAM = f"""
 import sys
-sys.path.append({str(Path(__file__).parents[2])!r})
+sys.path.append({str(Path(__file__).parents[3])!r})
 from isd_gym.records.formats.host import main
 main()
 """

@@ -20,7 +20,17 @@ from ...common.errors import InputError, MissingColumn, how_to_install, shown
 from ...common.files import whole
 from ...common.inputs import memory_limit, plain_file, too_large
 from ...common.units import convert
-from .columns import TIME, Choice, Columns, column_for, did_you_mean, distinct, split_header, stamps_of, time_unit
+from .columns import (
+    TIME,
+    Choice,
+    Columns,
+    column_for,
+    did_you_mean,
+    distinct,
+    split_header,
+    stamps_of,
+    time_unit,
+)
 from .lvm import read_lvm, read_lvm_rasters
 from .signals import even_stamps, stamp_rounding
 from .text import read_text, read_text_rasters

@@ -17,7 +17,21 @@ import numpy as np
 
 from ...common.errors import InputError, MissingColumn, shown
 from ...common.inputs import memory_limit, plain_file, read_bytes, too_large
-from .columns import BEGINS, STAMPS, TIME, TIME_NAMES, Choice, Columns, did_you_mean, distinct, is_time, side_by_side, split_header, time_unit, unit_known
+from .columns import (
+    BEGINS,
+    STAMPS,
+    TIME,
+    TIME_NAMES,
+    Choice,
+    Columns,
+    did_you_mean,
+    distinct,
+    is_time,
+    side_by_side,
+    split_header,
+    time_unit,
+    unit_known,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import welch
 
-from ..data.quality import QUANTITIES, held_samples
-from ..data.signals import even_stamps, stamp_rounding
 from ...common.errors import InputError
 from ...common.units import TABLE, UNITS, convert, si_of
+from ..data.quality import QUANTITIES, held_samples
+from ..data.signals import even_stamps, stamp_rounding
 from .recording import GAP, Raster, even, rounded
 
 if TYPE_CHECKING:

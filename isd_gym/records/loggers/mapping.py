@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..data.columns import column_for
 from ...common.errors import InputError, plain, shown
 from ...common.files import write_text
 from ...common.inputs import number, read_json
-from ...physics.network import Channel, Network, without
 from ...common.units import convert
+from ...physics.network import Channel, Network, without
+from ..data.columns import column_for
 from .recording import EPOCH, Raster, Recording, Signal, continuous, mended, rasters, spans
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
-from ..data.signals import integral_consistency
 from ...common.errors import InputError, shown
-from ...physics.simulate import simulate
 from ...common.units import TABLE, convert
+from ...physics.simulate import simulate
+from ..data.signals import integral_consistency
 from .facts import Facts, factor_hint, si_unit
 from .mapping import ChannelMap, Column, Logger
 from .name_matching import alike

@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...common.errors import InputError, MissingColumn, hint, plain, shown
+from ...common.units import convert
+from ...physics.network import Channel, Network, without
+from ...physics.road import Road, profiled
 from ..data import Table, read_table
 from ..data.columns import split_header
 from ..data.table import RASTERS, suffix_of
 from ..data.text import SideBySide
-from ...common.errors import InputError, MissingColumn, hint, plain, shown
-from ...physics.network import Channel, Network, without
-from ...physics.road import Road, profiled
-from ...common.units import convert
 from .mapping import ChannelMap, Column, files_of, runs
 from .recording import Raster, Recording, Signal, continuous, mended, rasters
 

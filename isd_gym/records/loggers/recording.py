@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...common.errors import InputError, plain, shown
+from ...common.units import convert
 from ..data import Table
 from ..data.columns import stamps_of, time_unit
 from ..data.signals import even_stamps, stamp_rounding, unwrapped
 from ..data.table import read_rasters
-from ...common.errors import InputError, plain, shown
-from ...common.units import convert
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,18 +13,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...physics import elements as el
+from ...common.errors import InputError, ReportError
+from ...common.files import check_folder, whole_folder, write_text
+from ...common.units import practical
 from ...diagnosis.estimation.structure import offsets_of
 from ...diagnosis.result import FOLDER, Effect
 from ...diagnosis.verdict.wording import is_gain, statements_of, unit_statements_of
-from ...common.errors import InputError, ReportError
-from ...common.files import check_folder, whole_folder, write_text
+from ...physics import elements as el
 from ...physics.network import Network
 from ...physics.simulate import pace
-from ...common.units import practical
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
 from .forces import clouds, loops_of
-from .plots import BLUE, INK, MUTED, PALE, VERMILLION, Look, Picture, channel_text, density, number, page, percent, style, unit_text, units_text
+from .plots import (
+    BLUE,
+    INK,
+    MUTED,
+    PALE,
+    VERMILLION,
+    Look,
+    Picture,
+    channel_text,
+    density,
+    number,
+    page,
+    percent,
+    style,
+    unit_text,
+    units_text,
+)
 from .schematic import draw as sketch
 from .schematic import place_parts
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics import elements as el
+from ...common.errors import InputError
+from ...common.units import convert
 from ...diagnosis.hypotheses.missing_force import Deconvolution, pair_motion
 from ...diagnosis.result import Law
-from ...common.errors import InputError
+from ...physics import elements as el
 from ...physics.network import GROUND, Network
 from ...physics.simulate import pace
-from ...common.units import convert
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -13,9 +13,9 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...physics import elements as el
 from ...common.errors import InputError
 from ...common.units import practical
+from ...physics import elements as el
 from .plots import channel_text, number, unit_text
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isd_gym.common.arrays import channel_rms
-from isd_gym.records.data import Table, check, read_table
-from isd_gym.records.data.quality import admit, known_check
+from isd_gym.common.errors import InputError, shown
+from isd_gym.common.units import convert
 from isd_gym.diagnosis.estimation.noise import Floor, floor_of, noise_of, resolution
 from isd_gym.diagnosis.result import Diagnosis, Place, Trace
 from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
@@ -21,8 +21,8 @@ from isd_gym.diagnosis.verdict.evidence import Evidence, as_numbers
 from isd_gym.diagnosis.verdict.explanation import bands, find_condition, near_reversals
 from isd_gym.diagnosis.verdict.gates import decide
 from isd_gym.diagnosis.verdict.wording import unit_summary_of
-from isd_gym.common.errors import InputError, shown
-from isd_gym.common.units import convert
+from isd_gym.records.data import Table, check, read_table
+from isd_gym.records.data.quality import admit, known_check
 
 from .comparison import FmuComparison, Progress, Segment
 from .refit import FittedFmu, FmuRefit

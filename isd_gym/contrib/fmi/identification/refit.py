@@ -8,11 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.least_squares import bounded_step, damped_step
-from isd_gym.diagnosis.estimation.noise import Whitener, innovations, refined_noise, trusted_noise, white_filters, whitener
+from isd_gym.diagnosis.estimation.noise import (
+    Whitener,
+    innovations,
+    refined_noise,
+    trusted_noise,
+    white_filters,
+    whitener,
+)
 from isd_gym.diagnosis.estimation.structure import Free, base_structure
 from isd_gym.diagnosis.result import Quantity
-from isd_gym.common.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,0 +1,5 @@
+"""The program `isd-gym` as ``python -m isd_gym``."""
+
+from .commands import main
+
+main()

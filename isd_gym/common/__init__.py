@@ -1,0 +1,1 @@
+"""Errors, files, units, seeds and entry points, which every other room uses."""

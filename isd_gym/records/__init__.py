@@ -1,0 +1,6 @@
+"""What was measured, and the files that hold it.
+
+- `data`: tables and their files; `formats` reads binary ones in a process of their own.
+- `loggers`: files of several loggers, and which column is which channel.
+- `schemas`: JSON schemas of the files that the package writes.
+"""

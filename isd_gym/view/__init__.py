@@ -1,0 +1,6 @@
+"""Pages and pictures.
+
+- `rendering`: frames and films of cars.
+- `report`: pages of a score and of a diagnosis.
+- `inspection`: the page of a file before a diagnosis.
+"""
