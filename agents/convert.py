@@ -22,9 +22,8 @@ import numpy as np
 from isd_gym.common.errors import InputError, shown
 from isd_gym.common.inputs import number, parse_json, read_bytes, too_large
 from isd_gym.env.history import BOUND
-from isd_gym.physics.batch import CURRENT_LIMIT
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import SLEW_RATE, vehicle
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
 
 from .memory import Memory
 from .pickles import STORAGES, Name, Stored, Thing, array, mapping, read_pickle, tensor

@@ -11,7 +11,7 @@ from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.baselines.model import N_SENSORS
 from isd_gym.common.errors import InputError
 from isd_gym.env.environment import ISDSuspensionVectorEnv
-from isd_gym.physics.batch import SLEW_LIMIT
+from isd_gym.physics.vehicle import SLEW_LIMIT
 
 from .memory import Filter, tuples
 

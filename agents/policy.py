@@ -25,9 +25,8 @@ from isd_gym.common.errors import InputError, plain, shown
 from isd_gym.common.files import whole_folder
 from isd_gym.common.inputs import number, parse_json, read_bytes
 from isd_gym.env.history import LARGEST
-from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import vehicle
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
 from .memory import Memory, Recall
 from .pickles import sizes

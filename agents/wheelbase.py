@@ -24,10 +24,9 @@ from isd_gym.baselines.model import dry, equations, white_covariance
 from isd_gym.common.errors import InputError
 from isd_gym.env.environment import ISDSuspensionVectorEnv
 from isd_gym.env.sensors import ANGULAR_NOISE, NOISE
-from isd_gym.physics.batch import SLEW_LIMIT
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.road import paper_road
-from isd_gym.physics.vehicle import state_channels, vehicle
+from isd_gym.physics.vehicle import SLEW_LIMIT, state_channels, vehicle
 
 from .memory import Echo, Filter, Memory, tuples
 

@@ -20,8 +20,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from isd_gym.physics import elements as el
-from isd_gym.physics.batch import state_channels
-from isd_gym.physics.vehicle import Vehicle, vehicle
+from isd_gym.physics.vehicle import Vehicle, state_channels, vehicle
 
 from .model import (
     ROAD_INTENSITY,

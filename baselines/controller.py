@@ -10,8 +10,7 @@ import numpy as np
 
 from isd_gym.common.errors import InputError
 from isd_gym.env.environment import MEASURED
-from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
-from isd_gym.physics.vehicle import vehicle
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
 if TYPE_CHECKING:
     from isd_gym.physics.network import Network

@@ -24,10 +24,9 @@ import numpy as np
 
 from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
-from isd_gym.physics.batch import CURRENT_LIMIT
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.kernel import jit
-from isd_gym.physics.vehicle import SLEW_RATE
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_RATE
 
 from .controller import CURRENT, BatchController, rises, steps_ahead
 from .estimator import Estimator

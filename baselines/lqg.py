@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.physics.batch import state_channels
 from isd_gym.physics.cost import StageCost
-from isd_gym.physics.vehicle import SLEW_RATE
+from isd_gym.physics.vehicle import SLEW_RATE, state_channels
 
 from .controller import BatchController, rises, steps_ahead
 from .estimator import Estimator

@@ -16,10 +16,9 @@ from scipy.linalg import expm, solve_discrete_are
 
 from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
-from isd_gym.physics.batch import signal_channels, state_channels
 from isd_gym.physics.network import Network, assemble
 from isd_gym.physics.road import paper_road
-from isd_gym.physics.vehicle import require_quarter_car
+from isd_gym.physics.vehicle import require_quarter_car, signal_channels, state_channels
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -20,9 +20,8 @@ import numpy as np
 from scipy.special import erf
 
 from isd_gym.common.errors import InputError
-from isd_gym.physics.batch import CURRENT_LIMIT
 from isd_gym.physics.cost import StageCost
-from isd_gym.physics.vehicle import SLEW_RATE
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_RATE
 
 from .controller import CURRENT, BatchController
 from .estimator import Estimator

@@ -23,10 +23,10 @@ from .benchmark.policies import find, passive
 from .benchmark.scoring import drive
 from .common.errors import InputError
 from .common.files import check_file, whole
-from .env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
+from .env.environment import ISDSuspensionVectorEnv
 from .env.history import history_of
-from .physics.batch import CURRENT_LIMIT
-from .physics.vehicle import SLEW_RATE
+from .env.task import CONTROL_STEP
+from .physics.vehicle import CURRENT_LIMIT, SLEW_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

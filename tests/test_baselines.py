@@ -30,9 +30,9 @@ from isd_gym.baselines.mpc import Mpc, MpcSettings
 from isd_gym.baselines.qp import Outcome, program
 from isd_gym.common.errors import InputError
 from isd_gym.env.environment import ISDSuspensionVectorEnv
-from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network, linearise
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
 
 STEP = 5e-3
 CAR = Network.load("quarter-car-isd")

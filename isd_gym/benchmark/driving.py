@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from ..common.errors import InputError
-from ..physics.batch import CURRENT_LIMIT
-from ..physics.vehicle import kind, vehicle
+from ..physics.vehicle import CURRENT_LIMIT, kind, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -226,7 +226,7 @@ def check_size(car: Vehicle, episodes: int, duration: float) -> None:
     Raises:
         InputError: A number is not positive and finite, or the signals do not fit into the memory.
     """
-    from ..env.environment import CONTROL_STEP
+    from ..env.task import CONTROL_STEP
 
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")
@@ -278,7 +278,8 @@ def drive(
     Raises:
         InputError: A car breaks, or an argument is invalid.
     """
-    from ..env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
+    from ..env.environment import ISDSuspensionVectorEnv
+    from ..env.task import CONTROL_STEP
 
     plant = entry.network or network
     check_size(vehicle(plant), episodes, duration)

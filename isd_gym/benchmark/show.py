@@ -53,7 +53,8 @@ def snapshots(
     Raises:
         InputError: A car breaks, or an argument is invalid.
     """
-    from ..env.environment import CONTROL_STEP, ISDSuspensionEnv
+    from ..env.environment import ISDSuspensionEnv
+    from ..env.task import CONTROL_STEP
 
     _check_length(seconds)
     network = Network.load(network)
@@ -125,7 +126,7 @@ def film(
     Raises:
         InputError: A car breaks, an argument is invalid, or the film cannot be written.
     """
-    from ..env.environment import CONTROL_STEP
+    from ..env.task import CONTROL_STEP
     from ..view.rendering import write_video
 
     _check_length(drive.get("seconds", 10.0))

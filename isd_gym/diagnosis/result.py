@@ -18,12 +18,12 @@ from ..records.data import Table, write_table
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from ..common.arrays import Array
     from ..contrib.fmi.cosimulation import UnitModel
     from .estimation.clock_lag import Lag
     from .records import Feedback
     from .selection.criteria import Criteria
     from .selection.settings import SearchSettings
-    from .simulation.problem import Array
     from .verdict.evidence import Evidence
     from .verdict.findings import Finding
     from .verdict.gates import Gate, Reason

@@ -40,13 +40,14 @@ from .verdict.wording import summary_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from ..common.arrays import Array
     from ..physics.network import Network
     from .estimation.structure import Structure
     from .records import Feedback
     from .result import Law
     from .selection.candidate_comparison import CandidateComparison
     from .selection.forward_backward import Search
-    from .simulation.problem import Array, Problem
+    from .simulation.problem import Problem
     from .verdict.findings import Finding
     from .verdict.measurement import Measurements
 

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from ..common.errors import InputError
 from ..physics.network import Network, assemble, rejoin
 from ..physics.network import cut as network_cut
+from ..physics.simulate import pace
 from ..records.data import Table
 from ..records.loggers.recording import Recording
 from .estimation.clock_lag import align_clocks
@@ -41,7 +42,7 @@ from .selection.criteria import CRITERIA, Criteria
 from .selection.forward_backward import Search
 from .selection.held_out import HeldOutEvaluator
 from .selection.settings import SearchSettings
-from .simulation.problem import BROKEN, Problem, Record, Role, bare, pace
+from .simulation.problem import BROKEN, Problem, Record, Role, bare
 from .simulation.time_limit import EVIDENCE, RESULT, SEARCH, TimeLimit, TimeUp, running
 from .verdict.closed_loop import decide_under_feedback
 from .verdict.gates import decide

@@ -17,12 +17,12 @@ from gymnasium import spaces
 
 from ..common.errors import InputError, shown
 from ..physics import elements as el
-from ..physics.batch import CURRENT_LIMIT, Batch, ranges
+from ..physics.batch import Batch, ranges
 from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.road import Road, road
 from ..physics.tyre_contact import warn_of_pulling_tyres
-from ..physics.vehicle import SLEW_RATE, Vehicle, state_channels, vehicle
+from ..physics.vehicle import CURRENT_LIMIT, SLEW_RATE, Vehicle, state_channels, vehicle
 from .history import BOUND, Remembered, history_of
 from .sensors import Sensors, Sight
 

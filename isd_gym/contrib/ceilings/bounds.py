@@ -22,12 +22,11 @@ from scipy.optimize import minimize
 
 from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
-from isd_gym.physics.batch import signal_channels
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import REFERENCE_FREQUENCY, Road
 from isd_gym.physics.road import road as find_road
-from isd_gym.physics.vehicle import require_quarter_car, vehicle
+from isd_gym.physics.vehicle import require_quarter_car, signal_channels, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,7 +17,7 @@ from isd_gym.baselines.model import N_SENSORS
 from isd_gym.common.errors import InputError
 from isd_gym.common.files import make_folder, write_text
 from isd_gym.env.environment import MEASURED
-from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -27,7 +27,8 @@ from isd_gym.diagnosis.verdict.measurement import find_contradiction
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isd_gym.diagnosis.simulation.problem import Array, Problem
+    from isd_gym.common.arrays import Array
+    from isd_gym.diagnosis.simulation.problem import Problem
     from isd_gym.diagnosis.verdict.gates import Decision
     from isd_gym.physics import elements as el
 

@@ -22,9 +22,9 @@ from .virtual_bench import REQUIRED_DEVIANCE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from isd_gym.common.arrays import Array
     from isd_gym.diagnosis.estimation.structure import Hypothesis
     from isd_gym.diagnosis.planning.design import Progress
-    from isd_gym.diagnosis.simulation.problem import Array
     from isd_gym.physics.elements import Start
 
     from .detectability import SimulatedEffect

@@ -22,7 +22,7 @@ from isd_gym.diagnosis.planning.excitation import (
     make_record,
 )
 from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, Record
+from isd_gym.diagnosis.simulation.problem import BROKEN, Problem, Record
 
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from isd_gym.common.arrays import Array
     from isd_gym.diagnosis.planning.design import Progress
     from isd_gym.physics.network import Network
 

@@ -20,7 +20,7 @@ from isd_gym.diagnosis.hypotheses.library import hypotheses
 from isd_gym.diagnosis.hypotheses.motion import setting, simulate_variants
 from isd_gym.diagnosis.selection.candidate import is_special_case
 from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, bare, deviation_within
+from isd_gym.diagnosis.simulation.problem import BROKEN, Problem, bare, deviation_within
 from isd_gym.physics.elements import Start, parameter_fields
 from isd_gym.physics.network import Channel, Network, assemble
 
@@ -29,6 +29,7 @@ from .virtual_bench import REQUIRED_DEVIANCE
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping, Sequence
 
+    from isd_gym.common.arrays import Array
     from isd_gym.diagnosis.estimation.gauss_newton import Fit
 
     from .virtual_bench import VirtualBench

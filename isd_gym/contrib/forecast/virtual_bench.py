@@ -24,12 +24,13 @@ from isd_gym.diagnosis.records import differentiate_inputs, split_records
 from isd_gym.diagnosis.selection.candidate import Candidate
 from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
 from isd_gym.diagnosis.selection.held_out import SMALL, HeldOutEvaluator
-from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, Record, bare
+from isd_gym.diagnosis.simulation.problem import BROKEN, Problem, Record, bare
 from isd_gym.physics.network import Network, assemble
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from isd_gym.common.arrays import Array
     from isd_gym.physics.elements import Motion
 
 REQUIRED_DEVIANCE = 50.0  # deviance by which a rival must be worse

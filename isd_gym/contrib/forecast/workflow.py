@@ -12,7 +12,7 @@ from isd_gym.common.errors import InputError
 from isd_gym.common.units import convert
 from isd_gym.diagnosis.planning.excitation import Excitation, Rig, infer_rig, make_excitation, make_record
 from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
-from isd_gym.diagnosis.simulation.problem import Array, Record
+from isd_gym.diagnosis.simulation.problem import Record
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table
 
@@ -25,6 +25,7 @@ from .virtual_bench import VirtualBench, measured_noise
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from isd_gym.common.arrays import Array
     from isd_gym.diagnosis.planning.design import Progress
 
 LEAST_SAMPLES = 400  # of a test

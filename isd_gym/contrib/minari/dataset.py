@@ -70,8 +70,9 @@ def write_dataset(
 
     from isd_gym.benchmark.driving import Crew, travel
     from isd_gym.benchmark.scoring import check_size
-    from isd_gym.env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
+    from isd_gym.env.environment import ISDSuspensionVectorEnv
     from isd_gym.env.registration import BY_CORNERS
+    from isd_gym.env.task import CONTROL_STEP
     from isd_gym.physics.network import builtin_networks
     from isd_gym.physics.vehicle import vehicle
 

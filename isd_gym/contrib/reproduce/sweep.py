@@ -9,7 +9,8 @@ import numpy as np
 from isd_gym.baselines import make
 from isd_gym.benchmark.driving import Crew, Entry, travel
 from isd_gym.benchmark.scoring import PAPER
-from isd_gym.env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
+from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.env.task import CONTROL_STEP
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.view.report.plots import LOOKS, figure, percent

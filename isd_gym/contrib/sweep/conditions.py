@@ -95,7 +95,7 @@ def drive_item(
 def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
     """Return the policy with counted commands: all, not finite, and outside of the limits of Table 5."""
     from isd_gym.benchmark.driving import Entry
-    from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
+    from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
 
     currents = [i for i, signal in enumerate(car.measured) if signal.kind == "current"]
 

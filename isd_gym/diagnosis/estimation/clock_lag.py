@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...common.arrays import Z95
+from ...common.arrays import Z95, Array
 from ...common.errors import InputError
 from ..records.multirate import build_record
-from ..simulation.problem import Array, Problem, Record
+from ..simulation.problem import Problem, Record
 from .gauss_newton import Fit, Fitter
 from .initial_states import guess
 from .noise import white_filters

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...common.errors import InputError
 from ...physics.network import Network, assemble
-from ..simulation.problem import Array, Problem, bare
+from ..simulation.problem import Problem, bare
 from .initial_states import guess, next_states
 from .least_squares import bounded_step, damped_step
 from .objective import Objective, Point, Slope
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from ...common.arrays import Array
     from .structure import Structure
 
 #: further steps with the same derivatives

@@ -14,7 +14,7 @@ from ...physics.network import Network, assemble
 from ...records.data import Table
 from ..records import read_record
 from ..simulation.node_motion import transfer_matrix
-from ..simulation.problem import Array, Problem, bare
+from ..simulation.problem import Problem, bare
 from .clock_lag import Lag, align_clocks
 from .gauss_newton import Fitter
 from .noise import floors_of, white_filters
@@ -23,6 +23,7 @@ from .structure import base_structure
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ...common.arrays import Array
     from ...records.loggers.recording import Recording
 
 

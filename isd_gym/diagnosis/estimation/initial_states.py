@@ -10,11 +10,13 @@ import numpy as np
 from ...physics.network import Channel, Network, assemble
 from ...physics.network.frames import frames
 from ..simulation.node_motion import motion_rows_of
-from ..simulation.problem import Array, Problem, Record, bare
+from ..simulation.problem import Problem, Record, bare
 from .structure import Structure, offsets_of, twin
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from ...common.arrays import Array
 
 
 def motion_rows(problem: Problem, network: Network) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ..simulation.problem import Array
+    from ...common.arrays import Array
 
 Point = TypeVar("Point")
 

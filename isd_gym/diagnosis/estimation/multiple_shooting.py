@@ -14,10 +14,11 @@ import numpy as np
 from ...common.errors import InputError
 from ...physics.network import Network, assemble
 from ..records import cut_segments
-from ..simulation.problem import Array, Problem, bare
+from ..simulation.problem import Problem, bare
 from .gauss_newton import Fitter
 
 if TYPE_CHECKING:
+    from ...common.arrays import Array
     from .structure import Structure
 
 #: how long a mode is remembered, in its own time (one over the circular frequency), from which on its phase may be lost: damping

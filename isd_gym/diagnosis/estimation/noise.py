@@ -15,7 +15,8 @@ from .input_noise import propagate_input_noise
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..simulation.problem import Array, Problem
+    from ...common.arrays import Array
+    from ..simulation.problem import Problem
 
 #: order of the autoregressive filters
 ORDER = 20

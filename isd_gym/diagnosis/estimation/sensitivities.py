@@ -12,7 +12,8 @@ from .initial_states import motion_rows
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ..simulation.problem import Array, Problem
+    from ...common.arrays import Array
+    from ..simulation.problem import Problem
     from .structure import Structure
 
 

@@ -15,7 +15,7 @@ from ..simulation.problem import BROKEN
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from ..simulation.problem import Array
+    from ...common.arrays import Array
 
 EVALUATIONS = 60  # of a law per start
 

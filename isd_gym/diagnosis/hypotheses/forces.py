@@ -18,10 +18,11 @@ from .motion import motions, with_outputs
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ...common.arrays import Array
     from ...physics.elements import Motion
     from ...physics.network import Network
     from ..estimation.gauss_newton import Fit
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
 
 #: kinds of elements that dissipate energy
 DISSIPATIVE = ("dry_friction", "viscous")

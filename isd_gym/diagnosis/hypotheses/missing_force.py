@@ -13,10 +13,11 @@ from ...common.units import convert
 from ...physics import elements as el
 from ...physics.network import GROUND, Channel, Network, linearise
 from ...physics.network.frames import frames, order_told
+from ...physics.simulate import pace
 from ..estimation.gauss_newton import Fitter
 from ..estimation.noise import white_filters
 from ..estimation.structure import base_structure
-from ..simulation.problem import Array, Problem, Record, pace
+from ..simulation.problem import Problem, Record
 from .forces import element_forces
 from .library import pairs
 from .motion import motions
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from ...common.arrays import Array
     from ..result import Trace
 
 HIGHEST = 8.0  # times the frequency of the motion

@@ -12,13 +12,14 @@ from ...common.errors import InputError
 from ...physics.elements import Motion, Setting
 from ...physics.network import MOTIONS, Channel, Network, assemble
 from ...physics.network.frames import order_told
-from ...physics.simulate import side_by_side
-from ..simulation.problem import Array, Problem, bare, pace
+from ...physics.simulate import pace, side_by_side
+from ..simulation.problem import Problem, bare
 from .library import pairs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from ...common.arrays import Array
     from ..estimation.gauss_newton import Fit
     from ..estimation.structure import Hypothesis
 

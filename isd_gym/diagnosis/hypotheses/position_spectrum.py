@@ -19,9 +19,10 @@ from .missing_force import Deconvolution
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from ...common.arrays import Array
     from ...physics.elements import Motion
     from ..estimation.gauss_newton import Fit
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
 
 LINES = 4  # periods that are returned
 RESOLUTION = 0.25  # step of the spectrum, in periods over the whole travel

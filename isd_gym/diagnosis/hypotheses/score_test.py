@@ -13,7 +13,7 @@ from ...physics.elements import PERIODS
 from ...physics.network import assemble
 from ..estimation.sensitivities import tangents
 from ..estimation.structure import Hypothesis, Structure, add
-from ..simulation.problem import Array, Problem, bare
+from ..simulation.problem import Problem, bare
 from .forces import place_forces
 from .motion import motions, setting, simulate_variants
 from .position_spectrum import spectral_pitches
@@ -21,6 +21,7 @@ from .position_spectrum import spectral_pitches
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from ...common.arrays import Array
     from ...physics.elements import Start
     from ..estimation.gauss_newton import Fit, Fitter
 

@@ -17,8 +17,9 @@ from .library import hypotheses
 from .motion import motions, setting, simulate_variants
 
 if TYPE_CHECKING:
+    from ...common.arrays import Array
     from ..estimation.gauss_newton import Fit
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
 
 
 def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:

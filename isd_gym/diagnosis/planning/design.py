@@ -16,12 +16,13 @@ from ...records.data import Table, write_table
 from ..estimation.gauss_newton import Fitter, residuals
 from ..estimation.noise import innovations, white_filters
 from ..selection.criteria import CRITERIA
-from ..simulation.problem import BROKEN, Array, Problem, Record, bare
+from ..simulation.problem import BROKEN, Problem, Record, bare
 from .excitation import Excitation, Rig, infer_rig, list_excitations, make_record, make_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from ...common.arrays import Array
     from ...physics.network import Network
     from ..estimation.structure import Structure
     from ..selection.candidate import Candidate

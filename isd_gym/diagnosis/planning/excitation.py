@@ -12,10 +12,12 @@ from ...common.errors import InputError, shown
 from ...common.units import convert
 from ...physics.network import Channel, Network, assemble
 from ...records.data import Table
-from ..simulation.problem import Array, Record, bare
+from ..simulation.problem import Record, bare
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+
+    from ...common.arrays import Array
 
 KINDS = ("multisine", "sweep", "steps", "triangle")
 #: amplitude [SI unit] and rate [SI unit/s] of a typical rig

@@ -21,8 +21,8 @@ from ...physics.network import own_time
 from ..simulation.problem import Problem
 
 if TYPE_CHECKING:
+    from ...common.arrays import Array
     from ...physics.network import Channel
-    from ..simulation.problem import Array
 
 CLEAR = 0.85  # least correlation of a channel with the simulation for a statement about the channel
 SCALED = 0.93  # least correlation for a statement about a unit

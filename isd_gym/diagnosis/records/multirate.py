@@ -18,16 +18,18 @@ from scipy.sparse import csr_matrix
 
 from ...common.errors import InputError
 from ...common.units import HELD, convert
+from ...physics.simulate import pace
 from ...records.data import Table, check
 from ...records.data.quality import Scale, admit
 from ...records.loggers.recording import Recording, Signal
 from ...records.loggers.resampling import sampled
 from ..simulation.interpolation import through
-from ..simulation.problem import Array, Problem, Record, pace
+from ..simulation.problem import Problem, Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ...common.arrays import Array
     from ...physics.network import Network
 
 #: Ratio of sampling intervals (channel to comparison) below which a channel is low-passed instead of picked from.

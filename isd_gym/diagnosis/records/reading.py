@@ -16,12 +16,14 @@ from ...physics.simulate import COARSE
 from ...records.data import Table, check, read_table
 from ...records.data.quality import CAR, Scale, admit, known_check, rises_unevenly
 from ...records.loggers.recording import Recording, Signal
-from ..simulation.problem import Array, Problem, Record, thinned
+from ..simulation.problem import Problem, Record, thinned
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from ...common.arrays import Array
 
 #: number of samples of a record above which samples are left out, as far as the others resolve the motion
 LONG = 100_000

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..simulation.problem import Array, Record, Role
+    from ...common.arrays import Array
+    from ..simulation.problem import Record, Role
 
 #: Length of validation and test segments as a multiple of the rig's time scale, about 30 periods.
 SEGMENT = 200.0

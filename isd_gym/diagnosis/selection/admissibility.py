@@ -24,11 +24,12 @@ from .criteria import CRITERIA
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from ...common.arrays import Array
     from ...physics.network import Network
     from ..estimation.gauss_newton import Fit, Fitter
     from ..estimation.structure import Hypothesis
     from ..hypotheses.score_test import ScoredStart
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
     from .criteria import Criteria
 
     Pair = tuple[str, str]

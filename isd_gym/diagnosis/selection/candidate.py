@@ -17,7 +17,8 @@ from .admissibility import is_admissible, travels
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..simulation.problem import Array, Problem
+    from ...common.arrays import Array
+    from ..simulation.problem import Problem
 
 #: decrease of the deviance (2 log L) below which a fit with its own noise has converged
 CONVERGED = 2.0

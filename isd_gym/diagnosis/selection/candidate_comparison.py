@@ -12,7 +12,7 @@ from ..simulation.problem import BROKEN
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..simulation.problem import Array
+    from ...common.arrays import Array
     from .candidate import Candidate
     from .held_out import HeldOutEvaluator, HeldOutScore
 

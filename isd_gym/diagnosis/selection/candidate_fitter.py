@@ -20,7 +20,7 @@ from .candidate import Candidate, deviance_with_noise_of, settle, transfer, whit
 from .screening import GROWTH, beginning
 
 if TYPE_CHECKING:
-    from ..simulation.problem import Array
+    from ...common.arrays import Array
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..simulation.problem import Array
+    from ...common.arrays import Array
     from .criteria import Criteria
 
 

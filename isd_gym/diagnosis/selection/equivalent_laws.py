@@ -21,8 +21,9 @@ from .criteria import CRITERIA
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from ...common.arrays import Array
     from ...physics.network import Network
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
     from .criteria import Criteria
 
     Effect = tuple[Hypothesis, dict[str, float]]

@@ -21,8 +21,9 @@ from .screening import screen_effects
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from ...common.arrays import Array
     from ..estimation.structure import Structure
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
     from .settings import SearchSettings

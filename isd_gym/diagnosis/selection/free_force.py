@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...common.arrays import Z95
+from ...common.arrays import Z95, Array
 from ...common.errors import InputError
 from ...physics import elements as el
 from ...physics.elements.starts import generic_starts
@@ -28,7 +28,7 @@ from ..hypotheses.forces import PlaceForces, place_forces
 from ..hypotheses.library import hypotheses, pairs
 from ..hypotheses.motion import motions, setting
 from ..result import BestTable, Over, Tabulated
-from ..simulation.problem import BROKEN, Array, Problem, bare
+from ..simulation.problem import BROKEN, Problem, bare
 from .admissibility import travels
 from .candidate import Candidate, settle, transfer, white_noise, with_fit
 

@@ -36,9 +36,10 @@ from .criteria import CRITERIA
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ...common.arrays import Array
     from ...physics import elements as el
     from ...physics.network import Network
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
 
 #: blocks per record
 BLOCKS = 20

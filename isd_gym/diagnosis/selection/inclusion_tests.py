@@ -18,7 +18,7 @@ from .held_out import HeldOutEvaluator, error_reduction
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..simulation.problem import Array
+    from ...common.arrays import Array
     from .candidate_comparison import CandidateComparison
 
 

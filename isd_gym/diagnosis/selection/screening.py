@@ -43,7 +43,8 @@ from .candidate import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from ..simulation.problem import Array, Problem, Record
+    from ...common.arrays import Array
+    from ..simulation.problem import Problem, Record
     from .settings import SearchSettings
 
 #: growth of the window in a free decay, and of the window in which the nominal model is refitted

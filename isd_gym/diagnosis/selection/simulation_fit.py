@@ -26,8 +26,9 @@ from ..simulation.problem import BROKEN, bare
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from ...common.arrays import Array
     from ..estimation.structure import Structure
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
     from .candidate import Candidate
     from .held_out import HeldOutEvaluator
 

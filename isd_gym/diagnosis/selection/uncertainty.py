@@ -17,9 +17,9 @@ from ..simulation.problem import BROKEN
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from ...common.arrays import Array
     from ...physics.network import Network
     from ..estimation.structure import Structure
-    from ..simulation.problem import Array
     from .candidate import Candidate
     from .held_out import HeldOutEvaluator
 

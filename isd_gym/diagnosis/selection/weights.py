@@ -23,8 +23,8 @@ from .free_force import Table
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from ...common.arrays import Array
     from ..estimation.structure import Hypothesis
-    from ..simulation.problem import Array
     from .candidate import Candidate
     from .candidate_comparison import CandidateComparison
     from .forward_backward import Search

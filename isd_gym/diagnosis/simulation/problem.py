@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.signal import firwin, oaconvolve
 
-from ...common.arrays import Array  # noqa: TC001  (re-exported)
 from ...common.errors import InputError
 from ...common.units import HELD, convert
 from ...physics.network import Network, assemble
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from ...common.arrays import Array
     from ...records.loggers.recording import Recording
     from ..records.multirate import OutputSampler
 

@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from ...common.arrays import Array
     from ...physics.elements import Motion
     from ..estimation.gauss_newton import Fit
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
 
 
 def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float]]:

@@ -31,13 +31,14 @@ from .evidence import EffectEvidence, Evidence, as_numbers
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from ...common.arrays import Array
     from ..estimation.gauss_newton import Fit
     from ..result import Quantity
     from ..selection.candidate_comparison import CandidateComparison
     from ..selection.criteria import Criteria
     from ..selection.forward_backward import Search
     from ..selection.held_out import HeldOutScore
-    from ..simulation.problem import Array, Problem
+    from ..simulation.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ...common import arrays
-from ...common.arrays import Array  # noqa: TC001  (re-exported)
 from ...common.errors import InputError, plain, shown
 from ...common.inputs import number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from ...common.arrays import Array
     from ..network import Network
 
 GROUND = "ground"

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from .base import Array, Element, Setting, Start, driven_motor, parameter, plausible, register
+from .base import Element, Setting, Start, driven_motor, parameter, plausible, register
 
 if TYPE_CHECKING:
+    from ...common.arrays import Array
     from ..network import Network
 
 

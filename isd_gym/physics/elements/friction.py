@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .base import Array, Element, Motion, Setting, Start, beside, held_still, parameter, register, rms
+from .base import Element, Motion, Setting, Start, beside, held_still, parameter, register, rms
 from .laws import ConstantForce
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from ...common.arrays import Array
     from ..network import Network
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from .base import (
     GROUND,
     PROBE,
-    Array,
     Element,
     Motion,
     Setting,
@@ -31,6 +30,7 @@ from .linear import LinearDamping, is_device
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ...common.arrays import Array
     from ..network import Network
 
 

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from .base import Array, Element, Motion, Setting, Start, beside, parameter, register, rms
+from .base import Element, Motion, Setting, Start, beside, parameter, register, rms
 from .friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from ...common.arrays import Array
     from ..network import Network
 
 #: smallest standard deviation of a logged channel, as a share of its largest value, for a visible influence

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .base import Array, Element, Setting, Start, parameter, plausible, register
+from .base import Element, Setting, Start, parameter, plausible, register
 from .drives import delayed
 
 if TYPE_CHECKING:
+    from ...common.arrays import Array
     from ..network import Network
 
 

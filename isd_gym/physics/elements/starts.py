@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...common.errors import InputError
-from .base import Array, Element, Motion, Setting, Start, parameter_fields, rms
+from .base import Element, Motion, Setting, Start, parameter_fields, rms
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from dataclasses import Field
+
+    from ...common.arrays import Array
 
 
 def _values_of(f: Field[Any], motion: Motion | None) -> list[float]:

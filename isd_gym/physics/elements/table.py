@@ -14,11 +14,12 @@ import numpy as np
 
 from ...common.errors import InputError, plain, shown
 from ...common.inputs import number
-from .base import Array, Element, parameter, register
+from .base import Element, parameter, register
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from ...common.arrays import Array
     from ..network import Network
 
 KNOTS, CELLS = 500, 20_000  # upper limits for knots of an axis, and for values of a table

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.arrays import channel_rms
+from isd_gym.common.arrays import Array, channel_rms
 from isd_gym.common.errors import InputError, shown
 from isd_gym.common.units import convert
 from isd_gym.diagnosis.estimation.noise import Floor, floor_of, noise_of, resolution
 from isd_gym.diagnosis.result import Diagnosis, Place, Trace
 from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
-from isd_gym.diagnosis.simulation.problem import Array, Record, deviation_within
+from isd_gym.diagnosis.simulation.problem import Record, deviation_within
 from isd_gym.diagnosis.verdict.evidence import Evidence, as_numbers
 from isd_gym.diagnosis.verdict.explanation import bands, find_condition, near_reversals
 from isd_gym.diagnosis.verdict.gates import decide

@@ -24,7 +24,7 @@ from isd_gym.diagnosis.result import Quantity
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isd_gym.diagnosis.simulation.problem import Array
+    from isd_gym.common.arrays import Array
 
     from ..cosimulation import UnitModel
     from .comparison import FmuComparison, Progress, Segment
