@@ -116,6 +116,17 @@ def test_a_refit_that_errs_more_than_a_constant_is_told(refit: float, is_told: b
     assert ("errs more in travel than a constant would" in said) == is_told
 
 
+def test_a_model_that_is_completed_without_a_certain_name_says_so() -> None:
+    open_law = document(VAGUE, verdict="unknown_effect", best_table=tried(0.3))
+    assert "model.json" not in summary_of(open_law)
+    open_law["best_candidate"]["completes"] = True
+    open_law["gap"]["closed"] = 0.61
+    said = summary_of(open_law)
+    assert "The best candidate, Coulomb friction between mass and ground, reduces the error in travel" in said
+    assert "model.json is completed with it" in said and "closes 61 % of the gap" in said
+    assert "Its name is not certain" in said
+
+
 def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_explain_it() -> None:
     worse = document(VAGUE)
     worse["best_candidate"]["error"]["after"]["travel"] = 0.34

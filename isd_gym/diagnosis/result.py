@@ -264,6 +264,8 @@ class BestCandidate:
     error: dict[str, dict[str, float]]
     #: gates that the set fails
     failed_gates: tuple[Gate, ...]
+    #: whether the new model has the effects, although they are not certain
+    completes: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""

@@ -585,10 +585,17 @@ def _best_candidate(d: Mapping[str, Any]) -> str:
     error = best["error"]
     c = _most_gained(error, "refit", "after")
     failed = [g for g in best["failed_gates"] if not g["passed"]]
-    return (
+    text = (
         f"The best candidate, {candidate_text(best)}, reduces the error in {c} from "
         f"{_percent(error['refit'][c])} to {_percent(error['after'][c])} and fails {len(failed)} of {len(d['gates'])} gates: "
         f"{failures(failed)}."
+    )
+    closed = d["gap"]["closed"]
+    if not best.get("completes"):
+        return text
+    return (
+        f"{text} model.json is completed with it, since it predicts records better that took no part in the fit; it closes "
+        f"{_percent(closed, 0)} of the gap. Its name is not certain."
     )
 
 
@@ -610,10 +617,10 @@ def _table(d: Mapping[str, Any]) -> tuple[str, str]:
         return text, " ".join(shape)
     if tried is None and d.get("not_tried"):
         return "", ""
-    return _rejected_table(tried), ""
+    return _rejected_table(tried, (d["best_candidate"] or {}).get("completes", False)), ""
 
 
-def _rejected_table(tried: Mapping[str, Any] | None) -> str:
+def _rejected_table(tried: Mapping[str, Any] | None, is_surpassed: bool) -> str:
     if tried is None:
         return "No table of a force between two nodes could be fitted."
     explains = next(g for g in tried["gates"] if g["gate"] == "explains")
@@ -629,7 +636,13 @@ def _rejected_table(tried: Mapping[str, Any] | None) -> str:
             "on a motion that no sensor measures."
         )
     failed = failures(tried["gates"])
-    return f"{text}, but fails {failed}." if failed else f"{text}, but its interval cannot be computed."
+    if failed:
+        return f"{text}, but fails {failed}."
+    return (
+        f"{text}, less than the best candidate."
+        if is_surpassed
+        else f"{text}, but its interval cannot be computed."
+    )
 
 
 def _agrees(d: Mapping[str, Any]) -> bool:

@@ -186,7 +186,8 @@ class View:
         self.d = d = diagnosis
         self.named = bool(d.effects)
         # whether the new model differs from the given model
-        self.changed = self.named or d.tabulated is not None or d.verdict == "ambiguous"
+        completes = d.best_candidate is not None and d.best_candidate.completes
+        self.changed = self.named or d.tabulated is not None or d.verdict == "ambiguous" or completes
         self.inside = isinstance(d.base, Network)
         document = d.to_dict()
         told = (statements_of if self.inside else unit_statements_of)(document)
@@ -199,6 +200,8 @@ class View:
         self.labels = {s: label for s, (label, _) in STAGES.items()}
         if d.verdict == "ambiguous":
             self.labels["after"] = "with the likeliest law"
+        elif completes:
+            self.labels["after"] = "with the best candidate"
         elif not self.named:
             self.labels["after"] = "with the force"
         elif len(d.effects) > 1:
