@@ -47,6 +47,7 @@ RECIPES = {
     "ppo-2min": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED),
     "ppo-defaults": Recipe("PPO", 32, 1_900_000),
     "sac-defaults": Recipe("SAC", 32, 1_000_000),
+    "sac": Recipe("SAC", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}),
     "ppo-half-car": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED, environment="ISDHalfCarLearning-v0"),
     # half of the recipe, with one thing changed
     "half": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED),

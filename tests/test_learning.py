@@ -162,6 +162,24 @@ def test_per_level_weighs_a_rough_road_as_the_paper_s():
     assert told[1][-1] == pytest.approx(-told[2][-1]["cost"] * 1e-4 / 4e-4, rel=1e-9)
 
 
+@pytest.mark.parametrize("options", [{}, {"reward": "relative", "hold": 2}, {"per_level": True, "road": "C"}])
+def test_a_scale_of_the_reward_changes_the_reward_alone(options):
+    plain, scaled = made(**options), made(reward_scale=30, **options)
+    plain.reset(seed=4), scaled.reset(seed=4)
+    actions = np.random.default_rng(0).uniform(-5, 5, (50, 1))
+    one, many = driven(plain, actions), driven(scaled, actions)
+    np.testing.assert_allclose(many[1], 30 * np.array(one[1]), rtol=1e-12)
+    np.testing.assert_array_equal(many[0], one[0])
+    assert many[2] == one[2]
+    batch = gymnasium.make_vec("ISDSuspension-v0", 3, reward_scale=30, **options)
+    batch.reset(seed=2)  # the last car has seed 4
+    assert batch.step(np.full((3, 1), actions[0]).astype(np.float32))[1][2] == pytest.approx(
+        many[1][0], rel=1e-6
+    )
+    with pytest.raises(InputError, match="reward_scale must be a number from 1e-06 to 1e\\+06, not 0"):
+        made(reward_scale=0)
+
+
 @pytest.mark.parametrize("control_step", [1e-3, 5e-3, 20e-3])
 @pytest.mark.parametrize("hold", [1, 4])
 def test_neither_the_control_step_nor_a_hold_changes_actuator_and_episode(control_step, hold):

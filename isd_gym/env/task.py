@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 CONTROL_STEP = 5e-3  # s
 #: limits of options: control step [s], duration of an episode and preview [s], speed [m/s], control steps per action
 STEPS, LONGEST, FARTHEST, FASTEST, HELD = (1e-3, 1.0), 1e5, 10.0, 1e3, 1000
+SCALES = (1e-6, 1e6)  # factors on the reward
 PREVIEW = 0.25  # s, with observation preview
 STATE_BOUND = 1e3  # m or m/s, of the full observation
 ROAD_BOUND = 10.0  # m, of the preview
@@ -73,6 +74,8 @@ class Options:
     # whether the reward is divided by the level of the rough road (1 on the paper's road at 20 m/s), so that rough
     # and smooth roads have equal weight
     per_level: bool = False
+    # factor on the reward, for learners that weigh it against something else, as SAC does against its entropy bonus
+    reward_scale: float = 1.0
     # stage cost, a `StageCost` or its weights, such as {"tyre_load": 0.1}
     cost: StageCost | Mapping[str, Any] | None = None
     # ranges drawn at every reset: factors on parameters of the network, speeds [m/s], roads, such as
@@ -103,6 +106,7 @@ class Options:
             ("speed", 1e-3, FASTEST, "m/s"),
             ("control_step", *STEPS, "s"),
             ("duration", STEPS[0], LONGEST, "s"),
+            ("reward_scale", *SCALES, ""),
             *([("preview", 0.0, FARTHEST, "s")] if self.preview is not None else []),
         ):
             value = getattr(self, name)
@@ -112,7 +116,8 @@ class Options:
                 or not low <= value <= high
             ):
                 raise InputError(
-                    f"{name} must be a number from {low:g} to {high:g} {unit}, not {shown(value)}"
+                    f"{name} must be a number from {low:g} to {high:g} {unit}".rstrip()
+                    + f", not {shown(value)}"
                 )
             put(self, name, float(value))
         if (
@@ -267,6 +272,7 @@ class Task:
             and options.reward == "cost"
             and self.history is None
             and not options.per_level
+            and options.reward_scale == 1.0
         )
         names = [signal.name for signal in self.measured]
         self._channel_faults = [
@@ -404,7 +410,7 @@ class Task:
             reward = RELATIVE_SCALE * reward
         if self.options.per_level:
             reward = reward * self._weights
-        return reward
+        return reward if self.options.reward_scale == 1.0 else self.options.reward_scale * reward
 
     def observe(self) -> np.ndarray:
         """Return the observations after a step; observations of broken cars are clipped to their bounds.
