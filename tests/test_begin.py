@@ -7,7 +7,7 @@ import pytest
 from test_inspection import CAR, drive
 from typer.testing import CliRunner
 
-from isd_gym import cli
+from isd_gym import commands as cli
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.initial_state_fit import initial_state
 from isd_gym.physics.network import Network

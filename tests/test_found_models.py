@@ -8,7 +8,8 @@ import pytest
 from rigs import pushed_mass
 from typer.testing import CliRunner
 
-from isd_gym import cli, simulate
+from isd_gym import commands as cli
+from isd_gym import simulate
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import Quantity
 from isd_gym.diagnosis.prediction_errors import prediction_errors, removed_share

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym import cli
+from isd_gym import commands as cli
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.records import read_record
 from isd_gym.physics.network import Network

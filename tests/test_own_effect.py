@@ -108,7 +108,7 @@ def test_it_is_named_where_it_is_hidden(registered) -> None:
 
 LAW = """
 import math
-from isd_gym import elements as el
+from isd_gym.physics import elements as el
 
 def law(p, d, v, d_last, z, h):
     return p[0] * math.tanh(d / p[1]), z

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym import cli
+from isd_gym import commands as cli
 from isd_gym.common.errors import InputError
 from isd_gym.physics.network import Network, builtin_networks
 from isd_gym.view.report import schematic

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym import cli
+from isd_gym import commands as cli
 from isd_gym.common.errors import InputError
 from isd_gym.contrib.fmi.cosimulation import Unit
 from isd_gym.contrib.fmi.export import export_fmu

@@ -150,7 +150,7 @@ def test_what_is_somebody_else_s_is_left_alone(tmp_path):
 def test_the_command(tmp_path, monkeypatch, capsys):
     import sys
 
-    from isd_gym import cli
+    from isd_gym import commands as cli
 
     seen = {}
     monkeypatch.setattr(

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym import cli, simulate
+from isd_gym import commands as cli
+from isd_gym import simulate
 from isd_gym.common.errors import InputError
 from isd_gym.contrib.no_road import estimation, identification, identify
 from isd_gym.contrib.no_road.decision import check_fit, compute_coloured_shares, find_plausible_range
