@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from ..network import assemble
 from .estimation.gauss_newton import Fitter
 from .estimation.noise import white_filters
 from .estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from .hypotheses.library import hypotheses
 from .planning import next_experiment, played
+from .records import LEAD_IN
 from .result import (
     BestCandidate,
     Contender,
@@ -27,15 +29,16 @@ from .result import (
 )
 from .selection.candidate import Candidate, parameter_values
 from .selection.free_force import FreeForce, fit_free_force
+from .selection.record_differences import find_record_differences
 from .selection.simulation_fit import fit_simulation_error
 from .selection.uncertainty import intervals, with_posterior
 from .selection.weights import weigh_candidates
-from .simulation.problem import BROKEN
+from .simulation.problem import BROKEN, bare
 from .simulation.time_limit import RESULT, TimeUp
 from .verdict.explanation import draw_law, draw_table, locate_errors
 from .verdict.findings import find
 from .verdict.gates import Decision, confidence, table_gates, with_findings
-from .verdict.wording import summary_of
+from .verdict.wording import candidate_text, summary_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -43,7 +46,7 @@ if TYPE_CHECKING:
     from ..network import Network
     from .estimation.structure import Structure
     from .records import Feedback
-    from .result import Law
+    from .result import Law, RecordDifferences
     from .selection.candidate_comparison import CandidateComparison
     from .selection.forward_backward import Search
     from .simulation.problem import Array, Problem
@@ -82,6 +85,13 @@ class ResultBuilder:
         free = self._free_force() if is_free else FreeForce()
         no_findings: tuple[Decision, tuple[Finding, ...]] = (decision, ())
         decision, findings = self._attempt("the probabilities", no_findings, self._findings, decision, free)
+        no_difference: RecordDifferences | None = None
+        what = "a comparison of the parameters of each record"
+        differences = self._attempt(what, no_difference, self._record_differences, decision, free)
+        if differences is not None and decision.verdict == "missing_effect" and differences.is_tied:
+            differences = None
+        if differences is not None and not differences.is_tied:
+            decision, free = replace(decision, verdict="unknown_effect", reason="records_differ"), FreeForce()
         is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
         if is_ambiguous:  # a law of the library stands for the force
             free = FreeForce()
@@ -138,6 +148,7 @@ class ResultBuilder:
                 with_posterior(with_sensor_offsets(structure.at(x), structure.offsets), posterior), decision
             ),
             simulation_fit=last,
+            record_differences=differences,
             traces=self._traces(final),
             laws=tuple(x for x in laws if x is not None),
             notes=(*notes, *self._tried(), *self.lost),
@@ -212,6 +223,30 @@ class ResultBuilder:
         if self.feedback:  # a controller imitates an element: no kind is certain
             return decision, findings
         return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
+
+    def _record_differences(self, decision: Decision, free: FreeForce) -> RecordDifferences | None:
+        """Return the parameters that differ between records, if values per record explain more than every candidate."""
+        scores = self.scores
+        if decision.verdict not in ("missing_effect", "ambiguous", "unknown_effect"):
+            return None
+        self.say("comparing the parameters of each record")
+        more = [
+            c for c in (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
+        ]
+        laws = {id(c): (_in_words(c), c.fit.structure, c.fit.x) for c in more if c.hypotheses}
+        if free.candidate is not None:
+            laws[id(free.candidate)] = (
+                "a force without a name",
+                free.candidate.fit.structure,
+                free.candidate.fit.x,
+            )
+        network = self.whole.network
+        lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.whole.time
+        refitted = scores.refitted.fit
+        noise = self.search.evaluator.least_noise
+        return find_record_differences(
+            self.whole, refitted.structure, refitted.x, noise, list(laws.values()), lead
+        )
 
     def _fit_simulation(
         self, final: Candidate, quantities: Mapping[str, Quantity]
@@ -359,6 +394,12 @@ class ResultBuilder:
         name = self.whole.records[index].name
         self.lost.append(f"a model does not simulate the whole record {name}: no curve is drawn there")
         return np.full_like(self.whole.records[index].measured, np.nan)
+
+
+def _in_words(candidate: Candidate) -> str:
+    """Return the effects of a candidate with their places."""
+    found = candidate.hypotheses
+    return candidate_text({"effects": [h.effect for h in found], "where": [h.where for h in found]})
 
 
 def closed(rows: Mapping[str, Array]) -> float | None:
