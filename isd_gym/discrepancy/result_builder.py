@@ -14,6 +14,7 @@ from .estimation.gauss_newton import Fitter
 from .estimation.noise import white_filters
 from .estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from .hypotheses.library import hypotheses
+from .hypotheses.loads import loads_of, tell_gain
 from .planning import next_experiment, played
 from .records import LEAD_IN
 from .result import (
@@ -277,7 +278,11 @@ class ResultBuilder:
 
     def _tried(self) -> list[str]:
         """Return what was tried, in words."""
-        every = list(hypotheses(self.search.problem.network))
+        p = self.search.problem
+        every = list(hypotheses(p.network))
+        loads = loads_of(p, self.scores.refitted.fit, every)
+        told = {name for name, load in loads.items() if tell_gain(load)}
+        every = [h for h in every if not h.kind.loaded or dict(h.options)["load"] in told]
         where = dict.fromkeys("-".join(h.where) for h in every)
         return [
             f"tried {len({h.effect for h in every})} effects at {len(where)} places: {', '.join(where)}",
