@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from isd_gym import elements as el
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose, plan
+from isd_gym.discrepancy.selection.settings import SearchSettings
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
@@ -270,3 +273,77 @@ def test_loads_of_a_place():
     assert el.LoadDependentFriction.variants(network, ("rotor", "ground")) == [{"load": "gear"}]
     assert el.LoadDependentFriction.variants(network, ("link", "ground")) == [{"load": "gear"}]
     assert el.LoadDependentFriction.variants(network, ("rotor", "link")) == [{"load": "hang"}]
+
+
+# ------------------------------------------------------------------------------------------------ diagnosis and plan
+
+SENSORS = (("speed", "velocity", "rotor", "m/s", 2e-3), ("place", "displacement", "link", "m", 2e-4))
+
+
+def measured(name, weight, seed, friction):
+    """Return a record of a drive that carries a weight [N] and moves by a multisine about it."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 12.0, 4e-3)
+    lines = np.arange(0.15, 4.0, 0.35)
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(lines))
+    drive = 10.0 * np.sum(np.sin(2.0 * np.pi * lines[:, None] * time + phases[:, None]), axis=0)
+    inputs = {"drive": drive - weight, "weight": np.full(len(time), weight)}
+    seen = simulate(joint(friction=friction, outputs=outputs_of()), time, inputs, step=5e-4)
+    noisy = {n: seen[n] + s * rng.standard_normal(len(time)) for n, _, _, _, s in SENSORS}
+    return Table(time, inputs | noisy, name)
+
+
+def outputs_of():
+    """Return the outputs of the rig."""
+    return [{"name": n, "quantity": q, "at": at, "unit": u} for n, q, at, u, _ in SENSORS]
+
+
+def nominal():
+    """Return the model without friction."""
+    model = joint(outputs=outputs_of()).to_dict()
+    model["elements"] = [e for e in model["elements"] if e["name"] != "rub"]
+    model["uncertainty"] = {"gear.stiffness": 0.1, "oil.damping": 0.3, "bearing.damping": 0.3}
+    return model
+
+
+UNDER_LOAD = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "gear"}
+
+
+def diagnosed(friction, loads):
+    """Return the diagnosis of four records under loads [N], the last two held out."""
+    records = [measured(f"r{k}", w, k, friction) for k, w in enumerate(loads)]
+    return diagnose(records[:2], nominal(), validate=records[2:], settings=SearchSettings(depth=1, turns=0))
+
+
+def test_two_loads_name_the_friction_with_its_gain():
+    found = diagnosed(UNDER_LOAD, (5.0, 60.0, 30.0, 60.0))
+    (effect,) = found.effects
+    assert (effect.effect, set(effect.between)) == ("load_dependent_friction", {"rotor", "ground"})
+    assert effect.parameters["gain"].value == pytest.approx(GAIN, rel=0.1)
+    assert effect.parameters["level"].low < LEVEL < effect.parameters["level"].high
+    assert found.model.element(effect.element).load == "gear"
+    assert found.closed > 0.95
+
+
+def test_coulomb_friction_under_two_loads_keeps_its_name():
+    found = diagnosed({"type": "coulomb_friction", "level": 6.0}, (5.0, 60.0, 30.0, 60.0))
+    assert [e.effect for e in found.effects] == ["coulomb_friction"]
+
+
+def test_one_load_does_not_tell_level_and_gain_apart():
+    found = diagnosed(UNDER_LOAD, (30.0, 30.0, 30.0, 30.0))
+    assert "load_dependent_friction" not in {e.effect for e in found.effects}
+    assert {e.effect for e in found.effects} <= {"coulomb_friction", "asymmetric_friction"}
+
+
+def test_a_plan_asks_for_a_second_load():
+    def planned(*loads):
+        records = [measured(f"r{k}", w, k, UNDER_LOAD) for k, w in enumerate(loads)]
+        return plan(nominal(), records, only=["load_dependent_friction", "rotor"], add_sensors=False)
+
+    one = planned(30.0, 30.0, 30.0)
+    (forecast,) = one.effects
+    assert forecast.status == "confused" and forecast.confused_with == ("coulomb_friction at rotor-ground",)
+    assert any("add a training record under a second load" in note for note in one.notes)
+    two = planned(5.0, 60.0, 30.0)
+    assert not any("second load" in note for note in two.notes)
+    assert two.effects[0].status != "confused"
