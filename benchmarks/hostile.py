@@ -392,7 +392,7 @@ def networks(rng: Rng, folder: Path) -> None:
     from isd_gym.physics import elements as el
 
     nodes = [f"n{i}" for i in range(int(rng.integers(1, 8)))]
-    kinds = [t for t, c in el.TYPES.items() if c.place == "between" and not c.scheduled]
+    kinds = [t for t, c in el.TYPES.items() if c.place == "between" and not (c.scheduled or c.loaded)]
 
     def amount(meta: Any) -> float:
         low, high = max(meta["minimum"], -meta["maximum"]), meta["maximum"]

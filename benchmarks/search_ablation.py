@@ -221,9 +221,7 @@ def executed() -> Iterator[set[str]]:
 
     def outer(frame: Any, event: str, arg: object) -> Callable[..., Any] | None:
         name = frame.f_code.co_filename
-        return (
-            local if "/diagnosis/selection/" in name or name.endswith("diagnosis/workflow.py") else None
-        )
+        return local if "/diagnosis/selection/" in name or name.endswith("diagnosis/workflow.py") else None
 
     threading.settrace(outer)
     sys.settrace(outer)

@@ -14,7 +14,9 @@ PASSIVE = [
     "asymmetric_damping", "cubic_stiffness", "gas_spring", "bump_stop", "backlash", "hysteresis",
 ]  # fmt: skip
 BETWEEN = [
-    name for name, cls in el.TYPES.items() if cls.place == "between" and name != "motor" and not cls.scheduled
+    name
+    for name, cls in el.TYPES.items()
+    if cls.place == "between" and name != "motor" and not (cls.scheduled or cls.loaded)
 ]
 
 

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from .verdict.gates import Gate, Reason
 
 SCHEMA = "isd-diagnosis/1"
+#: share of the gain of values per record from which on a law is nearly as good
+TIED = 0.8
 #: argument of a force without a known law
 Over = Literal["rate", "elongation", "both"]
 #: kind, mark and parts of the folder of a diagnosis, with its report
@@ -322,6 +324,70 @@ class SimulationFit:
 
 
 @dataclass(frozen=True)
+class DifferingParameter:
+    """A parameter of the model with a value of its own in each record."""
+
+    #: path of the parameter
+    path: str
+    #: value of each record with its 95 % interval, in the order of `RecordDifferences.records`
+    values: tuple[Quantity, ...]
+    #: group of each record, smallest values first: values of one group do not differ
+    groups: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class RecordDifferences:
+    """Parameters that differ between records.
+
+    The errors are those on stretches of the records that took no part in the fits.
+    """
+
+    #: the parameters
+    parameters: tuple[DifferingParameter, ...]
+    #: names of the records
+    records: tuple[str, ...]
+    #: standard deviation of the measured signals of each record, by channel
+    amplitude: tuple[dict[str, float], ...]
+    #: share of the squared error beyond noise that one value per record removes
+    explained: float
+    #: law that removes most with one value for all records, in words; None where no law was fitted
+    law: str | None
+    #: share that the law removes
+    explained_by_law: float | None
+    #: NRMSE by fit and channel: `joint` (one value for all records), `differing` (a value per record of `parameters`), `alone` (a value
+    #: per record of every parameter)
+    error: dict[str, dict[str, float]]
+
+    @property
+    def is_tied(self) -> bool:
+        """Whether a law removes nearly as much as values per record."""
+        return self.explained_by_law is not None and self.explained_by_law >= TIED * self.explained
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        return {
+            "parameters": [
+                {
+                    "path": p.path,
+                    "unit": p.values[0].unit,
+                    "prior": p.values[0].prior,
+                    "values": [
+                        {"record": r, "value": q.value, "low": q.low, "high": q.high, "group": g}
+                        for r, q, g in zip(self.records, p.values, p.groups, strict=True)
+                    ],
+                }
+                for p in self.parameters
+            ],
+            "amplitude": dict(zip(self.records, self.amplitude, strict=True)),
+            "explained": self.explained,
+            "law": self.law,
+            "explained_by_law": self.explained_by_law,
+            "tied": self.is_tied,
+            "error": self.error,
+        }
+
+
+@dataclass(frozen=True)
 class Stretches:
     """Stretches over which records were compared, each with its own initial state."""
 
@@ -419,6 +485,8 @@ class Diagnosis:
     constant: dict[str, float] = field(default_factory=dict)
     #: last fit, whose values `model` has; None where the model has the values of the search
     simulation_fit: SimulationFit | None = None
+    #: parameters that differ between records; None where the records do not differ, or where differences were not searched
+    record_differences: RecordDifferences | None = None
     #: probabilities of places, kinds and laws
     findings: tuple[Finding, ...] = ()
     #: inputs that follow from outputs
@@ -474,6 +542,7 @@ class Diagnosis:
                 "best_candidate": self.best_candidate.to_dict() if self.best_candidate else None,
                 "best_table": self.best_table.to_dict() if self.best_table else None,
                 "remainder": self.remainder.to_dict() if self.remainder else None,
+                "record_differences": self.record_differences.to_dict() if self.record_differences else None,
                 "simulation_fit": self.simulation_fit.to_dict() if self.simulation_fit else None,
                 "stretches": asdict(self.stretches) if self.stretches else None,
                 "constant": self.constant,

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from ..physics.network import assemble
 from .estimation.gauss_newton import Fitter
 from .estimation.noise import white_filters
 from .estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from .hypotheses.library import hypotheses
+from .hypotheses.loads import loads_of, tell_gain
 from .planning import next_experiment, played
+from .records import LEAD_IN
 from .result import (
     BestCandidate,
     Contender,
@@ -27,15 +30,16 @@ from .result import (
 )
 from .selection.candidate import Candidate, parameter_values
 from .selection.free_force import FreeForce, fit_free_force
+from .selection.record_differences import find_record_differences
 from .selection.simulation_fit import fit_simulation_error
 from .selection.uncertainty import intervals, with_posterior
 from .selection.weights import weigh_candidates
-from .simulation.problem import BROKEN
+from .simulation.problem import BROKEN, bare
 from .simulation.time_limit import RESULT, TimeUp
 from .verdict.explanation import draw_law, draw_table, locate_errors
 from .verdict.findings import find
 from .verdict.gates import Decision, confidence, table_gates, with_findings
-from .verdict.wording import summary_of
+from .verdict.wording import candidate_text, summary_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -44,7 +48,7 @@ if TYPE_CHECKING:
     from ..physics.network import Network
     from .estimation.structure import Structure
     from .records import Feedback
-    from .result import Law
+    from .result import Law, RecordDifferences
     from .selection.candidate_comparison import CandidateComparison
     from .selection.forward_backward import Search
     from .simulation.problem import Problem
@@ -83,6 +87,13 @@ class ResultBuilder:
         free = self._free_force() if is_free else FreeForce()
         no_findings: tuple[Decision, tuple[Finding, ...]] = (decision, ())
         decision, findings = self._attempt("the probabilities", no_findings, self._findings, decision, free)
+        no_difference: RecordDifferences | None = None
+        what = "a comparison of the parameters of each record"
+        differences = self._attempt(what, no_difference, self._record_differences, decision, free)
+        if differences is not None and decision.verdict == "missing_effect" and differences.is_tied:
+            differences = None
+        if differences is not None and not differences.is_tied:
+            decision, free = replace(decision, verdict="unknown_effect", reason="records_differ"), FreeForce()
         is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
         if is_ambiguous:  # a law of the library stands for the force
             free = FreeForce()
@@ -144,6 +155,7 @@ class ResultBuilder:
                 completes,
             ),
             simulation_fit=last,
+            record_differences=differences,
             traces=self._traces(final),
             laws=tuple(x for x in laws if x is not None),
             notes=(*notes, *self._tried(), *self.lost),
@@ -238,6 +250,30 @@ class ResultBuilder:
             return decision, findings
         return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
 
+    def _record_differences(self, decision: Decision, free: FreeForce) -> RecordDifferences | None:
+        """Return the parameters that differ between records, if values per record explain more than every candidate."""
+        scores = self.scores
+        if decision.verdict not in ("missing_effect", "ambiguous", "unknown_effect"):
+            return None
+        self.say("comparing the parameters of each record")
+        more = [
+            c for c in (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
+        ]
+        laws = {id(c): (_in_words(c), c.fit.structure, c.fit.x) for c in more if c.hypotheses}
+        if free.candidate is not None:
+            laws[id(free.candidate)] = (
+                "a force without a name",
+                free.candidate.fit.structure,
+                free.candidate.fit.x,
+            )
+        network = self.whole.network
+        lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.whole.time
+        refitted = scores.refitted.fit
+        noise = self.search.evaluator.least_noise
+        return find_record_differences(
+            self.whole, refitted.structure, refitted.x, noise, list(laws.values()), lead
+        )
+
     def _fit_simulation(
         self, final: Candidate, quantities: Mapping[str, Quantity]
     ) -> tuple[Structure, Array, SimulationFit | None]:
@@ -267,7 +303,11 @@ class ResultBuilder:
 
     def _tried(self) -> list[str]:
         """Return what was tried, in words."""
-        every = list(hypotheses(self.search.problem.network))
+        p = self.search.problem
+        every = list(hypotheses(p.network))
+        loads = loads_of(p, self.scores.refitted.fit, every)
+        told = {name for name, load in loads.items() if tell_gain(load)}
+        every = [h for h in every if not h.kind.loaded or dict(h.options)["load"] in told]
         where = dict.fromkeys("-".join(h.where) for h in every)
         return [
             f"tried {len({h.effect for h in every})} effects at {len(where)} places: {', '.join(where)}",
@@ -387,6 +427,12 @@ class ResultBuilder:
         name = self.whole.records[index].name
         self.lost.append(f"a model does not simulate the whole record {name}: no curve is drawn there")
         return np.full_like(self.whole.records[index].measured, np.nan)
+
+
+def _in_words(candidate: Candidate) -> str:
+    """Return the effects of a candidate with their places."""
+    found = candidate.hypotheses
+    return candidate_text({"effects": [h.effect for h in found], "where": [h.where for h in found]})
 
 
 def closed(rows: Mapping[str, Array]) -> float | None:

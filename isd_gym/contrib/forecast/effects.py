@@ -64,6 +64,12 @@ def forecast_effects(
     forecasts, matrix = [], np.full((len(wanted), len(wanted)), np.nan)
     for n, h in enumerate(wanted):
         progress("sizes", n / len(wanted))
+        if h.kind.loaded and bench.load_of(h) is None:  # under one load it is Coulomb friction
+            rival = replace(h, effect="coulomb_friction", options=())
+            labels = (rival.label,) if rival.stands(bench.network) else ()
+            status = "confused" if labels else "hidden"
+            forecasts.append(_make_forecast(bench, h, status, confused_with=labels))
+            continue
         if h not in typical:
             forecasts.append(_make_forecast(bench, h, "untried"))
             continue

@@ -72,8 +72,9 @@ def choose_starts(bench: VirtualBench, wanted: Sequence[Hypothesis], most: int =
     out = []
     for h in wanted:
         pair = bench.motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
+        load = bench.load_of(h) if h.kind.loaded else None
         try:
-            at = setting(bench.problem, bench.network, h, pair, bench.forces.at(h.where))
+            at = setting(bench.problem, bench.network, h, pair, bench.forces.at(h.where), load=load)
             starts = h.kind.starts(at)
         except (InputError, ValueError, ZeroDivisionError):
             continue

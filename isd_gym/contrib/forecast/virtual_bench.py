@@ -18,6 +18,8 @@ from isd_gym.diagnosis.estimation.initial_states import states_along, transfer_s
 from isd_gym.diagnosis.estimation.noise import floor_of, innovations, white_filters, whitener
 from isd_gym.diagnosis.estimation.structure import Structure, base_structure
 from isd_gym.diagnosis.hypotheses.forces import PlaceForces, place_forces
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis.hypotheses.loads import loads_of, tell_gain
 from isd_gym.diagnosis.hypotheses.motion import motions
 from isd_gym.diagnosis.hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from isd_gym.diagnosis.records import differentiate_inputs, split_records
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from isd_gym.common.arrays import Array
+    from isd_gym.diagnosis.estimation.structure import Hypothesis
     from isd_gym.physics.elements import Motion
 
 REQUIRED_DEVIANCE = 50.0  # deviance by which a rival must be worse
@@ -169,6 +172,20 @@ class VirtualBench:
     def forces(self) -> PlaceForces:
         """Typical forces by place."""
         return place_forces(self.problem, self.training_fit)
+
+    @cached_property
+    def loads(self) -> dict[str, list[Array]]:
+        """Load of each training record (samples,) [N] by element, for frictions under load."""
+        return loads_of(self.problem, self.training_fit, list(hypotheses(self.network)))
+
+    def load_of(self, h: Hypothesis) -> list[Array] | None:
+        """Return the load of a friction in each training record; None where the loads do not tell level and gain apart.
+
+        Args:
+            h: A friction under load.
+        """
+        load = self.loads.get(dict(h.options)["load"])
+        return load if load is not None and tell_gain(load) else None
 
     @cached_property
     def unmodelled_responses(self) -> dict[int, Array]:

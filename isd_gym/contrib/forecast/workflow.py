@@ -13,6 +13,7 @@ from isd_gym.common.units import convert
 from isd_gym.diagnosis.planning.excitation import Excitation, Rig, infer_rig, make_excitation, make_record
 from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
 from isd_gym.diagnosis.simulation.problem import Record
+from isd_gym.physics.elements import spoken
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from isd_gym.common.arrays import Array
+    from isd_gym.diagnosis.estimation.structure import Hypothesis
     from isd_gym.diagnosis.planning.design import Progress
 
 LEAST_SAMPLES = 400  # of a test
@@ -87,7 +89,7 @@ def plan(
         text, played = excitation.describe(network, rig), excitation.to_dict()
     known = {**(measured_noise(records, network) if data else {}), **dict(noise or {})}
     bench = VirtualBench(network, records, noise=known, criteria=criteria, notes=notes)
-    wanted = select_hypotheses(network, only)
+    wanted = without_gain(bench, select_hypotheses(network, only), only, notes)
     more = list_additional_sensors(bench.network) if add_sensors else []
     progress("small effects", 0.0)
     sensitivities = Sensitivities(bench, more=more, progress=lambda share: progress("small effects", share))
@@ -105,6 +107,31 @@ def plan(
         notes=tuple(notes),
         seconds=clock.perf_counter() - start,
     )
+
+
+def without_gain(
+    bench: VirtualBench, wanted: Sequence[Hypothesis], only: Sequence[str], notes: list[str]
+) -> list[Hypothesis]:
+    """Return the hypotheses without frictions under load whose level and gain no test with these loads tells apart.
+
+    Args:
+        bench: The virtual bench.
+        wanted: The hypotheses.
+        only: Words that the user asked for. A friction that is asked for stays, with a note.
+        notes: List that receives a line per place.
+    """
+    out = []
+    for h in wanted:
+        if h.kind.loaded and bench.load_of(h) is None:
+            if h.effect not in only:
+                continue
+            load = dict(h.options)["load"]
+            notes.append(
+                f"{spoken(h.effect)} between {' and '.join(h.where)}: the mean load of {load} hardly differs between the training records, so that level "
+                "and gain cannot be told apart; add a training record under a second load, such as another payload"
+            )
+        out.append(h)
+    return out
 
 
 def read_planned_record(source: Table | str | Path, network: Network) -> Record:

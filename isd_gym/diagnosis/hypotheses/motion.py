@@ -70,8 +70,19 @@ def setting(
     motion: Motion | None,
     force: float,
     pitches: tuple[float, ...] = (),
+    load: Sequence[Array] | None = None,
 ) -> Setting:
-    """Return the setting from which an effect derives the start values of its fit."""
+    """Return the setting from which an effect derives the start values of its fit.
+
+    Args:
+        problem: Model and records.
+        network: The fitted model.
+        h: The effect at its place.
+        motion: Motion of the place; None at a motor or a channel.
+        force: Typical force of the place [N].
+        pitches: Periods of travel [m] to begin with.
+        load: Load of a friction in each training record (samples,) [N].
+    """
     signal, time, samples = 1.0, problem.time, None
     if h.place == "element":
         name = next(c.name for c in network.inputs if c.quantity == "current" and c.element == h.where[0])
@@ -87,6 +98,8 @@ def setting(
     elif h.kind.scheduled:
         channel = dict(h.options)["channel"]
         samples = np.concatenate([problem.records[i].inputs[channel] for i in problem.estimation])
+    elif load is not None:
+        samples = np.concatenate(load)
     return Setting(network, h.where, motion, force, signal, time, dict(h.options), samples, pitches)
 
 

@@ -15,6 +15,7 @@ from ..estimation.sensitivities import tangents
 from ..estimation.structure import Hypothesis, Structure, add
 from ..simulation.problem import Problem, bare
 from .forces import place_forces
+from .loads import loads_of, tell_gain
 from .motion import motions, setting, simulate_variants
 from .position_spectrum import spectral_pitches
 
@@ -111,11 +112,15 @@ def build_starts(
     fitted = replace(fit.structure, network=fit.network)
     out = []
     lines: dict[tuple[str, ...], tuple[float, ...]] = {}
+    loads = loads_of(problem, fit, candidates)
     for h in candidates:
+        load = loads.get(dict(h.options)["load"]) if h.kind.loaded else None
+        if h.kind.loaded and (load is None or not tell_gain(load)):
+            continue
         pair = motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
         if pair is not None and h.kind.periodic and h.where not in lines:
             lines[h.where] = spectral_pitches(problem, fit, (h.where[0], h.where[1]), pair, PERIODS)
-        at = setting(problem, fit.network, h, pair, forces.at(h.where), lines.get(h.where, ()))
+        at = setting(problem, fit.network, h, pair, forces.at(h.where), lines.get(h.where, ()), load)
         for start in h.kind.starts(at):
             try:
                 built = [add(fitted, h, way) for way in start.ways]

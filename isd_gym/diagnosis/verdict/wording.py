@@ -35,6 +35,10 @@ OVER = {"rate": "their rate", "elongation": "their distance", "both": "their dis
 CHANGES, LAWS = 2, 2
 #: probability from which on a further kind is mentioned
 POSSIBLE = 0.2
+#: groups of records whose values are stated one by one; records of a group that are named
+MOST_GROUPS, MOST_NAMES = 4, 5
+#: ratio of the amplitudes of two groups of records from which on the groups differ in amplitude
+UNLIKE = 1.3
 #: kinds of effects in words
 KINDS = {
     "dry_friction": "Dry friction",
@@ -100,6 +104,8 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         remarks = [_likely(document)]
         if document["reason"] == "kind_certain":
             finding, remarks = [*remarks, *finding], []
+    elif verdict == "unknown_effect" and document["reason"] == "records_differ":
+        finding, remarks = [_record_differences(document)], [_likely(document), _best_candidate(document)]
     elif verdict == "unknown_effect":
         table, shape = _table(document)
         finding, remarks = [_unknown(document), _likely(document), _best_candidate(document)], [table]
@@ -108,6 +114,8 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         remarks.append(_where(document))
     else:
         finding = [_agreement(document), _reason(document), _changes(document)]
+    if document.get("record_differences") and document["record_differences"]["tied"]:
+        finding.append(_record_differences(document))
     if _is_open(document):
         remarks += [_worse_refit(document), _worse_than_constant(document)]
     remarks += [
@@ -319,6 +327,9 @@ def _title(d: Mapping[str, Any]) -> str:
             if verdict == "no_discrepancy"
             else "Parameters were off; no effect is missing"
         )
+    if d["reason"] == "records_differ":
+        names = " and ".join(_parameter_name(p["path"]) for p in d["record_differences"]["parameters"])
+        return f"The records differ: {names} changes from record to record"
     if verdict == "unknown_effect" and d.get("not_tried"):
         return "An effect is missing; the time limit ended the search for it"
     kinds, places = _likely_kinds(d), _certain_places(d)
@@ -358,6 +369,13 @@ def _next(d: Mapping[str, Any]) -> str:
         return f"confirm it with a new record: the error of model.json in {c} must be about {_percent(gap['after'][c])}."
     if d.get("closed_loop"):
         return ""
+    if d["reason"] == "records_differ":
+        return "find out what changed between the records (load, temperature, wear, setting), and diagnose the records of one state alone."
+    if d.get("record_differences"):
+        return (
+            "repeat the test of a record of each group with the excitation of the other: a parameter that differs keeps its value, and a law "
+            "follows the motion."
+        )
     if d["tabulated"]:
         if _is_table_refuted(d):
             return "repeat the test: the test records do not confirm the force."
@@ -539,6 +557,84 @@ def _unknown(d: Mapping[str, Any]) -> str:
     c = _widest(gap)
     why = "the search for it is not finished" if d.get("not_tried") else "no known effect passes every gate"
     return f"An effect is missing, and {why} ({_errors(gap, c, 'before', 'refit')})."
+
+
+def _parameter_name(path: str) -> str:
+    """Return a path of a parameter in words, such as ``damping of magnet``."""
+    owner, _, name = path.rpartition(".")
+    return f"{spoken(name)} of {owner}"
+
+
+def _record_differences(d: Mapping[str, Any]) -> str:
+    """Return the parameters that differ between records, with their values, and the error with and without."""
+    found = d["record_differences"]
+    sentences = []
+    for p in found["parameters"]:
+        groups = [
+            [v for v in p["values"] if v["group"] == k]
+            for k in range(1 + max(v["group"] for v in p["values"]))
+        ]
+        if all(len(g) == 1 for g in groups) or len(groups) <= MOST_GROUPS:
+            stated = [f"{_range(g, p['unit'])} in {_records(g)}" for g in groups]
+            values = f"{', '.join(stated[:-1])} and {stated[-1]}"
+        else:
+            values = f"{_range(p['values'], p['unit'])}, in {len(groups)} groups of records"
+        sentences.append(f"{_capital(_parameter_name(p['path']))} differs between records: {values}.")
+    error = found["error"]
+    c = _most_gained(error, "joint", "differing")
+    several = len(found["parameters"]) > 1
+    text = (
+        f"With {'values' if several else 'a value'} per record the error in {c}, on stretches of the records that took no part in the "
+        f"fit, falls from {_percent(error['joint'][c])} to {_percent(error['differing'][c])}"
+    )
+    text = (
+        f"{' '.join(sentences)} {text} ({_percent(found['explained'], 0)} of the squared error beyond noise)."
+    )
+    law, share = found["law"], _percent(max(found["explained_by_law"] or 0.0, 0.0), 0)
+    if found["tied"]:
+        text = (
+            f"Perhaps the records differ. {text} {_capital(law)} with one value for all records removes {share}: the records do not "
+            "decide between the two."
+        )
+    elif law is not None:
+        text += f" No known law removes more than {share}."
+    return f"{text} {_amplitudes(found)}".rstrip()
+
+
+def _amplitudes(found: Mapping[str, Any]) -> str:
+    """Return a sentence where the groups of records also differ in the size of the motion; empty where they do not."""
+    amplitude, groups = found["amplitude"], found["parameters"][0]["values"]
+    count = 1 + max(v["group"] for v in groups)
+    ratios = {}
+    for c in next(iter(amplitude.values())):
+        means = [
+            np.mean([amplitude[v["record"]][c] for v in groups if v["group"] == k]) for k in range(count)
+        ]
+        ratios[c] = float(max(means) / max(min(means), 1e-300))
+    channel = max(ratios, key=lambda c: ratios[c])
+    if ratios[channel] < UNLIKE:
+        return ""
+    return (
+        f"The amplitude of {channel} differs between these records, too, by a factor of {plain_number(ratios[channel], 2)}: a law that is "
+        "not in the library may look like a difference between records."
+    )
+
+
+def _range(values: Sequence[Mapping[str, Any]], unit: str) -> str:
+    """Return the range of the values of a group of records with their unit."""
+    low, high = (pick(v["value"] for v in values) for pick in (min, max))
+    first, last = (plain_number(practical(high, unit)[0] * x, 3) for x in (low, high))
+    end = practical(high, unit)[1]
+    number = first if first == last else f"{first} to {last}"
+    return f"{number} {end}".rstrip(" -")
+
+
+def _records(values: Sequence[Mapping[str, Any]]) -> str:
+    """Return the names of the records of a group, or their number where they are many."""
+    names = [v["record"] for v in values]
+    if len(names) > MOST_NAMES:
+        return f"{len(names)} records"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _where(d: Mapping[str, Any]) -> str:

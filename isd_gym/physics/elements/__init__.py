@@ -69,6 +69,7 @@ from .laws import (
     TyreLiftOff,
 )
 from .linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
+from .loaded import LoadDependentFriction, transmits
 from .scheduled import ScheduledDamping, ScheduledFriction
 from .sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
 from .table import TabulatedForce
@@ -99,6 +100,7 @@ __all__ = [
     "Inertance",
     "LinearDamping",
     "LinearStiffness",
+    "LoadDependentFriction",
     "Motion",
     "Motor",
     "QuadraticDamping",
@@ -128,4 +130,5 @@ __all__ = [
     "register_file",
     "rms",
     "spoken",
+    "transmits",
 ]

@@ -280,6 +280,8 @@ class Element:
     shaped_by: ClassVar[str | None] = None
     #: whether the law reads a logged channel (its field `channel`) instead of the elongation
     scheduled: ClassVar[bool] = False
+    #: whether the law reads the force of another element (its field `load`) instead of the elongation
+    loaded: ClassVar[bool] = False
     #: (period, phase) parameters of a law that repeats over travel; fits have one optimum per period
     periodic: ClassVar[tuple[str, str] | None] = None
 

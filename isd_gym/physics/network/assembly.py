@@ -125,6 +125,9 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     found = [outputs.row(channel) for channel in channels]
     rows = [row for row, _ in found]
     elongation, elongation_rate = law_rows @ motion.position, law_rows @ motion.velocity
+    for j, e in enumerate(laws):
+        if e.loaded:  # the kernel passes the load instead of the elongation
+            elongation[j] = outputs.force_of(network.element(getattr(e, "load", "")), f"element '{e.name}'")
     if any(c.quantity != "displacement" for c in network.moving):
         lacking = unknown(network, _spans(size))
         places = [column for column, what in lacking if what == "displacement"]
@@ -166,14 +169,14 @@ def _schedule(
     Logged channels follow the currents in the base vector.
 
     Raises:
-        InputError: The rate of such a law is a difference of elongations.
+        InputError: The rate of such a law, or of a law that reads a load, is a difference of elongations.
     """
     currents = sum(c.quantity == "current" for c in network.inputs)
     logged = [c.name for c in network.inputs if c.quantity == "condition"]
     for j, e in enumerate(laws):
+        if by_difference[j] and (e.scheduled or e.loaded):
+            raise InputError(f"element '{e.name}': the velocity of an algebraic node is not defined")
         if e.scheduled:
-            if by_difference[j]:
-                raise InputError(f"element '{e.name}': the velocity of an algebraic node is not defined")
             column = currents + logged.index(getattr(e, "channel", ""))
             elongation[j] = _entries(size, "I", 1, column)[0]
 

@@ -291,6 +291,7 @@ class Network:
                 )
         self._check_connected()
         self._check_turning()
+        self._check_loads(by_name)
         if self.bodies or self.levers:
             from .coordinates import coordinates
 
@@ -349,6 +350,22 @@ class Network:
                     f"element '{e.name}': \"channel\" must name an input that acts on no node "
                     f"({', '.join(known) or 'there is none'}); add one, such as "
                     '{"name": "oil", "quantity": "temperature", "unit": "degC"}'
+                )
+
+    def _check_loads(self, by_name: Mapping[str, el.Element]) -> None:
+        """Check that every friction under load names an element that transmits a force of the same kind."""
+        for e in self.elements:
+            if not e.loaded:
+                continue
+            load = by_name.get(getattr(e, "load", ""))
+            if load is None or load is e or not el.transmits(load):
+                known = [x.name for x in self.elements if x is not e and el.transmits(x)]
+                raise InputError(
+                    f"element '{e.name}': \"load\" must name a spring, a damper, a motor or a smooth law ({', '.join(known) or 'there is none'})"
+                )
+            if bool(set(load.where) & self.rotating) != bool(set(e.where) & self.rotating):
+                raise InputError(
+                    f"element '{e.name}': \"load\" must name a {'torque' if set(e.where) & self.rotating else 'force'}, as the friction is"
                 )
 
     def _check_input(self, c: Channel, motors: set[str]) -> None:

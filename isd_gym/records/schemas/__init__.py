@@ -233,7 +233,8 @@ def _element(cls: type) -> dict[str, Any]:
         elif f.name in cls.choices:  # type: ignore[attr-defined]
             spec = {"enum": list(cls.choices[f.name])}  # type: ignore[attr-defined]
         else:
-            spec = {"type": "string", "description": "name of an input that acts on no node"}
+            named = "an element whose force is the load" if cls.loaded else "an input that acts on no node"  # type: ignore[attr-defined]
+            spec = {"type": "string", "description": f"name of {named}"}
         if f.default is MISSING:
             required.append(f.name)
         elif "knots" not in f.metadata:

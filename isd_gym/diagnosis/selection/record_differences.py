@@ -1,0 +1,383 @@
+"""Parameters of a model that differ between records.
+
+A payload, a temperature or wear may change between two tests. Then no law explains the records together, and each record alone fits. The
+records are cut into stretches, alternately for fitting and for comparison. The smallest set of parameters is searched that, with one value
+per record, removes most of the error that one value for all records leaves on the stretches for comparison.
+
+The deviation of a value comes from the scatter of the stretches of its record (sandwich estimator with one cluster per stretch; Liang and
+Zeger, Biometrika 73, 1986). A parameter that varies within the records as much as between the records does not differ between records.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import t as student
+
+from ..estimation.noise import white_filters
+from ..estimation.recordwise import RecordwiseFitter
+from ..result import DifferingParameter, Quantity, RecordDifferences
+from ..simulation.problem import BROKEN, Problem
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from ...common.arrays import Array
+    from ..estimation.recordwise import RecordwiseFit
+    from ..estimation.structure import Structure
+    from ..simulation.problem import Record
+
+#: largest and smallest number of stretches of a record; least length as a multiple of the time scale (three periods), and in samples
+MOST_STRETCHES, LEAST_STRETCHES, LEAST_TIME, LEAST_SAMPLES = 8, 4, 20.0, 50
+#: largest number of parameters that differ; sets of each size that are fitted
+MOST_DIFFERING, SETS = 2, 2
+#: squared error of one value for all records, over that of noise, below which no difference is searched
+LEAST_GAP = 2.0
+#: share of the squared error beyond noise that values per record must remove on the stretches for comparison
+LEAST_EXPLAINED = 0.35
+#: share of the largest gain that a set of parameters must reach
+MOST_OF_GAIN = 0.75
+#: gain of a law over the gain of values per record, above which the law goes before the difference; share of the squared error beyond noise
+#: of a law that goes before every difference
+LAW_BETTER, LAW_ADEQUATE = 1.1, 0.75
+#: probability of a chance difference between two records, for the first difference and for a further group
+CHANCE, CHANCE_WITHIN = 1e-3, 1e-2
+#: smallest material difference, as the distance of logarithms or relative to the value
+LEAST_DIFFERENCE = 0.02
+#: noise of the first fit, as a share of the deviation of a channel
+FIRST_NOISE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretches:
+    """Stretches of whole records, alternately for fitting and for comparison."""
+
+    problem: Problem
+    #: names of the whole records
+    names: tuple[str, ...]
+    #: deviation of each channel in each whole record (channels,)
+    deviations: tuple[Array, ...]
+    #: indices of the stretches of each whole record
+    groups: tuple[tuple[int, ...], ...]
+
+    @property
+    def fitted(self) -> list[list[int]]:
+        """Stretches for fitting, by whole record."""
+        return [list(g[::2]) for g in self.groups]
+
+    @property
+    def compared(self) -> list[list[int]]:
+        """Stretches for comparison, by whole record."""
+        return [list(g[1::2]) for g in self.groups]
+
+
+def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
+    """Cut whole records into stretches of equal length; return None where fewer than two records are long enough.
+
+    Args:
+        whole: Whole records.
+        lead: Simulated time before a stretch, without comparison [s].
+    """
+    loose = whole.loose
+    pieces: list[Record] = []
+    groups, names, deviations = [], [], []
+    # sorted by content: results do not depend on the order of the files
+    for r in sorted(loose.records, key=lambda r: (r.name, r.measured.shape, r.measured.tobytes())):
+        count = int(min(MOST_STRETCHES, len(r) * r.rate / (LEAST_TIME * whole.time), len(r) // LEAST_SAMPLES))
+        count -= count % 2
+        if count < LEAST_STRETCHES:
+            continue
+        edges = np.linspace(0, len(r), count + 1).astype(int)
+        groups.append(tuple(range(len(pieces), len(pieces) + count)))
+        pieces += [r.part(a, b, r.name, int(lead / r.rate)) for a, b in pairwise(edges)]
+        names.append(r.name)
+        deviations.append(r.measured.std(axis=0))
+    if len(groups) < 2:
+        return None
+    problem = Problem(loose.network, pieces, None, loose.step, whole.time)
+    return _Stretches(problem, tuple(names), tuple(deviations), tuple(groups))
+
+
+@dataclass(eq=False)
+class RecordComparison:
+    """Comparison of one value for all records with one value per record.
+
+    Args:
+        stretches: Stretches of the whole records.
+        structure: The refitted model.
+        x: Its parameters (parameters,), transformed.
+        noise: Noise of each channel (channels,).
+    """
+
+    stretches: _Stretches
+    structure: Structure
+    x: Array
+    noise: Array
+
+    def __post_init__(self) -> None:
+        p = self.stretches.problem
+        self.deviation = p.deviation()
+        first = RecordwiseFitter(p, white_filters(np.maximum(self.noise, FIRST_NOISE * self.deviation)))
+        joint = self._fit(first, self.structure, self.x)
+        rows = [p.records[i].measured - at.outputs[i] for at in joint.points for i in at.outputs]
+        #: weight of each channel, as its deviation (channels,)
+        self.weights = np.maximum(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)), self.noise)
+        self.fitter = RecordwiseFitter(p, white_filters(self.weights))
+        self.joint = self._fit(self.fitter, self.structure, joint.x[0])
+        #: mean square over the channels, relative to the weights
+        self.joint_error = self.error(self.joint)
+        self.noise_error = float(np.mean((self.noise / self.weights) ** 2))
+
+    def _fit(
+        self, fitter: RecordwiseFitter, structure: Structure, x: Array, own: NDArray[np.bool_] | None = None
+    ) -> RecordwiseFit:
+        own = np.zeros(len(structure.free), bool) if own is None else own
+        return fitter.fit_groups(structure, x, self.stretches.fitted, own)
+
+    def squares(self, fit: RecordwiseFit) -> Array:
+        """Return the mean squared errors on the stretches for comparison (channels,), initial states from each stretch."""
+        rows, records = [], self.stretches.problem.records
+        for x, group in zip(fit.x, self.stretches.compared, strict=True):
+            found = self.fitter.follow(fit.structure, x, group)
+            rows += [records[i].measured - found.outputs[i] for i in group]
+        return np.asarray(np.mean(np.concatenate(rows) ** 2, axis=0), dtype=np.float64)
+
+    def error(self, fit: RecordwiseFit) -> float:
+        """Return the mean over channels of the squared error on the stretches for comparison, relative to the weights."""
+        return float(np.mean(self.squares(fit) / self.weights**2))
+
+    def explained(self, error: float) -> float:
+        """Return the share of the squared error beyond noise of the joint fit that another error leaves out."""
+        return (self.joint_error - error) / max(self.joint_error - self.noise_error, 1e-12)
+
+    def fit_with_own(self, names: Sequence[int]) -> RecordwiseFit:
+        """Fit with one value per record of some parameters.
+
+        Args:
+            names: Indices of the parameters.
+        """
+        own = np.zeros(len(self.structure.free), bool)
+        own[list(names)] = True
+        return self._fit(self.fitter, self.structure, self.joint.x[0], own)
+
+    def error_of_law(self, structure: Structure, x: Array) -> float:
+        """Return the error of a model with more effects, with one value for all records.
+
+        Args:
+            structure: The model.
+            x: Start values (parameters,), transformed.
+        """
+        return self.error(self._fit(self.fitter, structure, x))
+
+    def expected_gains(self, size: int) -> list[tuple[float, tuple[int, ...]]]:
+        """Return sets of parameters with their gain of one value per record, to first order, largest gain first.
+
+        Args:
+            size: Number of parameters of a set.
+        """
+        joint = self.joint
+        H = [np.sum(list(self.fitter.information(s).values()), axis=0) for s in joint.slopes]
+        g = [
+            np.sum(list(self.fitter.gradient(at, s).values()), axis=0)
+            for at, s in zip(joint.points, joint.slopes, strict=True)
+        ]
+        prior = 1.0 / self.structure.sigma**2
+        out = []
+        for names in combinations(range(len(prior)), size):
+            own = list(names)
+            rest = [k for k in range(len(prior)) if k not in names]
+            matrix = np.sum([h[np.ix_(rest, rest)] for h in H], axis=0) + np.diag(prior[rest])
+            right = np.sum([b[rest] for b in g], axis=0)
+            gain = 0.0
+            for h, b in zip(H, g, strict=True):
+                inside = np.linalg.inv(h[np.ix_(own, own)] + np.diag(prior[own]))
+                matrix = matrix - h[np.ix_(rest, own)] @ inside @ h[np.ix_(own, rest)]
+                right = right - h[np.ix_(rest, own)] @ inside @ b[own]
+                gain += float(b[own] @ inside @ b[own])
+            if rest:
+                gain += float(right @ np.linalg.lstsq(matrix, right, rcond=None)[0])
+            out.append((gain, names))
+        return sorted(out, key=lambda e: (-e[0], e[1]))
+
+    def estimates(self, fit: RecordwiseFit, name: int) -> tuple[Array, Array, Array]:
+        """Return the value of a parameter in each record, its deviation and degrees of freedom, from all stretches.
+
+        Args:
+            fit: A fit with one value per record of the parameter.
+            name: Index of the parameter.
+
+        Returns:
+            Values, transformed (records,), deviations (records,), degrees of freedom (records,).
+        """
+        groups = self.stretches.groups
+        final = self.fitter.fit_groups(fit.structure, fit.x, groups, fit.own)
+        own = np.flatnonzero(fit.own)
+        k = int(np.flatnonzero(own == name)[0])
+        deviation = np.empty(len(groups))
+        for n, (at, slopes) in enumerate(zip(final.points, final.slopes, strict=True)):
+            scores = np.array([g[own] for g in self.fitter.gradient(at, slopes).values()])
+            each = np.array([h[np.ix_(own, own)] for h in self.fitter.information(slopes).values()])
+            inverse = np.linalg.pinv(each.sum(axis=0))
+            # the prior leaves a gradient at the optimum
+            scores = scores - each @ (inverse @ scores.sum(axis=0))
+            m = len(scores)
+            spread = inverse @ (scores.T @ scores * m / (m - 1)) @ inverse
+            deviation[n] = np.sqrt(max(spread[k, k], inverse[k, k]))
+        return final.x[:, name], deviation, np.array([len(g) - 1.0 for g in groups])
+
+
+def is_different(a: tuple[float, float, float], b: tuple[float, float, float], chance: float) -> bool:
+    """Return whether two values differ (Welch's t-test, two-sided).
+
+    Args:
+        a: Value, deviation and degrees of freedom.
+        b: The same of the other value.
+        chance: Probability of a difference by chance.
+    """
+    square = a[1] ** 2 + b[1] ** 2
+    freedom = square**2 / (a[1] ** 4 / a[2] + b[1] ** 4 / b[2])
+    return bool(abs(a[0] - b[0]) > student.ppf(1.0 - 0.5 * chance, freedom) * np.sqrt(square))
+
+
+def group_values(values: Array, deviations: Array, freedom: Array) -> tuple[int, ...]:
+    """Return the group of each record: neighbouring values that do not differ have one group, smallest values first.
+
+    Args:
+        values: Values (records,).
+        deviations: Standard deviations (records,).
+        freedom: Degrees of freedom (records,).
+
+    Returns:
+        Index of the group of each record; all zero where no pair differs.
+    """
+    each = list(zip(values.tolist(), deviations.tolist(), freedom.tolist(), strict=True))
+    pairs = len(each) * (len(each) - 1) / 2
+    if not any(is_different(a, b, CHANCE / pairs) for a, b in combinations(each, 2)):
+        return (0,) * len(each)
+    order = sorted(range(len(each)), key=lambda i: each[i])
+    out, group, members = [0] * len(each), 0, [order[0]]
+    for i in order[1:]:
+        if all(is_different(each[i], each[j], CHANCE_WITHIN) for j in members):
+            group, members = group + 1, []
+        members.append(i)
+        out[i] = group
+    return tuple(out)
+
+
+def find_record_differences(
+    whole: Problem,
+    structure: Structure,
+    x: Array,
+    noise: Array,
+    laws: Sequence[tuple[str, Structure, Array]] = (),
+    lead: float = 0.0,
+) -> RecordDifferences | None:
+    """Find the parameters that differ between records.
+
+    Args:
+        whole: Whole records.
+        structure: The refitted model.
+        x: Its parameters (parameters,), transformed.
+        noise: Noise of each channel (channels,).
+        laws: Models with effects that explain the records best: name, structure and parameters.
+        lead: Simulated time before a stretch, without comparison [s].
+
+    Returns:
+        The parameters with their values per record. None where the records are too short or do not differ, and where a law explains the
+        records better.
+    """
+    stretches = cut_into_stretches(whole, lead)
+    if stretches is None or not structure.free:
+        return None
+    try:
+        comparison = RecordComparison(stretches, structure, x, noise)
+        every = tuple(range(len(structure.free)))
+        if comparison.joint_error < LEAST_GAP * comparison.noise_error:
+            return None
+        alone = comparison.fit_with_own(every)
+        alone_error = comparison.error(alone)
+        fits = {every: (alone, alone_error)}
+        if not comparison.explained(alone_error) >= 0.5 * LEAST_EXPLAINED:
+            return None
+        for size in range(1, min(MOST_DIFFERING, len(every) - 1) + 1):
+            for _, names in comparison.expected_gains(size)[:SETS]:
+                fit = comparison.fit_with_own(names)
+                fits[names] = fit, comparison.error(fit)
+        best = min(error for _, error in fits.values())
+        needed = max(LEAST_EXPLAINED, MOST_OF_GAIN * comparison.explained(best))
+        enough = [
+            (len(names), error, names)
+            for names, (_, error) in fits.items()
+            if comparison.explained(error) >= needed and len(names) <= MOST_DIFFERING
+        ]
+        if not enough:
+            return None
+        _, error, names = min(enough)
+        found = tuple(p for k in names if (p := _differing(comparison, fits[names][0], k)) is not None)
+        if not found:
+            return None
+        gain = comparison.explained(error)
+        law, by_law = _best_law(comparison, laws)
+        if by_law is not None and (by_law > LAW_BETTER * gain or by_law >= LAW_ADEQUATE):
+            return None
+        deviation = comparison.deviation
+        squares = {
+            "joint": comparison.squares(comparison.joint),
+            "differing": comparison.squares(fits[names][0]),
+            "alone": comparison.squares(alone),
+        }
+    except BROKEN:
+        return None
+    return RecordDifferences(
+        found,
+        stretches.names,
+        tuple(
+            {c: float(v) for c, v in zip(whole.channels, row, strict=True)} for row in stretches.deviations
+        ),
+        gain,
+        law,
+        by_law,
+        {
+            stage: {c: float(v) for c, v in zip(whole.channels, np.sqrt(square) / deviation, strict=True)}
+            for stage, square in squares.items()
+        },
+    )
+
+
+def _best_law(
+    comparison: RecordComparison, laws: Sequence[tuple[str, Structure, Array]]
+) -> tuple[str | None, float | None]:
+    """Return the law that explains most with one value for all records, and its share; None where no law can be simulated."""
+    found = []
+    for name, structure, x in laws:
+        try:
+            found.append((comparison.explained(comparison.error_of_law(structure, x)), name))
+        except BROKEN:
+            continue
+    if not found:
+        return None, None
+    share, name = max(found)
+    return name, share
+
+
+def _differing(comparison: RecordComparison, fit: RecordwiseFit, name: int) -> DifferingParameter | None:
+    """Return a parameter with its values per record; None where no two records differ by a material amount."""
+    free = fit.structure.free[name]
+    values, deviations, freedom = comparison.estimates(fit, name)
+    groups = group_values(values, deviations, freedom)
+    scale = 1.0 if free.log else max(float(np.max(np.abs(values))), 1e-300)
+    if not max(groups) or float(np.ptp(values)) < LEAST_DIFFERENCE * scale:
+        return None
+    network = fit.structure.network
+    unit, prior = network.unit_of(free.path), network.parameters[free.path]
+    quantities = []
+    for v, s, n in zip(values, deviations, freedom, strict=True):
+        # the 95 % interval of Student's t
+        wide = float(s * student.ppf(0.975, n) / student.ppf(0.975, 1e9))
+        quantities.append(Quantity(free.back(float(v)), *free.interval(float(v), wide), unit, prior))
+    return DifferingParameter(free.path, tuple(quantities), groups)

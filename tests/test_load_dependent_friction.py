@@ -1,0 +1,349 @@
+"""Dry friction whose level grows with the load that a gear or a screw transmits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from isd_gym.common.errors import InputError
+from isd_gym.diagnosis import diagnose, plan
+from isd_gym.diagnosis.selection.settings import SearchSettings
+from isd_gym.physics import elements as el
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
+
+LEVEL, GAIN = 2.0, 0.15
+
+
+def joint(*more, friction=None, **changes):
+    """Return a drive: a rotor, a gear as a spring, and a link that a weight pulls.
+
+    Args:
+        more: Further elements.
+        friction: Friction of the rotor; the friction under the load of the gear by default.
+        changes: Entries of the model that replace the usual ones.
+    """
+    friction = friction or {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "gear"}
+    model = {
+        "schema": "isd-model/1",
+        "name": "joint",
+        "masses": {"rotor": 1.0, "link": 3.0},
+        "elements": [
+            {"name": "gear", "type": "linear_stiffness", "between": ["rotor", "link"], "stiffness": 4000.0},
+            {"name": "oil", "type": "linear_damping", "between": ["rotor", "link"], "damping": 8.0},
+            {"name": "bearing", "type": "linear_damping", "between": ["link", "ground"], "damping": 6.0},
+            {"name": "rub", "between": ["rotor", "ground"], **friction},
+            *more,
+        ],
+        "inputs": [
+            {"name": "drive", "quantity": "force", "at": "rotor", "unit": "N"},
+            {"name": "weight", "quantity": "force", "at": "link", "unit": "N"},
+        ],
+        "outputs": [
+            {"name": "speed", "quantity": "velocity", "at": "rotor", "unit": "m/s"},
+            {"name": "place", "quantity": "displacement", "at": "link", "unit": "m"},
+            {"name": "load", "quantity": "force", "element": "gear", "unit": "N"},
+            {"name": "friction", "quantity": "force", "element": "rub", "unit": "N"},
+        ],
+    }
+    return Network.load(model | changes)
+
+
+def driven(seconds=4.0, step=1e-3, size=30.0, weight=0.0):
+    """Return time (n,) [s] and inputs: a drive [N] with reversals, and a weight [N] that grows from zero."""
+    time = np.arange(0.0, seconds, step)
+    drive = size * np.sin(2.0 * np.pi * 0.7 * time) + 0.6 * size * np.sin(2.0 * np.pi * 1.9 * time)
+    return time, {"drive": drive - weight * np.minimum(time, 1.0), "weight": weight * np.minimum(time, 1.0)}
+
+
+def constant(level):
+    """Return Coulomb friction as a Stribeck curve without a fall, which the kernel solves on the same way as a friction under load."""
+    return {"type": "stribeck_friction", "level": level, "static_level": level, "stribeck_velocity": 0.01}
+
+
+def test_without_a_gain_it_is_coulomb_friction():
+    time, inputs = driven(weight=10.0)
+    rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": 0.0, "load": "gear"}
+    same = simulate(joint(friction=rub), time, inputs)
+    exactly = simulate(joint(friction=constant(LEVEL)), time, inputs)
+    assert all(np.array_equal(same[n], exactly[n]) for n in same)
+    # the closed form of a single Coulomb friction differs by the first order of the step
+    differences = []
+    for step in (1e-3, 2.5e-4):
+        seen, plain = (
+            simulate(joint(friction=f), time, inputs, step=step)["place"]
+            for f in (rub, {"type": "coulomb_friction", "level": LEVEL})
+        )
+        differences.append(np.abs(seen - plain).max() / np.abs(plain).max())
+    assert differences[0] < 5e-4 and differences[1] < 0.6 * differences[0]
+
+
+@pytest.mark.parametrize("squeeze", [0.0, 0.02, -0.05])
+def test_under_a_constant_load_it_is_coulomb_friction_of_that_level(squeeze):
+    """A brake whose pad a moved node presses with a known force."""
+
+    def cart(rub):
+        return Network.load(
+            {
+                "schema": "isd-model/1",
+                "name": "brake",
+                "masses": {"cart": 2.0},
+                "elements": [
+                    {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 3.0},
+                    {"name": "clip", "type": "linear_stiffness", "between": ["screw", "ground"], "stiffness": 500.0},
+                    {"name": "rub", "between": ["cart", "ground"], **rub},
+                ],
+                "inputs": [
+                    {"name": "push", "quantity": "force", "at": "cart", "unit": "N"},
+                    {"name": "screw", "quantity": "displacement", "at": "screw", "unit": "m"},
+                ],
+                "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
+            }
+        )  # fmt: skip
+
+    time = np.arange(0.0, 4.0, 1e-3)
+    inputs = {"push": 12.0 * np.sin(5.0 * time), "screw": np.full(len(time), squeeze)}
+    level = LEVEL + GAIN * abs(500.0 * squeeze)
+    seen = simulate(cart({"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "clip"}), time, inputs)["speed"]  # fmt: skip
+    plain = simulate(cart(constant(level)), time, inputs)["speed"]
+    assert np.abs(seen - plain).max() < 1e-9
+    assert np.ptp(plain) > 0.1
+
+
+def exact(time, inputs, parts):
+    """Return the speed of the rotor and the place of the link (n,), by semi-implicit Euler steps with a projection, `parts` per sample."""
+    h = (time[1] - time[0]) / parts
+    x, v, y, w, out = 0.0, 0.0, 0.0, 0.0, []
+    for k in range(len(time)):
+        out.append((v, y))
+        after = min(k + 1, len(time) - 1)
+        for j in range(parts):
+            share = (j + 0.5) / parts
+            drive, weight = (
+                inputs[n][k] + share * (inputs[n][after] - inputs[n][k]) for n in ("drive", "weight")
+            )
+            spring, oil = 4000.0 * (x - y), 8.0 * (v - w)
+            level = LEVEL + GAIN * abs(spring)
+            free = v + h * (drive - spring - oil)
+            v = free - np.clip(free, -h * level, h * level)
+            w += h / 3.0 * (weight + spring + oil - 6.0 * w)
+            x, y = x + h * v, y + h * w
+    return np.array(out).T
+
+
+def test_a_drive_under_load_moves_as_an_independent_integration_says():
+    time, inputs = driven(weight=25.0)
+    speed, place = exact(time, inputs, 40)
+    seen = simulate(joint(), time, inputs)
+    plain = simulate(joint(friction={"type": "coulomb_friction", "level": LEVEL}), time, inputs)
+    assert np.abs(plain["place"] - place).max() > 0.05 * np.abs(place).max()  # the gain matters
+    assert np.abs(seen["place"] - place).max() < 5e-3 * np.abs(place).max()
+    assert np.sqrt(np.mean((seen["speed"] - speed) ** 2)) < 5e-3 * speed.std()
+
+
+def test_a_heavier_load_needs_more_force_to_break_away():
+    time = np.arange(0.0, 20.0, 1e-3)
+    forces = []
+    for weight in (0.0, 20.0, 40.0):
+        pulled = weight * np.minimum(time, 1.0)
+        held = np.minimum(time, 1.0) * weight  # the drive carries the weight, then pushes more and more
+        drive = -held + np.maximum(time - 2.0, 0.0) * 0.5
+        seen = simulate(joint(), time, {"drive": drive, "weight": pulled})["speed"]
+        resting = (time > 1.9) & (time < 2.0)
+        assert np.abs(seen[resting]).max() < 1e-4
+        forces.append(0.5 * (time[np.argmax((time > 2.0) & (np.abs(seen) > 1e-3))] - 2.0))
+    # at rest the gear carries the weight
+    assert forces == pytest.approx([LEVEL + GAIN * w for w in (0.0, 20.0, 40.0)], rel=0.05)
+
+
+def test_friction_only_takes_energy():
+    time, inputs = driven(size=60.0, weight=30.0)
+    seen = simulate(joint(), time, inputs)
+    power = seen["friction"] * seen["speed"]
+    assert power.min() > -1e-9 * power.max()
+    sliding = np.abs(seen["speed"]) > 1e-2
+    expected = (LEVEL + GAIN * np.abs(seen["load"])) * np.sign(seen["speed"])
+    assert seen["friction"][sliding] == pytest.approx(expected[sliding], rel=1e-6)
+
+
+def test_a_free_drive_loses_its_energy():
+    time = np.arange(0.0, 3.0, 1e-3)
+    outputs = [
+        {"name": f"{n}_{q}", "quantity": q, "at": n, "unit": u}
+        for n in ("rotor", "link")
+        for q, u in (("displacement", "m"), ("velocity", "m/s"))
+    ]
+    still = {"drive": np.where(time < 0.05, 200.0, 0.0), "weight": np.zeros(len(time))}
+    seen = simulate(joint(outputs=outputs), time, still)
+    stretch = seen["rotor_displacement"] - seen["link_displacement"]
+    energy = 0.5 * seen["rotor_velocity"] ** 2 + 1.5 * seen["link_velocity"] ** 2 + 2000.0 * stretch**2
+    free = energy[time > 0.06]
+    assert np.diff(free).max() < 1e-9 * free.max() and free[-1] < 1e-2 * free[0]
+
+
+def test_halving_the_step_halves_the_error():
+    """The load is that at the start of a step, and friction slides: first order."""
+    time, inputs = driven(seconds=2.0, step=4e-3, weight=25.0)
+    places = [simulate(joint(), time, inputs, step=4e-3 / n)["place"] for n in (1, 2, 4, 8, 64)]
+    errors = [np.sqrt(np.mean((p - places[-1]) ** 2)) for p in places[:-1]]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert errors[-1] < 0.01 * np.std(places[-1])
+    assert np.mean(orders) > 0.9
+
+
+def test_the_force_of_a_motor_is_a_load():
+    def net(rub):
+        return Network.load(
+            {
+                "schema": "isd-model/1",
+                "name": "spindle",
+                "masses": {"nut": 2.0},
+                "elements": [
+                    {"name": "motor", "type": "motor", "between": ["nut", "ground"], "thrust_constant": 5.0},
+                    {"name": "guide", "type": "linear_damping", "between": ["nut", "ground"], "damping": 4.0},
+                    {"name": "rub", "between": ["nut", "ground"], **rub},
+                ],
+                "inputs": [{"name": "current", "quantity": "current", "element": "motor", "unit": "A"}],
+                "outputs": [{"name": "speed", "quantity": "velocity", "at": "nut", "unit": "m/s"}],
+            }
+        )
+
+    time = np.arange(0.0, 8.0, 1e-3)
+    for current in (-4.0, 2.0, 4.0):
+        inputs = {"current": np.full(len(time), current)}
+        rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "motor"}
+        speed = simulate(net(rub), time, inputs)["speed"][-1]
+        thrust = 5.0 * abs(current)
+        assert abs(speed) == pytest.approx((thrust - LEVEL - GAIN * thrust) / 4.0, rel=1e-4)
+
+
+def test_the_load_of_a_law_that_is_not_linear():
+    """Behind a hardening gear the level follows the force of the law."""
+    time, inputs = driven(size=60.0, weight=30.0)
+    hard = {"name": "stop", "type": "cubic_stiffness", "between": ["rotor", "link"], "stiffness": 4e7}
+    rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "stop"}
+    seen = simulate(
+        joint(hard, friction=rub, outputs=[
+            {"name": "speed", "quantity": "velocity", "at": "rotor", "unit": "m/s"},
+            {"name": "load", "quantity": "force", "element": "stop", "unit": "N"},
+            {"name": "friction", "quantity": "force", "element": "rub", "unit": "N"},
+        ]), time, inputs)  # fmt: skip
+    sliding = np.abs(seen["speed"]) > 1e-2
+    level = np.abs(seen["friction"])
+    assert np.ptp(seen["load"]) > 10.0
+    assert level[sliding] == pytest.approx(LEVEL + GAIN * np.abs(seen["load"][sliding]), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("load", "extra"),
+    [
+        ("", ()),
+        ("nothing", ()),
+        ("rub", ()),
+        ("brake", ({"name": "brake", "type": "coulomb_friction", "between": ["link", "ground"], "level": 1.0},)),
+        ("flywheel", ({"name": "flywheel", "type": "inertance", "between": ["link", "ground"], "inertance": 1.0},)),
+    ],
+)  # fmt: skip
+def test_a_load_is_a_spring_a_damper_a_motor_or_a_smooth_law(load, extra):
+    rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": load}
+    with pytest.raises(InputError, match='"load" must name a spring, a damper, a motor or a smooth law'):
+        joint(*extra, friction=rub)
+
+
+def test_a_torque_under_a_force_is_refused():
+    shaft = {"name": "shaft", "type": "linear_stiffness", "between": ["wheel", "ground"], "stiffness": 10.0}
+    rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "shaft"}
+    with pytest.raises(InputError, match='"load" must name a force, as the friction is'):
+        joint(shaft, friction=rub, inertias={"wheel": 1.0})
+
+
+def test_a_model_file_keeps_the_load():
+    network = joint()
+    assert Network.from_dict(network.to_dict()).element("rub") == network.element("rub")
+    assert network.unit_of("rub.gain") == "-" and network.unit_of("rub.level") == "N"
+    with pytest.raises(NotImplementedError, match="depends on the load"):
+        network.element("rub").curve(np.zeros(2))
+
+
+def test_loads_of_a_place():
+    """Springs and weights at one of its nodes, and a motor at the place."""
+    hang = {"name": "hang", "type": "constant_force", "between": ["link", "ground"], "force": 5.0}
+    network = joint(hang, friction={"type": "coulomb_friction", "level": 1.0})
+    assert el.LoadDependentFriction.variants(network, ("rotor", "ground")) == [{"load": "gear"}]
+    assert el.LoadDependentFriction.variants(network, ("link", "ground")) == [{"load": "gear"}]
+    assert el.LoadDependentFriction.variants(network, ("rotor", "link")) == [{"load": "hang"}]
+
+
+# ------------------------------------------------------------------------------------------------ diagnosis and plan
+
+SENSORS = (("speed", "velocity", "rotor", "m/s", 2e-3), ("place", "displacement", "link", "m", 2e-4))
+
+
+def measured(name, weight, seed, friction):
+    """Return a record of a drive that carries a weight [N] and moves by a multisine about it."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 12.0, 4e-3)
+    lines = np.arange(0.15, 4.0, 0.35)
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(lines))
+    drive = 10.0 * np.sum(np.sin(2.0 * np.pi * lines[:, None] * time + phases[:, None]), axis=0)
+    inputs = {"drive": drive - weight, "weight": np.full(len(time), weight)}
+    seen = simulate(joint(friction=friction, outputs=outputs_of()), time, inputs, step=5e-4)
+    noisy = {n: seen[n] + s * rng.standard_normal(len(time)) for n, _, _, _, s in SENSORS}
+    return Table(time, inputs | noisy, name)
+
+
+def outputs_of():
+    """Return the outputs of the rig."""
+    return [{"name": n, "quantity": q, "at": at, "unit": u} for n, q, at, u, _ in SENSORS]
+
+
+def nominal():
+    """Return the model without friction."""
+    model = joint(outputs=outputs_of()).to_dict()
+    model["elements"] = [e for e in model["elements"] if e["name"] != "rub"]
+    model["uncertainty"] = {"gear.stiffness": 0.1, "oil.damping": 0.3, "bearing.damping": 0.3}
+    return model
+
+
+UNDER_LOAD = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "gear"}
+
+
+def diagnosed(friction, loads):
+    """Return the diagnosis of four records under loads [N], the last two held out."""
+    records = [measured(f"r{k}", w, k, friction) for k, w in enumerate(loads)]
+    return diagnose(records[:2], nominal(), validate=records[2:], settings=SearchSettings(depth=1, turns=0))
+
+
+def test_two_loads_name_the_friction_with_its_gain():
+    found = diagnosed(UNDER_LOAD, (5.0, 60.0, 30.0, 60.0))
+    (effect,) = found.effects
+    assert (effect.effect, set(effect.between)) == ("load_dependent_friction", {"rotor", "ground"})
+    assert effect.parameters["gain"].value == pytest.approx(GAIN, rel=0.1)
+    assert effect.parameters["level"].low < LEVEL < effect.parameters["level"].high
+    assert found.model.element(effect.element).load == "gear"
+    assert found.closed > 0.95
+
+
+def test_coulomb_friction_under_two_loads_keeps_its_name():
+    found = diagnosed({"type": "coulomb_friction", "level": 6.0}, (5.0, 60.0, 30.0, 60.0))
+    assert [e.effect for e in found.effects] == ["coulomb_friction"]
+
+
+def test_one_load_does_not_tell_level_and_gain_apart():
+    found = diagnosed(UNDER_LOAD, (30.0, 30.0, 30.0, 30.0))
+    assert "load_dependent_friction" not in {e.effect for e in found.effects}
+    assert {e.effect for e in found.effects} <= {"coulomb_friction", "asymmetric_friction"}
+
+
+def test_a_plan_asks_for_a_second_load():
+    def planned(*loads):
+        records = [measured(f"r{k}", w, k, UNDER_LOAD) for k, w in enumerate(loads)]
+        return plan(nominal(), records, only=["load_dependent_friction", "rotor"], add_sensors=False)
+
+    one = planned(30.0, 30.0, 30.0)
+    (forecast,) = one.effects
+    assert forecast.status == "confused" and forecast.confused_with == ("coulomb_friction at rotor-ground",)
+    assert any("add a training record under a second load" in note for note in one.notes)
+    two = planned(5.0, 60.0, 30.0)
+    assert not any("second load" in note for note in two.notes)
+    assert two.effects[0].status != "confused"
