@@ -97,7 +97,8 @@ class ResultBuilder:
         is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
         if is_ambiguous:  # a law of the library stands for the force
             free = FreeForce()
-        completes = is_free and not is_ambiguous and self._is_supported(free)
+        # where the records differ, no law stands for the difference
+        completes = is_free and decision.reason == "gates" and not is_ambiguous and self._is_supported(free)
         if completes:
             free = FreeForce(free.best)
         # the likeliest law of several that the records do not tell apart, or the best supported one
