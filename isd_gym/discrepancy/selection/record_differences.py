@@ -19,7 +19,7 @@ from scipy.stats import t as student
 
 from ..estimation.noise import white_filters
 from ..estimation.recordwise import RecordwiseFitter
-from ..result import DifferingParameter, Quantity, RecordDifferences
+from ..result import DifferingParameter, Quantity, RecordDifferences, is_far_better
 from ..simulation.problem import BROKEN, Problem
 
 if TYPE_CHECKING:
@@ -31,8 +31,12 @@ if TYPE_CHECKING:
     from ..estimation.structure import Structure
     from ..simulation.problem import Array, Record
 
-#: largest and smallest number of stretches of a record; least length as a multiple of the time scale (three periods), and in samples
-MOST_STRETCHES, LEAST_STRETCHES, LEAST_TIME, LEAST_SAMPLES = 8, 4, 20.0, 50
+#: largest and smallest number of stretches of a record
+MOST_STRETCHES, LEAST_STRETCHES = 8, 4
+#: length of a stretch as a multiple of the time scale (three periods), and the least length of the stretches of a short record
+USUAL_TIME, LEAST_TIME = 20.0, 1.0
+#: least number of samples of a stretch
+LEAST_SAMPLES = 50
 #: largest number of parameters that differ; sets of each size that are fitted
 MOST_DIFFERING, SETS = 2, 2
 #: squared error of one value for all records, over that of noise, below which no difference is searched
@@ -41,9 +45,10 @@ LEAST_GAP = 2.0
 LEAST_EXPLAINED = 0.35
 #: share of the largest gain that a set of parameters must reach
 MOST_OF_GAIN = 0.75
-#: gain of a law over the gain of values per record, above which the law goes before the difference; share of the squared error beyond noise
-#: of a law that goes before every difference
-LAW_BETTER, LAW_ADEQUATE = 1.1, 0.75
+#: gain of a law over the gain of values per record, above which the law goes before the difference
+LAW_BETTER = 1.1
+#: share of the squared error beyond noise from which on a law goes before, unless values per record leave far less (`is_far_better`)
+LAW_ADEQUATE = 0.75
 #: probability of a chance difference between two records, for the first difference and for a further group
 CHANCE, CHANCE_WITHIN = 1e-3, 1e-2
 #: smallest material difference, as the distance of logarithms or relative to the value
@@ -87,7 +92,9 @@ def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
     groups, names, deviations = [], [], []
     # sorted by content: results do not depend on the order of the files
     for r in sorted(loose.records, key=lambda r: (r.name, r.measured.shape, r.measured.tobytes())):
-        count = int(min(MOST_STRETCHES, len(r) * r.rate / (LEAST_TIME * whole.time), len(r) // LEAST_SAMPLES))
+        times = len(r) * r.rate / whole.time
+        count = int(min(MOST_STRETCHES, max(times / USUAL_TIME, LEAST_STRETCHES)))
+        count = min(count, int(times / LEAST_TIME), len(r) // LEAST_SAMPLES)
         count -= count % 2
         if count < LEAST_STRETCHES:
             continue
@@ -322,7 +329,8 @@ def find_record_differences(
             return None
         gain = comparison.explained(error)
         law, by_law = _best_law(comparison, laws)
-        if by_law is not None and (by_law > LAW_BETTER * gain or by_law >= LAW_ADEQUATE):
+        least = min(LAW_BETTER * gain, LAW_ADEQUATE)
+        if by_law is not None and by_law >= least and not is_far_better(gain, by_law):
             return None
         deviation = comparison.deviation
         squares = {

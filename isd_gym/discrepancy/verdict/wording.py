@@ -603,14 +603,12 @@ def _record_differences(d: Mapping[str, Any]) -> str:
 
 def _amplitudes(found: Mapping[str, Any]) -> str:
     """Return a sentence where the groups of records also differ in the size of the motion; empty where they do not."""
-    amplitude, groups = found["amplitude"], found["parameters"][0]["values"]
-    count = 1 + max(v["group"] for v in groups)
+    groups = np.array([v["group"] for v in found["parameters"][0]["values"]])
     ratios = {}
-    for c in next(iter(amplitude.values())):
-        means = [
-            np.mean([amplitude[v["record"]][c] for v in groups if v["group"] == k]) for k in range(count)
-        ]
-        ratios[c] = float(max(means) / max(min(means), 1e-300))
+    for c in found["amplitude"][0]:
+        values = np.array([row[c] for row in found["amplitude"]])
+        means = [float(np.mean(values[groups == k])) for k in range(1 + max(groups))]
+        ratios[c] = max(means) / max(min(means), 1e-300)
     channel = max(ratios, key=lambda c: ratios[c])
     if ratios[channel] < UNLIKE:
         return ""
