@@ -327,9 +327,15 @@ def _title(d: Mapping[str, Any]) -> str:
             if verdict == "no_discrepancy"
             else "Parameters were off; no effect is missing"
         )
-    if d["reason"] == "records_differ":
-        names = " and ".join(_parameter_name(p["path"]) for p in d["record_differences"]["parameters"])
-        return f"The records differ: {names} changes from record to record"
+    differences = d.get("record_differences")
+    if differences:
+        names = " and ".join(_parameter_name(p["path"]) for p in differences["parameters"])
+        change = (
+            f"{names} {'change' if len(differences['parameters']) > 1 else 'changes'} from record to record"
+        )
+        return (
+            f"An effect is missing, or {change}" if differences["tied"] else f"The records differ: {change}"
+        )
     if verdict == "unknown_effect" and d.get("not_tried"):
         return "An effect is missing; the time limit ended the search for it"
     kinds, places = _likely_kinds(d), _certain_places(d)
