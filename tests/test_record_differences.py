@@ -14,6 +14,7 @@ from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
 from isd_gym.diagnosis.estimation.recordwise import RecordwiseFitter
 from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis.result import is_far_better
 from isd_gym.diagnosis.selection.record_differences import find_record_differences, group_values
 from isd_gym.diagnosis.selection.settings import SearchSettings
 from isd_gym.diagnosis.simulation.problem import Problem, Record
@@ -110,6 +111,36 @@ def test_damping_and_stiffness_that_differ_are_found(path, values, groups):
     assert [q.value for q in p.values] == pytest.approx(values, rel=1e-2)
 
 
+def test_a_coast_down_that_slows_faster_is_found():
+    """A flywheel whose bearing drags more in one record; its motion has no period."""
+
+    def wheel(damping):
+        return Network.load(
+            {
+                "schema": "isd-model/1",
+                "name": "wheel",
+                "inertias": {"wheel": 2.0},
+                "elements": [
+                    {"name": "bearing", "type": "linear_damping", "between": ["wheel", "ground"], "damping": damping}
+                ],
+                "outputs": [{"name": "speed", "quantity": "angular_velocity", "at": "wheel", "unit": "rad/s"}],
+                "uncertainty": {"bearing.damping": 0.5},
+            }
+        )  # fmt: skip
+
+    records, rng = [], np.random.default_rng(5)
+    for k, damping in enumerate((0.02, 0.02, 0.03)):
+        time = 0.5 * np.arange(800)
+        speed = (60.0 - 5.0 * k) * np.exp(-damping / 2.0 * time) + 0.02 * rng.standard_normal(len(time))
+        records.append(Record("abc"[k], 0.5, {}, speed[:, None]))
+    network = wheel(0.024)
+    structure = base_structure(network)
+    found = find_record_differences(Problem(network, records), structure, structure.start, np.array([0.02]))
+    (p,) = found.parameters
+    assert p.path == "bearing.damping" and p.groups == (0, 0, 1)
+    assert [q.value for q in p.values] == pytest.approx([0.02, 0.02, 0.03], rel=5e-3)
+
+
 def test_two_parameters_that_differ_are_found():
     second = rig(mass__mass=2.5, damper__damping=16.0)
     found = search([measure(rig(), "a", 1), measure(second, "b", 2), measure(rig(), "c", 3)])
@@ -170,6 +201,19 @@ def test_fits_of_groups_are_those_of_all_records_and_of_each_alone():
         assert alone.x[k] == pytest.approx(expected.x, rel=1e-6)
 
 
+def test_an_explanation_that_halves_the_error_of_another_is_far_better():
+    assert is_far_better(0.99, 0.8) and not is_far_better(0.99, 0.97)
+    assert not is_far_better(0.42, 0.41) and not is_far_better(0.41, 0.42)
+    assert is_far_better(1.02, 0.95) and not is_far_better(1.02, 0.97)  # no better than noise
+
+
+def test_records_with_one_name_are_kept_apart(loaded):
+    found = search([replace(r, name="run") for r in loaded])
+    (mass,) = found.parameters
+    assert found.records == ("run", "run", "run") and sorted(mass.groups) == [0, 0, 1]
+    assert len(found.to_dict()["amplitude"]) == 3
+
+
 def test_neighbouring_values_that_do_not_differ_have_one_group():
     deviations, freedom = np.full(4, 0.1), np.full(4, 7.0)
     assert group_values(np.array([5.0, 1.0, 1.1, 5.1]), deviations, freedom) == (1, 0, 0, 1)
@@ -184,7 +228,7 @@ def test_a_law_that_explains_nearly_as_much_is_told_and_the_amplitudes_are():
     ]
     found = {
         "parameters": [{"path": "damper.damping", "unit": "N s/m", "prior": 9.0, "values": values}],
-        "amplitude": {"a": {"position": 1.0}, "b": {"position": 2.0}, "c": {"position": 1.1}},
+        "amplitude": [{"position": 1.0}, {"position": 2.0}, {"position": 1.1}],
         "explained": 0.5,
         "law": "quadratic damping between mass and ground",
         "explained_by_law": 0.45,
@@ -199,7 +243,7 @@ def test_a_law_that_explains_nearly_as_much_is_told_and_the_amplitudes_are():
     clear = found | {
         "tied": False,
         "explained_by_law": 0.03,
-        "amplitude": {key: {"position": 1.0} for key in "abc"},
+        "amplitude": 3 * [{"position": 1.0}],
     }
     told = _record_differences({"record_differences": clear})
     assert "No known law removes more than 3 %." in told and "decide" not in told and "amplitude" not in told

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 SCHEMA = "isd-diagnosis/1"
 #: share of the gain of values per record from which on a law is nearly as good
 TIED = 0.8
+#: ratio of the squared errors beyond noise that two explanations leave, from which on one is far better; least error that counts
+FAR, LEAST_LEFT = 4.0, 0.01
 #: argument of a force without a known law
 Over = Literal["rate", "elongation", "both"]
 #: kind, mark and parts of the folder of a diagnosis, with its report
@@ -335,6 +337,16 @@ class DifferingParameter:
     groups: tuple[int, ...]
 
 
+def is_far_better(explained: float, other: float) -> bool:
+    """Return whether an explanation leaves a far smaller error than another: half of the RMS error beyond noise.
+
+    Args:
+        explained: Share of the squared error beyond noise that the explanation removes.
+        other: Share that the other explanation removes.
+    """
+    return 1.0 - other >= FAR * max(1.0 - explained, LEAST_LEFT)
+
+
 @dataclass(frozen=True)
 class RecordDifferences:
     """Parameters that differ between records.
@@ -346,7 +358,7 @@ class RecordDifferences:
     parameters: tuple[DifferingParameter, ...]
     #: names of the records
     records: tuple[str, ...]
-    #: standard deviation of the measured signals of each record, by channel
+    #: standard deviation of the measured signals of each record, by channel, in the order of `records`
     amplitude: tuple[dict[str, float], ...]
     #: share of the squared error beyond noise that one value per record removes
     explained: float
@@ -361,7 +373,8 @@ class RecordDifferences:
     @property
     def is_tied(self) -> bool:
         """Whether a law removes nearly as much as values per record."""
-        return self.explained_by_law is not None and self.explained_by_law >= TIED * self.explained
+        law = self.explained_by_law
+        return law is not None and law >= TIED * self.explained and not is_far_better(self.explained, law)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
@@ -378,7 +391,7 @@ class RecordDifferences:
                 }
                 for p in self.parameters
             ],
-            "amplitude": dict(zip(self.records, self.amplitude, strict=True)),
+            "amplitude": list(self.amplitude),
             "explained": self.explained,
             "law": self.law,
             "explained_by_law": self.explained_by_law,

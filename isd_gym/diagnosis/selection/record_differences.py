@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import t as student
 
+from ..estimation.initial_states import next_states
 from ..estimation.noise import white_filters
 from ..estimation.recordwise import RecordwiseFitter
-from ..result import DifferingParameter, Quantity, RecordDifferences
+from ..result import DifferingParameter, Quantity, RecordDifferences, is_far_better
 from ..simulation.problem import BROKEN, Problem
 
 if TYPE_CHECKING:
@@ -32,8 +33,12 @@ if TYPE_CHECKING:
     from ..estimation.structure import Structure
     from ..simulation.problem import Record
 
-#: largest and smallest number of stretches of a record; least length as a multiple of the time scale (three periods), and in samples
-MOST_STRETCHES, LEAST_STRETCHES, LEAST_TIME, LEAST_SAMPLES = 8, 4, 20.0, 50
+#: largest and smallest number of stretches of a record
+MOST_STRETCHES, LEAST_STRETCHES = 8, 4
+#: length of a stretch as a multiple of the time scale (three periods), and the least length of the stretches of a short record
+USUAL_TIME, LEAST_TIME = 20.0, 1.0
+#: least number of samples of a stretch
+LEAST_SAMPLES = 50
 #: largest number of parameters that differ; sets of each size that are fitted
 MOST_DIFFERING, SETS = 2, 2
 #: squared error of one value for all records, over that of noise, below which no difference is searched
@@ -42,13 +47,16 @@ LEAST_GAP = 2.0
 LEAST_EXPLAINED = 0.35
 #: share of the largest gain that a set of parameters must reach
 MOST_OF_GAIN = 0.75
-#: gain of a law over the gain of values per record, above which the law goes before the difference; share of the squared error beyond noise
-#: of a law that goes before every difference
-LAW_BETTER, LAW_ADEQUATE = 1.1, 0.75
+#: gain of a law over the gain of values per record, above which the law goes before the difference
+LAW_BETTER = 1.1
+#: share of the squared error beyond noise from which on a law goes before, unless values per record leave far less (`is_far_better`)
+LAW_ADEQUATE = 0.75
 #: probability of a chance difference between two records, for the first difference and for a further group
 CHANCE, CHANCE_WITHIN = 1e-3, 1e-2
 #: smallest material difference, as the distance of logarithms or relative to the value
 LEAST_DIFFERENCE = 0.02
+#: largest number of steps of the fit of an initial state
+STATE_STEPS = 8
 #: noise of the first fit, as a share of the deviation of a channel
 FIRST_NOISE = 0.05
 
@@ -88,7 +96,9 @@ def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
     groups, names, deviations = [], [], []
     # sorted by content: results do not depend on the order of the files
     for r in sorted(loose.records, key=lambda r: (r.name, r.measured.shape, r.measured.tobytes())):
-        count = int(min(MOST_STRETCHES, len(r) * r.rate / (LEAST_TIME * whole.time), len(r) // LEAST_SAMPLES))
+        times = len(r) * r.rate / whole.time
+        count = int(min(MOST_STRETCHES, max(times / USUAL_TIME, LEAST_STRETCHES)))
+        count = min(count, int(times / LEAST_TIME), len(r) // LEAST_SAMPLES)
         count -= count % 2
         if count < LEAST_STRETCHES:
             continue
@@ -129,9 +139,10 @@ class RecordComparison:
         self.weights = np.maximum(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)), self.noise)
         self.fitter = RecordwiseFitter(p, white_filters(self.weights))
         self.joint = self._fit(self.fitter, self.structure, joint.x[0])
-        #: mean square over the channels, relative to the weights
-        self.joint_error = self.error(self.joint)
-        self.noise_error = float(np.mean((self.noise / self.weights) ** 2))
+        #: squared errors of one value for all records on the stretches for comparison (channels,)
+        self.joint_squares = self.squares(self.joint)
+        #: square of the noise (channels,); at most the smallest squared error of a fit, since a bound of the noise may contain motion
+        self.floor = np.minimum(self.noise**2, self.joint_squares)
 
     def _fit(
         self, fitter: RecordwiseFitter, structure: Structure, x: Array, own: NDArray[np.bool_] | None = None
@@ -141,19 +152,31 @@ class RecordComparison:
 
     def squares(self, fit: RecordwiseFit) -> Array:
         """Return the mean squared errors on the stretches for comparison (channels,), initial states from each stretch."""
-        rows, records = [], self.stretches.problem.records
-        for x, group in zip(fit.x, self.stretches.compared, strict=True):
-            found = self.fitter.follow(fit.structure, x, group)
-            rows += [records[i].measured - found.outputs[i] for i in group]
+        rows, problem = [], self.stretches.problem
+        for x, at, group in zip(fit.x, fit.points, self.stretches.compared, strict=True):
+            # each stretch for comparison follows a fitted one, whose final state is a further start
+            ends = next_states(problem, fit.structure, x, at.initial)
+            known = {i: ends[i - 1] for i in group}
+            found = self.fitter.follow(fit.structure, x, group, None, (known,), iterations=STATE_STEPS)
+            rows += [problem.records[i].measured - found.outputs[i] for i in group]
         return np.asarray(np.mean(np.concatenate(rows) ** 2, axis=0), dtype=np.float64)
 
-    def error(self, fit: RecordwiseFit) -> float:
-        """Return the mean over channels of the squared error on the stretches for comparison, relative to the weights."""
-        return float(np.mean(self.squares(fit) / self.weights**2))
+    def mean(self, squares: Array) -> float:
+        """Return the mean over channels of squared errors (channels,), relative to the weights."""
+        return float(np.mean(squares / self.weights**2))
 
-    def explained(self, error: float) -> float:
-        """Return the share of the squared error beyond noise of the joint fit that another error leaves out."""
-        return (self.joint_error - error) / max(self.joint_error - self.noise_error, 1e-12)
+    def lower_floor(self, squares: Array) -> None:
+        """Lower the noise to the squared errors (channels,) of a fit."""
+        self.floor = np.minimum(self.floor, squares)
+
+    def explained(self, squares: Array) -> float:
+        """Return the share of the squared error beyond noise of the joint fit that a fit removes.
+
+        Args:
+            squares: Squared errors of the fit on the stretches for comparison (channels,).
+        """
+        joint, noise = self.mean(self.joint_squares), self.mean(self.floor)
+        return (joint - self.mean(squares)) / max(joint - noise, 1e-12)
 
     def fit_with_own(self, names: Sequence[int]) -> RecordwiseFit:
         """Fit with one value per record of some parameters.
@@ -165,14 +188,14 @@ class RecordComparison:
         own[list(names)] = True
         return self._fit(self.fitter, self.structure, self.joint.x[0], own)
 
-    def error_of_law(self, structure: Structure, x: Array) -> float:
-        """Return the error of a model with more effects, with one value for all records.
+    def squares_of_law(self, structure: Structure, x: Array) -> Array:
+        """Return the squared errors (channels,) of a model with more effects, with one value for all records.
 
         Args:
             structure: The model.
             x: Start values (parameters,), transformed.
         """
-        return self.error(self._fit(self.fitter, structure, x))
+        return self.squares(self._fit(self.fitter, structure, x))
 
     def expected_gains(self, size: int) -> list[tuple[float, tuple[int, ...]]]:
         """Return sets of parameters with their gain of one value per record, to first order, largest gain first.
@@ -215,13 +238,20 @@ class RecordComparison:
             Values, transformed (records,), deviations (records,), degrees of freedom (records,).
         """
         groups = self.stretches.groups
-        final = self.fitter.fit_groups(fit.structure, fit.x, groups, fit.own)
+        rows = [
+            self.stretches.problem.records[i].measured - at.outputs[i]
+            for at in fit.points
+            for i in at.outputs
+        ]
+        noise = np.maximum(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)), np.sqrt(self.floor))
+        fitter = RecordwiseFitter(self.stretches.problem, white_filters(noise))
+        final = fitter.fit_groups(fit.structure, fit.x, groups, fit.own)
         own = np.flatnonzero(fit.own)
         k = int(np.flatnonzero(own == name)[0])
         deviation = np.empty(len(groups))
         for n, (at, slopes) in enumerate(zip(final.points, final.slopes, strict=True)):
-            scores = np.array([g[own] for g in self.fitter.gradient(at, slopes).values()])
-            each = np.array([h[np.ix_(own, own)] for h in self.fitter.information(slopes).values()])
+            scores = np.array([g[own] for g in fitter.gradient(at, slopes).values()])
+            each = np.array([h[np.ix_(own, own)] for h in fitter.information(slopes).values()])
             inverse = np.linalg.pinv(each.sum(axis=0))
             # the prior leaves a gradient at the optimum
             scores = scores - each @ (inverse @ scores.sum(axis=0))
@@ -297,39 +327,38 @@ def find_record_differences(
     try:
         comparison = RecordComparison(stretches, structure, x, noise)
         every = tuple(range(len(structure.free)))
-        if comparison.joint_error < LEAST_GAP * comparison.noise_error:
-            return None
         alone = comparison.fit_with_own(every)
-        alone_error = comparison.error(alone)
-        fits = {every: (alone, alone_error)}
-        if not comparison.explained(alone_error) >= 0.5 * LEAST_EXPLAINED:
-            return None
+        fits = {every: (alone, comparison.squares(alone))}
+        comparison.lower_floor(fits[every][1])
         for size in range(1, min(MOST_DIFFERING, len(every) - 1) + 1):
             for _, names in comparison.expected_gains(size)[:SETS]:
                 fit = comparison.fit_with_own(names)
-                fits[names] = fit, comparison.error(fit)
-        best = min(error for _, error in fits.values())
-        needed = max(LEAST_EXPLAINED, MOST_OF_GAIN * comparison.explained(best))
-        enough = [
-            (len(names), error, names)
-            for names, (_, error) in fits.items()
-            if comparison.explained(error) >= needed and len(names) <= MOST_DIFFERING
-        ]
+                fits[names] = fit, comparison.squares(fit)
+                comparison.lower_floor(fits[names][1])
+                gains = {key: comparison.explained(squares) for key, (_, squares) in fits.items()}
+                # where values per record gain little, no further set is tried
+                if not max(gains.values()) >= 0.5 * LEAST_EXPLAINED:
+                    return None
+        if comparison.mean(comparison.joint_squares) < LEAST_GAP * comparison.mean(comparison.floor):
+            return None
+        gains = {key: comparison.explained(squares) for key, (_, squares) in fits.items()}
+        needed = max(LEAST_EXPLAINED, MOST_OF_GAIN * max(gains.values()))
+        enough = [(len(k), -g, k) for k, g in gains.items() if g >= needed and len(k) <= MOST_DIFFERING]
         if not enough:
             return None
-        _, error, names = min(enough)
+        names = min(enough)[2]
         found = tuple(p for k in names if (p := _differing(comparison, fits[names][0], k)) is not None)
         if not found:
             return None
-        gain = comparison.explained(error)
+        gain = gains[names]
         law, by_law = _best_law(comparison, laws)
-        if by_law is not None and (by_law > LAW_BETTER * gain or by_law >= LAW_ADEQUATE):
+        least = min(LAW_BETTER * gain, LAW_ADEQUATE)
+        if by_law is not None and by_law >= least and not is_far_better(gain, by_law):
             return None
-        deviation = comparison.deviation
         squares = {
-            "joint": comparison.squares(comparison.joint),
-            "differing": comparison.squares(fits[names][0]),
-            "alone": comparison.squares(alone),
+            "joint": comparison.joint_squares,
+            "differing": fits[names][1],
+            "alone": fits[every][1],
         }
     except BROKEN:
         return None
@@ -343,7 +372,10 @@ def find_record_differences(
         law,
         by_law,
         {
-            stage: {c: float(v) for c, v in zip(whole.channels, np.sqrt(square) / deviation, strict=True)}
+            stage: {
+                c: float(v)
+                for c, v in zip(whole.channels, np.sqrt(square) / comparison.deviation, strict=True)
+            }
             for stage, square in squares.items()
         },
     )
@@ -356,7 +388,7 @@ def _best_law(
     found = []
     for name, structure, x in laws:
         try:
-            found.append((comparison.explained(comparison.error_of_law(structure, x)), name))
+            found.append((comparison.explained(comparison.squares_of_law(structure, x)), name))
         except BROKEN:
             continue
     if not found:

@@ -327,9 +327,15 @@ def _title(d: Mapping[str, Any]) -> str:
             if verdict == "no_discrepancy"
             else "Parameters were off; no effect is missing"
         )
-    if d["reason"] == "records_differ":
-        names = " and ".join(_parameter_name(p["path"]) for p in d["record_differences"]["parameters"])
-        return f"The records differ: {names} changes from record to record"
+    differences = d.get("record_differences")
+    if differences:
+        names = " and ".join(_parameter_name(p["path"]) for p in differences["parameters"])
+        change = (
+            f"{names} {'change' if len(differences['parameters']) > 1 else 'changes'} from record to record"
+        )
+        return (
+            f"An effect is missing, or {change}" if differences["tied"] else f"The records differ: {change}"
+        )
     if verdict == "unknown_effect" and d.get("not_tried"):
         return "An effect is missing; the time limit ended the search for it"
     kinds, places = _likely_kinds(d), _certain_places(d)
@@ -603,14 +609,12 @@ def _record_differences(d: Mapping[str, Any]) -> str:
 
 def _amplitudes(found: Mapping[str, Any]) -> str:
     """Return a sentence where the groups of records also differ in the size of the motion; empty where they do not."""
-    amplitude, groups = found["amplitude"], found["parameters"][0]["values"]
-    count = 1 + max(v["group"] for v in groups)
+    groups = np.array([v["group"] for v in found["parameters"][0]["values"]])
     ratios = {}
-    for c in next(iter(amplitude.values())):
-        means = [
-            np.mean([amplitude[v["record"]][c] for v in groups if v["group"] == k]) for k in range(count)
-        ]
-        ratios[c] = float(max(means) / max(min(means), 1e-300))
+    for c in found["amplitude"][0]:
+        values = np.array([row[c] for row in found["amplitude"]])
+        means = [float(np.mean(values[groups == k])) for k in range(1 + max(groups))]
+        ratios[c] = max(means) / max(min(means), 1e-300)
     channel = max(ratios, key=lambda c: ratios[c])
     if ratios[channel] < UNLIKE:
         return ""
