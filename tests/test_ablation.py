@@ -15,6 +15,8 @@ from search_ablation import SELECTION, VARIATIONS, varied
 from isd_gym.diagnosis.selection.criteria import CRITERIA
 from isd_gym.diagnosis.selection.settings import SearchSettings
 
+pytestmark = pytest.mark.tools
+
 
 @pytest.mark.parametrize("variation", VARIATIONS, ids=lambda v: f"{v.target} {v.label}")
 def test_a_variation_changes_its_target_and_is_undone(variation):

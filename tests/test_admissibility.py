@@ -42,6 +42,7 @@ def coast_down(speed: float, seed: int, friction: float, drag: float) -> Table:
     return Table(time, {"speed": found.y[0] + noise}, f"run{seed}")
 
 
+@pytest.mark.slow
 def test_a_coast_down_whose_speed_alone_is_measured_shows_no_spring() -> None:
     runs = [coast_down(v, k, 4.0, 0.003) for k, v in enumerate((42.0, 43.0, 39.0, 45.0))]
     d = diagnose(runs[:2], DRUM, validate=runs[2:])

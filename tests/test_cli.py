@@ -323,6 +323,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("then", ["raise RuntimeError('no compiled object yet')", "time.sleep(20)"])
 def test_ctrl_c_in_a_callback_that_swallows_it(then):
@@ -342,6 +343,7 @@ def test_ctrl_c_in_a_callback_that_swallows_it(then):
     assert (done.returncode, done.stderr) == (130, "isd-gym: stopped\n")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="its devices")
 def test_the_answer_into_a_pipe_a_full_disk_or_a_link(tmp_path):
     """A device is written into, not replaced; a link stays one; what cannot be written is one line."""

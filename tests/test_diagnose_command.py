@@ -292,6 +292,7 @@ def limited(
     return o.document, o
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "left_out", "verdict"),
     [
@@ -432,6 +433,7 @@ def test_a_unit_for_co_simulation(files: Path, tmp_path: Path) -> None:
     assert "spring.stiffness" in {e.get("name") for e in values.iter()}
 
 
+@pytest.mark.slow
 def test_a_fleet(files: Path, library: None, tmp_path: Path) -> None:
     cases = tmp_path / "cases"
     for date, level in (("2024-05-01", 12.0), ("2024-07-01", 18.0)):

@@ -64,6 +64,7 @@ def of_family(kind: str, seed: int, **settings) -> Diagnosis:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "static", "level"), [(305, 87.3 + 1.5, 42.3 + 1.5), (306, 166e3 + 3e3, 64.5e3 + 3e3)]
 )
@@ -78,12 +79,14 @@ def test_a_law_that_alone_removes_what_is_left_is_not_given_up_for_its_special_c
     assert values["level"] == pytest.approx(level, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_held_out_stretch_that_begins_where_friction_holds_is_begun_twice() -> None:
     # behind filters the first of them began with a rate that nothing shows, and the right law was given up for plain friction
     d = of_family("shaken.stribeck", 309)
     assert named(d) == {("stribeck_friction", frozenset({"mass", "base"}))}
 
 
+@pytest.mark.slow
 def test_an_effect_whose_sign_the_score_test_misses_is_begun_either_way() -> None:
     # beside friction, small steps say little of a softening spring, and its sign wrongly: it was never begun the other way
     d = of_family("decay.friction_and_sine", 312)
@@ -92,6 +95,7 @@ def test_an_effect_whose_sign_the_score_test_misses_is_begun_either_way() -> Non
     assert laws["cubic_stiffness"].parameters["stiffness"].value < 0
 
 
+@pytest.mark.slow
 def test_a_force_that_is_large_only_while_a_decay_begins_keeps_its_name() -> None:
     d = of_family("decay.quadratic", 306)
     assert named(d) == {("quadratic_damping", frozenset({"mass", "ground"}))}
@@ -138,6 +142,7 @@ def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins() -
     assert not is_lightly_damped(Network.load("quarter-car-isd"))
 
 
+@pytest.mark.slow
 def test_records_driven_harder_than_those_fitted_to_do_not_hide_what_was_found() -> None:
     d = of_family("shaken_acc.friction_ground", 305)
     assert named(d) == {("coulomb_friction", frozenset({"mass", "ground"}))}
@@ -152,6 +157,7 @@ def test_a_law_that_nobody_wrote_down_is_a_table_and_not_a_sum_of_known_ones() -
     assert d.tabulated is not None and set(d.tabulated.between) == {"mass", "base"}
 
 
+@pytest.mark.slow
 def test_sums_do_not_depend_on_the_number_of_cores() -> None:
     from threadpoolctl import threadpool_info
 
@@ -362,6 +368,7 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     assert score.nrmse < 0.02  # 0.011 of it noise
 
 
+@pytest.mark.slow
 def test_a_score_is_a_function_of_its_arguments() -> None:
     """Initial states of held-out records come from the scores that are given, whatever was scored before."""
     from isd_gym.diagnosis.records import read_record, split_records
@@ -646,6 +653,7 @@ def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
     assert not in_line(car, ("body", "wheel"), ("body", "piston"))
 
 
+@pytest.mark.slow
 def test_friction_is_not_lost_to_a_stribeck_curve_that_rises() -> None:
     """The decay's fit with plain friction ended in the wrong place; it begins again where the curve's fit ended."""
     d, case = run("decay_friction", 61)
@@ -654,6 +662,7 @@ def test_friction_is_not_lost_to_a_stribeck_curve_that_rises() -> None:
     assert d.closed is not None and d.closed > 0.9
 
 
+@pytest.mark.slow
 def test_a_damper_that_differs_by_direction_is_named_beside_one_that_is_hardly_known() -> None:
     """What both directions have in common may be the owner's damper; by how much they differ is the effect."""
     time, rng = 5e-3 * np.arange(2400), np.random.default_rng(3)

@@ -18,6 +18,8 @@ from isd_gym import commands as cli
 from isd_gym.common.plugins import COMMANDS, plugins
 from isd_gym.physics import elements
 
+pytestmark = pytest.mark.tools
+
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 RESULTS = ROOT / "docs" / "results.py"

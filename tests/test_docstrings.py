@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.tools
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("isd_gym", "baselines", "agents")
 #: compiled functions; the diagnosis, of which only the documented names are checked; the readers of a helper process; a program

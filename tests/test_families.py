@@ -15,6 +15,8 @@ from reference import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
+pytestmark = pytest.mark.tools
+
 OSCILLATOR = {
     "masses": {"mass": 2.0},
     "elements": [

@@ -134,6 +134,7 @@ def test_an_open_loop_is_no_feedback(kind: str, stiffness: float) -> None:
         assert find_feedback([as_record(push, position)], cart(stiffness)) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["bang-bang", "linear"])
 @pytest.mark.parametrize("stiffness", [0.0, 20.0])
 def test_feedback_is_found(law: str, stiffness: float) -> None:
@@ -197,6 +198,7 @@ def test_every_rig_in_open_loop_is_seen_as_such() -> None:
     assert {name for name, f in found.items() if f} == {"cart_feedback"}
 
 
+@pytest.mark.slow
 def test_where_brief_stretches_decide_nothing_whole_records_under_feedback_are_not_compared() -> None:
     def run(seed: int) -> Table:
         push, position = controlled("linear", seed=seed, friction=0.3)

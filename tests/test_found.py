@@ -63,6 +63,7 @@ def place(request, tmp_path_factory):
     return base
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "answer"), [(MAKE, "(6,)"), (IMPORT, "3"), (LATE, "3")], ids=["make", "import", "late"]
 )
@@ -136,6 +137,7 @@ def test_own_plugins_are_those_of_pyproject():
     assert {g: v for g, v in declared.items() if g.startswith("isd_gym.")} == plugins.OWN
 
 
+@pytest.mark.slow
 def test_folders_are_imported_by_their_installed_names():
     """A second copy under the name of the source folder would have classes of its own."""
     for folder in ("isd_gym", "agents", "baselines", "tests", "docs", "examples", "benchmarks"):

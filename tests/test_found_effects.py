@@ -120,6 +120,7 @@ TURNED = {
 }
 
 
+@pytest.mark.slow
 def test_cogging_of_a_shaft_has_a_whole_number_of_periods_a_turn():
     # 126 periods in the record that is fitted and 700 in the other: a pitch that is off by 0.1 % would be lost there
     long = turned(4, seconds=60.0, turns=50.0)
@@ -142,6 +143,7 @@ def sines(rng, t, band=(0.3, 3.0), count=8):
     return x / x.std(), v / x.std()
 
 
+@pytest.mark.slow
 def test_a_damper_that_gives_way_at_speed_is_named():
     model = {
         "schema": "isd-model/1",
@@ -202,23 +204,16 @@ def driven(seed, law=lambda u: u, sense=lambda y: y, band=(0.2, 2.0), noise=2e-3
     return Table(t[inside], {"current": u[inside], "speed": y[inside], "place": place[inside]}, f"cart{seed}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "place", "how", "expected"),
     [
         ("drive_dead_zone", "motor", {"law": lambda u: u - np.clip(u, -0.4, 0.4)}, ("threshold", 0.4)),
         ("quadratic_thrust", "motor", {"law": lambda u: u * np.abs(u) / 1.5}, ("reference", 1.5)),
-        pytest.param(
-            "sensor_magnitude", "speed", {"sense": np.abs}, None, marks=pytest.mark.slow
-        ),
-        pytest.param(
-            "sensor_dead_zone",
-            "speed",
-            {"sense": lambda y: y - np.clip(y, -0.05, 0.05)},
-            ("width", 0.05),
-            marks=pytest.mark.slow,
-        ),
+        ("sensor_magnitude", "speed", {"sense": np.abs}, None),
+        ("sensor_dead_zone", "speed", {"sense": lambda y: y - np.clip(y, -0.05, 0.05)}, ("width", 0.05)),
     ],
-)  # fmt: skip
+)
 def test_a_law_of_the_drive_or_of_the_sensor_is_named(effect, place, how, expected):
     found = diagnose([driven(1, **how)], CART, validate=[driven(2, **how)])
     assert named(found) == {(effect, place if place == "speed" else ("cart", "ground"))}
@@ -226,6 +221,7 @@ def test_a_law_of_the_drive_or_of_the_sensor_is_named(effect, place, how, expect
         assert values(found)[expected[0]] == pytest.approx(expected[1], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [6, -6])
 def test_a_channel_that_lags_or_leads_is_named_with_its_delay(samples):
     # another channel tells that it is not the drive
@@ -276,6 +272,7 @@ WARM = {
 }
 
 
+@pytest.mark.slow
 def test_damping_that_falls_with_a_logged_temperature_is_named_with_its_slope():
     found = diagnose([warmed(1, "damping")], WARM, validate=[warmed(2, "damping")])
     assert named(found) == {("scheduled_damping", ("cart", "ground"))}

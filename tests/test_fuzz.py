@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.tools
+
 PATH = Path(__file__).parents[1] / "benchmarks" / "fuzz.py"
 spec = importlib.util.spec_from_file_location("fuzz", PATH)
 fuzz = importlib.util.module_from_spec(spec)

@@ -15,6 +15,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import grading
 
+pytestmark = pytest.mark.tools
+
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 GROUND = ["mass", "ground"]
 

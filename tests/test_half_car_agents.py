@@ -426,8 +426,15 @@ class Killed(Exception):
 
 @needs_sb3
 @pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn of themselves
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-@both
+@pytest.mark.parametrize(
+    ("algorithm", "network"),
+    [
+        ("ppo", "half-car-isd"),
+        pytest.param("sac", "half-car-isd", marks=pytest.mark.slow),
+        pytest.param("ppo", "full-car-isd", marks=pytest.mark.slow),
+        pytest.param("sac", "full-car-isd", marks=pytest.mark.slow),
+    ],
+)
 def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_path):
     """Killed half-way, a run goes on from its checkpoint, twice to the same result; its policy drives and is scored."""
     from isd_gym.agents.train import train

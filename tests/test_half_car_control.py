@@ -141,6 +141,7 @@ def test_limits_hold_on_the_worst_road(name, net):
         assert not terminated.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mpc-friction", *baselines.WHOLE_CAR])
 def test_no_observation_breaks_a_controller(name):
     """Nonsense, not-a-number and infinity in; finite currents within the limits out; and it recovers."""

@@ -173,7 +173,8 @@ def test_there_are_sixteen_effects_at_either_axle_and_three_clean_cars() -> None
     assert corners.count("front") == corners.count("rear") == 8
 
 
-@pytest.mark.parametrize("end", ["front", pytest.param("rear", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("end", ["front", "rear"])
 def test_a_damper_that_differs_by_direction_is_named_at_its_corner(end) -> None:
     """The model's parameters are off by 2 %, the sensors' noise is 1 %; two candidates reach the whole records of 6 s."""
     rig, r = replace(car(6), size=1200), np.random.default_rng(6)

@@ -13,6 +13,8 @@ from reference import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
+pytestmark = pytest.mark.tools
+
 
 def element(model: dict[str, Any], name: str) -> dict[str, Any] | None:
     return next((e for e in model["elements"] if e.get("name") == name), None)

@@ -189,6 +189,7 @@ def test_friction_is_named_beside_a_noisy_encoder() -> None:
     assert level.low < 4.0 < level.high
 
 
+@pytest.mark.slow
 def test_the_direct_problem_names_what_the_inverse_one_cannot() -> None:
     tables = []
     for k in range(4):

@@ -12,6 +12,8 @@ import pytest
 
 from isd_gym.env.environment import STEP_INFO
 
+pytestmark = pytest.mark.tools
+
 NAME = "ISDSuspension-v0"
 CARS, STEPS = 3, 30
 KEYS = {"speed", "cost", *STEP_INFO}

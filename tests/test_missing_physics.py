@@ -16,6 +16,8 @@ import pytest
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 
+pytestmark = pytest.mark.tools
+
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 GROUND = ["mass", "ground"]
 FRICTION = {"law": "coulomb_friction", "place": GROUND}

@@ -12,6 +12,8 @@ from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
 
+pytestmark = pytest.mark.tools
+
 RIG = {
     "schema": "isd-model/1",
     "name": "rig",

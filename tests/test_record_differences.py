@@ -249,6 +249,7 @@ def test_a_law_that_explains_nearly_as_much_is_told_and_the_amplitudes_are():
     assert "No known law removes more than 3 %." in told and "decide" not in told and "amplitude" not in told
 
 
+@pytest.mark.slow
 def test_a_diagnosis_states_the_payload(loaded, tmp_path):
     tables = [Table(r.time, {"push": r.inputs["push"], "position": r.measured[:, 0]}, r.name) for r in loaded]
     found = diagnose(tables, rig(), settings=SearchSettings(depth=1, turns=0))

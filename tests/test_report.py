@@ -122,6 +122,8 @@ def evidence_of(gap: dict[str, dict[str, float]], *effects: EffectEvidence, expl
 
 FIGURES = ("loops", "other_loops", "gap", "time", "residuals", "spectra", "plane", "law", "parameters")
 #: every kind of page of a diagnosis: its verdict and whether a table of the missing force is found
+#: verdicts whose pages every run of the tests writes
+QUICK = ("missing_effect", "unknown_effect with a table")
 KINDS = {
     "missing_effect": "missing_effect",
     "no_discrepancy": "no_discrepancy",
@@ -547,7 +549,9 @@ def test_every_effect_of_the_library_has_a_test_that_could_refute_it():
     from isd_gym.physics.elements import parameter_fields
 
     kept = {"motor"}
-    tests = {name: cls.test for name, cls in TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")}
+    tests = {
+        name: cls.test for name, cls in TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")
+    }
     assert {name for name, text in tests.items() if text} == set(tests) - kept
     for name, text in tests.items():
         named = {field for _, field, _, _ in string.Formatter().parse(text) if field}
@@ -838,7 +842,9 @@ def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(told, tmp_p
     assert Network.load("found/model.json").element("seal").level == LEVEL
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in KINDS]
+)
 def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypatch, kind):
     """The command from records to files, with a given result in place of the search, which takes minutes."""
     monkeypatch.chdir(tmp_path)

@@ -179,6 +179,7 @@ def estimates(ground, speed, step, *, roads=24, length=8000.0, metres=500.0):
     return n[1:], *(t[1:] / whitening for t in totals)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
 @pytest.mark.parametrize(("speed", "step"), [(10.0, 2e-3), (30.0, 1e-3)])
 def test_realisations_have_the_density_and_the_coherence(ground, speed, step):

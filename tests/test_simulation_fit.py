@@ -201,6 +201,7 @@ def test_the_summary_tells_both_estimates() -> None:
 # ------------------------------------------------------------------------------------------------ model.json
 
 
+@pytest.mark.slow
 def test_a_diagnosed_oscillator_reads_like_its_sensor(tmp_path: Path) -> None:
     """The completed model predicts a new record in the units of the sensor, offset included."""
     found = diagnose([record(4)], duffing(stiffness=1.03 * STIFFNESS))

@@ -23,6 +23,7 @@ def shell(command, cwd, **variables):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_lose_nothing(closed, tmp_path):
     done = shell(f"{SCORE} --json s.json {closed}", tmp_path)
@@ -31,6 +32,7 @@ def test_closed_streams_lose_nothing(closed, tmp_path):
     assert json.loads((tmp_path / "s.json").read_text())["schema"] == "isd-score/1"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "variables",
     [
@@ -54,6 +56,7 @@ def test_what_an_encoding_lacks_keeps_its_width(monkeypatch):
     assert b"\xff.csv".decode("utf-8", "surrogateescape").encode("utf-8", PLAINER) == b"\\udcff.csv"
 
 
+@pytest.mark.slow
 def test_a_notebooks_backend_of_matplotlib_does_no_harm(tmp_path):
     backend = "module://matplotlib_inline.backend_of_another_environment"
     done = shell(f"{SCORE} --report page", tmp_path, MPLBACKEND=backend)
@@ -84,6 +87,7 @@ def damaged(data: bytes, how: str) -> bytes:
     return {"empty": b"", "half": data[: len(data) // 2], "flipped": flipped}[how]
 
 
+@pytest.mark.slow
 def test_a_damaged_kernel_is_compiled_again(tmp_path):
     """Whatever happened to the files; the result is right, the files are mended, and the next call reads them."""
     (tmp_path / "own.py").write_text(textwrap.dedent(FUNCTION))
@@ -115,6 +119,7 @@ def limited():
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "named"),
     [

@@ -352,6 +352,7 @@ def test_a_file_that_does_not_run_is_one_line(tmp_path, monkeypatch, capsys):
 SHORT = dict(references=["skyhook"], roads=2, duration=0.5, verbose=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["PPO", "SAC", "TD3", "TQC"])
 @pytest.mark.parametrize("is_normalized", [False, True])
 @pytest.mark.filterwarnings("ignore")

@@ -137,6 +137,7 @@ def test_every_held_out_record_with_inputs_gives_segments_to_both_roles() -> Non
     assert roles == ["fit", "choose", "choose"]
 
 
+@pytest.mark.slow
 def test_the_order_of_validation_files_of_one_segment_changes_nothing() -> None:
     network, runs = tables(4)
     told = []

@@ -22,6 +22,8 @@ from isd_gym.diagnosis.verdict.wording import (
     unit_summary_of,
 )
 
+pytestmark = pytest.mark.tools
+
 FRICTION = {
     "effect": "coulomb_friction",
     "between": ["mass", "ground"],

@@ -103,6 +103,7 @@ def _costs(name: str, episodes: int) -> np.ndarray:
     return drive(find(name, net), net, episodes=episodes).cost(StageCost())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lqg", "mpc-friction", "mpc-friction-preview"])
 def test_no_controller_is_better_on_the_first_roads(name):
     known = oracle.reference(episodes=2)

@@ -102,6 +102,7 @@ def test_what_moves_no_sensor_is_unseen_and_the_sensor_that_would_see_it_is_name
     assert told["table_shaker_travel"] == 0
 
 
+@pytest.mark.slow
 def test_laws_at_two_places_that_one_force_passes_are_not_told_apart() -> None:
     """Two equal springs in series without a mass between them: nobody sees which of them is the cubic one."""
     model = json.loads(json.dumps(MASS))

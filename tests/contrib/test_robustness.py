@@ -26,6 +26,7 @@ def script(request, monkeypatch):
     return module
 
 
+@pytest.mark.slow
 def test_every_controller_in_every_condition_stays_allowed(tmp_path):
     """The benchmark's grid, one short episode: finite costs, and no command outside Table 5."""
     grid = Grid.load(ROOT / "benchmarks" / "robustness.toml")

@@ -122,6 +122,7 @@ def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable
     assert not list((tmp_path / "out").glob(".*"))  # nothing half-written
 
 
+@pytest.mark.slow
 def test_killed_as_a_whole_it_goes_on_where_it_was(tmp_path, importable):
     code = (
         "from pathlib import Path\nfrom isd_gym.benchmark import engine\nimport test_sweep\n"
