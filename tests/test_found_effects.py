@@ -80,7 +80,7 @@ def test_records_are_not_thinned_where_that_would_lose_the_residual():
     def lost(table):
         net, problem = as_problem(PULLED, [table])
         floors = np.array([0.2])
-        assert problem.rough.records[0].rate > problem.records[0].rate
+        assert problem.rough.records[0].interval > problem.records[0].interval
         return thinning_loses(
             problem, Fitter(problem, white_filters(floors)).fit(base_structure(net)), floors
         )

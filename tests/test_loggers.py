@@ -73,7 +73,7 @@ def test_two_rasters_are_compared_without_a_trace_of_resampling(truth):
     stamps = {c.name: even(1e-3) for c in CHANNELS} | {"travel": even(1 / 130, 0.0033)}
     notes = []
     record = build_record(recording(truth, stamps), NETWORK, None, notes)
-    assert record.rate == pytest.approx(1 / 130, rel=0.1)
+    assert record.interval == pytest.approx(1 / 130, rel=0.1)
     assert left(record).max() < 2e-3
     assert any("body_acceleration" in n and "low-pass that the model passes, too" in n for n in notes)
 

@@ -354,7 +354,7 @@ class Workflow:
                 than the motion within one.
         """
         p, s = self.problem, self.settings
-        slowest = max(pace(r.measured[:, j], r.rate) for r in p.records for j in range(len(p.channels)))
+        slowest = max(pace(r.measured[:, j], r.interval) for r in p.records for j in range(len(p.channels)))
         seconds = s.segment * p.time * (factor or 1.0)
         seconds = seconds if factor else max(seconds, s.least_segment * slowest)
         pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
@@ -438,7 +438,7 @@ class Workflow:
         return flow._result(scores, measured, decision, notes, start, over)
 
     def _describe_segments(self, problem: Problem, error: float, periodic_only: bool) -> Stretches:
-        lengths = [len(r) * r.rate for r in problem.records]
+        lengths = [len(r) * r.interval for r in problem.records]
         reason: Literal["diverges", "astray", "unnamed", "feedback"] = "unnamed"
         if not periodic_only:
             reason = "astray" if math.isfinite(error) else "diverges"

@@ -137,7 +137,7 @@ def _estimate_lags(problem: Problem, fit: Fit, index: int, doubt: str) -> list[L
     n = min(len(y), len(r.measured))
     residual = r.measured[:n] - y[:n]
     size = np.maximum(residual.std(axis=0), 1e-300)
-    slope = np.gradient(y[:n], r.rate, axis=0)
+    slope = np.gradient(y[:n], r.interval, axis=0)
     for k, (clock, own) in enumerate(zip(r.clocks, r.late, strict=True)):
         s = slope[:, own] / size[own]
         score, information = (s * residual[:, own] / size[own]).sum(axis=1), (s**2).sum(axis=1)

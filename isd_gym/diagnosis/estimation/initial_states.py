@@ -63,8 +63,8 @@ def guess(
     centre = np.zeros(n0) if about is None else about
     A, b = [rows / scale], [rows @ centre / scale]
     # over a fifth of the time in which the motion changes it is a line
-    count = min(max(5, int(0.2 * problem.time / record.rate)), len(record))
-    t = np.arange(count) * record.rate
+    count = min(max(5, int(0.2 * problem.time / record.interval)), len(record))
+    t = np.arange(count) * record.interval
     x, r, f = asm.columns("x"), asm.columns("r"), asm.columns("f")
     road = led(pure, record)[0][0]
     for j, c in enumerate(pure.outputs):

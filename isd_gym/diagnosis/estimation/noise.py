@@ -248,7 +248,7 @@ def _floor_of_sensor(problem: Problem, channel: int) -> Floor:
         return Floor(c.noise, True, "owner")
     records = [problem.records[i] for i in dict.fromkeys((*problem.estimation, *problem.choosing))]
     series, first = [r.measured[:, channel] for r in records], records[0]
-    seen = floor_of(series, first.rate, white=first.filtered)
+    seen = floor_of(series, first.interval, white=first.filtered)
     grain = resolution(series) if not first.filtered else 0.0
     return replace(seen, deviation=max(seen.deviation, grain))
 

@@ -140,7 +140,7 @@ def thinning_loses(problem: Problem, fit: Fit, floors: Array) -> bool:
         residual = residual - residual.mean(axis=0)
         lines = np.abs(np.fft.rfft(residual, axis=0)) ** 2
         lines[1:] *= 2.0
-        beyond = np.fft.rfftfreq(len(residual), record.rate) > 0.5 * BAND / thin.rate
+        beyond = np.fft.rfftfreq(len(residual), record.interval) > 0.5 * BAND / thin.interval
         lost += lines[beyond].sum(axis=0) / len(residual) - beyond.mean() * len(residual) * floors**2
         power += np.sum(residual**2, axis=0) - len(residual) * floors**2
         rows += len(residual)

@@ -113,12 +113,12 @@ def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
         if x.shape != y.shape or not (np.isfinite(x).all() and np.isfinite(y).all()):
             continue
         options = {"nperseg": len(x) // SEGMENTS, "detrend": "linear", "axis": 0}
-        frequency, own_power = signal.welch(y, 1 / record.rate, **options)
-        xx += signal.welch(x, 1 / record.rate, **options)[1].sum(axis=0)
+        frequency, own_power = signal.welch(y, 1 / record.interval, **options)
+        xx += signal.welch(x, 1 / record.interval, **options)[1].sum(axis=0)
         yy += own_power.sum(axis=0)
         for i, j in itertools.product(range(count), repeat=2):
             xy[i, j] += float(
-                signal.csd(x[:, i], y[:, j], 1 / record.rate, **{**options, "axis": -1})[1].real.sum()
+                signal.csd(x[:, i], y[:, j], 1 / record.interval, **{**options, "axis": -1})[1].real.sum()
             )
         total = (
             own_power.sum(axis=1)

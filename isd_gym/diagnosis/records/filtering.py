@@ -292,7 +292,7 @@ def find_signal_band(record: Record, network: Network) -> float:
     resonant = ABOVE_RESONANCE * float(natural.max(initial=0.0))
     highest = 0.0
     for c, y in zip(network.outputs, record.measured.T, strict=True):
-        f, density = _estimate_density(y, record.rate)
+        f, density = _estimate_density(y, record.interval)
         seen = _smooth(density)
         above = np.maximum(seen - VISIBLE * float(seen.min()), 0.0)
         power = np.cumsum(above)

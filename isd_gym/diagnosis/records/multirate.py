@@ -300,7 +300,7 @@ def check_sampling_rates(record: Record, network: Network) -> None:
     """
     signals = record.source.signals if record.source is not None else {}
     steps = [signals[c.name].step if signals else record.step for c in network.outputs]
-    periods = [2 * math.pi * pace(y, record.rate) for y in record.measured.T]
+    periods = [2 * math.pi * pace(y, record.interval) for y in record.measured.T]
     slow = [
         j
         for j, (step, period) in enumerate(zip(steps, periods, strict=True))

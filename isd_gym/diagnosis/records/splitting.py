@@ -78,14 +78,14 @@ def _choose_length(record: Record, time: float) -> float:
     """Return the length [s] of the held-out segments of a record; a short record with inputs gives two to four segments."""
     if not record.inputs:
         return SEGMENT * time
-    duration = len(record) * record.rate
+    duration = len(record) * record.interval
     return min(SEGMENT * time, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration)
 
 
 def _split_record(record: Record) -> tuple[Record, Record]:
     """Split a record after two thirds of the path of its outputs, since a decay hardly moves in its last third."""
     y = record.measured - record.measured.mean(axis=0)
-    width = max(1, int(0.2 * record.pace / record.rate))
+    width = max(1, int(0.2 * record.pace / record.interval))
     smooth = np.apply_along_axis(lambda x: np.convolve(x, np.ones(width) / width, mode="valid"), 0, y)
     change = np.abs(np.diff(smooth, axis=0)) / np.maximum(y.std(axis=0), 1e-300)
     end = _find_rest(record, y)
@@ -103,7 +103,7 @@ def _find_rest(record: Record, y: Array) -> int:
         record: The record.
         y: Its outputs without their mean (n, channels).
     """
-    length = max(16, math.ceil(6 * record.pace / record.rate))
+    length = max(16, math.ceil(6 * record.pace / record.interval))
     count = len(y) // length
     if count < WINDOWS:
         return len(y)
@@ -123,8 +123,8 @@ def cut_segments(record: Record, seconds: float, least: int = 300, lead: float =
         least: Least number of samples of a segment.
         lead: Simulated time before a segment, without comparison [s].
     """
-    count = max(1, int(len(record) * record.rate / seconds))
+    count = max(1, int(len(record) * record.interval / seconds))
     count = min(count, max(1, len(record) // least))
     edges = np.linspace(0, len(record), count + 1).astype(int)
-    before = int(lead / record.rate)
+    before = int(lead / record.interval)
     return [record.part(a, b, record.name, before) for a, b in pairwise(edges)]

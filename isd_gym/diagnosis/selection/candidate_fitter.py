@@ -106,7 +106,7 @@ class CandidateFitter:
         p, least = self.evaluator.problem, self.evaluator.least_noise
         longest = max(len(p.records[i]) for i in p.estimation)
         share = min(
-            1.0, WINDOW_PERIODS * 2.0 * math.pi * p.time / (longest * p.records[p.estimation[0]].rate)
+            1.0, WINDOW_PERIODS * 2.0 * math.pi * p.time / (longest * p.records[p.estimation[0]].interval)
         )
         initial = offset = None
         try:

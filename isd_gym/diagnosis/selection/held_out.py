@@ -241,7 +241,7 @@ class HeldOutEvaluator:
         pieces = [(self.problem.records[j], f.initial[j]) for f in fits for j in f.initial]
         for i, record in enumerate(self.whole.records if self.whole else []):
             for piece, state in pieces:
-                if piece.name == record.name and abs(piece.start - record.start) < 0.5 * record.rate:
+                if piece.name == record.name and abs(piece.start - record.start) < 0.5 * record.interval:
                     out[i] = state
         return out
 
@@ -349,7 +349,7 @@ class HeldOutEvaluator:
         first = p.records[p.choosing[0]]
         for j, known in enumerate(self.noise_estimates):
             series = [p.records[i].measured[:, j] - score.fit.outputs[i][:, j] for i in p.choosing]
-            left = noise_of(series, first.rate, time=p.time, white=first.filtered)
+            left = noise_of(series, first.interval, time=p.time, white=first.filtered)
             share = 1.0
             if known.source in ("owner", "input") or left.deviation > known.deviation:
                 share = (known.deviation / max(left.deviation, 1e-300)) ** 2

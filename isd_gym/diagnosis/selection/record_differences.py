@@ -96,7 +96,7 @@ def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
     groups, names, deviations = [], [], []
     # sorted by content: results do not depend on the order of the files
     for r in sorted(loose.records, key=lambda r: (r.name, r.measured.shape, r.measured.tobytes())):
-        times = len(r) * r.rate / whole.time
+        times = len(r) * r.interval / whole.time
         count = int(min(MOST_STRETCHES, max(times / USUAL_TIME, LEAST_STRETCHES)))
         count = min(count, int(times / LEAST_TIME), len(r) // LEAST_SAMPLES)
         count -= count % 2
@@ -104,7 +104,7 @@ def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
             continue
         edges = np.linspace(0, len(r), count + 1).astype(int)
         groups.append(tuple(range(len(pieces), len(pieces) + count)))
-        pieces += [r.part(a, b, r.name, int(lead / r.rate)) for a, b in pairwise(edges)]
+        pieces += [r.part(a, b, r.name, int(lead / r.interval)) for a, b in pairwise(edges)]
         names.append(r.name)
         deviations.append(r.measured.std(axis=0))
     if len(groups) < 2:

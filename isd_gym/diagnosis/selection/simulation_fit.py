@@ -181,7 +181,7 @@ def run_freely(
     if assemble(bare(network)).size[0]:
         heads = []
         for r in problem.records:
-            count = max(LEAST_HEAD, math.ceil(problem.time / r.rate))
+            count = max(LEAST_HEAD, math.ceil(problem.time / r.interval))
             heads.append(r.part(0, min(count, len(r)), r.name))
         first = problem.with_records(heads)
         initial = Fitter(first, white_filters(noise)).follow(structure, x, every, iterations=8).initial

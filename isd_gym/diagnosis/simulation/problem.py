@@ -82,13 +82,13 @@ class Record:
         return self.size or (len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured))
 
     @property
-    def rate(self) -> float:
+    def interval(self) -> float:
         """Interval of the compared samples [s]."""
         return self.step * self.thin
 
     @property
     def time(self) -> Array:
-        return np.asarray(self.start + self.rate * (self.before + np.arange(len(self))), dtype=np.float64)
+        return np.asarray(self.start + self.interval * (self.before + np.arange(len(self))), dtype=np.float64)
 
     @property
     def before(self) -> int:
@@ -98,7 +98,7 @@ class Record:
     @cached_property
     def pace(self) -> float:
         """Time scale of the motion [s]: the inverse of the circular frequency that halves the power of the outputs."""
-        return min(pace(self.measured[:, j], self.rate) for j in range(self.measured.shape[1]))
+        return min(pace(self.measured[:, j], self.interval) for j in range(self.measured.shape[1]))
 
     @property
     def filtered(self) -> bool:
@@ -115,8 +115,8 @@ class Record:
 
     def follows(self, other: Record) -> bool:
         """Return whether this record starts at the end of `other`."""
-        begin, end = self.start + self.lead * self.rate, other.start + (other.lead + len(other)) * other.rate
-        return self.name == other.name and abs(begin - end) < 0.5 * self.rate
+        begin, end = self.start + self.lead * self.interval, other.start + (other.lead + len(other)) * other.interval
+        return self.name == other.name and abs(begin - end) < 0.5 * self.interval
 
     def read(self, values: Array) -> Array:
         """Return the compared samples of simulated outputs, filtered like the measurement."""
@@ -136,7 +136,7 @@ class Record:
             inputs={k: v[cut] for k, v in self.inputs.items()},
             measured=self.measured[first:stop],
             slopes={k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
-            start=self.start + begin * self.rate,
+            start=self.start + begin * self.interval,
             lead=back,
             reading=None if self.reading is None else self.reading.part(first, stop, cut),
             size=self.size and cut.stop - cut.start,
@@ -392,7 +392,7 @@ class Problem:
         out = np.zeros((*outputs.shape, len(free) + len(record.clocks)))
         out[:, free, np.arange(len(free))] = 1.0
         if record.clocks:
-            slope = np.gradient(outputs, record.rate, axis=0)
+            slope = np.gradient(outputs, record.interval, axis=0)
             for k, own in enumerate(record.late):
                 out[:, own, len(free) + k] = -slope[:, own]
         return out
@@ -402,7 +402,7 @@ class Problem:
         record, ny = self.records[index], len(self.channels)
         out = outputs + nuisance[:ny].reshape(ny, *[1] * (outputs.ndim - 2))
         if record.clocks and np.any(nuisance[ny:]):
-            slope = np.gradient(outputs, record.rate, axis=0)
+            slope = np.gradient(outputs, record.interval, axis=0)
             for own, lag in zip(record.late, nuisance[ny:], strict=True):
                 out[:, own] -= lag * slope[:, own]
         return out

@@ -130,9 +130,9 @@ def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]
         first = problem.estimation[0]
         record = problem.records[first]
         r = record.measured[:, j] - fit.outputs[first][:, j]
-        width = max(1, int(0.2 * problem.time / record.rate))
+        width = max(1, int(0.2 * problem.time / record.interval))
         condition = find_condition(r, width, conditions(problem, motion, len(r), width))
-        found = tuple(bands(r, floor[j], record.rate))
+        found = tuple(bands(r, floor[j], record.interval))
         out.append(Place(name, excess[j] / total, found, condition))
     return tuple(sorted(out, key=lambda p: -p.share))
 
