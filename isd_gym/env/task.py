@@ -245,7 +245,7 @@ class Task:
         self._make_spaces(extra)
         weights = self.cost.factors(self.vehicle.axes, of.corners, of.currents)
         bounds = [signal.bound for signal in self.measured[: of.measured]]
-        self.batch.judge(
+        self.batch.set_cost(
             weights,
             bounds,
             width=signals if self.history else self.width,
@@ -260,7 +260,7 @@ class Task:
                 count, self.network, road_=options.road, speed=speed, control_step=control_step,
                 duration=options.duration, randomize=options.randomize,
             )  # fmt: skip
-            self._reference.judge(weights, bounds, width=signals, threads=threads)
+            self._reference.set_cost(weights, bounds, width=signals, threads=threads)
         self._weights = np.ones(count)
         self._usual = usual_level(self.batch) if options.per_level else 0.0
         self._slew = SLEW_RATE * control_step
@@ -385,12 +385,12 @@ class Task:
                 np.multiply(np.clip(self.actions, -1.0, 1.0), self._slew, out=batch.target)
                 np.add(batch.target, batch.currents, out=batch.target)
             batch.step()
-            said = batch.said
+            results = batch.results
             if k == 0 and hold > 1:
-                sums, marks, broken = said[:means].copy(), said[of.exceeds :].copy(), batch.broken
+                sums, marks, broken = results[:means].copy(), results[of.exceeds :].copy(), batch.broken
             elif k > 0:
-                sums += said[:means]
-                np.maximum(marks, said[of.exceeds :], out=marks)
+                sums += results[:means]
+                np.maximum(marks, results[of.exceeds :], out=marks)
                 broken = max(broken, batch.broken)
             if watch and k + 1 < hold:
                 self.observe()
@@ -398,7 +398,7 @@ class Task:
                 self._reference.step()
                 reference = reference + self._reference.judged[0]
         if hold > 1:
-            said[:means], said[of.exceeds :] = sums / hold, marks
+            results[:means], results[of.exceeds :] = sums / hold, marks
             batch.broken = broken
         reward = batch.judged[0]
         if self.options.reward == "relative":

@@ -136,7 +136,7 @@ class Batch:
         self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_RATE * control_step
         self._settings[of.bounds : of.bounds + of.measured] = math.inf
         self.seen = np.zeros((count, of.measured + of.currents), np.float32)
-        self._said = np.zeros((of.said, wide))
+        self._results = np.zeros((of.results, wide))
         self.speeds = np.full(count, self.speed)
         self.threads = 1
         self._arguments()
@@ -222,12 +222,12 @@ class Batch:
             of.target : of.target + of.currents
         ]  # commanded currents [A] (currents, count)
         self.first_targets = self.target[:, 0]
-        self._write_to(self._said, self.seen)
+        self._write_to(self._results, self.seen)
 
-    def _write_to(self, said: np.ndarray, seen: np.ndarray) -> None:
-        self._said, self.seen = said, seen
-        self._first_said, self.first_seen = said[:, 0], seen[0]
-        self._calls = [(*self._drive_arguments, said.reshape(-1), seen, *share) for share in self._shares]
+    def _write_to(self, results: np.ndarray, seen: np.ndarray) -> None:
+        self._results, self.seen = results, seen
+        self._first_results, self.first_seen = results[:, 0], seen[0]
+        self._calls = [(*self._drive_arguments, results.reshape(-1), seen, *share) for share in self._shares]
 
     def renew(self, seen: np.ndarray | None = None) -> None:
         """Release the results of the last step to the caller; the next step writes to new arrays.
@@ -236,7 +236,7 @@ class Batch:
             seen: Array (count, width) float32 for the next observations; None for a new one.
         """
         fresh = np.empty(self.seen.shape, np.float32) if seen is None else seen
-        self._write_to(np.empty(self._said.shape), fresh)
+        self._write_to(np.empty(self._results.shape), fresh)
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("cars", "out", "counters", "target", "first_targets", "_setup")
@@ -251,7 +251,7 @@ class Batch:
                 "_shares",
                 "_calls",
                 "_crew",
-                "_first_said",
+                "_first_results",
                 "first_seen",
             )
         }
@@ -260,7 +260,7 @@ class Batch:
         self.__dict__.update(state)
         self._arguments()
 
-    def judge(
+    def set_cost(
         self,
         weights: Sequence[float],
         bounds: Sequence[float],
@@ -427,7 +427,7 @@ class Batch:
             "rings": np.roll(self._rings[:, :, :, i], -now, axis=2),
             "ahead": np.roll(self._ahead[i].reshape(tracks, self.points), -now, axis=1),
             "history": np.roll(self._history[group, :, :, lane], -kept, axis=1),
-            "said": self._said[:, i].copy(),
+            "results": self._results[:, i].copy(),
             "seen": self.seen[i].copy(),
             "speed": float(self.speeds[i]),
             "drawn": {name: values[i] for name, values in self.drawn.items()},
@@ -463,15 +463,15 @@ class Batch:
         self._rings[:, :, :, i] = np.roll(state["rings"], now, axis=2)
         self._ahead[i] = np.roll(state["ahead"], now, axis=1).ravel()
         self._history[group, :, :, lane] = np.roll(state["history"], kept, axis=1)
-        said, seen = self._said.copy(), self.seen.copy()  # arrays that were handed out stay unchanged
-        said[:, i], seen[i] = state["said"], state["seen"]
+        results, seen = self._results.copy(), self.seen.copy()  # arrays that were handed out stay unchanged
+        results[:, i], seen[i] = state["results"], state["seen"]
         self.speeds[i] = state["speed"]
-        self._write_to(said, seen)
+        self._write_to(results, seen)
 
     # ----------------------------------------------------------------------------------------- step
 
     def step(self) -> np.ndarray:
-        """Run one control step with the currents in `current` (after `judge`: `target`).
+        """Run one control step with the currents in `current` (after `set_cost`: `target`).
 
         Returns:
             Signals (signals, count) [SI], a view of `out`.
@@ -516,18 +516,18 @@ class Batch:
             Minus the cost, terms of the cost, dynamic tyre loads [N], 1 for each exceeded limit, and 1 for a broken
                 car.
         """
-        return self._first_said.tolist()
+        return self._first_results.tolist()
 
     @property
-    def said(self) -> np.ndarray:
+    def results(self) -> np.ndarray:
         """All rows of the last step's results, with the cars that complete the last group (`layout`)."""
-        return self._said
+        return self._results
 
     @property
     def judged(self) -> np.ndarray:
         """Results of the last step (rows, count): minus the cost, terms of the cost, dynamic tyre loads [N], and
         whether acceleration and travel are beyond the limits of Table 5."""
-        return self._said[: self.of.broken, : self.count]
+        return self._results[: self.of.broken, : self.count]
 
     def forget(self, which: np.ndarray | slice) -> None:
         """Clear the results of restarted cars; arrays that were handed out stay unchanged.
@@ -535,15 +535,15 @@ class Batch:
         Args:
             which: Indices of the cars.
         """
-        said = self._said.copy()
-        said[: self.of.broken, which] = 0.0
+        results = self._results.copy()
+        results[: self.of.broken, which] = 0.0
         self.out[:, which] = 0.0
-        self._write_to(said, self.seen)
+        self._write_to(results, self.seen)
 
     @property
     def gone(self) -> np.ndarray:
         """Whether each car left its bounds, or became not finite, in the last step (count,)."""
-        return self._said[self.of.broken, : self.count] != 0.0
+        return self._results[self.of.broken, : self.count] != 0.0
 
     @property
     def levels(self) -> np.ndarray:

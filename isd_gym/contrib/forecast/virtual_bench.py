@@ -96,7 +96,7 @@ class VirtualBench:
         self._cuts = []  # record, first sample and end of each piece
         for p in pieces:
             k = index[p.name]
-            first = round((p.start - noisy[k].start) / p.rate)
+            first = round((p.start - noisy[k].start) / p.interval)
             self._cuts.append((k, first, first + len(p)))
         self.problem = Problem(self.network, self._cut(pieces, self.network), roles)
         self.structure = base_structure(self.network)

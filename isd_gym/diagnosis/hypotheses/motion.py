@@ -93,7 +93,8 @@ def setting(
         y = problem.measured()[:, j]
         signal, samples = max(float(np.std(y)), 1e-12), y
         time = pace(
-            problem.records[problem.estimation[0]].measured[:, j], problem.records[problem.estimation[0]].interval
+            problem.records[problem.estimation[0]].measured[:, j],
+            problem.records[problem.estimation[0]].interval,
         )
     elif h.kind.scheduled:
         channel = dict(h.options)["channel"]

@@ -115,7 +115,10 @@ class Record:
 
     def follows(self, other: Record) -> bool:
         """Return whether this record starts at the end of `other`."""
-        begin, end = self.start + self.lead * self.interval, other.start + (other.lead + len(other)) * other.interval
+        begin, end = (
+            self.start + self.lead * self.interval,
+            other.start + (other.lead + len(other)) * other.interval,
+        )
         return self.name == other.name and abs(begin - end) < 0.5 * self.interval
 
     def read(self, values: Array) -> Array:

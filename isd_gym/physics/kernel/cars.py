@@ -53,7 +53,7 @@ def drive(
     ahead,
     history,
     settings,
-    said,
+    results,
     seen_out,
     room,
     begin,
@@ -65,7 +65,7 @@ def drive(
 
     Args:
         mats: Numbers of the plant (`layout`).
-        ints: Sizes of the plant, then `setup` of the batch (`layout`, as are cars, ways, settings and said).
+        ints: Sizes of the plant, then `setup` of the batch (`layout`, as are cars, ways, settings and results).
         states: States of the groups.
         cars: Numbers of the cars, row by row.
         ways: Integers of the cars, row by row.
@@ -76,7 +76,7 @@ def drive(
         ahead: Last ring of each track (cars, tracks * points), car by car [m].
         history: Tracks behind the first axle (groups, tracks, `KEPT`, 8) [m].
         settings: Numbers common to all cars.
-        said: Reward, costs and tyre loads, row by row.
+        results: Reward, costs and tyre loads, row by row.
         seen_out: Observations (cars, signals).
         room: Memory for the inputs of a control step.
         begin: First group.
@@ -138,7 +138,7 @@ def drive(
             count = min(WIDTH, setup[COUNT] - first)
             pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
             outputs(pool, own, at, ints, state, count)
-            broken += judge(at, state, cars, settings, said, wide, first, count)
+            broken += record_outcome(at, state, cars, settings, results, wide, first, count)
             for l in range(count):
                 for j in range(CAR.measured):
                     seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)]
@@ -319,7 +319,7 @@ def look(setup, ahead, track, cars, wide, first, count, seen_out):
             far[i] = row[i] - height
 
 
-def judge(at, state, cars, settings, said, wide, first, count):
+def record_outcome(at, state, cars, settings, results, wide, first, count):
     """Write signals, costs and reward of a group after its control step, and return the number of cars that broke.
 
     The cost of a broken car is the cost at the violated bounds.
@@ -339,10 +339,10 @@ def judge(at, state, cars, settings, said, wide, first, count):
             x = select(abs(x) <= settings[CAR.bounds + j], x, spread(settings[CAR.bounds + j]))
         term = square(settings[weight + j], x)
         total = total + term
-        store(said, (cost + j) * wide + first, term)
+        store(results, (cost + j) * wide + first, term)
         if j == 0:
             beyond = select(spread(ACCELERATION_LIMIT) < abs(x), spread(1.0), spread(0.0))
-            store(said, CAR.exceeds * wide + first, beyond)
+            store(results, CAR.exceeds * wide + first, beyond)
     weight, cost = weight + CAR.accelerations, cost + CAR.accelerations
     term, beyond = spread(0.0), spread(0.0)
     for c in range(CAR.corners):
@@ -353,8 +353,8 @@ def judge(at, state, cars, settings, said, wide, first, count):
         term = term + square(settings[weight + c], x)
         beyond = select(spread(TRAVEL_LIMIT) < abs(x), spread(1.0), beyond)
     total = total + term
-    store(said, cost * wide + first, term)
-    store(said, (CAR.exceeds + 1) * wide + first, beyond)
+    store(results, cost * wide + first, term)
+    store(results, (CAR.exceeds + 1) * wide + first, beyond)
     weight += CAR.corners
     term = spread(0.0)
     for c in range(CAR.corners):
@@ -363,17 +363,17 @@ def judge(at, state, cars, settings, said, wide, first, count):
             x = select(abs(x) < math.inf, x, spread(0.0))
             store(cars, (CAR.outputs + CAR.measured + c) * wide + first, x)
         term = term + square(settings[weight + c], x)
-        store(said, (CAR.tyre_load + c) * wide + first, x)
+        store(results, (CAR.tyre_load + c) * wide + first, x)
     total = total + term
-    store(said, (cost + 1) * wide + first, term)
+    store(results, (cost + 1) * wide + first, term)
     weight += CAR.corners
     term = spread(0.0)
     for j in range(CAR.currents):
         term = term + square(settings[weight + j], load(cars, (CAR.current + j) * wide + first))
     total = total + term
-    store(said, (cost + 2) * wide + first, term)
-    store(said, REWARD * wide + first, -total)
-    store(said, CAR.broken * wide + first, select(good, spread(0.0), spread(1.0)))
+    store(results, (cost + 2) * wide + first, term)
+    store(results, REWARD * wide + first, -total)
+    store(results, CAR.broken * wide + first, select(good, spread(0.0), spread(1.0)))
     number_wrong = 0
     while wrong:
         number_wrong += wrong & 1

@@ -96,7 +96,7 @@ _CLOSED = (layout.layout, linear.sums, linear.pooled, linear.number, linear.clip
 _ALONE = (contact.beside, contact.touch, contact.apply, contact.contact)
 _SEVERAL = (contact.among_others, contact.beside_others, contact.touch, contact.apply, contact.contacts)
 _LAWS = (
-    law_forces.parameters, law_forces.held, law_forces.seen, law_forces.ask, law_forces.rub, law_forces.push,
+    law_forces.parameters, law_forces.held, law_forces.seen, law_forces.force_beside, law_forces.update_friction, law_forces.push,
     newton.eliminate, newton.resting, newton.answers, newton.excess, newton.bracketed, newton.newton,
     solve.settle, solve.busy, solve.finish, solve.solved, solve.yields, solve.lacks, solve.between, solve.at_once,
 )  # fmt: skip
@@ -117,7 +117,7 @@ _STEPS = (
     cars.wheels,
     cars.show_state,
     cars.look,
-    cars.judge,
+    cars.record_outcome,
 )
 _ENTRIES = (steps.advance, steps.measure, steps.record, cars.drive)
 _MODULES = (
@@ -156,7 +156,7 @@ _CLOSE = (
     contact.contacts,
     cars.ground,
     cars.wheels,
-    cars.judge,
+    cars.record_outcome,
 )
 _INNER: dict[str, Any] = {
     "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True

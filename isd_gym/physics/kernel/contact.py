@@ -182,13 +182,13 @@ def touch(mats, own, at, state, p):
 def apply(mats, own, at, state, push, friction):
     """Update states, and the signals by which a quiet car is recognised, with the forces of the stop and of the friction."""
     n, nl, ns = at.states, at.laws, at.smooth
-    stop, rub = at.gains, at.gains + ns * at.rows
+    stop, friction_row = at.gains, at.gains + ns * at.rows
     pushes, rubs = ns > 0 and at.way == CONTACT and some(push != 0.0), nl > ns
     if own:
         for i in range(n):
             x = load(state, (at.step + i) * WIDTH)
             if rubs:
-                x = fused(load(mats, (rub + i) * WIDTH), friction, x)
+                x = fused(load(mats, (friction_row + i) * WIDTH), friction, x)
             if pushes:
                 x = fused(load(mats, (stop + i) * WIDTH), push, x)
             store(state, i * WIDTH, x)
@@ -196,14 +196,14 @@ def apply(mats, own, at, state, push, friction):
         for i in range(n):
             x = load(state, (at.step + i) * WIDTH)
             if rubs:
-                x = fused(spread(mats[U(rub + i)]), friction, x)
+                x = fused(spread(mats[U(friction_row + i)]), friction, x)
             if pushes:
                 x = fused(spread(mats[U(stop + i)]), push, x)
             store(state, i * WIDTH, x)
     for i in range(n, n + nl):
         x = load(state, (at.step + i) * WIDTH)
         if rubs:
-            x = fused(pooled(mats, own, rub + i), friction, x)
+            x = fused(pooled(mats, own, friction_row + i), friction, x)
         if pushes:
             x = fused(pooled(mats, own, stop + i), push, x)
         store(state, ((at.elongation if i < n + ns else at.rate) + i - n) * WIDTH, x)

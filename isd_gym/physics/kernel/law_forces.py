@@ -57,7 +57,7 @@ def held(kind, p, rate, gain, level, d, was, slides):
     return out
 
 
-def ask(mats, own, ints, state, j, l, dd, ds):
+def force_beside(mats, own, ints, state, j, l, dd, ds):
     """Return force and next memory of smooth law j of lane l under the acting forces, with elongation and rate
     changed by dd and ds."""
     at = layout(ints)
@@ -73,7 +73,7 @@ def ask(mats, own, ints, state, j, l, dd, ds):
     )
 
 
-def rub(mats, own, ints, state, j, l):
+def update_friction(mats, own, ints, state, j, l):
     """Update dry friction j of lane l for the sliding under the other forces; return 1 if the force changed."""
     at = layout(ints)
     row = at.states + j
@@ -132,7 +132,7 @@ def push(mats, own, ints, state, sweep, j, l):
     if sweep > 0:
         # secant: step = r / (1 - slope); a law that resists motion has a negative slope
         span = f - state[U((at.tried + j) * WIDTH + l)]
-        change = now - state[U((at.said + j) * WIDTH + l)]
+        change = now - state[U((at.answer + j) * WIDTH + l)]
         # alone, the law includes the following friction; among many laws, each uses only its own share of the
         # change
         share = number(mats, own, at.gains + j * at.rows + n + nl + j, l) * span
@@ -146,7 +146,7 @@ def push(mats, own, ints, state, sweep, j, l):
             factor = guess if sweep < 20 else min(guess, factor)
             state[U((at.factor + j) * WIDTH + l)] = factor
     state[U((at.tried + j) * WIDTH + l)] = f
-    state[U((at.said + j) * WIDTH + l)] = now
+    state[U((at.answer + j) * WIDTH + l)] = now
     state[U((at.coming + j) * WIDTH + l)] = z
     state[U((at.tried_rate + j) * WIDTH + l)] = s
     if abs(r) <= TIGHT * (1.0 + abs(f)):

@@ -52,7 +52,7 @@ CORNER_SIGNALS = 4
 CURRENT_LIMIT, SLEW_LIMIT = 0, 1  # first two of `settings`: [A], [A per control step]
 #: limits of Table 5 on the vertical acceleration of the body [m/s^2] and on the travel of a suspension [m]
 ACCELERATION_LIMIT, TRAVEL_LIMIT = 5.0, 0.08
-REWARD = 0  # first row of `said`
+REWARD = 0  # first row of `results`
 
 
 class CarSize(NamedTuple):
@@ -86,7 +86,7 @@ QUARTER_CAR = CarSize(accelerations=1, corners=1, currents=1, tracks=1)
 
 
 class CarsLayout(NamedTuple):
-    """Sizes of cars, and starts of their numbers in `setup` and `settings` and by row in `cars`, `ways` and `said`."""
+    """Sizes of cars, and starts of their numbers in `setup` and `settings` and by row in `cars`, `ways` and `results`."""
 
     accelerations: int
     corners: int
@@ -127,12 +127,12 @@ class CarsLayout(NamedTuple):
     bounds: int  # of the measured signals
     # for every output and corner, the share of the road's height that is subtracted in an observation
     lifted: int
-    # rows of `said`, one number per car
+    # rows of `results`, one number per car
     cost: int  # one term per acceleration, then travel, tyre load, current
     tyre_load: int  # [N], finite also for a broken car
     exceeds: int  # 1 where acceleration, then travel, is outside the limits of Table 5
     broken: int  # 1 for an observation outside its bounds or not finite
-    said: int  # total number of rows
+    results: int  # total number of rows
 
 
 def cars_layout(size: CarSize) -> CarsLayout:
@@ -201,7 +201,7 @@ class Layout(NamedTuple):
     rate: int
     factor: int  # factor of the secant step
     tried: int  # trial force; for a dry law, its bound
-    said: int  # answer of the law
+    answer: int  # force of the law
     coming: int  # next memory
     tried_rate: int
     failed: int  # number of the first unsolved step (0: none), and its law

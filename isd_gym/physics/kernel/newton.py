@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .law_forces import TIGHT, ask, held, parameters, seen
+from .law_forces import TIGHT, force_beside, held, parameters, seen
 from .layout import WIDTH, layout
 from .linear import U, number
 
@@ -34,19 +34,19 @@ def newton(mats, own, ints, state, l):
         for j in range(nl):
             f = state[U((at.acting + j) * WIDTH + l)]
             state[U(start + j)] = f
-            state[U(step + j)] = state[U((at.said + j) * WIDTH + l)] - f
+            state[U(step + j)] = state[U((at.answer + j) * WIDTH + l)] - f
             by_d, by_s, stick = 0.0, 0.0, 0.0
             if j < ns:
-                said = state[U((at.said + j) * WIDTH + l)]
+                answer = state[U((at.answer + j) * WIDTH + l)]
                 away = 1e-7 if turn % 2 == 0 else -1e-7  # alternate sides of a kink
                 dd = away * (1e-3 + abs(seen(mats, own, at, state, n + j, l, -1)))
                 ds = away * (1e-2 + abs(seen(mats, own, at, state, n + nl + j, l, -1)))
-                by_d = (ask(mats, own, ints, state, j, l, dd, 0.0)[0] - said) / dd
-                by_s = (ask(mats, own, ints, state, j, l, 0.0, ds)[0] - said) / ds
+                by_d = (force_beside(mats, own, ints, state, j, l, dd, 0.0)[0] - answer) / dd
+                by_s = (force_beside(mats, own, ints, state, j, l, 0.0, ds)[0] - answer) / ds
             else:
                 gain = number(mats, own, at.gains + j * at.rows + n + j, l)
                 level = state[U((at.tried + j) * WIDTH + l)]
-                if gain < 0.0 and abs(state[U((at.said + j) * WIDTH + l)]) < level:
+                if gain < 0.0 and abs(state[U((at.answer + j) * WIDTH + l)]) < level:
                     stick = -1.0 / gain
             for i in range(nl):
                 column = at.gains + i * at.rows + n + j
@@ -70,9 +70,9 @@ def newton(mats, own, ints, state, l):
                 state[U((at.acting + j) * WIDTH + l)] = state[U(start + j)]
             answers(mats, own, ints, state, l)
             for j in range(nl):
-                said = state[U((at.said + j) * WIDTH + l)]
+                answer = state[U((at.answer + j) * WIDTH + l)]
                 state[U((at.acting + j) * WIDTH + l)] += (0.5 if turn % 3 else 0.05) * (
-                    said - state[U(start + j)]
+                    answer - state[U(start + j)]
                 )
             error, which = answers(mats, own, ints, state, l)
         worst, who = error, which
@@ -149,7 +149,7 @@ def excess(mats, own, ints, state, j, l):
     at = layout(ints)
     if at.laws - at.smooth == 1:
         state[U((at.acting + at.smooth) * WIDTH + l)] = resting(mats, own, ints, state, at.smooth, l)
-    return ask(mats, own, ints, state, j, l, 0.0, 0.0)[0] - state[U((at.acting + j) * WIDTH + l)]
+    return force_beside(mats, own, ints, state, j, l, 0.0, 0.0)[0] - state[U((at.acting + j) * WIDTH + l)]
 
 
 def resting(mats, own, ints, state, j, l):
@@ -169,11 +169,11 @@ def answers(mats, own, ints, state, l):
     for j in range(nl):
         f, row = state[U((at.acting + j) * WIDTH + l)], n + j
         if j < ns:
-            now, z = ask(mats, own, ints, state, j, l, 0.0, 0.0)
+            now, z = force_beside(mats, own, ints, state, j, l, 0.0, 0.0)
             state[U((at.coming + j) * WIDTH + l)] = z
         else:
             now = resting(mats, own, ints, state, j, l)
-        state[U((at.said + j) * WIDTH + l)] = now
+        state[U((at.answer + j) * WIDTH + l)] = now
         error = abs(now - f) / (1.0 + abs(f))
         if error > TIGHT and j < ns:
             # a law with a jump (a damped stop at contact) has any force within the jump
@@ -182,7 +182,7 @@ def answers(mats, own, ints, state, l):
                 near = (1.0 if side == 0 else -1.0) * 1e-9
                 dd = near * (1e-3 + abs(seen(mats, own, at, state, row, l, -1)))
                 ds = near * (1e-3 + abs(seen(mats, own, at, state, row + nl, l, -1)))
-                there = ask(mats, own, ints, state, j, l, dd, ds)[0]
+                there = force_beside(mats, own, ints, state, j, l, dd, ds)[0]
                 least, most = min(least, there), max(most, there)
             if least <= f <= most:
                 error = 0.0

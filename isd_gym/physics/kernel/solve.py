@@ -6,7 +6,7 @@ import math
 
 from .contact import apply
 from .lanes import bits, load, spread, store
-from .law_forces import law_bound, law_force, parameters, push, rub, seen
+from .law_forces import law_bound, law_force, parameters, push, seen, update_friction
 from .layout import GENERAL, QUIET, WIDTH, layout
 from .linear import U, clip, number, pooled
 from .newton import newton
@@ -128,10 +128,10 @@ def lacks(mats, own, ints, state, j, l, column, change):
     d = state[U((at.outcome + to_d) * WIDTH + l)] + number(mats, own, column + to_d, l) * change
     s = state[U((at.outcome + to_s) * WIDTH + l)] + number(mats, own, column + to_s, l) * change
     if nl - ns == 1:
-        rub = at.out + (at.force + ns) * at.out_rows
+        friction_row = at.out + (at.force + ns) * at.out_rows
         follows = yields(mats, own, ints, state, ns, l, column, change)
-        d += number(mats, own, rub + to_d, l) * follows
-        s += number(mats, own, rub + to_s, l) * follows
+        d += number(mats, own, friction_row + to_d, l) * follows
+        s += number(mats, own, friction_row + to_s, l) * follows
     now = law_force(
         ints[U(at.code + j)], parameters(mats, own, at, j, l), d, s,
         state[U((at.elongation + j) * WIDTH + l)], state[U((at.memory + j) * WIDTH + l)], mats[0],
@@ -197,7 +197,7 @@ def settle(mats, own, ints, state, left):
             for j in range(ns, nl):
                 for l in range(WIDTH):
                     if left >> l & 1:
-                        moved |= rub(mats, own, ints, state, j, l) << l
+                        moved |= update_friction(mats, own, ints, state, j, l) << l
         for j in range(ns):
             for l in range(WIDTH):
                 if left >> l & 1:
