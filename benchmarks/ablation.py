@@ -153,7 +153,7 @@ def shares_of(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Compare the share of true statements with the probability that is stated with `mistaken_weak` or `mistaken_extra` varied.
 
     A stated probability is a sum of weights, times one minus the share of mistaken statements, so another share needs no replay.
-    `mistaken_weak`: places of the foremost candidate where the candidate explains less than `half`. `mistaken_extra`: kinds that did not
+    `mistaken_weak`: places of the foremost candidate where the candidate explains less than `least_removed`. `mistaken_extra`: kinds that did not
     pass the inclusion test beside a candidate that explains more; the laws of such a kind have the probability of the kind in sum.
 
     Args:
@@ -169,7 +169,7 @@ def shares_of(rows: Sequence[Row]) -> list[dict[str, Any]]:
         evidence, c = said.get("evidence"), said.get("criteria")
         if not evidence or not c or "mistaken_extra" not in c:
             continue
-        is_weak = evidence["explained"] < c["half"]
+        is_weak = evidence["explained"] < c["least_removed"]
         own = {frozenset(where) for where in (said.get("best_candidate") or {}).get("where", [])}
         counted = []
         for f in said["findings"]:

@@ -57,7 +57,7 @@ def row(explained, kind_probability, law_probability):
         "kind_probability": kind_probability,
         "laws": [{"effect": "coulomb_friction", "probability": law_probability}],
     }
-    limits = {k: getattr(CRITERIA, k) for k in ("half", "mistaken_weak", "mistaken_extra", "mistaken_place", "mistaken_kind")}  # fmt: skip
+    limits = {k: getattr(CRITERIA, k) for k in ("least_removed", "mistaken_weak", "mistaken_extra", "mistaken_place", "mistaken_kind")}  # fmt: skip
     said = {"evidence": {"explained": explained}, "criteria": limits, "findings": [finding]}
     said["best_candidate"] = {"where": [place]}
     return {"answer": [["coulomb_friction", place]], "truth": None, "diagnosis": said}

@@ -188,7 +188,7 @@ def test_a_name_that_small_effects_excuse_is_stated_with_less_confidence() -> No
 
 
 def test_criteria_are_arguments_and_say_why_they_are() -> None:
-    strict = Criteria(share=0.5, alone=0.999)
+    strict = Criteria(share=0.5, alone_removes=0.999)
     assert decide(replace(GOOD, explained=0.89, richest_share=0.9), strict).verdict == "unknown_effect"
     rows = table()
     assert {r["id"] for r in rows} == set(Criteria.__dataclass_fields__)
@@ -256,12 +256,15 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
     sensors = [x for x in e.effects if x.sensor]
     large = all(
         x.share >= c.share
-        or (x.removed >= c.alone and (x.width > c.wide or (x.beyond_small and x.share > c.small)))
+        or (
+            x.removed >= c.alone_removes
+            and (x.width > c.wide_gap or (x.beyond_small and x.share > c.small_effect))
+        )
         for x in e.effects
     )
-    least = 1.0 - c.half ** (len(e.effects) + 1)
-    half = e.explained >= c.half and e.width_after < c.wide
-    excused = e.excess_ratio < c.several and (half or e.training_explained >= c.alone)
+    least = 1.0 - c.least_removed ** (len(e.effects) + 1)
+    most = e.explained >= c.least_removed and e.width_after < c.wide_gap
+    excused = e.excess_ratio < c.small_effects and (most or e.training_explained >= c.alone_removes)
     far = c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far
     assert {n: g.passed for n, g in gates.items()} == {
         "predicts better": e.elpd_diff > c.elpd_diff and e.elpd_diff / max(e.elpd_dse, 1e-12) > c.elpd_errors,
@@ -269,9 +272,9 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
         "adequate": e.training_ratio <= 1.0 and (e.explained >= least or excused),
         "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.contradiction for x in e.effects),
         "distinguishable": not e.indistinguishable,
-        "lack of fit": e.lack_of_fit < c.half,
+        "lack of fit": e.lack_of_fit < c.least_removed,
         "probable": e.probability >= c.probable,
-        "confirmed": e.test_explained >= least or (e.test_explained >= c.half and e.test_excess_ratio < c.several),
+        "confirmed": e.test_explained >= least or (e.test_explained >= c.least_removed and e.test_excess_ratio < c.small_effects),
         "sensor": not sensors or e.force_loss >= far,
     }  # fmt: skip
 
@@ -280,7 +283,7 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
 def test_so_are_those_of_a_table(explained: float, moved: float, errors: float, confirmed: float) -> None:
     for g in table_gates(explained, moved, errors, confirmed):
         assert g.passed == COMPARE[g.relation](g.value, g.limit) and math.isfinite(g.value)
-    asked = min(explained, confirmed) >= CRITERIA.half
+    asked = min(explained, confirmed) >= CRITERIA.least_removed
     asked = asked and moved >= CRITERIA.material and errors > CRITERIA.elpd_errors
     assert all(g.passed for g in table_gates(explained, moved, errors, confirmed)) == asked
 

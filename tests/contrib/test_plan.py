@@ -48,7 +48,7 @@ MASS: dict[str, Any] = {
 }
 SHORT = Rig({"stroke": Limits(0.01)}, (1.0, 7.0), 8.0, 0.008)
 #: criteria that ask for nothing but what noise does
-NOISE_ALONE = Criteria(material=1e-9, share=1e-9, wide=1e9, determined=1e9)
+NOISE_ALONE = Criteria(material=1e-9, share=1e-9, wide_gap=1e9, determined=1e9)
 
 
 def foreseen(model: Any = MASS, **choices: Any) -> Plan:

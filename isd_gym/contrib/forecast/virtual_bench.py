@@ -197,7 +197,7 @@ class VirtualBench:
         """Largest error (channels,) by small unmodelled effects, as a share of each channel's deviation."""
         base = Candidate(self.training_fit, 0.0)
         return HeldOutEvaluator(self.problem).unmodelled_envelope(
-            base, self.criteria.small, self.criteria.material
+            base, self.criteria.small_effect, self.criteria.material
         )
 
     # -- fitting --------------------------------------------------------------------------------------------

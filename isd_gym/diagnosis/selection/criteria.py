@@ -53,28 +53,28 @@ class Criteria:
         "every rig has effects of a few per cent that no model holds",
         "as above",
     )
-    small: float = limit(
+    small_effect: float = limit(
         0.02,
         "share of the typical force",
         "the size of those effects, for what they make of the outputs",
         "as above",
     )
-    wide: float = limit(
+    wide_gap: float = limit(
         0.10,
         "share of the deviation, mean over channels",
         "a gap so wide, or wider than small effects make it, is worth a name whatever the force, where one effect closes it",
         "slightly damped rigs, where 3 % of the force is a quarter of the motion",
     )
-    alone: float = limit(
+    alone_removes: float = limit(
         0.90, "share of the excess", "what a small effect must close of such a gap", "as above"
     )
-    half: float = limit(
+    least_removed: float = limit(
         0.50,
         "share of the excess",
         "what one more effect must remove of what is left; a name must leave half of what its effects have to leave (`least_explained`)",
         "half: it leads",
     )
-    several: float = limit(
+    small_effects: float = limit(
         3.0,
         "powers",
         "where less is explained, what is left may be so many small effects' sum",
@@ -199,7 +199,7 @@ class Criteria:
     partly: float = limit(
         0.36,
         "share of names",
-        "the same of a name that explains less than `alone` of the gap, whatever small effects excuse the rest; and of the places and kinds "
+        "the same of a name that explains less than `alone_removes` of the gap, whatever small effects excuse the rest; and of the places and kinds "
         "of such a candidate that is not named",
         "of 26 such names at first looks (seeds 310 to 317 of all families) 9 were wrong, of 814 others 22: (9 + 1) / (26 + 2); of 32 such "
         "places and kinds in answers without a name 9 were wrong",
@@ -219,7 +219,7 @@ class Criteria:
     mistaken_weak: float = limit(
         0.53,
         "share of statements",
-        "the same of places and kinds of a candidate that explains less than `half`",
+        "the same of places and kinds of a candidate that explains less than `least_removed`",
         "of 15 such places at first looks (seed 463, sealed rigs) 8 were wrong: (8 + 1) / (15 + 2)",
     )
     mistaken_place: float = limit(
@@ -232,13 +232,13 @@ class Criteria:
     def least_explained(self, effects: int) -> float:
         """Return the least share of the excess error that a name must explain.
 
-        Each effect removes at least `half` of what is left, which leaves half**effects. A name must leave no more than half of that: 0.75
+        Each effect removes at least `least_removed` of what is left, which leaves half**effects. A name must leave no more than half of that: 0.75
         must be explained with one effect, 0.875 with two.
 
         Args:
             effects: Number of effects of the name.
         """
-        return float(1.0 - self.half ** (effects + 1))
+        return float(1.0 - self.least_removed ** (effects + 1))
 
     def share_mistaken(
         self, level: str, explained: float, support: float = 1.0, is_named: bool = True
@@ -251,11 +251,11 @@ class Criteria:
             support: Share of the samples on the rarer side of a law's characteristic point.
             is_named: Whether the foremost candidate passed every gate.
         """
-        is_doubtful = explained < self.alone or support < self.support
+        is_doubtful = explained < self.alone_removes or support < self.support
         own = {"law": self.mistaken, "kind": self.mistaken_kind, "place": self.mistaken_place}[level]
         if is_doubtful and (level == "law" or not is_named):
             own = max(own, self.partly)
-        return max(own, self.mistaken_weak) if explained < self.half else own
+        return max(own, self.mistaken_weak) if explained < self.least_removed else own
 
 
 CRITERIA = Criteria()
@@ -276,8 +276,8 @@ def is_material(
         size: Share of the force, current or signal at the effect's place.
         c: Limits of the decision.
     """
-    is_wide = width > c.wide or (beyond_small and size > c.small)
-    return size >= c.share or (removed >= c.alone and is_wide)
+    is_wide = width > c.wide_gap or (beyond_small and size > c.small_effect)
+    return size >= c.share or (removed >= c.alone_removes and is_wide)
 
 
 def table(c: Criteria = CRITERIA) -> list[dict[str, str | float]]:

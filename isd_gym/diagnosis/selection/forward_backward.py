@@ -146,7 +146,7 @@ class Search:
             if len(path) > 2 and (is_worse or not then.compare_with(score).is_better(c)):
                 break
             is_small = e.effect_sizes(best)[-1] < c.share
-            if is_small and float(then.excess(e.noise_share(then)).mean()) < c.wide:
+            if is_small and float(then.excess(e.noise_share(then)).mean()) < c.wide_gap:
                 break
 
     def _hint(self, now: Candidate) -> Candidate | None:
@@ -179,7 +179,7 @@ class Search:
         gain = before - best.deviance
         self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
         stages.append(list(result.ranked))
-        is_weak = gain < c.deviance_gain and c.half * gap(p, now.fit) < gap(p, best.fit)
+        is_weak = gain < c.deviance_gain and c.least_removed * gap(p, now.fit) < gap(p, best.fit)
         return None if is_weak else best
 
     # -- backward elimination -----------------------------------------------------------------------------

@@ -32,7 +32,7 @@ class InclusionTests:
     def unmodelled_envelope(self, candidate: Candidate) -> Array:
         """Return the excess error of unmodelled effects (channels,), as a share of the deviation."""
         c = self.criteria
-        return self.evaluator.unmodelled_envelope(candidate, c.small, c.material)
+        return self.evaluator.unmodelled_envelope(candidate, c.small_effect, c.material)
 
     # -- two candidates -----------------------------------------------------------------------------------
     def predicts_better(self, scores: CandidateComparison, first: Candidate, second: Candidate) -> bool:
@@ -56,12 +56,12 @@ class InclusionTests:
         unmodelled effects, or by half of its excess, on held-out or on training records.
         """
         c, now, then = self.criteria, scores.score(chosen), scores.score(other)
-        if self.law_difference(chosen, other) < c.small:
+        if self.law_difference(chosen, other) < c.small_effect:
             return False
         problem = self.evaluator.problem
         on_training = 1.0 - gap(problem, chosen.fit) / gap(problem, other.fit)
         removed = max(scores.explained_fraction(then, now), on_training)
-        return self.exceeds_envelope(scores, chosen, other) or removed >= c.half
+        return self.exceeds_envelope(scores, chosen, other) or removed >= c.least_removed
 
     def exceeds_envelope(self, scores: CandidateComparison, chosen: Candidate, other: Candidate) -> bool:
         """Return whether the error of a channel falls by more than the envelope of unmodelled effects."""
@@ -110,7 +110,7 @@ class InclusionTests:
     def leaves_unmodelled_only(self, scores: CandidateComparison, candidate: Candidate) -> bool:
         """Return whether the error that a candidate leaves is no more than several unmodelled effects make."""
         left = scores.score(candidate).excess(scores.noise) ** 2
-        return bool(np.all(left < self.criteria.several * self.unmodelled_envelope(candidate) ** 2))
+        return bool(np.all(left < self.criteria.small_effects * self.unmodelled_envelope(candidate) ** 2))
 
     def removed(
         self, scores: CandidateComparison, chosen: Candidate, without: Candidate
@@ -142,13 +142,13 @@ class InclusionTests:
         share, moved = scores.explained_fraction(a, b), error_reduction(a, b)
         size = self.evaluator.effect_sizes(after)[-1]
         # held-out records that are driven harder than training records may show more of the unmodelled effects
-        removes = share >= c.half or (
+        removes = share >= c.least_removed or (
             self.leaves_unmodelled_only(scores, after)
             and scores.explained_on_training(a, b, self.unmodelled_envelope(before)) >= c.least_explained(1)
         )
         scores.notes.append(
             f"{after.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "
-            f"error (needed {c.half:.0%}), moves a channel by {moved:.1%} of its deviation (needed {c.material:.0%}), "
+            f"error (needed {c.least_removed:.0%}), moves a channel by {moved:.1%} of its deviation (needed {c.material:.0%}), "
             f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
         )
         return (
@@ -177,7 +177,7 @@ class InclusionTests:
         large = self.is_material(scores, chosen, without, self.evaluator.effect_sizes(chosen)[effect])
         return (
             large
-            and scores.explained_fraction(then, now) >= c.half
+            and scores.explained_fraction(then, now) >= c.least_removed
             and error_reduction(then, now) >= c.material
         )
 

@@ -139,7 +139,7 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             "lack of fit",
             e.lack_of_fit,
             "<",
-            c.half,
+            c.least_removed,
             "share of the remaining excess error that a free curve in the effect's place removes",
         ),
         gate(
@@ -173,13 +173,17 @@ def _confirmed(e: Evidence, c: Criteria) -> Gate:
     rest = f"the rest is {e.test_excess_ratio:.3g} times the power of unmodelled effects"
     main = gate("confirmed", e.test_explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}")
     part = gate(
-        "confirmed", e.test_explained, ">=", c.half, f"{removed}; enough, since {rest} (limit {c.several:g})"
+        "confirmed",
+        e.test_explained,
+        ">=",
+        c.least_removed,
+        f"{removed}; enough, since {rest} (limit {c.small_effects:g})",
     )
     few = gate(
         "confirmed",
         e.test_excess_ratio,
         "<",
-        c.several,
+        c.small_effects,
         "power left on the test records over that of unmodelled effects",
     )
     return any_of(main, all_of(part, few))
@@ -213,11 +217,11 @@ def _large_or_closing(x: EffectEvidence, c: Criteria, moves: str) -> Gate:
         "material",
         x.removed,
         ">=",
-        c.alone,
+        c.alone_removes,
         f"share of the squared held-out error beyond noise removed from a wide gap; {instead}",
     )
-    wide = gate("material", x.width, ">", c.wide, f"mean excess error without {x.label} over channels")
-    beyond = gate("material", x.share, ">", c.small, "share of the force at its place")
+    wide = gate("material", x.width, ">", c.wide_gap, f"mean excess error without {x.label} over channels")
+    beyond = gate("material", x.share, ">", c.small_effect, "share of the force at its place")
     return any_of(large, all_of(closes, any_of(wide, *([beyond] if x.beyond_small else []))))
 
 
@@ -225,15 +229,15 @@ def _adequate(e: Evidence, c: Criteria) -> Gate:
     removed = "share of the squared held-out error beyond noise removed, in all and in the channel with the widest gap"
     rest = f"the rest is {e.excess_ratio:.3g} times the power that small effects leave"
     main = gate("adequate", e.explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}")
-    excused = f"enough, since {rest} (limit {c.several:g})"
+    excused = f"enough, since {rest} (limit {c.small_effects:g})"
     # unmodelled effects may leave the rest, unless the rest is a wide gap itself
     part = all_of(
-        gate("adequate", e.explained, ">=", c.half, f"{removed}; {excused}"),
+        gate("adequate", e.explained, ">=", c.least_removed, f"{removed}; {excused}"),
         gate(
             "adequate",
             e.width_after,
             "<",
-            c.wide,
+            c.wide_gap,
             "mean excess error over channels that the candidate leaves",
         ),
     )
@@ -241,11 +245,15 @@ def _adequate(e: Evidence, c: Criteria) -> Gate:
         "adequate",
         e.training_explained,
         ">=",
-        c.alone,
+        c.alone_removes,
         f"share of the squared error beyond noise removed on the training records; {excused}; held out: {100 * e.explained:.0f} %",
     )
     few = gate(
-        "adequate", e.excess_ratio, "<", c.several, "remaining power over that which small effects leave"
+        "adequate",
+        e.excess_ratio,
+        "<",
+        c.small_effects,
+        "remaining power over that which small effects leave",
     )
     fits = gate(
         "adequate",
@@ -309,7 +317,13 @@ def table_gates(
         c: Limits of the decision.
     """
     return (
-        gate("explains", explained, ">=", c.half, "share of the squared held-out error beyond noise removed"),
+        gate(
+            "explains",
+            explained,
+            ">=",
+            c.least_removed,
+            "share of the squared held-out error beyond noise removed",
+        ),
         gate(
             "material",
             moved,
@@ -328,7 +342,7 @@ def table_gates(
             "confirmed",
             confirmed,
             ">=",
-            c.half,
+            c.least_removed,
             "share of the squared error beyond noise removed on the test records",
         ),
     )
@@ -352,21 +366,21 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     # no effect predicts better, and the excess error is below the noise
     if not gates or "predicts better" in failed:
         hidden = all(x < f for x, f in zip(e.excess_refit, e.noise, strict=True))
-        if hidden and e.width < c.wide and e.has_credible_noise(c.misses):
+        if hidden and e.width < c.wide_gap and e.has_credible_noise(c.misses):
             return Decision(agreed, gates, reason="noise")
     # unmodelled effects make gaps as large, or effects too small to be named close the gap
     closes = bool(gates) and e.closed_by_small(c.share)
     little = all(x < w for x, w in zip(e.excess_refit, e.envelope, strict=True))
     # a wide gap is no agreement
-    if (little or closes) and e.width < c.wide and e.has_credible_noise(c.misses):
+    if (little or closes) and e.width < c.wide_gap and e.has_credible_noise(c.misses):
         return Decision(
             agreed, gates, small=is_there, reason="small_effects" if little else "closed_by_small"
         )
-    if failed == {"material"} and e.width < c.wide and e.has_credible_noise(c.misses):
+    if failed == {"material"} and e.width < c.wide_gap and e.has_credible_noise(c.misses):
         return Decision(agreed, gates, small=True, reason="too_small")
     if failed & {"distinguishable", "sensor"} and failed <= {"distinguishable", "sensor", "probable"}:
         # a doubtful sensor fault behind a narrow gap is no finding
-        little = "sensor" in failed and e.width < c.wide and e.has_credible_noise(c.misses)
+        little = "sensor" in failed and e.width < c.wide_gap and e.has_credible_noise(c.misses)
         if little:
             return Decision(agreed, gates, small=True, reason="doubtful_sensor")
         return Decision("ambiguous", gates)
@@ -388,7 +402,11 @@ def with_findings(
         return decision
     failed = {g.name for g in decision.gates if not g.passed}
     certain = any(f.kind not in NAMELESS and f.kind_probability >= c.certain for f in findings)
-    if certain and e.explained >= c.half and not failed & {"predicts better", "lack of fit", "material"}:
+    if (
+        certain
+        and e.explained >= c.least_removed
+        and not failed & {"predicts better", "lack of fit", "material"}
+    ):
         return replace(decision, verdict="ambiguous", reason="kind_certain")
     return decision
 

@@ -230,11 +230,11 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     if after.excess(scores.noise).max() < c.misses and search.tests.leaves_unmodelled_only(scores, best):
         return 0.0
     found = _removed_by_unsound_laws(search, scores, after)
-    if found >= c.half:
+    if found >= c.least_removed:
         return found
     for share in _removed_by_curves(search, scores, after, best.elements[0]):
         found = max(found, share)
-        if found >= c.half:
+        if found >= c.least_removed:
             break
     return found
 
@@ -268,7 +268,7 @@ def _removed_by_curves(
             now is not None
             and now.compare_with(without).is_better(search.criteria)
             and _force_difference(search.problem, without.candidate, now.candidate, named)
-            >= search.criteria.small
+            >= search.criteria.small_effect
         ):
             yield scores.explained_fraction(without, now)
 
