@@ -400,7 +400,7 @@ def deadly(tmp_path, monkeypatch):
         "Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n"
     )
     (folder / "deadly-1.0.dist-info" / "entry_points.txt").write_text(
-        "[isd_gym.benchmark.policies]\ndeadly = deadly:open_policy\n"
+        "[isd_gym.policies]\ndeadly = deadly:open_policy\n"
     )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
     return folder / "mended"
