@@ -470,7 +470,9 @@ class Problem:
             if c.name in curves:
                 fine = [curve[0] for curve in curves[c.name]]
             else:
-                fine = [interpolated(r.inputs[c.name], every, held=held, sparse=sparse) for r in records]
+                fine = [
+                    interpolated(r.inputs[c.name], every, r.step, held=held, sparse=sparse) for r in records
+                ]
             if motored and c.quantity == "current":
                 made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
                 inputs[c.name] = np.concatenate(made, axis=1)
