@@ -14,6 +14,7 @@ from ...arrays import Z95
 from ..estimation.gauss_newton import Fitter
 from ..estimation.sensitivities import deviations
 from ..result import Quantity
+from ..simulation.problem import BROKEN
 from .comparison import block_edges
 
 if TYPE_CHECKING:
@@ -36,12 +37,14 @@ BLOCKS, LEAST_BLOCK = 20, 10
 def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | None:
     """Return the mean square error of the free parameters, transformed (parameters, parameters); None where no parameter is free.
 
-    Three parts, to first order:
+    Four parts, to first order:
 
     - Noise: the inverse curvature of the cost. Where the scores of blocks of the record scatter more than white noise would, the sandwich
       estimate replaces the deviation of a parameter (Huber 1967): the residual has a colour that the filters do not remove.
     - Small effects that no model contains: each has a prior size (`unmodelled_responses`), and the residual reduces its uncertainty.
     - Bias: the shift of the parameters by the sizes that the residual shows.
+    - Distance from the optimum: one more step of the fit, with better derivatives. Along a direction in which the outputs hardly change, a fit
+      with dry friction stops early.
 
     References:
         Huber, The behavior of maximum likelihood estimates under nonstandard conditions, Proc. 5th Berkeley Symposium (1967) 221.
@@ -60,7 +63,13 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     H, g, parts = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses)
     for _ in range(PASSES):
         steps = deviations(fit.structure, fit.x, np.asarray(np.linalg.inv(H)[:p, :p], dtype=np.float64))
-        H, g, parts = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses, over=steps)
+        try:
+            found = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses, over=steps)
+        except BROKEN:
+            break
+        if not np.isfinite(found[0]).all():  # the model does not simulate so far away
+            break
+        H, g, parts = found
     inverse = np.linalg.inv(H)
     shift = inverse @ g[:, 1:]
     # normal equations of the effects' sizes, parameters eliminated; the prior of each size has variance 1
@@ -76,7 +85,10 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     block = np.array(scores) - np.mean(scores, axis=0)
     sandwich = inverse @ (block.T @ block) @ inverse
     wider = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(inverse), 1.0))
-    out = inverse * np.outer(wider, wider) + shift @ spread @ shift.T
+    down = g[:, 0].copy()
+    down[:p] += (fit.structure.mean - fit.x) / fit.structure.sigma**2
+    step = inverse @ down
+    out = inverse * np.outer(wider, wider) + shift @ spread @ shift.T + np.outer(step, step)
     return np.asarray(out[:p, :p])
 
 

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ...arrays import Array, rms
+from ...arrays import Array, is_smooth
 from ...simulate import upsample
-
-#: white noise of one unit in the first and second derivative of a spline through it, by the sample (RMS over frequencies)
-GAINS = 1.18, 6.0
-QUIET = 0.02  # share of a derivative that noise may have
-#: eighth differences of white noise of one unit, in which a motion hardly shows
-EIGHTH = math.sqrt(math.comb(16, 8))
 
 
 def through(values: Array, every: int, *, by: int = 0) -> Array:
@@ -38,15 +30,9 @@ def interpolated(values: Array, every: int, step: float, *, held: bool, sparse: 
         held: Whether each value is held until the next.
         sparse: Whether samples are so sparse that straight lines lose much of the amplitude.
     """
-    if held or every == 1 or not (sparse or _is_smooth(values, differences(values, step)[0], step, 1)):
+    if held or every == 1 or not (sparse or is_smooth(values, step)):
         return upsample(values, every, hold=held)
     return through(values, every)
-
-
-def _is_smooth(values: Array, slope: Array, step: float, order: int) -> bool:
-    """Return whether noise is a small share of a derivative of a spline through samples, of order 1 or 2."""
-    noise = rms(np.diff(values, 8)) / EIGHTH if len(values) > 8 else 0.0
-    return GAINS[order - 1] * noise / step**order < QUIET * rms(slope)
 
 
 def differences(values: Array, step: float) -> tuple[Array, Array]:
@@ -72,7 +58,7 @@ def splined_input(
     """
     if slopes is None:
         slopes = differences(values, step)
-        splined = [_is_smooth(values, slopes[k], step, k + 1) for k in (0, 1)]
+        splined = [is_smooth(values, step, slopes[k], k + 1) for k in (0, 1)]
     else:
         splined = [False, False]
     x = through(values, every) if sparse or splined[0] else upsample(values, every)
