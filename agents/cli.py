@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from isd_gym.commands._options import TrainedOption
+from isd_gym.plugins import wing
 
 #: plant unless given
 DEFAULT = "quarter-car-isd"
@@ -224,21 +225,15 @@ def convert(
     if out is not None:
         typer.echo(f"policy in '{policy.save(out)}'")
     if plain_c is not None:
-        from .plain_c import export_c
-
-        header, source = export_c(policy, plain_c)
+        header, source = wing("exports").export_policy_in_c(policy, plain_c)
         typer.echo(f"C in '{header}' and '{source}'")
     if onnx is not None:
-        from .onnx import export_onnx
-
-        typer.echo(f"ONNX in '{export_onnx(policy, onnx)}'")
+        typer.echo(f"ONNX in '{wing('exports').export_onnx(policy, onnx)}'")
     if hub is not None:
         from isd_gym.console import progress
 
-        from .hub import write
-
         with progress() as update:
-            typer.echo(f"'{write(policy, hub, progress=update)}' can be uploaded")
+            typer.echo(f"'{wing('hub').write(policy, hub, progress=update)}' can be uploaded")
 
 
 def _controller(name: str, out: Path | None, onnx: Path | None, plain_c: Path | None, network: str) -> bool:
@@ -248,10 +243,9 @@ def _controller(name: str, out: Path | None, onnx: Path | None, plain_c: Path | 
 
     if name not in CONTROLLERS:
         return False
-    from isd_gym.baselines.plain_c import export_c
 
     if plain_c is None or out is not None or onnx is not None:
         raise InputError(f"'{name}' is a controller and no network: it can be written with --c DIR alone")
-    header, source = export_c(make(name, network), plain_c)  # type: ignore[arg-type]
+    header, source = wing("exports").export_controller_in_c(make(name, network), plain_c)
     typer.echo(f"C in '{header}' and '{source}'")
     return True

@@ -10,6 +10,7 @@ library. The interval of a mean over training seeds is a stratified bootstrap ov
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import time
@@ -20,64 +21,110 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "benchmarks" / "stock.json"
+POINTS = 25  # of a learning curve
 PASSIVE = {"quarter-car-isd": ("passive", "skyhook", "mpc", "mpc-friction"), "half-car-isd": ("passive", "lqg-wheelbase", "mpc-wheelbase")}  # fmt: skip
 TUNED: dict[str, Any] = {
     "n_steps": 256, "batch_size": 2048, "n_epochs": 1, "gamma": 0.99, "gae_lambda": 1.0,
     "policy_kwargs": {"net_arch": {"pi": [64, 64], "vf": []}},
 }  # fmt: skip
-#: name -> algorithm, environment, cars, decisions, first learning rate (None: the default), arguments
-RECIPES: dict[str, tuple[str, str, int, int, float | None, dict[str, Any]]] = {
-    "ppo-2min": ("PPO", "ISDSuspensionLearning-v0", 512, 25_000_000, 1e-3, TUNED),
-    "ppo-defaults": ("PPO", "ISDSuspensionLearning-v0", 32, 1_900_000, None, {}),
-    "sac-defaults": ("SAC", "ISDSuspensionLearning-v0", 32, 1_000_000, None, {}),
-    "td3-defaults": ("TD3", "ISDSuspensionLearning-v0", 32, 1_000_000, None, {}),
-    "tqc-defaults": ("TQC", "ISDSuspensionLearning-v0", 32, 500_000, None, {}),
-    "ppo-half-car": ("PPO", "ISDHalfCarLearning-v0", 512, 25_000_000, 1e-3, TUNED),
-}
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """What is trained: an algorithm of the library on cars of an environment."""
+
+    algorithm: str
+    cars: int
+    decisions: int
+    rate: float | None = None  # first learning rate, falling to 0; None: the default
+    arguments: dict[str, Any] = dataclasses.field(default_factory=dict)
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the environment
+    normalized: bool = False  # VecNormalize with its defaults
+    environment: str = "ISDSuspensionLearning-v0"
+
+
+RECIPES = {
+    "ppo-2min": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED),
+    "ppo-defaults": Recipe("PPO", 32, 1_900_000),
+    "sac-defaults": Recipe("SAC", 32, 1_000_000),
+    "ppo-half-car": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED, environment="ISDHalfCarLearning-v0"),
+    # half of the recipe, with one thing changed
+    "half": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED),
+    "half, hold 1": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"hold": 1}),
+    "half, hold 4": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"hold": 4}),
+    "half, hold 8": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"hold": 8}),
+    "half, gSDE": Recipe("PPO", 512, 12_500_000, 1e-3, {**TUNED, "use_sde": True, "sde_sample_freq": 16}),
+    "half, gSDE, hold 1": Recipe(
+        "PPO", 512, 12_500_000, 1e-3, {**TUNED, "use_sde": True, "sde_sample_freq": 16}, {"hold": 1}
+    ),
+    "half, VecNormalize": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, normalized=True),
+    "half, own cost": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"reward": "cost"}),
+    "half, one observation": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"observation": "measured"}),
+    "half, current": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"action": "current"}),
+}  # fmt: skip
 
 
 def train(name: str, seed: int, folder: Path) -> None:
     """Train a recipe with a seed; do nothing where the model exists."""
     import torch
-    from stable_baselines3 import PPO, SAC, TD3
+    from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.vec_env import VecNormalize
 
-    from isd_gym.sb3 import make_vec_env
+    from isd_gym.sb3 import ScoreCallback, make_vec_env
 
     out = folder / name / f"{seed}.zip"
     if out.exists():
         return
     torch.set_num_threads(1)
-    algorithm, environment, cars, decisions, rate, arguments = RECIPES[name]
-    kinds: dict[str, Any] = {"PPO": PPO, "SAC": SAC, "TD3": TD3}
-    if algorithm == "TQC":
-        from sb3_contrib import TQC
-
-        kinds["TQC"] = TQC
-    env = make_vec_env(cars, cars_per_road=8, env_id=environment)
-    more = {} if rate is None else {"learning_rate": lambda left: rate * left}
-    model = kinds[algorithm]("MlpPolicy", env, seed=seed, device="cpu", **arguments, **more)
+    recipe = RECIPES[name]
+    kinds: dict[str, Any] = {"PPO": PPO, "SAC": SAC}
+    cars: Any = make_vec_env(recipe.cars, cars_per_road=8, env_id=recipe.environment, **recipe.options)
+    env = VecNormalize(cars) if recipe.normalized else cars
+    more: dict[str, Any] = {}
+    if recipe.rate is not None:
+        first = recipe.rate
+        more["learning_rate"] = lambda left: first * left
+    model = kinds[recipe.algorithm]("MlpPolicy", env, seed=seed, device="cpu", **recipe.arguments, **more)
     env.seed(seed * 1_000_003 + 12_345)
-    begin = time.process_time()
-    model.learn(decisions)
-    seconds = time.process_time() - begin
+
+    class Curve(ScoreCallback):
+        """J on the validation roads over the processor time of the training alone."""
+
+        def _evaluate(self) -> None:
+            self.spent.append(time.process_time() - self.begun)
+            super()._evaluate()
+            self.begun += time.process_time() - self.begun - self.spent[-1]
+
+    curve = Curve(recipe.decisions // POINTS, references=(), verbose=0)
+    curve.spent, curve.begun = [], time.process_time()
+    model.learn(recipe.decisions, callback=curve)
     out.parent.mkdir(parents=True, exist_ok=True)
-    (folder / name / f"{seed}.json").write_text(json.dumps({"processor_seconds": round(seconds, 1)}) + "\n")
+    seconds = round(curve.spent[-1], 1)
+    points = [[round(t, 1), *row] for t, row in zip(curve.spent, curve.history, strict=True)]
+    (folder / name / f"{seed}.json").write_text(
+        json.dumps({"processor_seconds": seconds, "curve": points}) + "\n"
+    )
+    if recipe.normalized:
+        env.save(str(out.with_name(f"{seed}_vecnormalize.pkl")))
     model.save(out)
     print(f"{name}, seed {seed}: {seconds:.0f} s", flush=True)
 
 
 def collect(folder: Path) -> None:
-    """Score all models on the scoring roads and write the result."""
+    """Score all models of a folder on the scoring roads; results of recipes without a model there stay."""
     from isd_gym.registration import LEARNING
     from isd_gym.scoring import score
 
+    before = json.loads(RESULT.read_text(encoding="utf-8"))
     rows: dict[str, Any] = {}
-    grounds: dict[str, dict[str, list[float]]] = {}
-    for name, (algorithm, environment, cars, decisions, _, _) in RECIPES.items():
+    grounds: dict[str, dict[str, list[float]]] = before["references"]
+    for name, recipe in RECIPES.items():
         models = sorted((folder / name).glob("*.zip"), key=lambda p: int(p.stem))
         if not models:
+            if name in before["recipes"]:
+                rows[name] = before["recipes"][name]
             continue
-        network = LEARNING[environment]
+        network = LEARNING[recipe.environment]
         if network not in grounds:
             found = score(list(PASSIVE[network]), network)
             grounds[network] = {k: v["cost"] for k, v in found.raw.items()}
@@ -85,10 +132,14 @@ def collect(folder: Path) -> None:
         for model in models:
             found = score([str(model)], network)
             costs.append(next(v["cost"] for k, v in found.raw.items() if k != "passive"))
-        spent = [json.loads(m.with_suffix(".json").read_text())["processor_seconds"] for m in models]
+        told = [json.loads(m.with_suffix(".json").read_text()) for m in models]
+        spent = [each["processor_seconds"] for each in told]
         rows[name] = {
-            "algorithm": algorithm, "environment": environment, "network": network, "cars": cars, "decisions": decisions,
+            "algorithm": recipe.algorithm, "environment": recipe.environment, "network": network, "cars": recipe.cars,
+            "decisions": recipe.decisions,
             "seeds": [int(m.stem) for m in models], "processor_seconds": spent, "costs": costs,
+            # processor time [s], decisions, J, change against `passive` [%] on the validation roads
+            "curves": [each.get("curve", []) for each in told],
         }  # fmt: skip
         print(
             f"{name}: {[round(100 * (np.mean(c) / np.mean(grounds[network]['passive']) - 1), 2) for c in costs]} %"

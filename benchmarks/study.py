@@ -116,7 +116,7 @@ def collect(
 def least(network: Network, seed: int, episodes: int) -> list[float]:
     """Least cost known of the first roads of the training condition, as many as there are one after another."""
     try:
-        from isd_gym.baselines.clairvoyant import reference
+        from isd_gym.contrib.ceilings.clairvoyant import reference
     except ImportError:
         return []
     out: list[float] = []

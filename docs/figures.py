@@ -301,8 +301,8 @@ def films() -> None:
 
 def preview() -> None:
     """Change of J over the seconds of road ahead, of the references of the benchmark's card, and the ceilings."""
-    from isd_gym.baselines.ceiling import known
     from isd_gym.benchmark import cards
+    from isd_gym.contrib.ceilings.ceiling import known
     from isd_gym.network import Network
     from isd_gym.road import road
 

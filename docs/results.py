@@ -29,8 +29,8 @@ import stock as stock_study
 import study
 import tracks as tracks_of
 
-from isd_gym.baselines.ceiling import known
 from isd_gym.benchmark import cards
+from isd_gym.contrib.ceilings.ceiling import known
 from isd_gym.discrepancy.selection import criteria
 from isd_gym.registration import ENVIRONMENTS
 from isd_gym.task import Options
@@ -54,6 +54,11 @@ SHOWN = {
 def percent(share: float, digits: int = 1) -> str:
     """A share as a signed percentage."""
     return f"{100 * share:+.{digits}f} %".replace("-", "−")
+
+
+def ratio(value: float | None) -> str:
+    """A number with two digits; a dash for None."""
+    return "–" if value is None else f"{value:.2f}".replace("-", "−")
 
 
 def interval(low: float, high: float, digits: int = 1) -> str:
@@ -437,6 +442,8 @@ def stock() -> str:
     found = json.loads((BENCHMARKS / "stock.json").read_text(encoding="utf-8"))
     body = []
     for name, row in found["recipes"].items():
+        if name.partition(",")[0] == "half":
+            continue
         own = np.array(row["costs"])
         ground = {k: np.array(v) for k, v in found["references"][row["network"]].items()}
         rival = "mpc" if "mpc" in ground else "lqg-wheelbase"
@@ -467,6 +474,23 @@ def stock() -> str:
         "against the reference",
     ]
     return markdown(heads, body, "lrrrrrr")
+
+
+def stock_options() -> str:
+    """Half of the recipe with one option changed, over two training seeds."""
+    found = json.loads((BENCHMARKS / "stock.json").read_text(encoding="utf-8"))
+    body = []
+    for name, row in found["recipes"].items():
+        first, _, changed = name.partition(", ")
+        if first != "half":
+            continue
+        passive = np.mean(found["references"][row["network"]]["passive"])
+        each = [percent(np.mean(costs) / passive - 1.0) for costs in row["costs"]]
+        seconds = f"{np.mean(row['processor_seconds']):.0f} s"
+        body.append(
+            [changed or "nothing", seconds, percent(np.mean(row["costs"]) / passive - 1.0), ", ".join(each)]
+        )
+    return markdown(["changed", "processor time", "J against `passive`", "each seed"], body, "lrrr")
 
 
 def study_table() -> str:
@@ -749,6 +773,65 @@ def yardstick_models() -> str:
     return markdown(heads, body, "llrllr")
 
 
+#: tools of MissingPhysBench, in the order of the table
+TOOLS = {
+    "isd_gym": "**`isd-gym diagnose`**",
+    "aic": "AIC over a fixed list",
+    "sindy": "residual SINDy (pysindy)",
+    "symbolic": "symbolic regression (gplearn)",
+    "gp": "Gaussian-process residual",
+    "narx": "polynomial NARX (SysIdentPy)",
+    "refit": "refit of the parameters",
+}
+
+
+def _missing_physics() -> dict[str, Any]:
+    return json.loads((BENCHMARKS / "missing_physics.json").read_text(encoding="utf-8"))
+
+
+def missing_physics() -> str:
+    """Figures of every tool on MissingPhysBench, over all cases."""
+    found, body = _missing_physics(), []
+    for tool, label in TOOLS.items():
+        f = found[tool]["all"]
+        cells = [f["place_f1"], f["law_accuracy"], f["wrong_names"], f["abstention"], f["brier"]]
+        parameters = "–" if f["parameter_error"] is None else f"{100 * f['parameter_error']:.1f} %"
+        body.append(
+            [label, *map(ratio, cells), parameters, ratio(f["error_reduction"]), f"{f['seconds']:.0f} s"]
+        )
+    heads = ["tool", "place F1", "law", "wrong", "abstention", "Brier", "parameters", "reduction", "time"]
+    return markdown(heads, body, "lrrrrrrrr")
+
+
+def missing_physics_sets() -> str:
+    """Law accuracy of every tool on the sets of MissingPhysBench, with the number of cases with a wrong name."""
+    found, body = _missing_physics(), []
+    sets = list(found["isd_gym"]["sets"])
+    for tool, label in TOOLS.items():
+        cells = []
+        for name in sets:
+            f = found[tool]["sets"][name]
+            cells.append(f"{ratio(f['law_accuracy'])} ({round(f['wrong_names'] * f['cases'])})")
+        body.append([label, *cells])
+    return markdown(["tool", *sets], body, "l" + "r" * len(sets))
+
+
+def missing_physics_cases() -> str:
+    """Truth and answer of the diagnosis on every case of MissingPhysBench."""
+
+    def told(names: list[list[str]]) -> str:
+        return "; ".join(f"{law.replace('_', ' ')} at {'–'.join(place)}" for law, *place in names)
+
+    body = []
+    for name, r in _missing_physics()["isd_gym"]["rows"].items():
+        truth = told(r["truth"]) or ("nothing" if r["set"] == "nothing" else "a law outside the list")
+        hit, false, _ = r["place"]
+        place = "the place, no law" if hit else "a wrong place, no law" if false else "nothing"
+        answer = told(r["named"]) or place
+        body.append([name, r["set"], f"{r['noise_db']} dB", truth, answer, ratio(r.get("reduction"))])
+    return markdown(["case", "set", "noise", "truth", "answer", "reduction"], body, "lllllr")
+
+
 # ------------------------------------------------------------------------------------------------------ pages
 
 #: page -> its tables
@@ -759,13 +842,14 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/explanation/baselines.md": (wheelbase,),
     "docs/explanation/ceiling.md": (ceilings,),
     "docs/explanation/road.md": (pulling, lift_off),
-    "docs/explanation/study.md": (study_table, learned_preview, learned_half_car),
+    "docs/explanation/study.md": (study_table, learned_preview, learned_half_car, stock_options),
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/learning.md": (learned, learned_preview, learned_half_car),
     "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
     "docs/validation/public-data.md": (sources,),
     "docs/validation/yardsticks.md": (yardsticks, yardstick_models),
+    "docs/validation/missing-physics.md": (missing_physics, missing_physics_sets, missing_physics_cases),
     "docs/reference/environment.md": (environment,),
     "docs/reference/tracks.md": (tracks, half_car_card, full_car_card, regeneration),
     "docs/reference/limits.md": (gates, limits, shares, search),

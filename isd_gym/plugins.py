@@ -9,8 +9,13 @@ from __future__ import annotations
 
 from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
 from importlib.util import find_spec
+from typing import Any
+
+from .errors import InputError
 
 POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gym.references"
+#: parts of `isd_gym.contrib` that a command of the core reaches by name
+WINGS = "isd_gym.wings"
 OWN = {
     POLICIES: {
         "baselines": "isd_gym.baselines.entry:open_policy",
@@ -19,14 +24,24 @@ OWN = {
     COMMANDS: {
         "train": "isd_gym.agents.cli:train",
         "convert": "isd_gym.agents.cli:convert",
-        "reproduce": "isd_gym.baselines.reproduce:command",
-        "ceiling": "isd_gym.baselines.ceiling:command",
+        "export": "isd_gym.contrib.fmi.command:command",
+        "record": "isd_gym.contrib.minari.command:command",
+        "sweep": "isd_gym.contrib.sweep.command:command",
+        "reproduce": "isd_gym.contrib.reproduce:command",
+        "ceiling": "isd_gym.contrib.ceilings.ceiling:command",
     },
     REFERENCES: {
-        "clairvoyant": "isd_gym.baselines.clairvoyant:reachable",
-        "lq_front": "isd_gym.baselines.bounds:lq_front",
-        "wheelbase_bound": "isd_gym.baselines.bounds:wheelbase_bound",
-        "ceiling": "isd_gym.baselines.ceiling:known",
+        "clairvoyant": "isd_gym.contrib.ceilings.clairvoyant:reachable",
+        "lq_front": "isd_gym.contrib.ceilings.bounds:lq_front",
+        "wheelbase_bound": "isd_gym.contrib.ceilings.bounds:wheelbase_bound",
+        "ceiling": "isd_gym.contrib.ceilings.ceiling:known",
+    },
+    WINGS: {
+        "exports": "isd_gym.contrib.exports",
+        "fleet": "isd_gym.contrib.fleet.command",
+        "fmi": "isd_gym.contrib.fmi.command",
+        "hub": "isd_gym.contrib.hub",
+        "no_road": "isd_gym.contrib.no_road.command",
     },
 }
 
@@ -35,7 +50,7 @@ def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
     """Return the entry points of a group, sorted by name.
 
     Args:
-        group: `POLICIES`, `COMMANDS` or `REFERENCES`.
+        group: `POLICIES`, `COMMANDS`, `REFERENCES` or `WINGS`.
         name: Name of one entry point; None for all.
 
     Returns:
@@ -48,3 +63,20 @@ def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
         own = (EntryPoint(name, value, group) for name, value in OWN[group].items())
         found += [p for p in own if find_spec(".".join(p.module.split(".")[:2])) is not None]
     return sorted((p for p in found if name in (None, p.name)), key=lambda p: p.name)
+
+
+def wing(name: str) -> Any:
+    """Import a part of the package outside its core.
+
+    Args:
+        name: Name of an entry point `WINGS`.
+
+    Returns:
+        The module.
+
+    Raises:
+        InputError: The installation has no such part.
+    """
+    for point in plugins(WINGS, name):
+        return point.load()
+    raise InputError(f"this installation has no '{name}': it lacks isd_gym.contrib.{name}")

@@ -1,4 +1,4 @@
-"""Policies: what they remember, how they are stored, and that numpy alone does what Stable-Baselines3 would."""
+"""Policies: memory, files, and the same actions in numpy as in Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -462,7 +462,7 @@ def test_a_zip_is_not_loaded_as_a_policy(tmp_path):
 def test_onnx_is_the_policy(rng, tmp_path, mode, output):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from isd_gym.agents.onnx import export_onnx
+    from isd_gym.contrib.exports.onnx import export_onnx
 
     policy = small_policy(rng, Head(mode), filtered() if mode == "residual" else MEMORY)
     policy.output = output

@@ -148,8 +148,8 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path, monkeypatch, 
 
 
 def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(capsys):
-    from isd_gym.baselines.ceiling import known
     from isd_gym.commands._card_table import print_track
+    from isd_gym.contrib.ceilings.ceiling import known
 
     card = cards.load("ISDSuspension-v0")
     rows = cards.ranking(card, "preview-0.1", (), lambda s: known("quarter-car-isd", preview=s))

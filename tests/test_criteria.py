@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from isd_gym.discrepancy.selection.criteria import CRITERIA, Criteria, table
 from isd_gym.discrepancy.selection.equivalent_laws import repeats
+from isd_gym.discrepancy.selection.held_out import HeldOutScore
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.verdict.gates import COMPARE, Gate, confidence, decide, gates_of, table_gates
 from isd_gym.elements import TYPES, Motion
@@ -172,7 +174,7 @@ def test_what_noise_may_hide_is_no_finding() -> None:
     )
     assert decide(replace(clean, richest=())).verdict == "parameters_only"
     assert decide(replace(clean, richest=(), refit=(0.071,), after=(0.071,))).verdict == "unknown_effect"
-    # what gains something is looked at whatever the noise
+    # an effect with a gain is judged, however large the noise
     small = replace(
         clean, effects=(FRICTION,), after=(0.041,), elpd_diff=900.0, explained=0.6, lack_of_fit=0.7
     )
@@ -274,12 +276,26 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
     }  # fmt: skip
 
 
-@given(NUMBERS, NUMBERS, NUMBERS)
-def test_so_are_those_of_a_table(explained: float, moved: float, errors: float) -> None:
-    for g in table_gates(explained, moved, errors):
+@given(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
+def test_so_are_those_of_a_table(explained: float, moved: float, errors: float, confirmed: float) -> None:
+    for g in table_gates(explained, moved, errors, confirmed):
         assert g.passed == COMPARE[g.relation](g.value, g.limit) and math.isfinite(g.value)
-    asked = explained >= CRITERIA.half and moved >= CRITERIA.material and errors > CRITERIA.elpd_errors
-    assert all(g.passed for g in table_gates(explained, moved, errors)) == asked
+    asked = min(explained, confirmed) >= CRITERIA.half
+    asked = asked and moved >= CRITERIA.material and errors > CRITERIA.elpd_errors
+    assert all(g.passed for g in table_gates(explained, moved, errors, confirmed)) == asked
+
+
+def test_a_table_that_explains_the_validation_records_alone_is_not_confirmed() -> None:
+    def score(nrmse: float, test_nrmse: float) -> HeldOutScore:
+        errors = np.array([nrmse]), np.array([test_nrmse])
+        none: Any = None
+        return HeldOutScore(none, nrmse**2, none, none, *errors, errors[0], test_nrmse**2, none)
+
+    refit, table = score(0.5, 0.4), score(0.1, 0.39)
+    confirmed = table.explained_on_test(refit, np.array([0.01]), 1e-4)
+    assert confirmed == pytest.approx((0.4**2 - 0.39**2) / (0.4**2 - 0.01**2))
+    failed = [g.name for g in table_gates(0.96, 0.49, 8.0, confirmed) if not g.passed]
+    assert failed == ["confirmed"]
 
 
 def test_the_limit_of_a_doubtful_sensor_is_the_one_it_was_held_against() -> None:

@@ -414,7 +414,7 @@ def test_ambiguous_with_the_test_that_would_decide(
 def test_a_unit_for_co_simulation(files: Path, tmp_path: Path) -> None:
     pytest.importorskip("pythonfmu", reason="exporting the unit wants pythonfmu")
     pytest.importorskip("fmpy", reason="running the unit wants fmpy")
-    from isd_gym.fmu import export_fmu
+    from isd_gym.contrib.fmi.export import export_fmu
 
     unit = export_fmu(OWN, tmp_path / "rig.fmu", step=1.0 / RATE)
     free = ["--uncertain", "spring.stiffness=0.2", "--uncertain", "damper.damping=0.2"]

@@ -207,14 +207,13 @@ def test_pages_to_begin_with_are_short(page, most):
 def test_evidence_that_a_page_cites_exists(page):
     """Tests and scripts by their names; a slow test is called slow."""
     text = page.read_text(encoding="utf-8")
-    for name in re.findall(r"`?(?:tests/)?(test_\w+\.py)", text):
-        assert (ROOT / "tests" / name).is_file(), name
+    tests = {path.name: path for path in (ROOT / "tests").rglob("test_*.py")}
+    for name in re.findall(r"`?(?:tests/)?(?:contrib/)?(test_\w+\.py)", text):
+        assert name in tests, name
     for name in re.findall(r"(?:benchmarks|examples|docs)/\w+\.(?:py|json|toml)", text):
         assert (ROOT / name).is_file(), name
     for name in re.findall(r"slow test `(test_\w+\.py)`", text):
-        assert "mark.slow" in (ROOT / "tests" / name).read_text(encoding="utf-8") or name == "test_docs.py", (
-            name
-        )
+        assert "mark.slow" in tests[name].read_text(encoding="utf-8") or name == "test_docs.py", name
 
 
 @pytest.mark.parametrize("page", cases(sorted(ROOT.glob("*.md"))))

@@ -12,7 +12,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("isd_gym", "baselines", "agents")
 #: compiled functions; the diagnosis, of which only the documented names are checked; the readers of a helper process; a program
-INTERNAL = ("isd_gym/kernel", "isd_gym/discrepancy", "isd_gym/formats", "isd_gym/schemas/__main__.py")
+#: the diagnosis, and its kinds outside the core
+DIAGNOSIS = ("isd_gym/discrepancy", "isd_gym/contrib/no_road", "isd_gym/contrib/fmi/identification")
+INTERNAL = ("isd_gym/kernel", *DIAGNOSIS, "isd_gym/formats", "isd_gym/schemas/__main__.py")
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -215,7 +217,7 @@ def unnamed(path):
 
 
 @pytest.mark.parametrize(
-    "module", sorted(p.relative_to(ROOT).as_posix() for p in (ROOT / "isd_gym/discrepancy").rglob("*.py"))
+    "module", sorted(p.relative_to(ROOT).as_posix() for f in DIAGNOSIS for p in (ROOT / f).rglob("*.py"))
 )
 def test_documented_names_of_the_diagnosis_mention_their_arguments(module):
     assert list(unnamed(ROOT / module)) == []

@@ -5,13 +5,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from isd_gym import elements as el
+from isd_gym.contrib.fmi.export import Running
 from isd_gym.data import Table
 from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure, free_of
 from isd_gym.discrepancy.planning import infer_rig
 from isd_gym.discrepancy.records import read_record
 from isd_gym.env import ISDSuspensionEnv
 from isd_gym.errors import InputError
-from isd_gym.fmu import Running
 from isd_gym.network import Network, linearise
 from isd_gym.simulate import effective_current, simulate
 from isd_gym.units import convert
@@ -208,7 +208,7 @@ def test_drive_laws_are_not_tried_where_every_command_has_one_size():
     for kind, options in ((el.DriveDeadZone, {}), (el.QuadraticThrust, {"form": "signed"})):
         assert not kind.starts(setting(("drive",), bang, **options))
         assert kind.starts(setting(("drive",), rich, **options))
-    # for a command of one sign both forms are one law
+    # a command of one sign cannot tell the square from the signed square
     assert not el.QuadraticThrust.starts(setting(("drive",), np.abs(rich), form="square"))
     assert el.QuadraticThrust.starts(setting(("drive",), np.abs(rich), form="signed"))
     # the start is the square that comes nearest to proportion

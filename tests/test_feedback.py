@@ -9,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
@@ -193,3 +195,14 @@ def test_every_rig_in_open_loop_is_seen_as_such() -> None:
         found[folder.name] = find_feedback(records, network)
     assert len(found) >= 20
     assert {name for name, f in found.items() if f} == {"cart_feedback"}
+
+
+def test_where_brief_stretches_decide_nothing_whole_records_under_feedback_are_not_compared() -> None:
+    def run(seed: int) -> Table:
+        push, position = controlled("linear", seed=seed, friction=0.3)
+        return Table(np.arange(1500) * STEP, {"push": push[:1500], "position": position[:1500]}, f"run{seed}")
+
+    d = diagnose([run(0), run(1)], cart(), validate=[run(2), run(3)])
+    assert d.verdict == "unknown_effect"
+    assert d.stretches is not None and d.stretches.reason == "feedback"
+    assert "open loop" not in {g.name for g in d.gates}

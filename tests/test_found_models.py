@@ -12,7 +12,7 @@ from isd_gym import cli, simulate
 from isd_gym.batch import posterior_ranges, ranges
 from isd_gym.data import Table, write_table
 from isd_gym.discrepancy import Quantity
-from isd_gym.discrepancy.prediction_errors import prediction_errors
+from isd_gym.discrepancy.prediction_errors import prediction_errors, removed_share
 from isd_gym.discrepancy.selection.uncertainty import with_posterior
 from isd_gym.env import ISDSuspensionEnv
 from isd_gym.errors import InputError
@@ -28,7 +28,7 @@ PUSH = 40.0 * np.sin(2 * np.pi * 2.1 * TIME) + 20.0 * np.sin(2 * np.pi * 3.7 * T
 @pytest.fixture
 def files(tmp_path):
     RIG.save(tmp_path / "rig.json")
-    RIG.with_parameters({"damper.damping": 60.0}).save(tmp_path / "other.json")
+    replace(RIG.with_parameters({"damper.damping": 60.0}), name="other").save(tmp_path / "other.json")
     travel = simulate(RIG, TIME, {"push": PUSH})["travel"]
     noise = 0.05 * np.random.default_rng(0).standard_normal(len(TIME))
     for name, first, offset in (("a", 0, 0.0), ("b", 700, 3.0)):  # the second starts in mid-motion
@@ -83,6 +83,58 @@ def test_other_wishes_are_one_line(files, monkeypatch, words, told):
 def test_a_model_without_outputs_has_no_errors(files):
     with pytest.raises(InputError, match="no outputs"):
         prediction_errors([files / "a.csv"], replace(RIG, outputs=()))
+
+
+# ------------------------------------------------------------------------------------------- --against: transfer
+def test_the_share_that_transfers_is_one_for_the_true_model_and_negative_for_a_worse_one(files):
+    records = [files / "a.csv", files / "b.csv"]
+    true, other = (prediction_errors(records, files / m) for m in ("rig.json", "other.json"))
+    assert removed_share(true, other)["travel"] == pytest.approx(1.0, abs=0.02)
+    assert removed_share(other, true)["travel"] is None  # the other model errs by no more than noise
+    RIG.with_parameters({"damper.damping": 90.0}).save(files / "worse.json")
+    worse = prediction_errors(records, files / "worse.json")
+    assert removed_share(worse, other)["travel"] < -0.5
+    half = removed_share(other, worse)["travel"]
+    expected = 1.0 - (other.rows[-1].rms ** 2 - 0.05**2) / (worse.rows[-1].rms ** 2 - 0.05**2)
+    assert half == pytest.approx(expected, abs=0.02)
+
+
+def test_the_command_reports_the_transfer_of_a_model_to_another_rig(files):
+    made = files / "transfer.json"
+    words = ["--compare", "--against", files / "other.json", "--json", made]
+    done = invoke("simulate", files / "rig.json", files / "a.csv", *words)
+    assert done.exit_code == 0, done.output
+    told = " ".join(done.output.split())
+    assert "removes 100 % of the squared error of 'other' beyond noise in travel" in told
+    document = json.loads(made.read_text())
+    assert document["against"]["errors"][0]["nrmse"] > 0.15
+    assert document["removed"]["travel"] == pytest.approx(1.0, abs=0.02)
+    done = invoke(
+        "simulate", files / "other.json", files / "a.csv", "--compare", "--against", files / "rig.json"
+    )
+    assert "'rig' errs by no more than noise in travel" in " ".join(done.output.split())
+    replace(Network.load(files / "other.json"), name="rig").save(files / "same.json")
+    done = invoke(
+        "simulate", files / "rig.json", files / "a.csv", "--compare", "--against", files / "same.json"
+    )
+    assert "same.json' beyond noise" in done.output.replace(
+        "\n", ""
+    )  # models of one name are called by their files
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["a.csv", "--out", "o.csv", "--against", "other.json"], "--against goes with --compare"),
+        (["a.csv", "--compare", "--against", "far.json"], "the same outputs"),
+    ],
+)
+def test_models_that_cannot_be_compared_are_one_line(files, monkeypatch, words, told):
+    monkeypatch.chdir(files)
+    output = {"name": "speed", "quantity": "velocity", "at": "mass", "unit": "m/s"}
+    pushed_mass("far", [output]).save("far.json")
+    done = invoke("simulate", "rig.json", *words)
+    assert isinstance(done.exception, InputError) and told in str(done.exception)
 
 
 # ------------------------------------------------------------------------------------------- posterior

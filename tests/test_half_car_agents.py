@@ -339,7 +339,7 @@ def _library(source, number):
 @both
 @pytest.mark.parametrize("mode", ["increment", "residual"])
 def test_c_commands_what_python_commands(network, mode, tmp_path):
-    from isd_gym.agents.plain_c import export_c
+    from isd_gym.contrib.exports.policy_in_c import export_c
 
     policy = policy_of(network, Head(mode))
     motors = policy.currents
@@ -362,7 +362,7 @@ def test_c_commands_what_python_commands(network, mode, tmp_path):
 def test_onnx_commands_several_currents(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from isd_gym.agents.onnx import export_onnx
+    from isd_gym.contrib.exports.onnx import export_onnx
 
     with pytest.raises(InputError, match="--c DIR"):
         export_onnx(policy_of("half-car-isd"), tmp_path / "p.onnx")

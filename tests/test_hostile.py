@@ -94,7 +94,7 @@ def test_a_name_in_markdown_is_text_in_one_cell():
 
 
 def test_a_name_of_a_condition_leaves_the_table_of_a_sweep_whole(tmp_path):
-    from isd_gym.benchmark.sweep import Grid, sweep
+    from isd_gym.contrib.sweep.conditions import Grid, sweep
 
     grid = {"policies": ["isd-passive"], "episodes": 1, "duration": 0.1, "conditions": [{"name": HOSTILE}]}
     sweep(Grid.from_dict(grid), tmp_path / "out")
@@ -155,7 +155,7 @@ def test_a_grid_of_a_sweep_may_hold_anything(grid, says, tmp_path):
 def test_a_folder_of_a_sweep_may_hold_anything(tmp_path):
     """What is no result is done again; links and what belongs to somebody are left alone."""
     from isd_gym.benchmark.engine import stored
-    from isd_gym.benchmark.sweep import Grid, _sound, sweep
+    from isd_gym.contrib.sweep.conditions import Grid, _sound, sweep
 
     grid = Grid.from_dict({"policies": ["isd-passive"], "episodes": 1, "duration": 0.1})
     merged, _ = sweep(grid, tmp_path / "out")

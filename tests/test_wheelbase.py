@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from isd_gym import baselines
-from isd_gym.baselines.bounds import ideal_car, lq_bound, reference, wheelbase_bound
 from isd_gym.baselines.car import CarWeights, blind_gain, car_model, car_regulator, simulated_cost
+from isd_gym.contrib.ceilings.bounds import ideal_car, lq_bound, reference, wheelbase_bound
 from isd_gym.cost import StageCost
 from isd_gym.driving import Crew, Entry, travel
 from isd_gym.env import ISDSuspensionVectorEnv

@@ -186,8 +186,10 @@ def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() 
     assert "No known effect reduces the held-out error by enough to be kept." in nothing
 
 
-def tried(explained: float, moved: float = 0.2, errors: float = 5.0) -> dict[str, Any]:
-    gates = [g.to_dict() for g in table_gates(explained, moved, errors)]
+def tried(
+    explained: float, moved: float = 0.2, errors: float = 5.0, confirmed: float = 0.9
+) -> dict[str, Any]:
+    gates = [g.to_dict() for g in table_gates(explained, moved, errors, confirmed)]
     return {"between": ["mass", "ground"], "over": "elongation", "explained": explained, "gates": gates}
 
 
@@ -196,6 +198,11 @@ def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason() -> 
     assert "removes 93 % of the squared held-out error beyond noise" in said
     assert "predicts better (1.2, needed above 2)" in said
     assert "depend on time" not in said and "half" not in said
+    said = summary_of(document(VAGUE, best_table=tried(0.68, confirmed=0.14)))
+    assert (
+        "removes 68 % of the squared held-out error beyond noise, but fails confirmed (0.14, needed at least 0.5)"
+        in said
+    )
     said = summary_of(document(VAGUE, best_table=tried(0.3)))
     assert "removes 30 % of the squared held-out error beyond noise (needed 50 %)." in said
     assert "depend on time, on its own past, on an input" in said

@@ -325,7 +325,7 @@ class Grid:
                 "duration": self.duration,
             }
             arguments = {"policy": policy, **roads, "condition": given, **({"files": files} if files else {})}
-            out.append(Task("isd_gym.sweep:drive_item", arguments))
+            out.append(Task("isd_gym.contrib.sweep.conditions:drive_item", arguments))
         return out
 
 

@@ -8,16 +8,13 @@ from __future__ import annotations
 from . import (
     card,
     diagnose,
-    export,
     inspect,
     networks,
     plan,
     policies,
-    record,
     score,
     show,
     simulate,
-    sweep,
     warm,
 )
 from ._app import FiniteCommand, SeveralValuesCommand, app
@@ -30,11 +27,8 @@ for _name, _command in (
     ("show", show.command),
     ("policies", policies.command),
     ("card", card.command),
-    ("sweep", sweep.command),
-    ("record", record.command),
     ("networks", networks.command),
     ("simulate", simulate.command),
-    ("export", export.command),
     ("inspect", inspect.command),
     ("diagnose", diagnose.command),
     ("plan", plan.command),

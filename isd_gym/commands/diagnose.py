@@ -13,7 +13,7 @@ import typer
 
 from ..console import check_file, lines
 from ..errors import InputError, shown
-from ._diagnose_kinds import diagnose_fleet, diagnose_unit, identify_without_road
+from ..plugins import wing
 from ._diagnose_result import print_diagnosis, write_result
 from ._options import (
     ColumnsOption,
@@ -160,9 +160,7 @@ def command(
 
     check_file(json_file)
     if len(data) == 1 and data[0].is_dir() and not validate:
-        from ..fleet import case_itself
-
-        case = case_itself(data[0], model)
+        case = wing("fleet").case_itself(data[0], model)
         if case is not None:  # the folder is one case
             data, validate = [*map(Path, case.data)], [*map(Path, case.validate)]
             model = model or case.model
@@ -184,7 +182,7 @@ def command(
                 "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
             )
         steps = {"map": map_file and str(map_file), "accept": accept or [], "seed": seed, "max_lag": max_lag}
-        diagnose_fleet(data[0], out, model, steps, jobs or 1, engine, json_file)
+        wing("fleet").diagnose_fleet(data[0], out, model, steps, jobs or 1, engine, json_file)
         return
     if model is None:
         raise InputError("--model is missing: name the model to compare the records with")
@@ -213,7 +211,9 @@ def command(
             "header": column_names(columns),
             "signs": signs_of(sign),
         }
-        result = diagnose_unit(model, trust_fmu, data, validate or [], accept or [], named, shares)
+        result = wing("fmi").diagnose_unit(
+            model, trust_fmu, data, validate or [], accept or [], named, shares
+        )
         print_diagnosis(result, json_file, write_result(result, out, about))
         return
     for file in elements or ():
@@ -230,7 +230,9 @@ def command(
         if cut is not None:
             raise InputError("--cut and --unmeasured exclude each other: use one of them")
         files = [*data, *(validate or [])]
-        identify_without_road(files, network, unmeasured, accept or [], options, max_seconds, out, json_file)
+        wing("no_road").identify_without_road(
+            files, network, unmeasured, accept or [], options, max_seconds, out, json_file
+        )
         return
     check_target(out)
     part = network if cut is None else cut_at(network, cut)

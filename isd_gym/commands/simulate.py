@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -23,6 +24,7 @@ from ._options import (
 )
 
 if TYPE_CHECKING:
+    from ..discrepancy.prediction_errors import PredictionErrors
     from ..network import Network
     from ..simulate import Interpolation
 
@@ -48,6 +50,14 @@ def command(
             "parameters stay.",
         ),
     ] = False,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            help="With --compare: a second model, such as the nominal model of this rig. Prints its errors too, and the share of its "
+            "squared error beyond noise that MODEL removes: how far a model found on another rig transfers.",
+            metavar="MODEL",
+        ),
+    ] = None,
     step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
     rename: RenameOption = None,
     unit: UnitOption = None,
@@ -76,11 +86,14 @@ def command(
 ) -> None:
     """Simulate a model with the inputs of a table, and write its outputs at the same times.
 
-    With --compare, print how far the model is from measured outputs: the test of a found model on records of another day.
+    With --compare, print how far the model is from measured outputs: the test of a found model on records of another day. With
+    --against, print how far a model that was found on one rig transfers to another.
 
     Example: isd-gym simulate force-rig test.csv --out force.csv
 
     Example: isd-gym simulate found/model.json new1.csv new2.csv --compare
+
+    Example: isd-gym simulate found/model.json rig-b.csv --compare --against rig-b.json
     """
     from ..network import Network
 
@@ -90,8 +103,14 @@ def command(
     if compare:
         if out or initial:
             raise InputError("--compare writes no simulation: leave out --out and --initial")
-        _compare(network, data, named, json_file)
+        other = Network.load(against) if against else None
+        # a completed model has the name of its nominal model
+        if other and against and other.name == network.name:
+            network, other = replace(network, name=model), replace(other, name=against)
+        _compare(network, data, named, json_file, other)
         return
+    if against:
+        raise InputError("--against goes with --compare")
     if out is None:
         raise InputError("--out FILE is missing: name the file to write, or give --compare")
     if len(data) > 1 or json_file:
@@ -99,22 +118,57 @@ def command(
     _write(network, model, data[0], out, step, named, rate, initial, interpolation)
 
 
-def _compare(network: Network, data: list[Path], named: dict[str, Any], json_file: Path | None) -> None:
-    """Print the errors of a model on records; write them to the file of --json."""
-    from rich import box
-    from rich.table import Table as Grid
-    from rich.text import Text
-
-    from ..discrepancy.prediction_errors import prediction_errors
+def _compare(
+    network: Network, data: list[Path], named: dict[str, Any], json_file: Path | None, against: Network | None
+) -> None:
+    """Print the errors of a model, and of the model to compare with, on records; write them to the file of --json."""
+    from ..discrepancy.prediction_errors import prediction_errors, removed_share
     from ..loggers.record_reading import records_of
 
     check_records(data, [])
     if "by" in named:
         network = named["by"].measured(network)
+        against = named["by"].measured(against) if against else None
     wanted = (*network.inputs, *network.outputs)
-    found = prediction_errors([r for f in data for r in records_of(f, network, wanted, **named)], network)
+    if against and {c.name for c in (*against.inputs, *against.outputs)} != {c.name for c in wanted}:
+        raise InputError(
+            f"models '{shown(network.name)}' and '{shown(against.name)}' need the same inputs and the same outputs"
+        )
+    records = [r for f in data for r in records_of(f, network, wanted, **named)]
+    found = prediction_errors(records, network)
     for note in found.notes:
         typer.echo(plain(note, 400), err=True)
+    if against is None:
+        _print_errors(found)
+        write_json(json_file, found.to_dict())
+        return
+    # the order of the channels may differ between the models
+    against = replace(
+        against, outputs=tuple(next(c for c in against.outputs if c.name == o.name) for o in network.outputs)
+    )
+    other = prediction_errors(records, against)
+    for errors in (other, found):
+        _print_errors(errors)
+    removed = removed_share(found, other)
+    mine, theirs = (plain(e.model, 60) for e in (found, other))
+    for channel, share in removed.items():
+        name = plain(channel, 40)
+        if share is None:
+            told = f"'{theirs}' errs by no more than noise in {name}, or the noise is not known: no share."
+        elif share < 0.0:
+            told = f"'{mine}' errs more than '{theirs}' in {name}: the model does not transfer."
+        else:
+            told = f"'{mine}' removes {100 * share:.0f} % of the squared error of '{theirs}' beyond noise in {name}."
+        typer.echo(told)
+    write_json(json_file, {**found.to_dict(), "against": other.to_dict(), "removed": removed})
+
+
+def _print_errors(found: PredictionErrors) -> None:
+    """Print the errors of a model as a table."""
+    from rich import box
+    from rich.table import Table as Grid
+    from rich.text import Text
+
     made = Grid(box=box.SIMPLE_HEAD, pad_edge=False)
     for head in ("record", "channel"):
         made.add_column(head, overflow="fold")
@@ -135,7 +189,6 @@ def _compare(network: Network, data: list[Path], named: dict[str, Any], json_fil
         f"Errors of model '{plain(found.model, 60)}' with its own parameters; initial states and free offsets are fitted:"
     )
     console.print(made)
-    write_json(json_file, found.to_dict())
 
 
 def _write(

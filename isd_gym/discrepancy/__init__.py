@@ -1,19 +1,20 @@
 """Find where simulation and measurement disagree, name the missing effect, and add it.
 
-Data go one way: `records` (reading, filtering, clock lags, training/validation/test split) and `problem` (what was
-measured), `structure` and `hypotheses` (what could be missing, where),
-`noise`, `objective`, `fit`, `initial`, `states`, `begin` (how a model is fitted, and where it stands at first), `candidate`, `screen`, `race`,
-`refits`, `compare`, `search` (which models are fitted, which of two is kept),
-`judge`, `trial`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
-`words`, `result` (how it is said), `workflow` (all of it).
+Data go one way, from the first of these packages to the last:
 
-Packages: `records` (reading, filtering, multirate, clock lag, splitting), `planning` (plan and design of tests), `fmu` (diagnosis of a
-co-simulation FMU), `unknown_input` (identification without a measured road).
+- `simulation`: records and channels, and what a model says of them;
+- `records`: reading, filtering, several rates, feedback, training, validation and test parts;
+- `estimation`: fits of a model with its initial states, clock lags and noise;
+- `hypotheses`: effects that could be missing, at places, with the motion and the forces there;
+- `selection`: which effects predict held-out records best;
+- `verdict`: evidence, what it allows to say, and the words.
+
+`workflow` runs all of it, `result_builder` makes the `result` of what it found, `prediction_errors` judges a model as it is, and
+`planning` predicts what a test can show.
 """
 
 from typing import TYPE_CHECKING, Any
 
-from .fmu import diagnose_unit
 from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
 from .selection.criteria import CRITERIA, Criteria
 from .selection.settings import SearchSettings
@@ -40,7 +41,6 @@ __all__ = [
     "SearchSettings",
     "Trace",
     "diagnose",
-    "diagnose_unit",
     "plan",
 ]
 

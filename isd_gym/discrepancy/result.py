@@ -13,12 +13,12 @@ import numpy as np
 
 from ..data import Table, write_table
 from ..files import claim_folder, write_text
-from ..fmi.cosimulation import UnitModel
+from ..network import Network
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..network import Network
+    from ..contrib.fmi.cosimulation import UnitModel
     from .estimation.clock_lag import Lag
     from .records import Feedback
     from .selection.criteria import Criteria
@@ -517,7 +517,7 @@ class Diagnosis:
         folder = claim_folder(folder, *FOLDER)
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
         model = self.whole or self.model
-        model.save(folder / ("parameters.ssv" if isinstance(model, UnitModel) else "model.json"))
+        model.save(folder / ("model.json" if isinstance(model, Network) else "parameters.ssv"))
         if self.test is not None:
             write_table(folder / "next_experiment.csv", self.test)
 

@@ -428,7 +428,9 @@ class Workflow:
             return None
         decision = flow.decide(scores)
         is_named = decision.verdict == "missing_effect"
-        if not is_named and (periodic_only or decision.verdict == "unknown_effect"):
+        # under feedback whole records are no valid comparison
+        is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
+        if not is_named and (periodic_only or not is_final):
             return None
         if periodic_only and not scores.foremost.hypotheses[0].kind.periodic:
             return None

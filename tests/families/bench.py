@@ -1,4 +1,4 @@
-"""A rig on its bench: one simulation of it, its channels, and how near its model comes without what is hidden."""
+"""A rig on its bench: one simulation, its channels, and the error of its model without the hidden effect."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def outputs(rig: Rig, model: Model, ran: Run) -> dict[str, Array]:
         if o["quantity"] == "force":
             if "at" in o:
                 y = ran.load[o["at"]]
-            else:  # a force cell reads all that acts between its element's terminals
+            else:  # a force cell reads the sum of the elements between its two nodes
                 here = next(e["between"] for e in model["elements"] if e["name"] == o["element"])
                 y = sum(ran.link[e["name"]] for e in model["elements"] if e.get("between") == here)
         else:
@@ -201,6 +201,11 @@ class Fit:
 
     def left(self, rounds: int = 5) -> dict[str, float]:
         """NRMSE per channel that is left, by Levenberg's steps."""
+        _, r = self.fitted(rounds)
+        return dict(zip(self.truth, (_rms(c) for c in np.split(r, len(self.truth))), strict=True))
+
+    def fitted(self, rounds: int = 5) -> tuple[Array, Array]:
+        """Logarithms of the factors of the parameters after Levenberg's steps, and the residual there."""
         theta, damp = np.zeros(len(self.sigma)), 1e-3
         r = self.residual(theta)
         for _ in range(rounds if len(theta) else 0):
@@ -211,7 +216,7 @@ class Fit:
             r, theta = rn, new
             if gain < 0.01 * self.cost(r, theta):
                 break
-        return dict(zip(self.truth, (_rms(c) for c in np.split(r, len(self.truth))), strict=True))
+        return theta, r
 
     def step(self, r: Array, theta: Array, damp: float) -> tuple[Array, Array, float]:
         """A step that does better, or the last that was tried."""

@@ -12,14 +12,19 @@ from ...arrays import rms
 from ...errors import InputError
 from ...network import GROUND
 from ..simulation.problem import deviation_within
-from .motion import with_outputs
+from .library import pairs
+from .motion import motions, with_outputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ...elements import Motion
     from ...network import Network
     from ..estimation.gauss_newton import Fit
     from ..simulation.problem import Array, Problem
+
+#: kinds of elements that dissipate energy
+DISSIPATIVE = ("dry_friction", "viscous")
 
 
 @dataclass(frozen=True)
@@ -112,6 +117,51 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
         problem, fit, with_outputs(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
     )
     return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
+
+
+def work_share(problem: Problem, fit: Fit, name: str) -> float:
+    """Return the share of an element in the work that all elements of a network dissipate over the records to fit by.
+
+    Args:
+        problem: Records and channels.
+        fit: Fitted structure with its initial states.
+        name: The element.
+
+    Returns:
+        Share from 0 to 1; 0 for an element that stores energy only.
+
+    Raises:
+        InputError: The simulation breaks down.
+    """
+    net = fit.network
+    lossy = [e for e in net.elements if e.place == "between" and e.mechanism in DISSIPATIVE]
+    if name not in {e.name for e in lossy}:
+        return 0.0
+    motion = motions(problem, fit, tuple({e.between for e in lossy} - {*pairs(net)}))
+    forces: dict[str, Array] = {}
+    for pair in {e.between for e in lossy}:
+        forces |= element_forces(problem, fit, pair)
+    work = {e.name: abs(dissipated_work(forces[e.name], motion[e.between])) for e in lossy}
+    return work[name] / max(sum(work.values()), 1e-300)
+
+
+def dissipated_work(force: Array, motion: Motion) -> float:
+    """Return the mean power of the equivalent viscous damper of a force: a spring in parallel takes the part that returns.
+
+    Args:
+        force: Force over the motion (samples,) [N].
+        motion: Motion of the force's two nodes.
+
+    Returns:
+        Mean power [W].
+
+    References:
+        Den Hartog: Mechanical Vibrations, 4th edition (1956), section 8.9.
+    """
+    columns = np.stack([motion.v, motion.d, np.ones(len(force))], axis=1)
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    damping = np.linalg.lstsq(columns / size, force, rcond=None)[0][0] / size[0]
+    return float(damping * np.mean(motion.v**2))
 
 
 def _measured_force(problem: Problem) -> float:

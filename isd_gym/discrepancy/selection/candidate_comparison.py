@@ -112,20 +112,9 @@ class CandidateComparison:
         return _removed_where_widest(powers[0], powers[1], envelope)
 
     def explained_on_test(self, candidate: Candidate) -> float:
-        """Return the share of the refitted model's excess error that a candidate removes on the test records.
-
-        The whitened error counts, or the plain error where the plain error falls by more. Where the refitted model errs by no more
-        than noise on the test records, the share is relative to a hundredth of the noise.
-        """
+        """Return the share of the refitted model's excess error that a candidate removes on the test records."""
         refit, after = self.score(self.refitted), self.score(candidate)
-        least = 0.01 * self.noise_score
-        whitened = refit.test_mean_square - after.test_mean_square
-        whitened /= max(refit.test_mean_square - self.noise_score, least)
-        noise = self.test_noise**2
-        weights = 1.0 / np.maximum(noise, 1e-24)
-        top = float(np.sum((refit.test_nrmse**2 - after.test_nrmse**2) * weights))
-        excess = float(np.sum(np.maximum(refit.test_nrmse**2 - noise, 0.0) * weights))
-        return max(whitened, top / max(excess, 0.01))
+        return after.explained_on_test(refit, self.test_noise, self.noise_score)
 
     def test_excess_ratio(self, candidate: Candidate, envelope: Array) -> float:
         """Return the largest ratio, over channels, of the power left on the test records to the power of unmodelled effects."""
@@ -135,8 +124,7 @@ class CandidateComparison:
     @property
     def test_noise(self) -> Array:
         """Noise of the test records as a share of the deviation there (channels,)."""
-        e = self.evaluator
-        return np.asarray(self.noise * e.validation_deviation / e.test_deviation)
+        return self.evaluator.test_noise(self.noise)
 
     # -- candidates ---------------------------------------------------------------------------------------
     def rivals(self) -> list[Candidate]:

@@ -203,14 +203,15 @@ class FreeForce:
 def fit_free_force(
     evaluator: HeldOutEvaluator,
     base: Candidate,
-    gates: Callable[[float, float, float], tuple[Gate, ...]],
+    gates: Callable[[float, float, float, float], tuple[Gate, ...]],
 ) -> FreeForce:
     """Fit tables of a force between two nodes and return the table that explains the held-out records best.
 
     Args:
         evaluator: Scores on the held-out records.
         base: The refitted nominal model.
-        gates: Function from the explained fraction, the error reduction and the standard errors of the gain to the gates of a table.
+        gates: Function from the explained fraction, the error reduction, the standard errors of the gain and the explained fraction of the
+            test records to the gates of a table.
     """
     problem, floors = evaluator.problem, evaluator.least_noise
     forces = place_forces(problem, base.fit)
@@ -231,11 +232,11 @@ def fit_free_force(
     if found is None:
         return FreeForce()
     found = _refine_length(evaluator, base, found, forces)
-    explained, moved, errors = found.gain_over(evaluator, base)
+    explained, *others = found.gain_over(evaluator, base)
     structure = found.best.fit.structure
     assert isinstance(structure, Table)
     pair = structure.network.element(structure.element).between
-    best = BestTable(pair, structure.over, explained, gates(explained, moved, errors))
+    best = BestTable(pair, structure.over, explained, gates(explained, *others))
     if not best.accepted:
         return FreeForce(best)
     try:
@@ -283,8 +284,12 @@ class BestTableSoFar:
     #: filters with which all tables are scored
     filters: Whitener
 
-    def gain_over(self, evaluator: HeldOutEvaluator, base: Candidate) -> tuple[float, float, float]:
-        """Return the explained fraction, the largest error reduction of a channel, and the standard errors of the gain."""
+    def gain_over(self, evaluator: HeldOutEvaluator, base: Candidate) -> tuple[float, float, float, float]:
+        """Return what the table gains over the refitted nominal model.
+
+        Returns:
+            Explained fraction; largest error reduction of a channel; standard errors of the gain; explained fraction of the test records.
+        """
         after = evaluator.score(self.best, self.filters, (evaluator.score_alone(base),))
         refit = evaluator.score(base, self.filters, (after,))
         noise_score = evaluator.expected_noise_score(after, self.filters)
@@ -294,7 +299,8 @@ class BestTableSoFar:
         plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - noise**2, 0.0) * weights)), 1e-12)
         whitened = (refit.mean_square - after.mean_square) / max(refit.mean_square - noise_score, 1e-12)
         moved = float(np.sqrt(np.maximum(refit.nrmse**2 - after.nrmse**2, 0.0)).max())
-        return min(max(whitened, plain), 1.0), moved, after.compare_with(refit).errors
+        confirmed = after.explained_on_test(refit, evaluator.test_noise(noise), noise_score)
+        return min(max(whitened, plain), 1.0), moved, after.compare_with(refit).errors, confirmed
 
 
 def _coarse(problem: Problem, base: Candidate, floors: Array) -> Candidate:

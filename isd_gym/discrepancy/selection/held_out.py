@@ -14,6 +14,7 @@ from ...errors import InputError
 from ...simulate import effective_current
 from ..estimation.gauss_newton import Fit, Fitter, residuals
 from ..estimation.initial_states import next_states, transfer_states
+from ..estimation.multiple_shooting import is_lightly_damped
 from ..estimation.noise import (
     Floor,
     Noise,
@@ -25,7 +26,7 @@ from ..estimation.noise import (
     whitener,
 )
 from ..estimation.structure import Structure, base_structure
-from ..hypotheses.forces import element_forces, place_forces
+from ..hypotheses.forces import element_forces, place_forces, work_share
 from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from ..simulation.problem import BROKEN
 from .candidate import Candidate, white_noise
@@ -85,6 +86,25 @@ class HeldOutScore:
             noise: Noise (channels,), as a share of a channel's deviation.
         """
         return np.asarray(np.sqrt(np.maximum(self.nrmse**2 - noise**2, 0.0)), dtype=np.float64)
+
+    def explained_on_test(self, before: HeldOutScore, noise: Array, noise_score: float) -> float:
+        """Return the share of the excess error of another score that this score removes on the test records.
+
+        The whitened error counts, or the plain error where the plain error falls by more. Where the other score is no more than noise, the
+        share is relative to a hundredth of the noise.
+
+        Args:
+            before: The other score, whitened by the same filters.
+            noise: Noise of the test records (channels,), as a share of a channel's deviation.
+            noise_score: Mean whitened square of pure noise.
+        """
+        whitened = before.test_mean_square - self.test_mean_square
+        whitened /= max(before.test_mean_square - noise_score, 0.01 * noise_score)
+        power = noise**2
+        weights = 1.0 / np.maximum(power, 1e-24)
+        top = float(np.sum((before.test_nrmse**2 - self.test_nrmse**2) * weights))
+        excess = float(np.sum(np.maximum(before.test_nrmse**2 - power, 0.0) * weights))
+        return max(whitened, top / max(excess, 0.01))
 
 
 class HeldOutEvaluator:
@@ -340,6 +360,10 @@ class HeldOutEvaluator:
         deviation = np.array([n.deviation for n in self.channel_noise(score)]) / self.validation_deviation
         return np.asarray(np.minimum(deviation, score.nrmse), dtype=np.float64)
 
+    def test_noise(self, noise: Array) -> Array:
+        """Return the noise as a share of the deviation on the test records, from that on the validation records (channels,)."""
+        return np.asarray(noise * self.validation_deviation / self.test_deviation)
+
     def expected_noise_score(self, score: HeldOutScore, filters: Whitener) -> float:
         """Return the mean whitened square of pure noise."""
         return min(
@@ -384,7 +408,11 @@ class HeldOutEvaluator:
 
 
 def effect_size(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the RMS of what an element does over the RMS of what is there: force, current or signal."""
+    """Return the RMS of what an element does over the RMS of what is there: force, current or signal.
+
+    In a lightly damped structure, forces that dissipate are small beside forces that store energy, and damping decides the motion all the
+    same: there an element has its share of the dissipated work, if that share is larger.
+    """
     net = fit.network
     e = net.element(name)
     if e.place == "channel":
@@ -397,8 +425,10 @@ def effect_size(problem: Problem, fit: Fit, name: str) -> float:
         forces = element_forces(problem, fit, e.where)
     except InputError:
         return 1.0
-    own = forces[name] * e.own_share([net.element(x) for x in forces])
-    return rms(own) / max(rms(np.sum([*forces.values()], axis=0)), _force_around(problem, fit, e), 1e-300)
+    part = e.own_share([net.element(x) for x in forces])
+    total = max(rms(np.sum([*forces.values()], axis=0)), _force_around(problem, fit, e), 1e-300)
+    work = work_share(problem, fit, name) if is_lightly_damped(problem.network) else 0.0
+    return part * max(rms(forces[name]) / total, work)
 
 
 def _force_around(problem: Problem, fit: Fit, e: el.Element) -> float:

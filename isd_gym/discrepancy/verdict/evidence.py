@@ -21,7 +21,7 @@ class EffectEvidence:
 
     #: effect and place in words
     label: str
-    #: share of the force, current or signal at its place
+    #: share of the force, current or signal at its place, or of the dissipated work where damping is slight
     share: float
     #: half of the widest 95 % interval, as the logarithm of a factor; infinite where the interval holds zero
     spread: float = 0.0

@@ -205,7 +205,7 @@ def _large_or_closing(x: EffectEvidence, c: Criteria, moves: str) -> Gate:
         x.share,
         ">=",
         c.share,
-        f"share of the force, current or signal at the place of {x.label}; {moves}",
+        f"share of the force, current or signal at the place of {x.label}, or of the work dissipated where damping is slight; {moves}",
     )
     instead = f"the force of {x.label} is only {100 * x.share:.1f} % of the force at its place (otherwise needed {100 * c.share:.0f} %); {moves}"
     closes = gate(
@@ -295,13 +295,16 @@ def _forces_first(e: Evidence, c: Criteria) -> Gate:
     )
 
 
-def table_gates(explained: float, moved: float, errors: float, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
+def table_gates(
+    explained: float, moved: float, errors: float, confirmed: float, c: Criteria = CRITERIA
+) -> tuple[Gate, ...]:
     """Return the conditions for a force without a name to be stated as a table.
 
     Args:
         explained: Share of the held-out excess error that the table removes.
         moved: Largest share of a channel's standard deviation by which the error falls.
         errors: Difference of the log predictive density to the refitted model in standard errors.
+        confirmed: Share of the excess error that the table removes on the test records.
         c: Limits of the decision.
     """
     return (
@@ -319,6 +322,13 @@ def table_gates(explained: float, moved: float, errors: float, c: Criteria = CRI
             ">",
             c.elpd_errors,
             "standard errors by which the log predictive density exceeds the refitted model's",
+        ),
+        gate(
+            "confirmed",
+            confirmed,
+            ">=",
+            c.half,
+            "share of the squared error beyond noise removed on the test records",
         ),
     )
 

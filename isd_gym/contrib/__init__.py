@@ -1,0 +1,8 @@
+"""Wings of the house: parts beside the mission, each in a folder of its own.
+
+`ceilings` (bounds and least known costs), `exports` (plain C, ONNX), `fleet` (a diagnosis for each of many cases), `fmi`
+(functional mock-up units), `hub` (a folder for a model hub), `minari` (data sets), `no_road` (identification without a
+measured road), `reproduce` (figures of the paper; it shows the ceilings), `sweep` (grids of conditions).
+
+The core reaches a wing by an entry point (`isd_gym.plugins`). No wing imports another, but `reproduce` the ceilings.
+"""

@@ -1,0 +1,1 @@
+"""A diagnosis of each of many cases: `isd-gym diagnose FOLDER`."""

@@ -1,0 +1,1 @@
+"""Drives as a Minari data set: `isd-gym record`."""

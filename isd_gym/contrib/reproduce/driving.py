@@ -1,0 +1,118 @@
+"""Policies driven for the paper's tables, and rows of the tables."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isd_gym.cost import StageCost
+from isd_gym.network import Network
+from isd_gym.policies import find, passive
+from isd_gym.report.plots import percent
+from isd_gym.scoring import Score, drive, score
+
+from ..ceilings.clairvoyant import reference as known_optimum
+from .study import SERIES, Study
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+#: controllers driven on the series network
+DRIVEN = ("isd-passive", "lqg", "mpc-paper", "mpc", "mpc-friction")
+
+
+def drive_all(study: Study, plant: str, names: Sequence[str], episodes: int, duration: float) -> Score:
+    """Drive policies on a plant.
+
+    Args:
+        study: Shared results.
+        plant: Name of the network.
+        names: Names of the policies.
+        episodes: Number of episodes.
+        duration: Length of an episode [s].
+
+    Returns:
+        The score.
+    """
+    network = Network.load(plant)
+
+    def tell(name: str, share: float) -> None:
+        study.progress(f"{name}, {plant}", share)
+
+    known = known_optimum(network, episodes=episodes, duration=duration)
+    return score(
+        [find(n, network) for n in names], network, reference=passive(network), episodes=episodes, duration=duration,
+        clairvoyant=None if known is None else known["value"], progress=tell,
+    )  # fmt: skip
+
+
+def triple(row: dict[str, Any]) -> list[float]:
+    """Return the changes of acceleration, travel and tyre load of a row of a score, as fractions.
+
+    Args:
+        row: Row of a score.
+
+    Returns:
+        Three changes.
+    """
+    return [
+        row[k].get("change", math.nan)
+        for k in ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
+    ]
+
+
+def _score_row(row: dict[str, Any], label: str) -> Sequence[str]:
+    cells = [f"{row['policy']}{label}", f"{row['cost']['value']:.3f}"]
+    for key, scale, digits in (
+        ("body_acceleration_rms", 1.0, 3),
+        ("suspension_travel_rms", 1e3, 2),
+        ("tyre_load_rms", 1.0, 0),
+    ):
+        q = row[key]
+        cells.append(f"{q['value'] * scale:.{digits}f}\u00a0({percent(q.get('change'))})")
+    return (*cells, percent(row["share_of_reachable_gain"], 0, sign=False))
+
+
+def score_rows(found: Score, label: str) -> list[Sequence[str]]:
+    """Return the rows of a table of a score.
+
+    Args:
+        found: The score.
+        label: Suffix of the names.
+
+    Returns:
+        Rows of texts.
+    """
+    return [_score_row(row, label) for row in found.policies]
+
+
+def still(duration: float) -> np.ndarray:
+    """Return cost [-], acceleration [m/s^2], travel [m] and tyre load [N] of the conventional passive car on the first scoring road.
+
+    Args:
+        duration: Length of the episode [s].
+
+    Returns:
+        Mean cost and RMS (4,).
+    """
+
+    net = Network.load(SERIES)
+    run = drive(passive(net), net, episodes=1, duration=duration)
+    rms = [
+        float(np.sqrt(np.mean(x**2))) for x in (run.body_acceleration, run.suspension_travel, run.tyre_load)
+    ]
+    return np.array([float(run.cost(StageCost())[0]), *rms])
+
+
+def own_cost(found: Score) -> float:
+    """Return the mean cost of the reference.
+
+    Args:
+        found: The score.
+
+    Returns:
+        Mean cost [-].
+    """
+    return float(next(iter(found.runs.values())).cost(StageCost()).mean())

@@ -1,0 +1,163 @@
+"""A folder for a model hub: what a hub reads in the card, the film, and a policy that loads out of it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isd_gym.agents.policy import SHIPPED, Policy
+from isd_gym.benchmark import cards
+from isd_gym.contrib import hub
+from isd_gym.errors import InputError
+
+pytest.importorskip("pygame", reason="films need isd-gym[render]")
+pytest.importorskip("imageio_ffmpeg", reason="films need isd-gym[render]")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    policy = Policy.load("ppo")
+    policy.info["training"]["command"] = "isd-gym `train`\n---\nlicense: none"  # of a stranger
+    return hub.write(policy, tmp_path_factory.mktemp("hub") / "mine", episodes=2, seconds=0.2)
+
+
+def test_the_card_says_what_hubs_read(folder):
+    yaml = pytest.importorskip("yaml", reason="of isd-gym[docs]")
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    _, head, body = text.split("---\n", 2)
+    meta = yaml.safe_load(head)
+    # the filter for Stable-Baselines3 reads the library
+    assert meta["library_name"] == "stable-baselines3" and "license" not in meta
+    assert {"ISDSuspension-v0", "reinforcement-learning", "stable-baselines3"} <= set(meta["tags"])
+    (model,) = meta["model-index"]
+    assert model["name"] == "ppo-ISDSuspension-v0"
+    (result,) = model["results"]
+    assert result["task"]["type"] == "reinforcement-learning"
+    assert result["dataset"] == {"name": "ISDSuspension-v0", "type": "ISDSuspension-v0"}
+    metrics = {m["type"]: m["value"] for m in result["metrics"]}
+    found = json.loads((folder / "score.json").read_text())
+    costs = np.array(found["raw"]["ppo"]["cost"])
+    # the return of an episode of 4000 steps, as the environment itself would add it up
+    assert metrics["mean_reward"] == f"{-4000 * costs.mean():.2f} +/- {4000 * costs.std():.2f}"
+    assert metrics["cost_j"] == pytest.approx(costs.mean(), abs=5e-5)
+    assert -0.4 < metrics["change_of_cost_against_passive"] < -0.1
+    assert "| 1 | `ppo` |" in body and "`passive`" in body and "&#96;train&#96;" in body
+
+
+def test_the_return_is_the_environment_s_own(folder):
+    import gymnasium
+
+    policy, env = Policy.load(folder), gymnasium.make("ISDSuspension-v0")
+    observation, _ = env.reset(options={"scoring_road": 0})
+    policy.reset()
+    total, truncated = 0.0, False
+    while not truncated:
+        observation, reward, _, truncated, _ = env.step(np.array([policy.act(observation)]))
+        total += reward
+    costs = json.loads((folder / "score.json").read_text())["raw"]["ppo"]["cost"]
+    assert total == pytest.approx(-hub.EPISODE_STEPS * costs[0], rel=1e-6)
+
+
+def test_it_holds_the_policy_the_film_and_nothing_else(folder):
+    imageio = pytest.importorskip("imageio.v3")
+    assert sorted(p.name for p in folder.iterdir()) == sorted(hub.HUB[2])
+    assert (folder / "weights.safetensors").read_bytes() == (
+        hub.Policy.load("ppo").save(folder.parent / "again") / "weights.safetensors"
+    ).read_bytes()
+    about = imageio.immeta(folder / "replay.mp4", plugin="FFMPEG")
+    assert about["duration"] == pytest.approx(0.22, abs=0.05) and about["size"][0] > 600
+
+
+def test_a_whole_score_stands_among_the_references(folder):
+    card = cards.load("ISDSuspension-v0")
+    one = next(t for t in card["tracks"] if t["track"] == "standard")
+    whole = {k: one[k] for k in (*cards.SAME, "roads")}
+    raw = {name: one["policies"][name]["episodes"] for name in ("passive", "lqg")}
+    rows = [
+        {
+            "policy": "lqg",
+            **{
+                k: cards.compare(k, np.array(v), np.array(raw["passive"][k]), "-")
+                for k, v in raw["lqg"].items()
+            },
+        }
+    ]
+    found = {
+        **whole,
+        "schema": "isd-score/1",
+        "policies": rows,
+        "raw": {"passive": raw["passive"], "mine": raw["lqg"]},
+    }
+    rows[0]["policy"] = "mine"
+    rows[0]["share_of_causal_gain"] = 0.8
+    before, own = (np.mean(raw[name]["cost"]) for name in ("passive", "lqg"))
+    ceiling = before - (before - own) / 0.8  # the least cost of causal controllers
+    text = hub._card(Policy.load("ppo"), "mine-ISDSuspension-v0", found)
+    assert "`mpc-friction`" in text and "`mine`" in text and card["digest"][:16] in text
+    assert f"for causal controllers: {own - ceiling:.4f}." in text
+
+
+@pytest.mark.parametrize("name", [p.parent.name for p in SHIPPED.glob("*/policy.json")])
+def test_every_shipped_policy_has_a_card_for_its_own_environment(name, tmp_path, monkeypatch):
+    """The code of the card drives, and the score is that of the policy's own car and sight."""
+    yaml = pytest.importorskip("yaml", reason="of isd-gym[docs]")
+    import gymnasium
+
+    policy = Policy.load(name)
+    monkeypatch.setattr(hub, "film", lambda entries, network, path, **options: path.write_bytes(b""))
+    folder = hub.write(policy, tmp_path / name, episodes=1)
+    _, head, body = (folder / "README.md").read_text(encoding="utf-8").split("---\n", 2)
+    meta, environment = yaml.safe_load(head), hub.environment_of(policy)
+    assert environment == policy.info["env"]["id"]
+    assert meta["library_name"] == "stable-baselines3" and {environment, "isd-gym"} <= set(meta["tags"])
+    assert meta["model-index"][0]["results"][0]["dataset"]["name"] == environment
+    found = json.loads((folder / "score.json").read_text())
+    assert found["network"] == gymnasium.spec(environment).kwargs["network"]
+    assert found["policies"][-1]["preview"]["value"] == policy.preview
+    assert 0.4 < found["raw"][name]["cost"][0] < 0.95 * found["raw"]["passive"]["cost"][0]
+    code = body.split("```python\n")[1].split("```")[0]
+    names: dict = {}
+    monkeypatch.chdir(folder)
+    exec(code, names)
+    assert np.isfinite(names["reward"]) and names["reward"] < 0.0
+
+
+def test_a_policy_for_a_car_of_its_own_has_no_environment():
+    policy = Policy.load("ppo")
+    assert policy.model is not None
+    policy.model = replace(policy.model, name="my-car")
+    with pytest.raises(InputError, match="'my-car', which no environment has"):
+        hub.environment_of(policy)
+
+
+def test_the_name_of_a_policy_is_text_in_the_card(folder):
+    policy = Policy.load("ppo")
+    policy.name = "<script>|`** [x](javascript:alert(1))"
+    text = hub._card(policy, policy.name, json.loads((folder / hub.SCORE).read_text()))
+    body = text.split("\n---\n", 1)[1]
+    assert "<script" not in body and "[x](" not in body and body.lstrip().startswith("# &#60;script&#62;")
+
+
+def test_what_is_somebody_else_s_is_left_alone(tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("years")
+    with pytest.raises(InputError, match="holds no earlier hub folder"):
+        hub.write(Policy.load("ppo"), tmp_path / "mine")
+    assert (tmp_path / "mine" / "thesis.tex").read_text() == "years"
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    import sys
+
+    from isd_gym import cli
+
+    seen = {}
+    monkeypatch.setattr(
+        hub, "write", lambda policy, folder, progress: seen.update(name=policy.name) or folder
+    )
+    monkeypatch.setattr(sys, "argv", ["isd-gym", "convert", "ppo", "--hub", str(tmp_path / "mine")])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    assert seen == {"name": "ppo"} and "can be uploaded" in capsys.readouterr().out

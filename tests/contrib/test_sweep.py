@@ -1,0 +1,456 @@
+"""Sweeps: every item once, whatever dies; the merged figures are the score's; bad grids are one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isd_gym.benchmark import engine
+from isd_gym.benchmark.engine import Task
+from isd_gym.benchmark.grid import Condition, Grid
+from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
+from isd_gym.driving import Entry
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.policies import find, passive
+from isd_gym.scoring import score
+from isd_gym.vehicle import vehicle
+
+GRID = """
+policies = ["isd-passive", "skyhook"]
+episodes = 4
+batch = 2
+duration = 0.5
+
+[axes]
+speed = [10, 30.0]
+
+[[conditions]]
+name = "heavy"
+factors = { "body.mass" = 1.2 }
+"""
+
+
+# ------------------------------------------------------------------- functions that tasks name: they run in workers
+
+
+def noted(folder: str, number: int) -> int:
+    """A task that tells that it was done."""
+    with (Path(folder) / "done").open("a") as file:
+        file.write(f"{number}\n")
+    return number**2
+
+
+def dies_once(folder: str, number: int) -> int:
+    """A task that kills its worker the first time."""
+    mark = Path(folder) / f"died-{number}"
+    if number == 1 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return noted(folder, number)
+
+
+def dies(folder: str, number: int) -> int:
+    """Number 2 never survives, number 3 has an error."""
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number == 3:
+        raise ValueError("of its own")
+    return noted(folder, number)
+
+
+def slow(folder: str, number: int) -> int:
+    time.sleep(0.3)
+    return noted(folder, number)
+
+
+def _tasks(name: str, folder: Path, count: int) -> list[Task]:
+    return [Task(f"test_sweep:{name}", {"folder": str(folder), "number": i}) for i in range(count)]
+
+
+def _done(folder: Path) -> list[int]:
+    return sorted(int(line) for line in (folder / "done").read_text().split())
+
+
+@pytest.fixture
+def importable(monkeypatch):
+    """Workers find this file."""
+    here = str(Path(__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_each_is_done_once_and_not_again(jobs, tmp_path, importable):
+    tasks = _tasks("noted", tmp_path, 5)
+    first = engine.run(tasks, tmp_path / "out", jobs=jobs)
+    assert [first.results[t.key] for t in tasks] == [0, 1, 4, 9, 16] and not first.failed
+    again = engine.run(tasks, tmp_path / "out", jobs=jobs)
+    assert again.results == first.results
+    assert _done(tmp_path) == [0, 1, 2, 3, 4]
+
+
+def test_a_broken_result_is_made_again(tmp_path):
+    tasks = _tasks("noted", tmp_path, 2)
+    engine.run(tasks, tmp_path / "out")
+    for text in ("{", "[]", '{"schema": "isd-result/1", "key": "another", "result": 7}'):
+        (tmp_path / "out" / f"{tasks[0].key}.json").write_text(text)
+        assert engine.run(tasks, tmp_path / "out").results[tasks[0].key] == 0
+
+
+def test_a_worker_that_dies_costs_nothing_but_time(tmp_path, importable):
+    tasks = _tasks("dies_once", tmp_path, 4)
+    outcome = engine.run(tasks, tmp_path / "out", jobs=2)
+    assert len(outcome.results) == 4 and not outcome.failed
+    assert _done(tmp_path) == [0, 1, 2, 3]
+
+
+def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable):
+    tasks, lines = _tasks("dies", tmp_path, 6), []
+    outcome = engine.run(tasks, tmp_path / "out", jobs=2, say=lines.append)
+    assert _done(tmp_path) == [0, 1, 4, 5]
+    assert sorted(outcome.failed.values()) == ["ValueError: of its own", "its worker died 2 times"]
+    assert len(lines) == 2
+    assert not list((tmp_path / "out").glob(".*"))  # nothing half-written
+
+
+def test_killed_as_a_whole_it_goes_on_where_it_was(tmp_path, importable):
+    code = (
+        "from pathlib import Path\nfrom isd_gym.benchmark import engine\nimport test_sweep\n"
+        f"folder = Path({str(tmp_path)!r})\n"
+        "if __name__ == '__main__':\n"
+        "    engine.run(test_sweep._tasks('slow', folder, 12), folder / 'out', jobs=2)\n"
+    )
+    script = tmp_path / "go.py"
+    script.write_text(code)
+    process = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
+    while not list((tmp_path / "out").glob("[!.]*.json")):
+        time.sleep(0.05)
+        assert process.poll() is None
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    tasks = _tasks("slow", tmp_path, 12)
+    kept = engine.stored(tasks, tmp_path / "out")
+    assert 0 < len(kept) < 12
+    outcome = engine.run(tasks, tmp_path / "out")
+    assert [outcome.results[t.key] for t in tasks] == [i**2 for i in range(12)]
+    # what had a result was not done again; what was under way when it was killed may have been
+    assert len(_done(tmp_path)) <= 12 + 2 and set(_done(tmp_path)) == set(range(12))
+
+
+def test_shards_are_a_partition():
+    tasks = _tasks("noted", Path("x"), 11)
+    parts = [engine.shard(tasks, f"{i}/3") for i in range(3)]
+    assert sorted(t.key for p in parts for t in p) == sorted(t.key for t in tasks)
+    for bad in ("3/3", "-1/3", "1", "a/b", "1/0"):
+        with pytest.raises(InputError):
+            engine.shard(tasks, bad)
+
+
+# ------------------------------------------------------------------------------------------------------- the grid
+
+
+def test_a_grid_is_axes_crossed_and_conditions_named(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    grid = Grid.load(tmp_path / "grid.toml")
+    assert [c.name for c in grid.conditions] == ["speed 10", "speed 30", "heavy"]
+    assert len(grid.tasks()) == 3 * 3 * 2  # the passive car as well
+    assert len({t.key for t in grid.tasks()}) == 18
+
+
+def test_a_sweep_says_what_the_score_says(tmp_path):
+    plant = Network.load("quarter-car-isd")
+    heavy = plant.with_parameters({"body.mass": 1.2 * plant.parameters["body.mass"]})
+    grid = Grid(
+        ("skyhook",), (Condition("heavy", factors={"body.mass": 1.2}),), episodes=5, batch=2, duration=1.0
+    )
+    merged, _ = sweep(grid, tmp_path / "out")
+    assert merged["missing"] == 0 and json.loads((tmp_path / "out" / "sweep.json").read_text()) == merged
+    expected = score(
+        [find("skyhook", heavy, model=plant)], heavy, reference=passive(heavy), episodes=5, duration=1.0
+    )
+    own = {r["policy"]: r for r in expected.policies}["skyhook"]
+    (row,) = merged["conditions"][0]["policies"]
+    for name in ("cost", "tyre_load_rms", "peak_body_acceleration"):
+        for key in ("value", "change", "low", "high"):
+            assert row[name].get(key) == pytest.approx(own[name].get(key), rel=1e-12)
+
+
+def test_shards_of_a_sweep_merge_to_the_whole(tmp_path):
+    grid = Grid(("skyhook",), (Condition("a"), Condition("b", speed=10.0)), episodes=4, batch=2, duration=0.2)
+    whole, _ = sweep(grid, tmp_path / "whole")
+    first, _ = sweep(grid, tmp_path / "parts", which="0/2")
+    assert first["missing"] == 4
+    second, _ = sweep(grid, tmp_path / "parts", which="1/2")
+    assert second == whole
+
+
+def test_a_drawn_grid_is_the_same_everywhere_and_spread_evenly():
+    grid = Grid.load("robust")
+    assert grid.conditions == Grid.load("robust").conditions and len(grid.conditions) == 64
+    assert grid.conditions[0].factors == {  # Halton: a half, a third, ...
+        "body.mass": pytest.approx(0.8 + 0.5 / 5),
+        "seal.level": pytest.approx(0.5 + 1.0 / 7, abs=1e-4),
+        "motor.thrust_constant": pytest.approx(0.85 + 0.3 / 11, abs=1e-4),
+    }
+    assert grid.conditions[0].speed == 22.5
+    roads = [c.road for c in grid.conditions]
+    assert all(14 <= roads.count(name) <= 18 for name in ("A", "B", "C", "paper"))
+    assert np.mean([c.speed for c in grid.conditions]) == pytest.approx(22.5, abs=0.5)
+
+
+def test_what_a_policy_is_made_of_is_part_of_an_item(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "policy.json").write_text("{}")
+    grid = Grid(("mine",), (Condition("a"),), episodes=1, duration=0.1)
+    before = [t.key for t in grid.items(grid.conditions[0], "mine")]
+    item = grid.items(grid.conditions[0], "mine")[0]
+    (tmp_path / "mine" / "policy.json").write_text("{ }")
+    assert before != [t.key for t in grid.items(grid.conditions[0], "mine")]
+    with pytest.raises(InputError, match="'mine' is not here, or another"):
+        item.call()
+
+
+def test_over_all_conditions_each_counts_the_same():
+    rows = [{"a": -0.2, "b": -0.1}, {"a": -0.4, "b": -0.2}, {"a": 0.0, "b": -0.3}]
+    conditions = [
+        {"name": str(i), "policies": [{"policy": p, "cost": {"change": v}} for p, v in row.items()]}
+        for i, row in enumerate(rows)
+    ]
+    first, second = overall(conditions, ("a", "b"))
+    assert first["change"]["value"] == pytest.approx(-0.2) and first["worst"] == {
+        "condition": {"a": "2", "b": "0"}[first["policy"]],
+        "change": {"a": 0.0, "b": -0.1}[first["policy"]],
+    }
+    assert first["against"][second["policy"]]["value"] == pytest.approx(0.0)
+    del conditions[1]["policies"][0]  # a is not there in all
+    assert [r["policy"] for r in overall(conditions, ("a", "b"))] == ["b"]
+
+
+def test_the_watch_sees_what_is_not_allowed():
+    from collections import Counter
+
+    from isd_gym.scoring import drive
+
+    class Wild:
+        name = "wild"
+
+        def reset(self): ...
+        def act(self, observation):
+            return 7.0
+
+    counts, car = Counter(), Network.load("quarter-car-isd")
+    drive(_watched(Entry("wild", Wild), vehicle(car), counts), car, episodes=2, duration=0.05)
+    assert counts == {"given": 20, "not_finite": 0, "above_limit": 20, "above_slew": 20}
+
+
+def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
+    grid = Grid(
+        ("skyhook",), (Condition("half", network="half-car-isd"),), episodes=2, batch=2, duration=0.05
+    )
+    merged, outcome = sweep(grid, tmp_path)
+    assert not outcome.failed and not merged["missing"]
+    (row,) = merged["conditions"][0]["policies"]
+    assert row["commands"] == {"given": 2 * 2 * 10, "not_finite": 0, "above_limit": 0, "above_slew": 0}
+    assert row["pitch_acceleration_rms"]["unit"] == "rad/s^2"
+    again: list[tuple[int, int]] = []
+    assert sweep(grid, tmp_path, progress=lambda done, of: again.append((done, of)))[0] == merged
+    assert again[0] == (2, 2)  # nothing is driven twice
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("polices = ['lqg']", "did you mean 'policies'"),
+        ("policies = []", "at least one"),
+        ("policies = ['lqg', 'lqg']", "named twice"),
+        ("policies = ['lqg']\nepisodes = 0", "episodes must be"),
+        ("policies = ['lqg']\n[axes]\nspeeds = [1]", "did you mean 'speed'"),
+        ("policies = ['lqg']\n[axes]\nspeed = []", "at least one"),
+        ("policies = ['lqg']\n[axes]\nspeed = [-1]", "speed must be"),
+        ("policies = ['lqg']\n[axes]\nroad = ['nowhere']", "no road 'nowhere'"),
+        ("policies = ['lqg']\n[[conditions]]\nspeed = 1", "with a name"),
+        (
+            "policies = ['lqg']\n[[conditions]]\nname = 'a'\nfactors = {'body.mas' = 1}",
+            "no parameter 'body.mas'",
+        ),
+        ("policies = ['lqg']\n[[conditions]]\nname = 'a'\n[[conditions]]\nname = 'a'", "two conditions"),
+        ("policies = [", "grid"),
+        ("duration = nan\npolicies = ['lqg']", "duration"),
+        ("policies = ['lqg']\n[random]\nspeed = [1, 2]", "needs a count"),
+        ("policies = ['lqg']\n[random]\ncount = 2\nspeed = [2, 1]", r"'speed' must be \[low, high\]"),
+        ("policies = ['lqg']\n[random]\ncount = 2\nspeeed = [1, 2]", "did you mean 'speed'"),
+        ("policies = ['lqg']\n[axes]\nnoise = [-1]", "noise must be"),
+        ("policies = ['lqg']\n[axes]\nroad_lag = [-1]", "road_lag must be"),
+    ],
+)
+def test_a_bad_grid_is_one_line(text, why, tmp_path):
+    path = tmp_path / "grid.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=why) as error:
+        Grid.load(path)
+    assert "\n" not in str(error.value) and str(path) in str(error.value)
+
+
+def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path, capsys, monkeypatch):
+    from isd_gym.cli import main
+
+    def go(*args: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["isd-gym", "sweep", *args])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return int(end.value.code or 0)
+
+    (tmp_path / "grid.toml").write_text(GRID.replace("isd-passive", "isd-pasive"))
+    for words in ((), ("--shard", "0/2")):
+        assert go(str(tmp_path / "grid.toml"), "--out", str(tmp_path / "out"), *words) == 2
+        said = capsys.readouterr()
+        assert "no policy 'isd-pasive' (did you mean 'isd-passive'?)" in said.err
+        assert not said.out and len(said.err.strip().splitlines()) == 1
+    (tmp_path / "good.toml").write_text(GRID)
+    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "out"), "--shard", "77/78") == 2
+    assert "shard 77/78 is empty: there are 18 items" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()  # neither of these has begun
+    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "part"), "--shard", "17/18") == 0
+    said = capsys.readouterr()
+    assert "17 items are not there yet" in said.out and "heavy" not in said.out  # no row without a figure
+    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "out")) == 0
+    assert "| heavy |" in (tmp_path / "out" / "sweep.md").read_text()
+    assert go(str(tmp_path / "absent.toml"), "--out", str(tmp_path / "out")) == 2
+
+
+def test_an_item_is_small():
+    text = json.dumps(drive_item("skyhook", None, 0, 8, 0.5, {}))
+    assert len(text) < 3000
+
+
+# ------------------------------------------------------------------------------------------------------- a cluster
+
+needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
+
+
+@pytest.fixture
+def cluster(monkeypatch):
+    """A Ray cluster of two nodes of one core each, processes of their own: (address, kill the second)."""
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("RAY_raylet_start_wait_time_s", "120")
+    small = {"num_cpus": 1, "object_store_memory": 80_000_000}
+    made = Cluster(initialize_head=True, head_node_args={**small, "include_dashboard": False})
+    second = made.add_node(**small)
+    yield made.address, lambda: made.remove_node(second, allow_graceful=False)
+    made.shutdown()
+
+
+@needs_ray
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable, cluster):
+    address, kill = cluster
+    tasks, killed = _tasks("slow", tmp_path, 16), []
+
+    def progress(done: int, total: int) -> None:
+        if done == 4 and not killed:
+            kill()
+            killed.append(done)
+
+    outcome = engine.run(tasks, tmp_path / "out", engine="ray", address=address, progress=progress)
+    assert killed and not outcome.failed
+    assert [outcome.results[t.key] for t in tasks] == [i**2 for i in range(16)]
+    # what the dead node was at was done again; nothing else was
+    assert set(_done(tmp_path)) == set(range(16)) and len(_done(tmp_path)) <= 17
+    again = engine.run(tasks, tmp_path / "out", engine="ray", address=address)
+    assert again.results == outcome.results and len(_done(tmp_path)) <= 17
+
+
+#: a package that brings a policy, which kills its worker on one of the roads until it is mended
+DEADLY = """
+import os, signal
+from pathlib import Path
+from isd_gym.driving import Entry, Idle
+
+class Deadly(Idle):
+    def __init__(self):
+        super().__init__("deadly")
+        if not (Path(__file__).parent / "mended").exists():
+            os.kill(os.getpid(), signal.SIGKILL)
+
+def open_policy(name, model, cost, control_step, options):
+    return Entry(name, Deadly) if name == "deadly" else None
+"""
+
+
+@pytest.fixture
+def deadly(tmp_path, monkeypatch):
+    """The file that mends the policy `deadly`, which programs started from here know of."""
+    folder = tmp_path / "site"
+    (folder / "deadly-1.0.dist-info").mkdir(parents=True)
+    (folder / "deadly.py").write_text(DEADLY)
+    (folder / "deadly-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n"
+    )
+    (folder / "deadly-1.0.dist-info" / "entry_points.txt").write_text(
+        "[isd_gym.policies]\ndeadly = deadly:open_policy\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+    return folder / "mended"
+
+
+def _command(*words: str) -> subprocess.CompletedProcess[str]:
+    code = f"import sys; sys.argv = ['isd-gym', 'sweep', *{list(words)!r}]; from isd_gym.cli import main\nif __name__ == '__main__': main()"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+
+
+def _twice(folder: Path, deadly: Path, *words: str) -> None:
+    """The command with a policy that dies, and again once it is mended."""
+    (folder / "grid.toml").write_text(GRID.replace("isd-passive", "deadly"))
+    line = (str(folder / "grid.toml"), "--out", str(folder / "out"), *words)
+    first = _command(*line)
+    assert first.returncode == 1, first.stderr
+    assert "6 items are missing" in first.stderr and "worker died 2 times" in first.stderr
+    assert "Traceback" not in first.stderr and "heavy" in first.stdout
+    made = {p: p.stat().st_mtime_ns for p in (folder / "out" / "items").iterdir()}
+    assert len(made) == 12  # the rest went on
+    deadly.touch()
+    second = _command(*line)
+    assert second.returncode == 0, second.stderr
+    assert len(list((folder / "out" / "items").iterdir())) == 18
+    assert all(p.stat().st_mtime_ns == at for p, at in made.items())  # nothing was done twice
+    assert json.loads((folder / "out" / "sweep.json").read_text())["missing"] == 0
+
+
+@pytest.mark.slow
+def test_a_policy_that_kills_its_worker_costs_its_items_alone(tmp_path, deadly):
+    _twice(tmp_path, deadly, "--jobs", "2")
+
+
+@needs_ray
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_same_on_a_ray_cluster(tmp_path, deadly, cluster):
+    _twice(tmp_path, deadly, "--engine", "ray", "--address", cluster[0])
+
+
+@needs_ray
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_that_is_not_there_is_one_line(tmp_path):
+    with pytest.raises(InputError, match=r"no Ray cluster at '127\.0\.0\.1:1'") as error:
+        engine.run(_tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray", address="127.0.0.1:1")
+    assert "\n" not in str(error.value)
+
+
+def test_without_ray_the_engine_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match="scale"):
+        engine.run(_tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray")
+    with pytest.raises(InputError, match="no engine 'cloud'"):
+        engine.run([], tmp_path / "out", engine="cloud")
