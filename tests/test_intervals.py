@@ -9,8 +9,10 @@ from rigs import pushed_mass
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import SearchSettings, diagnose
+from isd_gym.discrepancy.estimation.sensitivities import deviations
 from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
 from isd_gym.discrepancy.selection.uncertainty import intervals
+from isd_gym.network import Network
 
 
 @pytest.mark.parametrize("stiffness", [2.5e6, -2.5e6, -2.5])
@@ -29,6 +31,23 @@ def test_an_interval_is_about_its_value_for_either_sign(stiffness):
     assert found.value == pytest.approx(stiffness)
     assert found.low == pytest.approx(stiffness - 1.96 * deviation)
     assert found.high == pytest.approx(stiffness + 1.96 * deviation)
+
+
+def test_steps_of_differences_make_up_the_covariance_whatever_the_units():
+    """The stiffness of a cubic spring has a deviation of 1e13, a logarithm one of 1e-2."""
+    rig = pushed_mass("rig", [{"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"}])
+    rig = Network.load(
+        rig.to_dict() | {"uncertainty": {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3}}
+    )
+    hypothesis = Hypothesis("cubic_stiffness", ("mass", "ground"))
+    structure = add(base_structure(rig), hypothesis, {"stiffness": 1e15})
+    deviation = np.array(
+        [1e13 if f.path.endswith("cubic_stiffness.stiffness") else 1e-2 for f in structure.free]
+    )
+    correlation = 0.3 * np.eye(len(deviation)) + 0.7
+    wanted = correlation * np.outer(deviation, deviation)
+    steps = deviations(structure, structure.start, wanted)
+    assert steps.T @ steps / np.outer(deviation, deviation) == pytest.approx(correlation, rel=1e-6)
 
 
 def _smooth(rng, time, highest, size):

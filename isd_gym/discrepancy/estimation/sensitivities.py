@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from ..simulation.problem import Array, Problem
     from .structure import Structure
 
+#: smallest eigenvalue of a correlation: smaller values are rounding
+LEAST_VARIANCE = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
@@ -91,7 +94,9 @@ def _small_steps(structure: Structure, x: Array) -> Array:
 
 
 def deviations(structure: Structure, x: Array, covariance: Array) -> Array:
-    """Return the principal axes of a covariance, one standard deviation long, as steps of differences.
+    """Return the principal axes of a correlation, one standard deviation long, as steps of differences.
+
+    Axes of the correlation do not depend on the units of the parameters.
 
     Derivatives by single parameters lose a direction in which the outputs hardly change: with dry friction, small differences have errors
     of some per cent, and a factor that all masses and forces share then looks determined. An axis along this direction does not.
@@ -104,11 +109,10 @@ def deviations(structure: Structure, x: Array, covariance: Array) -> Array:
     Returns:
         Steps within the limits of the parameters (steps, parameters).
     """
-    variances, axes = np.linalg.eigh(covariance)
-    steps = (axes * np.sqrt(np.maximum(variances, 0.0))).T
+    deviation = np.sqrt(np.diag(covariance))
+    variances, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
+    steps = deviation * (axes * np.sqrt(np.maximum(variances, LEAST_VARIANCE))).T
     small = np.abs(np.diag(_small_steps(structure, x)))
     room = np.maximum([min(f.high - v, v - f.low) for f, v in zip(structure.free, x, strict=True)], small)
     steps = steps / np.maximum((np.abs(steps) / room).max(axis=1), 1.0)[:, None]
-    return np.asarray(
-        steps * np.maximum((small / np.maximum(np.abs(steps), 1e-300)).min(axis=1), 1.0)[:, None]
-    )
+    return np.asarray(steps / np.minimum((np.abs(steps) / small).max(axis=1), 1.0)[:, None])

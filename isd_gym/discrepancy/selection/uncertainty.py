@@ -62,7 +62,7 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     p = len(fit.x)
     H, g, parts = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses)
     for _ in range(PASSES):
-        steps = deviations(fit.structure, fit.x, np.asarray(np.linalg.inv(H)[:p, :p], dtype=np.float64))
+        steps = deviations(fit.structure, fit.x, _inverse(H)[:p, :p])
         try:
             found = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses, over=steps)
         except BROKEN:
@@ -70,7 +70,7 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
         if not np.isfinite(found[0]).all():  # the model does not simulate so far away
             break
         H, g, parts = found
-    inverse = np.linalg.inv(H)
+    inverse = _inverse(H)
     shift = inverse @ g[:, 1:]
     # normal equations of the effects' sizes, parameters eliminated; the prior of each size has variance 1
     gram, right = np.eye(shift.shape[1]) - g[:, 1:].T @ shift, -g[:, 1:].T @ inverse @ g[:, 0]
@@ -90,6 +90,14 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     step = inverse @ down
     out = inverse * np.outer(wider, wider) + shift @ spread @ shift.T + np.outer(step, step)
     return np.asarray(out[:p, :p])
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a symmetric positive definite matrix, whatever the units of its rows."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    return np.asarray(
+        scale[:, None] * np.linalg.inv(matrix * np.outer(scale, scale)) * scale, dtype=np.float64
+    )
 
 
 def intervals(
