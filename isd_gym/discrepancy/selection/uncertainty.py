@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 #: largest relative standard deviation that a model states
 MOST_UNCERTAIN = 100.0
+#: largest shift of a parameter by an unmodelled effect (transformed units): keeps squares finite
+LARGEST_SHIFT = 1e6
 #: number of times that derivatives are taken over the standard deviations found before
 PASSES = 2
 #: blocks per record whose scores give the sandwich estimate, and their least number of samples
@@ -42,6 +44,7 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     - Noise: the inverse curvature of the cost. Where the scores of blocks of the record scatter more than white noise would, the sandwich
       estimate replaces the deviation of a parameter (Huber 1967): the residual has a colour that the filters do not remove.
     - Small effects that no model contains: each has a prior size (`unmodelled_responses`), and the residual reduces its uncertainty.
+      An added effect keeps the prior size: the same residual chose the effect.
     - Bias: the shift of the parameters by the sizes that the residual shows.
     - Distance from the optimum: one more step of the fit, with better derivatives. Along a direction in which the outputs hardly change, a fit
       with dry friction stops early.
@@ -80,6 +83,10 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
         score = (a * c[:, :1]).reshape(len(problem.records[i]), -1, a.shape[1]).sum(axis=1)
         edges = block_edges(problem.records[i].measured, BLOCKS, LEAST_BLOCK)
         scores += [score[m:n].sum(axis=0) for m, n in pairwise(edges)]
+    visible = np.sqrt(np.maximum(np.diag(gram) - 1.0, 1e-300))
+    cost = sum(float(np.sum(c[:, 0] ** 2)) for _, c in parts.values())
+    # no effect is larger than the residual allows: a small force moves a free mass far, and the sensors would measure this motion
+    largest = np.clip(shift * np.minimum(1.0, math.sqrt(cost) / visible), -LARGEST_SHIFT, LARGEST_SHIFT)
     size = np.linalg.solve(gram, right)
     spread = np.linalg.inv(gram) + np.outer(size, size)
     block = np.array(scores) - np.mean(scores, axis=0)
@@ -89,7 +96,13 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     down[:p] += (fit.structure.mean - fit.x) / fit.structure.sigma**2
     step = inverse @ down
     out = inverse * np.outer(wider, wider) + shift @ spread @ shift.T + np.outer(step, step)
-    return np.asarray(out[:p, :p])
+    whole = np.diag(inverse) + np.sum(largest**2, axis=1)
+    is_added = [
+        any(f.path.startswith(f"{name}.") for name in fit.structure.names) for f in fit.structure.free
+    ]
+    grown = np.ones(len(out))
+    grown[:p] = np.where(is_added, np.sqrt(np.maximum(whole / np.diag(out), 1.0))[:p], 1.0)
+    return np.asarray((out * np.outer(grown, grown))[:p, :p])
 
 
 def _inverse(matrix: Array) -> Array:
