@@ -18,7 +18,7 @@ from isd_gym.records.data import Table
 
 
 def library():
-    return {k: cls for k, cls in el.TYPES.items() if cls.__module__.startswith("isd_gym.elements")}
+    return {k: cls for k, cls in el.TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")}
 
 
 def test_every_class_of_the_library_declares_its_kind():

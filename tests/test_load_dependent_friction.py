@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from isd_gym.common.errors import InputError
-from isd_gym.diagnosis import diagnose, plan
+from isd_gym.contrib.forecast import plan
+from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.selection.settings import SearchSettings
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network
