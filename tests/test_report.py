@@ -554,7 +554,9 @@ def test_every_effect_of_the_library_has_a_test_that_could_refute_it():
     from isd_gym.physics.elements import parameter_fields
 
     kept = {"motor"}
-    tests = {name: cls.test for name, cls in TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")}
+    tests = {
+        name: cls.test for name, cls in TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")
+    }
     assert {name for name, text in tests.items() if text} == set(tests) - kept
     for name, text in tests.items():
         named = {field for _, field, _, _ in string.Formatter().parse(text) if field}

@@ -200,9 +200,8 @@ def _diagnose_inverse(
         )
         whole = _whole(inverse.records(records), inverse.network, len(flow.whole.estimation))
         own = [*notes, note]
-        turned = Workflow.of(
-            whole, own, flow.say, flow.seed, flow.settings, flow.criteria, flow.feedback, clock=limit
-        )
+        # a controller that sets the force changes nothing in the force that a motion needs
+        turned = Workflow.of(whole, own, flow.say, flow.seed, flow.settings, flow.criteria, (), clock=limit)
         with limit.until(EVIDENCE):
             found = turned.run(own, start)
     except TimeUp:
