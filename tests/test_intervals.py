@@ -4,10 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from reference import simulate
 from rigs import pushed_mass
 
+from isd_gym.diagnosis import SearchSettings, diagnose
+from isd_gym.diagnosis.estimation.sensitivities import deviations
 from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis.selection.uncertainty import intervals
+from isd_gym.physics.network import Network
+from isd_gym.records.data import Table
 
 
 @pytest.mark.parametrize("stiffness", [2.5e6, -2.5e6, -2.5])
@@ -26,3 +31,89 @@ def test_an_interval_is_about_its_value_for_either_sign(stiffness):
     assert found.value == pytest.approx(stiffness)
     assert found.low == pytest.approx(stiffness - 1.96 * deviation)
     assert found.high == pytest.approx(stiffness + 1.96 * deviation)
+
+
+def test_steps_of_differences_make_up_the_covariance_whatever_the_units():
+    """The stiffness of a cubic spring has a deviation of 1e13, a logarithm one of 1e-2."""
+    rig = pushed_mass("rig", [{"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"}])
+    rig = Network.load(
+        rig.to_dict() | {"uncertainty": {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3}}
+    )
+    hypothesis = Hypothesis("cubic_stiffness", ("mass", "ground"))
+    structure = add(base_structure(rig), hypothesis, {"stiffness": 1e15})
+    deviation = np.array(
+        [1e13 if f.path.endswith("cubic_stiffness.stiffness") else 1e-2 for f in structure.free]
+    )
+    correlation = 0.3 * np.eye(len(deviation)) + 0.7
+    wanted = correlation * np.outer(deviation, deviation)
+    steps = deviations(structure, structure.start, wanted)
+    assert steps.T @ steps / np.outer(deviation, deviation) == pytest.approx(correlation, rel=1e-6)
+
+
+def _smooth(rng, time, highest, size):
+    """Return a multi-sine that begins gently [unit of `size`]."""
+    f = rng.uniform(0.1 * highest, highest, 20)
+    x = sum(np.sin(2 * np.pi * fi * time + rng.uniform(0, 2 * np.pi)) for fi in f)
+    return size * (x - x[0]) / x.std() * (1 - np.exp(-((time / 0.3) ** 2)))
+
+
+def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_and_stiffness():
+    """A straight line reduces the force by (angle between samples)^2 / 12; the errors must stay within the intervals."""
+    m, k, c, rng = 5.0, 2000.0, 6.0, np.random.default_rng(3)
+    step, fine = 2 * np.pi / np.sqrt(k / m) / 30, 40
+    tables = []
+    for run in range(2):
+        t = np.arange(2000 * fine) * step / fine
+        push = _smooth(np.random.default_rng(run), t, 4.0, 20.0)
+        state, x = np.zeros(2), []
+        a = np.array([[0.0, 1.0], [-k / m, -c / m]])
+        h = step / fine
+        update = np.linalg.inv(np.eye(2) - 0.5 * h * a)
+        for i in range(len(t)):  # trapezoidal rule at a fortieth of the sampling interval
+            x.append(state[0])
+            force = np.array([0.0, 0.5 * (push[i] + push[min(i + 1, len(t) - 1)]) / m])
+            state = update @ (state + 0.5 * h * a @ state + h * force)
+        travel = np.array(x)[::fine]
+        travel = travel + 0.003 * travel.std() * rng.standard_normal(len(travel))
+        tables.append(
+            Table(time=t[::fine], columns={"push": push[::fine], "travel": travel}, source=f"run{run}")
+        )
+    rig = pushed_mass(
+        "rig", [{"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"}]
+    ).to_dict()
+    rig["uncertainty"] = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 1.0}
+    found = diagnose(tables, rig, settings=SearchSettings(depth=0, jobs=1)).parameters
+    for path, truth in (("mass.mass", m), ("spring.stiffness", k)):
+        q = found[path]
+        assert q.low < truth < q.high
+        assert q.value == pytest.approx(truth, rel=1e-3)
+        assert q.high - q.low < 0.03 * truth  # not the stated uncertainty
+
+
+def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
+    """The motion of a shaken mass depends on ratios of mass, stiffness, damping and friction alone."""
+    model = {
+        "schema": "isd-model/1", "name": "shaken", "masses": {"mass": 2.0},
+        "elements": [
+            {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 800.0},
+            {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 8.0},
+            {"name": "rub", "type": "coulomb_friction", "between": ["mass", "ground"], "level": 0.8},
+        ],
+        "inputs": [{"name": "moved", "quantity": "displacement", "at": "base", "unit": "m"}],
+        "outputs": [{"name": "position", "quantity": "displacement", "at": "mass", "unit": "m"}],
+    }  # fmt: skip
+    t, rng, tables = np.arange(3000) * 5e-3, np.random.default_rng(1), []
+    for run in range(2):
+        base = _smooth(np.random.default_rng(run), t, 5.0, 0.003)
+        y = simulate(model, t, {"moved": base})["position"]
+        y = y + 0.003 * y.std() * rng.standard_normal(len(y))
+        tables.append(Table(time=t, columns={"moved": base, "position": y}, source=f"run{run}"))
+    spread = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3, "rub.level": 0.3}
+    found = diagnose(
+        tables, model | {"uncertainty": spread}, settings=SearchSettings(depth=0, jobs=1)
+    ).parameters
+    # precisions of the statements on the common factor add up
+    known = sum(s**-2 for s in spread.values()) ** -0.5
+    for path in ("mass.mass", "spring.stiffness"):
+        deviation = 0.5 * np.log(found[path].high / found[path].low) / 1.96
+        assert 0.7 * known < deviation <= 1.01 * spread[path]

@@ -412,6 +412,13 @@ def test_the_title_tells_a_certain_kind_from_several_explanations(diagnosis):
     assert report.View(d).tied and not certain.tied
 
 
+def test_parameters_are_marked_as_biased_where_nothing_is_named(diagnosis):
+    for kind in KINDS:
+        view = report.View(of_kind(diagnosis, kind))
+        is_undecided = kind.startswith(("unknown", "ambiguous"))
+        assert ("biased by what is missing" in view.bias_text + view.refit_text) == is_undecided
+
+
 def test_a_report_that_cannot_be_drawn_leaves_the_results(diagnosis, tmp_path, monkeypatch, quick):
     path = report.write_report(diagnosis, tmp_path / "found")
     assert path.exists()

@@ -127,7 +127,7 @@ def test_dense_samples_keep_straight_lines() -> None:
 
 def test_another_course_between_samples_is_refused() -> None:
     t = np.arange(100) * 1e-3
-    with pytest.raises(InputError, match="interpolation must be linear, spline or auto"):
+    with pytest.raises(InputError, match="interpolation must be linear, smooth, spline or auto"):
         simulate(duffing(), t, {"push": t}, interpolation="cubic")  # type: ignore[arg-type]
 
 

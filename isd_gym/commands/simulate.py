@@ -77,9 +77,10 @@ def command(
     interpolation: Annotated[
         str,
         typer.Option(
-            help="Displacements and forces between samples. auto: as in a diagnosis, a cubic spline and small physics steps where an "
-            "output has fewer than 21 samples per period, straight lines elsewhere.",
-            metavar="auto|linear|spline",
+            help="Displacements and forces between samples. smooth: a cubic spline through inputs without much noise or jumps, "
+            "straight lines through others. auto: as in a diagnosis, 'smooth', and 'spline' with small physics steps where an output has "
+            "fewer than 21 samples per period.",
+            metavar="auto|linear|smooth|spline",
         ),
     ] = "auto",
 ) -> None:

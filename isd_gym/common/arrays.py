@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 #: quantile of a normal distribution for a 95 % interval
 Z95 = 1.96
+#: amplification of the white noise of samples in the first and second derivative of a spline through them, times the sampling step and
+#: its square (RMS over frequencies)
+GAINS = 1.18, 6.0
+#: share of a derivative that may be noise
+QUIET = 0.02
+#: deviation of eighth differences of white noise of deviation 1; a motion hardly shows in them
+EIGHTH = math.sqrt(math.comb(16, 8))
 
 
 def rms(values: Array) -> float:
@@ -39,3 +47,21 @@ def channel_rms(parts: Sequence[Array]) -> Array:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)), dtype=np.float64)
+
+
+def is_smooth(values: Array, step: float, slope: Array | None = None, order: int = 1) -> bool:
+    """Return whether noise and jumps are a small share of a derivative of a cubic spline through samples.
+
+    Args:
+        values: Samples (n,).
+        step: Sampling step [s].
+        slope: The derivative at the samples, if known (n,).
+        order: Order of the derivative, 1 or 2.
+
+    Returns:
+        True for a motion or a force without much noise; False for one with jumps.
+    """
+    if slope is None:
+        slope = np.gradient(values, step)
+    noise = rms(np.diff(values, 8)) / EIGHTH if len(values) > 8 else 0.0
+    return bool(GAINS[order - 1] * noise / step**order < QUIET * rms(slope))

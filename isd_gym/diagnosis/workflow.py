@@ -6,6 +6,7 @@ import contextlib
 import math
 import time as clock
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -20,6 +21,7 @@ from ..records.loggers.recording import Recording
 from .estimation.clock_lag import align_clocks
 from .estimation.direct_problem import prefer_direct_problem
 from .estimation.gauss_newton import Fitter, residuals
+from .estimation.inverse_problem import invert
 from .estimation.noise import whitener
 from .hypotheses.library import hypotheses
 from .records import (
@@ -144,34 +146,18 @@ def _diagnose(
         notes.append(note)
     feedback = find_feedback(loose, network)
     notes += map(str, feedback)
-    filtered = differentiate_inputs(loose, network)
-    kept: list[Role] = ["fit"] * len(fit)
-    kept += ["report"] * len(held)
-    whole = Problem(network, filtered, kept)
+    whole = _whole(loose, network, len(fit))
     with limit.until(SEARCH):
         misreading = find_misreading(whole)
     if misreading:
         if not {"sign", "all"} & set(accept):
             raise InputError(f"{misreading} (--accept sign goes on)")
         notes.append(misreading)
-    # where the whole motion is prescribed, only the memory of laws needs a lead-in
-    lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * whole.time
-    records, roles = split_records(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time, lead)
-    problem = Problem(network, records, roles)
-    flow = Workflow(
-        problem,
-        whole,
-        progress or (lambda line: None),
-        seed,
-        steps,
-        criteria,
-        held_from(whole, problem),
-        feedback,
-        clock=limit,
-    )
+    say = progress or (lambda line: None)
+    flow = Workflow.of(whole, notes, say, seed, steps, criteria, feedback, clock=limit)
     # one thread for linear algebra: sums do not depend on the number of cores
     with threadpool_limits(1):
-        found = flow.run(notes, start)
+        found = _diagnose_inverse(flow, loose, notes, start) or flow.run(notes, start)
     # the missing effect had a part in the lags
     if found.verdict == "missing_effect" and lags and isinstance(found.model, Network):
         # the lags of the nominal model stay where the new ones cannot be found in time
@@ -182,6 +168,49 @@ def _diagnose(
     if cut is not None and isinstance(found.model, Network):
         found = replace(found, whole=rejoin(whole_network, found.model))
     return found
+
+
+def _whole(records: list[Record], network: Network, training: int) -> Problem:
+    """Return whole records with differentiated inputs, the first of them for training."""
+    kept: list[Role] = ["fit"] * training
+    kept += ["report"] * (len(records) - training)
+    return Problem(network, differentiate_inputs(records, network), kept)
+
+
+def _diagnose_inverse(
+    flow: Workflow, records: list[Record], notes: list[str], start: float
+) -> Diagnosis | None:
+    """Diagnose the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away.
+
+    Returns:
+        The diagnosis, with the completed model as `whole`; None where the drift is small, the model has no inverse, or nothing is named.
+    """
+    inverse = invert(flow.network)
+    if inverse is None or any(r.reading is not None for r in records):
+        return None
+    limit = flow.clock
+    try:
+        with limit.until(SEARCH):
+            error = flow.error_of_whole_records
+        if error <= flow.settings.drifted:
+            return None
+        note = (
+            f"{inverse.position.name} is taken as input and the force of {inverse.network.outputs[0].name} as output: no spring holds the "
+            f"motion, and the simulated one errs by {error:.0%}"
+        )
+        whole = _whole(inverse.records(records), inverse.network, len(flow.whole.estimation))
+        own = [*notes, note]
+        # a controller that sets the force changes nothing in the force that a motion needs
+        turned = Workflow.of(whole, own, flow.say, flow.seed, flow.settings, flow.criteria, (), clock=limit)
+        with limit.until(EVIDENCE):
+            found = turned.run(own, start)
+    except TimeUp:
+        limit.leave_out("the force that the measured motion needs")
+        return None
+    except (InputError, *BROKEN):
+        return None
+    model = inverse.restore(found.model) if isinstance(found.model, Network) else None
+    return replace(found, whole=model) if found.verdict == "missing_effect" and model is not None else None
 
 
 def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
@@ -225,6 +254,29 @@ class Workflow:
     is_segmented: bool = False
     clock: TimeLimit = field(default_factory=TimeLimit)
 
+    @classmethod
+    def of(
+        cls,
+        whole: Problem,
+        notes: list[str],
+        say: Callable[[str], None],
+        seed: int,
+        settings: SearchSettings,
+        criteria: Criteria,
+        feedback: tuple[Feedback, ...],
+        clock: TimeLimit,
+    ) -> Workflow:
+        """Return the workflow of whole records, split into training, validation and test records; how is added to the notes."""
+        training = len(whole.estimation)
+        # where the whole motion is prescribed, only the memory of laws needs a lead-in
+        lead = 0.0 if assemble(bare(whole.network)).size[0] else LEAD_IN * whole.time
+        records, roles = split_records(
+            whole.records[:training], whole.records[training:], notes, whole.time, lead
+        )
+        problem = Problem(whole.network, records, roles)
+        held = held_from(whole, problem)
+        return cls(problem, whole, say, seed, settings, criteria, held, feedback, clock=clock)
+
     def __post_init__(self) -> None:
         self.network = self.problem.network
         self.search = Search(
@@ -251,8 +303,7 @@ class Workflow:
             f"{len(p.estimation)} record(s) to fit, {len(p.held)} stretches held out; refitting the model"
         )
         with self.clock.until(SEARCH):
-            refitted = self.search.fitter.refit_nominal()
-            error = self._error_of_whole_records(refitted)
+            refitted, error = self.refitted, self.error_of_whole_records
         is_lost = bool(self.feedback) or not error <= self.settings.astray
         if is_lost:
             found = self._diagnose_segments(notes, start, error, periodic_only=False)
@@ -332,8 +383,14 @@ class Workflow:
         """Return whether an input ties the motion to the record, and a motion can start anew."""
         return bool(self.network.inputs) and assemble(bare(self.network)).size[0] > 0
 
-    def _error_of_whole_records(self, refitted: Candidate) -> float:
-        """Return the error of the refitted model over whole records, as a share of the deviation, mean over channels.
+    @cached_property
+    def refitted(self) -> Candidate:
+        """The refitted nominal model."""
+        return self.search.fitter.refit_nominal()
+
+    @cached_property
+    def error_of_whole_records(self) -> float:
+        """The error of the refitted model over whole records, as a share of the deviation, mean over channels.
 
         The larger of the errors on training and validation records. NaN where the simulation breaks down; 0 where no motion can start
         anew.
@@ -341,7 +398,7 @@ class Workflow:
         if not self.has_free_motion():
             return 0.0
         try:
-            score = self.search.evaluator.score_alone(refitted)
+            score = self.search.evaluator.score_alone(self.refitted)
         except BROKEN:
             return math.nan
         return float(max(score.training_nrmse.mean(), score.nrmse.mean()))

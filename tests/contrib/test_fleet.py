@@ -45,6 +45,12 @@ def test_cases_are_found_with_vehicle_date_and_loggers(tmp_path):
     assert found[2].validate == (f"{run}/validation.csv",)
 
 
+def test_every_file_that_a_reader_knows_is_a_run(tmp_path):
+    case(tmp_path, "rig", "run1.lvm", "run2.csv.gz", "run3.CSV", "run4.zip", "model.json")
+    (found,) = cases_of(tmp_path)
+    assert found.data == tuple(f"{tmp_path}/rig/{name}" for name in ("run1.lvm", "run2.csv.gz", "run3.CSV"))
+
+
 def test_a_folder_that_holds_one_case_is_that_case(tmp_path):
     case(tmp_path, "rig", "first.csv", "second.csv", "validation.csv", "model.json")
     rig = tmp_path / "rig"

@@ -27,26 +27,13 @@ from isd_gym.benchmark.engine import run as run_tasks
 from isd_gym.common.errors import InputError, ReportError, plain, shown
 from isd_gym.common.files import claim_folder, write_text
 from isd_gym.records import schemas
+from isd_gym.records.data.table import SUFFIXES, suffix_of
 from isd_gym.records.schemas.checking import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 SCHEMA = "isd-fleet/1"
-SUFFIXES = (
-    ".csv",
-    ".tsv",
-    ".txt",
-    ".dat",
-    ".xlsx",
-    ".mat",
-    ".parquet",
-    ".mf4",
-    ".mdf",
-    ".tdms",
-    ".uff",
-    ".unv",
-)
 FOLDER = ("fleet", "fleet.json", ("fleet.json", "fleet.html", "cases"))
 DATE = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})")
 
@@ -135,9 +122,9 @@ def _case(place: Path, model: str | None) -> Case | None:
 def _run(path: Path) -> str:
     """Return a run in the notation of the command line; '' for other paths."""
     if path.is_dir():
-        files = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES)
+        files = sorted(p for p in path.iterdir() if suffix_of(p) in SUFFIXES)
         return "+".join(map(str, files))
-    return str(path) if path.suffix.lower() in SUFFIXES else ""
+    return str(path) if suffix_of(path) in SUFFIXES else ""
 
 
 def _task(case: Case, options: Mapping[str, Any]) -> Task:

@@ -372,7 +372,13 @@ class Fitter(Objective):
         return best
 
     def normal_equations(
-        self, structure: Structure, x: Array, initial: Mapping[int, Array], responses: Mapping[int, Array]
+        self,
+        structure: Structure,
+        x: Array,
+        initial: Mapping[int, Array],
+        responses: Mapping[int, Array],
+        *,
+        over: Array | None = None,
     ) -> tuple[Array, Array, dict[int, tuple[Array, Array]]]:
         """Return the normal equations of responses in the records, linearised, with initial states and nuisances eliminated.
 
@@ -381,6 +387,7 @@ class Fitter(Objective):
             x: Its transformed parameters (parameters,).
             initial: Initial state by record.
             responses: Responses (samples, channels, m) by record.
+            over: Steps of central differences (`tangents`).
 
         Returns:
             The matrix by parameters and shared offsets (p, p) with the prior, the right-hand sides (p, m), and by record the
@@ -392,7 +399,8 @@ class Fitter(Objective):
         m = next(iter(responses.values())).shape[2]
         g = np.zeros((p + q, m))
         parts = {}
-        for i, t in tangents(problem, structure, x, {i: initial[i] for i in responses}).items():
+        begun = {i: initial[i] for i in responses}
+        for i, t in tangents(problem, structure, x, begun, over=over).items():
             s = responses[i]
             free = problem.nuisances(i, t.outputs)
             stack = np.concatenate([t.by_parameter, problem.common(t.outputs), t.by_state, free, s], axis=2)

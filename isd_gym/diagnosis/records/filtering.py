@@ -99,11 +99,13 @@ def count_derivatives(network: Network) -> dict[str, int]:
 
 
 def _highest_derivative(network: Network, node: str) -> int:
-    """Return the highest derivative of a moved node's displacement in the forces: 2 if inertia acts on the node."""
+    """Return the highest derivative of a moved node's displacement in the forces: 2 if inertia acts on the node or its measured force."""
     here = [e for e in network.elements if e.place == "between" and node in e.where]
     if any(e.linear()[2] for e in here):
         return 2
     has_force_sensor = any(c.quantity == "force" and c.at == node for c in network.outputs)
+    if has_force_sensor and network.masses.get(node):
+        return 2
     return 1 if has_force_sensor or any(e.linear()[1] for e in here) else 0
 
 

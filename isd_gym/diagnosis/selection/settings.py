@@ -71,3 +71,6 @@ class SearchSettings:
     #: error of the refitted model with swapped roles, over the error of a straight line through each record, below which the force
     #: determines the motion: half of the power
     swapped_error: float = 0.7
+    #: error of the refitted model (share of the deviation) above which the simulation of a mass that no spring holds has drifted away, and the
+    #: force that the measured motion needs is diagnosed first
+    drifted: float = 0.2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +12,10 @@ import numpy as np
 from ...common.arrays import Z95
 from ...physics import elements as el
 from ..estimation.gauss_newton import Fitter
+from ..estimation.sensitivities import deviations
 from ..result import Quantity
 from ..simulation.problem import BROKEN
+from .comparison import block_edges
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,30 +30,87 @@ if TYPE_CHECKING:
 MOST_UNCERTAIN = 100.0
 #: largest shift of a parameter by an unmodelled effect (transformed units): keeps squares finite
 LARGEST_SHIFT = 1e6
+#: number of times that derivatives are taken over the standard deviations found before
+PASSES = 2
+#: blocks per record whose scores give the sandwich estimate, and their least number of samples
+BLOCKS, LEAST_BLOCK = 20, 10
 
 
 def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | None:
-    """Return the covariance of the free parameters, transformed (parameters, parameters); None where no parameter is free.
+    """Return the mean square error of the free parameters, transformed (parameters, parameters); None where no parameter is free.
 
-    Noise counts by the curvature of the cost with the coloured noise of the residuals. Unmodelled effects count by the shift of the
-    parameters that each of them causes, to first order.
+    Four parts, to first order:
+
+    - Noise: the inverse curvature of the cost. Where the scores of blocks of the record scatter more than white noise would, the sandwich
+      estimate replaces the deviation of a parameter (Huber 1967): the residual has a colour that the filters do not remove.
+    - Small effects that no model contains: each has a prior size (`unmodelled_responses`), and the residual reduces its uncertainty.
+      An added effect keeps the prior size: the same residual chose the effect.
+    - Bias: the shift of the parameters by the sizes that the residual shows.
+    - Distance from the optimum: one more step of the fit, with better derivatives. Along a direction in which the outputs hardly change, a fit
+      with dry friction stops early.
+
+    References:
+        Huber, The behavior of maximum likelihood estimates under nonstandard conditions, Proc. 5th Berkeley Symposium (1967) 221.
+        Gelman et al.: Bayesian Data Analysis, 3rd edition (2013), chapter 15 (effects with a common prior).
     """
     problem, fit = evaluator.problem, candidate.fit
-    filters = evaluator.whitener(candidate)
-    f = Fitter(problem, filters).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=0)
-    if f.hessian is None or not len(f.x):
+    if not len(fit.x):
         return None
-    out = np.linalg.inv(f.hessian + np.diag(1 / f.structure.sigma**2))
-    try:
-        shift, left = Fitter(problem, filters).refit(f, evaluator.unmodelled_responses(candidate))
-        # no effect is larger than the residual allows: a small force moves a free mass far, and the sensors would measure this motion
-        visible = np.sqrt(sum(np.sum(part**2, axis=(0, 1)) for part in left.values()))
-        shift = shift * np.minimum(1.0, math.sqrt(f.cost) / np.maximum(visible, 1e-300))
-        shift = np.clip(shift, -LARGEST_SHIFT, LARGEST_SHIFT)
-        out = out + shift @ shift.T
-    except BROKEN:
-        pass
-    return np.asarray(out)
+    fitter = Fitter(problem, evaluator.whitener(candidate))
+    effects = dict(evaluator.unmodelled_responses(candidate))
+    responses = {
+        i: np.concatenate([(problem.records[i].measured - fit.outputs[i])[:, :, None], y], axis=2)
+        for i, y in effects.items()
+    }
+    p = len(fit.x)
+    H, g, parts = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses)
+    for _ in range(PASSES):
+        steps = deviations(fit.structure, fit.x, _inverse(H)[:p, :p])
+        try:
+            found = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses, over=steps)
+        except BROKEN:
+            break
+        if not np.isfinite(found[0]).all():  # the model does not simulate so far away
+            break
+        H, g, parts = found
+    inverse = _inverse(H)
+    shift = inverse @ g[:, 1:]
+    # normal equations of the effects' sizes, parameters eliminated; the prior of each size has variance 1
+    gram, right = np.eye(shift.shape[1]) - g[:, 1:].T @ shift, -g[:, 1:].T @ inverse @ g[:, 0]
+    scores: list[Array] = []
+    for i, (a, c) in parts.items():
+        gram, right = gram + c[:, 1:].T @ c[:, 1:], right + c[:, 1:].T @ c[:, 0]
+        score = (a * c[:, :1]).reshape(len(problem.records[i]), -1, a.shape[1]).sum(axis=1)
+        edges = block_edges(problem.records[i].measured, BLOCKS, LEAST_BLOCK)
+        scores += [score[m:n].sum(axis=0) for m, n in pairwise(edges)]
+    visible = np.sqrt(np.maximum(np.diag(gram) - 1.0, 1e-300))
+    cost = sum(float(np.sum(c[:, 0] ** 2)) for _, c in parts.values())
+    # no effect is larger than the residual allows: a small force moves a free mass far, and the sensors would measure this motion
+    largest = np.clip(shift * np.minimum(1.0, math.sqrt(cost) / visible), -LARGEST_SHIFT, LARGEST_SHIFT)
+    size = np.linalg.solve(gram, right)
+    spread = np.linalg.inv(gram) + np.outer(size, size)
+    block = np.array(scores) - np.mean(scores, axis=0)
+    sandwich = inverse @ (block.T @ block) @ inverse
+    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(inverse), 1.0))
+    down = g[:, 0].copy()
+    down[:p] += (fit.structure.mean - fit.x) / fit.structure.sigma**2
+    step = inverse @ down
+    out = inverse * np.outer(wider, wider) + shift @ spread @ shift.T + np.outer(step, step)
+    whole = np.diag(inverse) + np.sum(largest**2, axis=1)
+    is_added = [
+        any(f.path.startswith(f"{name}.") for name in fit.structure.names) for f in fit.structure.free
+    ]
+    grown = np.ones(len(out))
+    grown[:p] = np.where(is_added, np.sqrt(np.maximum(whole / np.diag(out), 1.0))[:p], 1.0)
+    return np.asarray((out * np.outer(grown, grown))[:p, :p])
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a symmetric positive definite matrix, whatever the units of its rows."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    return np.asarray(
+        scale[:, None] * np.linalg.inv(matrix * np.outer(scale, scale)) * scale, dtype=np.float64
+    )
 
 
 def intervals(

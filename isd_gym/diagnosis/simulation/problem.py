@@ -17,13 +17,7 @@ from scipy.signal import firwin, oaconvolve
 from ...common.errors import InputError
 from ...common.units import HELD, convert
 from ...physics.network import Network, assemble
-from ...physics.simulate import (
-    COARSE,
-    FINE,
-    Plant,
-    effective_current,
-    pace,  # re-exported
-)
+from ...physics.simulate import COARSE, FINE, Plant, effective_current, pace
 from .cache import SimulationCache
 from .interpolation import interpolated, splined_input
 from .node_motion import transfer_matrix
@@ -478,7 +472,9 @@ class Problem:
             if c.name in curves:
                 fine = [curve[0] for curve in curves[c.name]]
             else:
-                fine = [interpolated(r.inputs[c.name], every, held=held, sparse=sparse) for r in records]
+                fine = [
+                    interpolated(r.inputs[c.name], every, r.step, held=held, sparse=sparse) for r in records
+                ]
             if motored and c.quantity == "current":
                 made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
                 inputs[c.name] = np.concatenate(made, axis=1)

@@ -491,6 +491,8 @@ _READERS: dict[str, Reader] = {
     ".xlsx": _read_workbook,
     **{suffix: _isolated(kind) for suffix, kind in _KINDS.items()},
 }
+#: suffixes of all files that can be read
+SUFFIXES = tuple(_READERS)
 
 
 # ---------------------------------------------------------------------------------------------------- writing

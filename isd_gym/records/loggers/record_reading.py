@@ -67,7 +67,10 @@ def records_of(
         except SideBySide:
             table = None
         except MissingColumn as error:
-            helps = f"; --rename COLUMN={error.name} where it has another name"
+            helps = (
+                f"; --rename COLUMN={error.name} where it has another name, or --map FILE with the columns of all channels "
+                "(isd-gym inspect --out FILE)"
+            )
             raise InputError(f"{error}{helps}{without(network, error.name)}") from None
         if table is not None:
             return _pieces(table, wanted)

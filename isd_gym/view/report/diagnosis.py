@@ -420,10 +420,20 @@ class View:
         return "Residual over the motion" if agrees else "Missing force over the motion"
 
     @property
+    def bias_text(self) -> str:
+        """Warning that the refitted parameters are biased, if an effect is missing that has no certain name; otherwise ''."""
+        if self.d.verdict not in ("unknown_effect", "ambiguous") or self.refit_text:
+            return ""
+        return (
+            "These estimates are biased by what is missing: the parameters of the refitted model compensate a part of the missing effect, "
+            "and the true values may lie outside the intervals."
+        )
+
+    @property
     def refit_text(self) -> str:
         """Model of the parameters, if a force is missing that the refitted model lacks; otherwise ''."""
         if self.d.tabulated is not None:
-            return "These are the parameters of the refitted model without the missing force. They compensate a part of that force."
+            return "These are the parameters of the refitted model without the missing force. They are biased by what is missing: they compensate a part of that force."
         return ""
 
     def interval(self, q: Any) -> str:

@@ -1,0 +1,142 @@
+"""The force that a measured motion needs, in place of the motion that a force makes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isd_gym.diagnosis import SearchSettings, diagnose
+from isd_gym.diagnosis.estimation.inverse_problem import invert
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
+
+MASS, DAMPING, THRUST = 4.0, 12.0, 25.0  # [kg], [N s/m], [N/A]
+COGGING, PITCH = 5.0, 0.02  # [N], [m]
+STEP = 1e-3  # [s]
+
+
+def axis(between: tuple[str, str] = ("ground", "carriage"), *more: dict[str, Any], **changes: Any) -> Network:
+    """Return a carriage that the current of a motor pushes."""
+    model: dict[str, Any] = {
+        "schema": "isd-model/1",
+        "name": "axis",
+        "masses": {"carriage": MASS},
+        "elements": [
+            {
+                "name": "bearing",
+                "type": "linear_damping",
+                "between": ["carriage", "ground"],
+                "damping": DAMPING,
+            },
+            {"name": "motor", "type": "motor", "between": list(between), "thrust_constant": THRUST},
+            *more,
+        ],
+        "inputs": [{"name": "current", "quantity": "current", "element": "motor", "unit": "A"}],
+        "outputs": [{"name": "position", "quantity": "displacement", "at": "carriage", "unit": "mm"}],
+        "uncertainty": {"carriage.mass": 0.1, "bearing.damping": 0.3, "motor.thrust_constant": 0.05},
+    }
+    return Network.load(model | changes)
+
+
+@pytest.mark.parametrize("between", [("ground", "carriage"), ("carriage", "ground")])
+def test_the_computed_force_is_that_of_the_drive(between: tuple[str, str]) -> None:
+    """The motion that a current makes needs the force of this current, whatever the direction of the motor."""
+    network = axis(between)
+    t = np.arange(4000) * STEP
+    current = 0.5 * np.sin(2 * math.pi * 1.1 * t) * np.minimum(t, 1.0)
+    position = simulate(network, t, {"current": current})["position"]  # [mm]
+    inverse = invert(network)
+    assert inverse is not None
+    turned = inverse.records([Record("run", STEP, {"current": current}, position[:, None])])
+    seen = Problem(inverse.network, turned, ["fit"]).simulate([inverse.network], 0)[:, 0, 0]
+    assert np.abs(seen - turned[0].measured[:, 0]).max() < 0.02 * THRUST * 0.5
+    assert np.abs(turned[0].measured[:, 0]).max() == pytest.approx(THRUST * np.abs(current).max())
+
+
+SPRING = {"name": "spring", "type": "linear_stiffness", "between": ["carriage", "ground"], "stiffness": 100.0}
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        axis(("ground", "carriage"), SPRING),
+        axis(
+            ("ground", "carriage"),
+            {"name": "lag", "type": "actuator_lag", "element": "motor", "time_constant": 0.01},
+        ),
+        axis(outputs=[{"name": "speed", "quantity": "velocity", "at": "carriage", "unit": "m/s"}]),
+        Network.load("quarter-car-isd"),
+    ],
+    ids=["spring", "effect at the motor", "speed alone", "car"],
+)
+def test_other_models_have_no_inverse(network: Network) -> None:
+    assert invert(network) is None
+
+
+def test_the_completed_model_has_the_drive_as_input() -> None:
+    network = axis()
+    inverse = invert(network)
+    assert inverse is not None
+    found = inverse.network.with_parameters({"carriage.mass": 4.4})
+    cogging = {
+        "type": "cogging_force",
+        "between": ["carriage", "ground"],
+        "amplitude": COGGING,
+        "pitch": PITCH,
+        "phase": 0.0,
+    }
+    completed = axis(("ground", "carriage"), {"name": "cogging_force", **cogging})
+    added = next(e for e in completed.elements if e.name == "cogging_force")
+    restored = inverse.restore(found.with_element(added))
+    assert restored is not None
+    assert restored.masses == {"carriage": 4.4}
+    assert [e.name for e in restored.elements] == ["bearing", "motor", "cogging_force"]
+    assert (restored.inputs, restored.outputs) == (network.inputs, network.outputs)
+    gain = {"type": "sensor_gain", "channel": "motor", "gain": 1.1}
+    faulty = Network.load(
+        inverse.network.to_dict()
+        | {"elements": [*inverse.network.to_dict()["elements"], {"name": "fault", **gain}]}
+    )
+    assert inverse.restore(faulty) is None
+
+
+def servo(seed: int, samples: int = 10_000) -> Table:
+    """A carriage with cogging that a position controller moves, by semi-implicit Euler steps of a tenth of the sampling step."""
+    rng = np.random.default_rng(seed)
+    times, sizes = rng.uniform(0.3, 1.5, 5), rng.uniform(0.01, 0.04, 5)
+    phases = rng.uniform(0, 2 * math.pi, 5)
+    x = v = 0.0
+    out = np.empty((samples, 2))
+    for k in range(samples):
+        wanted = min(1.0, k * STEP) * float(np.sum(sizes * np.sin(2 * math.pi * times * k * STEP + phases)))
+        seen = 5e-6 * round(x / 5e-6)  # encoder of 5 um
+        current = float(np.clip(150.0 * (wanted - seen) - 3.0 * v, -8.0, 8.0))
+        out[k] = current, 1e3 * seen
+        for _ in range(10):
+            force = THRUST * current - DAMPING * v - COGGING * math.sin(2 * math.pi * x / PITCH)
+            v += 0.1 * STEP * force / MASS
+            x += 0.1 * STEP * v
+    return Table(
+        np.arange(samples) * STEP,
+        {"current": out[:, 0], "position": out[:, 1]},
+        f"run {seed}",
+        units={"position": "mm"},
+    )
+
+
+@pytest.mark.slow
+def test_cogging_of_an_axis_in_a_closed_loop_is_named() -> None:
+    """The simulated motion drifts away; the force that the measured motion needs shows the pitch."""
+    found = diagnose([servo(1), servo(2)], axis(), validate=[servo(3)], settings=SearchSettings(jobs=1))
+    assert found.verdict == "missing_effect", found.summary
+    (effect,) = found.effects
+    assert effect.effect == "cogging_force"
+    assert effect.parameters["pitch"].value == pytest.approx(PITCH, rel=0.01)
+    assert effect.parameters["amplitude"].value == pytest.approx(COGGING, rel=0.1)
+    assert found.whole is not None
+    assert found.whole.inputs[0].quantity == "current"
