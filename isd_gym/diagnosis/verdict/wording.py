@@ -778,7 +778,7 @@ def _reason(d: Mapping[str, Any]) -> str:
     if d["reason"] == "small_effects":
         worst, over, _, small = max(excess, key=lambda x: x[1] / max(x[3], 1e-12))
         return (
-            f"On validation data the error in {worst} beyond noise is {_percent(over)}. Unmodelled effects of {_percent(c['small'], 0)} of "
+            f"On validation data the error in {worst} beyond noise is {_percent(over)}. Unmodelled effects of {_percent(c['small_effect'], 0)} of "
             f"the typical force, which every rig has, leave up to {_percent(small)}."
         )
     if d["reason"] == "closed_by_small":
