@@ -22,6 +22,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "benchmarks" / "stock.json"
 POINTS = 25  # of a learning curve
+DECISIONS = 667  # of an episode of 20 s, each held for 30 ms
 PASSIVE = {"quarter-car-isd": ("passive", "skyhook", "mpc", "mpc-friction"), "half-car-isd": ("passive", "lqg-wheelbase", "mpc-wheelbase")}  # fmt: skip
 TUNED: dict[str, Any] = {
     "n_steps": 256, "batch_size": 2048, "n_epochs": 1, "gamma": 0.99, "gae_lambda": 1.0,
@@ -40,6 +41,7 @@ class Recipe:
     arguments: dict[str, Any] = dataclasses.field(default_factory=dict)
     options: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the environment
     normalized: bool = False  # VecNormalize with its defaults
+    pink: bool = False  # noise of the actions is pink (package pink-noise-rl), of a deviation of 0.3 for TD3
     environment: str = "ISDSuspensionLearning-v0"
 
 
@@ -48,6 +50,10 @@ RECIPES = {
     "ppo-defaults": Recipe("PPO", 32, 1_900_000),
     "sac-defaults": Recipe("SAC", 32, 1_000_000),
     "sac": Recipe("SAC", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}),
+    "sac, pink noise": Recipe("SAC", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}, pink=True),
+    "tqc": Recipe("TQC", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}),
+    "td3": Recipe("TD3", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}),
+    "td3, pink noise": Recipe("TD3", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}, pink=True),
     "ppo-half-car": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED, environment="ISDHalfCarLearning-v0"),
     # half of the recipe, with one thing changed
     "half": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED),
@@ -68,7 +74,9 @@ RECIPES = {
 def train(name: str, seed: int, folder: Path) -> None:
     """Train a recipe with a seed; do nothing where the model exists."""
     import torch
-    from stable_baselines3 import PPO, SAC
+    from sb3_contrib import TQC
+    from stable_baselines3 import PPO, SAC, TD3
+    from stable_baselines3.common.noise import VectorizedActionNoise
     from stable_baselines3.common.vec_env import VecNormalize
 
     from isd_gym.sb3 import ScoreCallback, make_vec_env
@@ -78,14 +86,25 @@ def train(name: str, seed: int, folder: Path) -> None:
         return
     torch.set_num_threads(1)
     recipe = RECIPES[name]
-    kinds: dict[str, Any] = {"PPO": PPO, "SAC": SAC}
+    kinds: dict[str, Any] = {"PPO": PPO, "SAC": SAC, "TD3": TD3, "TQC": TQC}
     cars: Any = make_vec_env(recipe.cars, cars_per_road=8, env_id=recipe.environment, **recipe.options)
     env = VecNormalize(cars) if recipe.normalized else cars
     more: dict[str, Any] = {}
     if recipe.rate is not None:
         first = recipe.rate
         more["learning_rate"] = lambda left: first * left
+    if recipe.pink and recipe.algorithm == "TD3":
+        from pink import PinkActionNoise
+
+        rngs = np.random.default_rng(seed).spawn(recipe.cars)
+        noises = [PinkActionNoise(0.3, seq_len=DECISIONS, action_dim=1, rng=rng) for rng in rngs]
+        more["action_noise"] = VectorizedActionNoise(noises[0], recipe.cars)
+        more["action_noise"].noises = noises
     model = kinds[recipe.algorithm]("MlpPolicy", env, seed=seed, device="cpu", **recipe.arguments, **more)
+    if recipe.pink and recipe.algorithm == "SAC":
+        from pink import PinkNoiseDist
+
+        model.actor.action_dist = PinkNoiseDist(DECISIONS, 1, rng=np.random.default_rng(seed))
     env.seed(seed * 1_000_003 + 12_345)
 
     class Curve(ScoreCallback):
