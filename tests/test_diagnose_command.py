@@ -324,6 +324,7 @@ def test_a_stage_whose_time_is_over_ends_and_the_summary_says_what_was_not_tried
         assert not d["not_tried"] and "time limit" not in d["summary"]
 
 
+@pytest.mark.slow
 def test_a_limit_that_stops_nothing_changes_nothing(files: Path, library: None, tmp_path: Path) -> None:
     words = (files / "friction1.csv", "--validate", files / "friction2.csv", "--model", files / "model.json")
     free, bounded = (

@@ -196,6 +196,7 @@ def test_a_clean_rig_is_left_alone() -> None:
     assert d.model.elements == d.refitted.elements
 
 
+@pytest.mark.slow
 def test_the_same_data_give_the_same_verdict() -> None:
     a, _ = run("mass_none", 2, duration=6.0)
     b, _ = run("mass_none", 2, duration=6.0)

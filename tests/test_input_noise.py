@@ -175,6 +175,7 @@ def test_a_motion_that_the_force_does_not_determine_is_no_direct_problem() -> No
     assert prefer_direct_problem(records, rig(SOFT), 5, *LIMITS) is None
 
 
+@pytest.mark.slow
 def test_friction_is_named_beside_a_noisy_encoder() -> None:
     """Without the noise of the encoder in the noise model the friction explains too little to be named."""
     tables = []

@@ -319,7 +319,7 @@ def test_a_map_drives_a_simulation(tmp_path, run, program):
     done = CliRunner().invoke(program, [*map(str, words), "--out", str(tmp_path / "out.csv")])
     assert done.exit_code == 0, done.output
     said = np.loadtxt(tmp_path / "out.csv", delimiter=",", skiprows=1)
-    truth = simulate(CAR, time, {"road": columns["road"]})
+    truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")
     np.testing.assert_allclose(said[:, 1], truth["body_acceleration"], rtol=1e-6, atol=1e-9)
 
 
@@ -507,7 +507,7 @@ def test_a_file_without_a_header_is_read_by_the_names_that_are_told(tmp_path, ru
     pytest.importorskip("jsonschema").validate(
         json.loads((tmp_path / "map.json").read_text()), load("isd-map/1")
     )
-    truth = simulate(CAR, time, {"road": columns["road"]})["travel"]
+    truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")["travel"]
     # the map remembers the names
     for more in (["--columns", names], ["--map", tmp_path / "map.json"]):
         said(program, "simulate", model, file, "--out", out, *more)

@@ -315,6 +315,7 @@ def diagnosed(friction, loads):
     return diagnose(records[:2], nominal(), validate=records[2:], settings=SearchSettings(depth=1, turns=0))
 
 
+@pytest.mark.slow
 def test_two_loads_name_the_friction_with_its_gain():
     found = diagnosed(UNDER_LOAD, (5.0, 60.0, 30.0, 60.0))
     (effect,) = found.effects
@@ -325,11 +326,13 @@ def test_two_loads_name_the_friction_with_its_gain():
     assert found.closed > 0.95
 
 
+@pytest.mark.slow
 def test_coulomb_friction_under_two_loads_keeps_its_name():
     found = diagnosed({"type": "coulomb_friction", "level": 6.0}, (5.0, 60.0, 30.0, 60.0))
     assert [e.effect for e in found.effects] == ["coulomb_friction"]
 
 
+@pytest.mark.slow
 def test_one_load_does_not_tell_level_and_gain_apart():
     found = diagnosed(UNDER_LOAD, (30.0, 30.0, 30.0, 30.0))
     assert "load_dependent_friction" not in {e.effect for e in found.effects}

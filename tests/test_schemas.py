@@ -177,6 +177,7 @@ def _places(data, path=()):
         yield from _places(value, (*path, key))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["isd-score/1", "isd-diagnosis/1", "isd-card/1"])
 def test_the_own_check_accepts_what_jsonschema_accepts(name):
     """Each part of a document is deleted or replaced in turn."""

@@ -40,6 +40,7 @@ def _heights(seed: int, duration: float) -> np.ndarray:
     return PAPER.heights(duration, rng=seeding.np_random(seed)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preview", [0, 1, 20])
 def test_on_a_linear_car_without_limits_every_road_gives_the_riccati_value(preview):
     # through the real kernel: the penalised optimum of a road that is known whole is what a causal controller has on average

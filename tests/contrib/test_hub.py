@@ -98,6 +98,7 @@ def test_a_whole_score_stands_among_the_references(folder):
     assert f"for causal controllers: {own - ceiling:.4f}." in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [p.parent.name for p in SHIPPED.glob("*/policy.json")])
 def test_every_shipped_policy_has_a_card_for_its_own_environment(name, tmp_path, monkeypatch):
     """The code of the card drives, and the score is that of the policy's own car and sight."""
