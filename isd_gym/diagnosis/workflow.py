@@ -157,7 +157,11 @@ def _diagnose(
     flow = Workflow.of(whole, notes, say, seed, steps, criteria, feedback, clock=limit)
     # one thread for linear algebra: sums do not depend on the number of cores
     with threadpool_limits(1):
-        found = _diagnose_inverse(flow, loose, notes, start) or flow.run(notes, start)
+        # where a closed loop is found, brief stretches of the motion come first
+        first = None if feedback else _diagnose_inverse(flow, loose, notes, start)
+        found = first or flow.run(notes, start)
+        if feedback and found.verdict == "unknown_effect":
+            found = _diagnose_inverse(flow, loose, notes, start) or found
     # the missing effect had a part in the lags
     if found.verdict == "missing_effect" and lags and isinstance(found.model, Network):
         # the lags of the nominal model stay where the new ones cannot be found in time
