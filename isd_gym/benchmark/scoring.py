@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -687,51 +688,34 @@ def score(
     if twice := next((n for n in names if names.count(n) > 1), None):
         raise InputError(f"policy {shown(twice, 200)} is named twice")
     todo = list(entries) if reference.name in names else [reference, *entries]
+    same: dict[str, Any] = {
+        "road": road,
+        "speed": speed,
+        "episodes": episodes,
+        "seed": seed,
+        "duration": duration,
+    }
+    same |= {"cost": cost, "randomize": randomize, "sensors": sensors}
     runs: dict[str, Run] = {}
     for entry in todo:
-        runs[entry.name] = drive(
-            entry,
-            network,
-            road=road,
-            speed=speed,
-            episodes=episodes,
-            seed=seed,
-            duration=duration,
-            cost=cost,
-            randomize=randomize,
-            sensors=sensors,
-            progress=None if progress is None else (lambda share, n=entry.name: progress(n, share)),  # type: ignore[misc]
-        )
-    base = measures(runs[reference.name], cost, point)
-    rows = []
+        tell = partial(progress, entry.name) if progress is not None else None
+        runs[entry.name] = drive(entry, network, progress=tell, **same)
+    before = runs[reference.name]
+    base = measures(before, cost, point)
+    reachable = None if clairvoyant is None else float(before.cost(cost).mean() - np.mean(clairvoyant))
+    rows: list[dict[str, Any]] = []
     raw: dict[str, dict[str, list[float]]] = {}
-    for entry in todo:
-        run = runs[entry.name]
-        row: dict[str, Any] = {"policy": entry.name}
+    for name, run in runs.items():
         found = measures(run, cost, point)
-        raw[entry.name] = {name: [float(f"{v:.9g}") for v in values] for name, (values, _) in found.items()}
-        for name, (values, unit) in found.items():
-            row[name] = compare(name, values, base[name][0], unit)
-        slew = np.abs(np.diff(run.current, axis=0, prepend=0.0))
-        row["limit_violations"] = {
-            "body_acceleration": int(np.sum(np.abs(run.body_acceleration) > LIMITS["body_acceleration"])),
-            "suspension_travel": int(np.sum(np.abs(run.suspension_travel) > LIMITS["suspension_travel"])),
-            "current": int(np.sum(np.abs(run.current) > LIMITS["current"] + 1e-9)),
-            "current_change": int(np.sum(slew > LIMITS["current_change"] + 1e-9)),
-        }
-        row["fallbacks"] = run.fallbacks
-        row["control_time"] = {
-            "median": float(np.median(run.times)),
-            "p99_9": float(np.quantile(run.times, 0.999)),
-        }
-        row["share_of_reachable_gain"] = None
-        if clairvoyant is not None:
-            before, own = runs[reference.name].cost(cost).mean(), run.cost(cost).mean()
-            row["share_of_reachable_gain"] = float((before - own) / (before - np.mean(clairvoyant)))
-        row["preview"] = {"value": run.preview, "unit": "s"}
+        raw[name] = {key: [float(f"{v:.9g}") for v in values] for key, (values, _) in found.items()}
+        compared = {key: compare(key, values, base[key][0], unit) for key, (values, unit) in found.items()}
+        gain = float(before.cost(cost).mean() - run.cost(cost).mean())
         bound = ceiling(run.preview) if ceiling is not None else None
-        row["share_of_causal_gain"] = row["cost"]["change"] / bound["change"] + 0.0 if bound else None
-        rows.append(row)
+        shares = {
+            "share_of_reachable_gain": None if reachable is None else gain / reachable,
+            "share_of_causal_gain": compared["cost"]["change"] / bound["change"] + 0.0 if bound else None,
+        }
+        rows.append({"policy": name, **compared, **_figures(run), **shares})
     kept = [r for r in rows if r["policy"] in names] if reference.name in names else rows
     return Score(
         road=getattr(road, "name", str(road)),
@@ -751,3 +735,22 @@ def score(
         cost=cost,
         point=point,
     )
+
+
+def _figures(run: Run) -> dict[str, Any]:
+    """Return violations of the limits of Table 5, fallbacks, control time and preview of a run."""
+    slew = np.abs(np.diff(run.current, axis=0, prepend=0.0))
+    return {
+        "limit_violations": {
+            "body_acceleration": int(np.sum(np.abs(run.body_acceleration) > LIMITS["body_acceleration"])),
+            "suspension_travel": int(np.sum(np.abs(run.suspension_travel) > LIMITS["suspension_travel"])),
+            "current": int(np.sum(np.abs(run.current) > LIMITS["current"] + 1e-9)),
+            "current_change": int(np.sum(slew > LIMITS["current_change"] + 1e-9)),
+        },
+        "fallbacks": run.fallbacks,
+        "control_time": {
+            "median": float(np.median(run.times)),
+            "p99_9": float(np.quantile(run.times, 0.999)),
+        },
+        "preview": {"value": run.preview, "unit": "s"},
+    }
