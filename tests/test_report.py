@@ -384,7 +384,7 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     assert "Force between piston and joint, as a table over rate" in page.text
     assert "Coulomb friction (98\u00a0% of it)" in page.text
     # a known law gives nearly all of the force: the page must not say that none does
-    assert "no known effect passes every gate" in page.text
+    assert "no known effect passes the checks for a name" in page.text
     assert "no law of the library explains" not in page.text and "gives this force" not in page.text
     assert (
         page.text.count("with the force") == 3

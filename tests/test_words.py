@@ -125,8 +125,8 @@ def test_a_model_that_is_completed_without_a_certain_name_says_so() -> None:
     open_law["gap"]["closed"] = 0.61
     said = summary_of(open_law)
     assert "The best candidate, Coulomb friction between mass and ground, reduces the error in travel" in said
-    assert "model.json is completed with it" in said and "closes 61 % of the gap" in said
-    assert "Its name is not certain" in said
+    assert "model.json is completed with it" in said and "removes 61 % of the squared error" in said
+    assert "It is not named because" in said
 
 
 def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_explain_it() -> None:
@@ -157,7 +157,7 @@ def test_the_title_is_the_finding() -> None:
         assert "equally" not in summary_of(tied)
     certain = document(VAGUE, verdict="ambiguous", reason="kind_certain", findings=dry(0.97, 0.03))
     assert statements_of(certain).title == "Missing: dry friction between mass and ground; its law is open"
-    assert statements_of(document(VAGUE)).title == "An effect is missing, and no known law passes every gate"
+    assert statements_of(document(VAGUE)).title == "An effect is missing; no known law fits"
     assert statements_of(document(VAGUE, findings=dry(0.9))).title == (
         "An effect is missing, probably dry friction between mass and ground"
     )
@@ -194,7 +194,10 @@ VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground",
 def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() -> None:
     said = summary_of(document(VAGUE))
     assert "The best candidate, Coulomb friction between mass and ground, reduces the error in travel" in said
-    assert "from 30.0 % to 7.0 % and fails 1 of 9 gates: determined (0.95, needed below 0.9)." in said
+    assert (
+        "from 30.0 % to 7.0 %. It is not named because its values are uncertain by 95 % (less than 90 % needed)."
+        in said
+    )
     nothing = summary_of(document(replace(SEEN, effects=(), after=SEEN.refit, richest=())))
     assert "No known effect reduces the held-out error by enough to be kept." in nothing
 
@@ -209,11 +212,11 @@ def tried(
 def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason() -> None:
     said = summary_of(document(VAGUE, best_table=tried(0.93, errors=1.2)))
     assert "removes 93 % of the squared held-out error beyond noise" in said
-    assert "predicts better (1.2, needed above 2)" in said
+    assert "but its better prediction may be chance" in said
     assert "depend on time" not in said and "half" not in said
     said = summary_of(document(VAGUE, best_table=tried(0.68, confirmed=0.14)))
     assert (
-        "removes 68 % of the squared held-out error beyond noise, but fails confirmed (0.14, needed at least 0.5)"
+        "removes 68 % of the squared held-out error beyond noise, but it leaves 86 % of the squared error on the test records (at most 50 %)"
         in said
     )
     said = summary_of(document(VAGUE, best_table=tried(0.3)))
@@ -270,7 +273,7 @@ def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
     assert "between 2 candidates: Coulomb friction between mass and ground (leaves 1.0 %" in said
     assert said.endswith("Next: run the test in next_experiment.csv.")
     alone = summary_of(document(abreast, alternatives=rivals[:1]))
-    assert "fails distinguishable (1, needed at most 0)" in alone
+    assert "but 1 other law predicts as well" in alone
 
 
 @pytest.mark.parametrize(
@@ -337,5 +340,5 @@ def test_a_figure_that_is_not_finite_does_not_lose_the_result() -> None:
         assert summary_of(blanked(made))
     assert plain_number(None) == "unknown"
     assert failures([gate("g", float("nan"), ">", 1.0, "").to_dict() | {"value": None}]) == (
-        "g (unknown, needed above 1)"
+        "g is unknown (needed above 1)"
     )

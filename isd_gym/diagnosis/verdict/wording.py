@@ -297,12 +297,48 @@ def _most_gained(gap: Mapping[str, Mapping[str, float]], old: str, new: str) -> 
     return max(gap[old], key=lambda c: _square(gap[old][c]) - _square(gap[new][c]))
 
 
+#: what a failed gate means, by name and relation; the subject is 'it'
+FAILURES = {
+    ("predicts better", ">"): "its better prediction may be chance",
+    ("material", ">"): "its part in the error is too small",
+    ("material", ">="): "it is too small",
+    ("adequate", "<"): "it leaves more than the small effects that every rig has",
+    ("adequate", "<="): "the fitted records do not agree with it",
+    ("determined", "<="): "its values contradict its name",
+    ("lack of fit", "<"): "another curve in its place fits better",
+    ("confirmed", "<"): "it leaves more of the test records than the small effects that every rig has",
+    ("sensor", ">="): "a force explains nearly as much as the fault of a sensor",
+    ("open loop", "<="): "the law of a controller may look like it",
+    ("open loop", "<"): "the law of a controller may look like it",
+}
+
+
 def failures(gates: Iterable[Mapping[str, Any]]) -> str:
-    """Return failed gates with value and limit, such as ``determined (1, needed below 0.9)``."""
-    return ", ".join(
-        f"{g['gate']} ({plain_number(g['value'], 3)}, needed {RELATIONS[g['relation']]} {plain_number(g['limit'], 3)})"
-        for g in gates
-        if not g["passed"]
+    """Return what the failed gates mean, such as ``its values are uncertain by 95 %``."""
+    return " and ".join(_failure(g) for g in gates if not g["passed"])
+
+
+def _failure(g: Mapping[str, Any]) -> str:
+    name, value, limit = g["gate"], g["value"], g["limit"]
+    if value is not None and g["relation"] == ">=" and name in ("adequate", "confirmed", "explains"):
+        records = "the test records" if name == "confirmed" else "the held-out records"
+        if value < 0.0:
+            return f"it increases the squared error on {records}"
+        return f"it leaves {_percent(1.0 - value, 0)} of the squared error on {records} (at most {_percent(1.0 - limit, 0)})"
+    if value is not None and name == "determined" and g["relation"] == "<":
+        return (
+            "a 95 % interval of its values contains zero"
+            if value >= 1.0
+            else f"its values are uncertain by {_percent(value, 0)} (less than {_percent(limit, 0)} needed)"
+        )
+    if value is not None and name == "probable":
+        return f"other candidates are as likely (its weight is {_percent(value, 0)}, needed {_percent(limit, 0)})"
+    if value is not None and name == "distinguishable":
+        return f"{value:.0f} other {'laws predict' if value > 1 else 'law predicts'} as well"
+    known = FAILURES.get((name, g["relation"]))
+    return (
+        known
+        or f"{name} is {plain_number(value, 3)} (needed {RELATIONS[g['relation']]} {plain_number(limit, 3)})"
     )
 
 
@@ -351,7 +387,7 @@ def _title(d: Mapping[str, Any]) -> str:
         return f"An effect is missing, probably {_lower(KINDS[kinds[0]['kind']])}{place}"
     if places:
         return f"An effect is missing {_spot(next(iter(places)))}; its kind is open"
-    return "An effect is missing, and no known law passes every gate"
+    return "An effect is missing; no known law fits"
 
 
 def _next(d: Mapping[str, Any]) -> str:
@@ -549,7 +585,7 @@ def _ambiguous(d: Mapping[str, Any]) -> str:
         return f"{subject}: {_no_gain(best)}"
     return (
         f"{subject}: {candidate_text(best)} removes {_percent(best['explained'], 0)} of {EXCESS}, "
-        f"but fails {failures(best['failed_gates'])}."
+        f"but {failures(best['failed_gates'])}."
     )
 
 
@@ -561,7 +597,11 @@ def _left(rival: Mapping[str, Any]) -> str:
 def _unknown(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     c = _widest(gap)
-    why = "the search for it is not finished" if d.get("not_tried") else "no known effect passes every gate"
+    why = (
+        "the search for it is not finished"
+        if d.get("not_tried")
+        else "no known effect passes the checks for a name"
+    )
     return f"An effect is missing, and {why} ({_errors(gap, c, 'before', 'refit')})."
 
 
@@ -687,15 +727,14 @@ def _best_candidate(d: Mapping[str, Any]) -> str:
     failed = [g for g in best["failed_gates"] if not g["passed"]]
     text = (
         f"The best candidate, {candidate_text(best)}, reduces the error in {c} from "
-        f"{_percent(error['refit'][c])} to {_percent(error['after'][c])} and fails {len(failed)} of {len(d['gates'])} gates: "
-        f"{failures(failed)}."
+        f"{_percent(error['refit'][c])} to {_percent(error['after'][c])}. It is not named because {failures(failed)}."
     )
     closed = d["gap"]["closed"]
     if not best.get("completes"):
         return text
     return (
-        f"{text} model.json is completed with it, since it predicts records better that took no part in the fit; it closes "
-        f"{_percent(closed, 0)} of the gap. Its name is not certain."
+        f"{text} model.json is completed with it, since it predicts records better that took no part in the fit; on the test records it "
+        f"removes {_percent(closed, 0)} of the squared error beyond noise."
     )
 
 
@@ -737,7 +776,7 @@ def _rejected_table(tried: Mapping[str, Any] | None, is_surpassed: bool) -> str:
         )
     failed = failures(tried["gates"])
     if failed:
-        return f"{text}, but fails {failed}."
+        return f"{text}, but {failed}."
     return (
         f"{text}, less than the best candidate."
         if is_surpassed
@@ -790,7 +829,7 @@ def _reason(d: Mapping[str, Any]) -> str:
         worst, over, floor, _ = max(excess, key=lambda x: x[1] / max(x[2], 1e-12))
         return f"On validation data the error in {worst} beyond noise is {_percent(over)} (noise {_percent(floor)}), and no known effect reduces the error."
     if d["reason"] == "doubtful_sensor":
-        return f"A sensor fault may explain the rest, but fails {failures(d['gates'])}."
+        return f"A sensor fault may explain the rest, but {failures(d['gates'])}."
     if d["reason"] == "immaterial":
         return (
             f"On validation data the error beyond noise is at most {_percent(max(x[1] for x in excess))} of the standard deviation in every channel "
@@ -829,7 +868,7 @@ def _small(d: Mapping[str, Any]) -> str:
     shares = " and ".join(f"{_percent(x['share'])}" for x in seen)
     if all((x["share"] or 0.0) < least for x in seen):
         return f"Too small to be named: {names}, {shares} of the force, current or signal at its place (needed {_percent(least, 0)})."
-    return f"Detected but not named: {names}, {shares} of the force, current or signal at its place; the effect fails {failures(d['gates'])}."
+    return f"Detected but not named: {names}, {shares} of the force, current or signal at its place; {failures(d['gates'])}."
 
 
 def _noise(d: Mapping[str, Any]) -> str:
