@@ -225,17 +225,9 @@ class Task:
         if picture:  # a picture shows the road in front of the car
             look = max(look, PICTURE_WINDOW / self.slowest)
             look = control_step * math.ceil(look / control_step)
-        self.batch = Batch(
-            count,
-            self.network,
-            road_=options.road,
-            speed=speed,
-            control_step=control_step,
-            duration=options.duration,
-            randomize=options.randomize,
-            preview=look,
-            extra=extra,
-        )
+        cars: dict[str, Any] = {"road_": options.road, "speed": speed, "control_step": control_step}
+        cars |= {"duration": options.duration, "randomize": options.randomize}
+        self.batch = Batch(count, self.network, **cars, preview=look, extra=extra)
         of = self.batch.of
         signals = len(self.measured)
         self.history = (
@@ -256,10 +248,7 @@ class Task:
         self.group = group
         self._reference: Batch | None = None
         if options.reward == "relative" and group == 1:
-            self._reference = Batch(
-                count, self.network, road_=options.road, speed=speed, control_step=control_step,
-                duration=options.duration, randomize=options.randomize,
-            )  # fmt: skip
+            self._reference = Batch(count, self.network, **cars)
             self._reference.set_cost(weights, bounds, width=signals, threads=threads)
         self._weights = np.ones(count)
         self._usual = usual_level(self.batch) if options.per_level else 0.0
@@ -274,6 +263,13 @@ class Task:
             and not options.per_level
             and options.reward_scale == 1.0
         )
+        self._make_sensors(count)
+        warn_of_pulling_tyres(
+            self.vehicle, [road(r) for r in varied.get("road", (options.road,))], max(map(float, speeds))
+        )
+
+    def _make_sensors(self, count: int) -> None:
+        """Prepare the errors of signals that a policy sees."""
         names = [signal.name for signal in self.measured]
         self._channel_faults = [
             e for e in self.network.elements if e.place == "channel" and e.where[0] in names
@@ -284,7 +280,8 @@ class Task:
                     f"element '{e.name}': no sensor of an environment can lead; delay must be >= 0 s"
                 )
         self._histories: dict[str, np.ndarray] = {}
-        self.sensors = options.sensors
+        assert isinstance(self.options.sensors, Sensors)
+        self.sensors = self.options.sensors
         self._sight = (
             None
             if self.sensors.perfect
@@ -292,15 +289,12 @@ class Task:
                 self.sensors,
                 count,
                 [signal.kind for signal in self.measured],
-                of.tracks,
+                self.batch.of.tracks,
                 self.points,
-                control_step,
+                self.options.control_step,
             )
         )
         self.is_faulty = bool(self._channel_faults) or self._sight is not None
-        warn_of_pulling_tyres(
-            self.vehicle, [road(r) for r in varied.get("road", (options.road,))], max(map(float, speeds))
-        )
 
     def _bind(self) -> None:
         """Let commanded currents be written where the cars read them."""
