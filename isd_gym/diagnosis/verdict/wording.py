@@ -20,7 +20,7 @@ ADVICE = {
     "sensor": "check the zero, the scale and the clock of the sensor before you trust a fault of it",
     "distinguishable": "record another excitation: other amplitudes, speeds or frequencies",
     "lack of fit": "compare the curve of the missing force with a law of your own (--elements): no known law has its shape",
-    "adequate": "log further motions or inputs: the candidate leaves a part of the error, so another effect is missing beside it",
+    "adequate": "record slow motions, steps and other loads, and log further inputs: the candidate alone does not explain the records",
     "confirmed": "repeat the test: the test records do not confirm the candidate",
     "determined": "record a test in which the effect is larger, or state smaller uncertainties of the parameters that you know",
     "probable": "record more data of the same kind: several candidates share the probability",
@@ -321,7 +321,7 @@ def failures(gates: Iterable[Mapping[str, Any]]) -> str:
 def _failure(g: Mapping[str, Any]) -> str:
     name, value, limit = g["gate"], g["value"], g["limit"]
     if value is not None and g["relation"] == ">=" and name in ("adequate", "confirmed", "explains"):
-        records = "the test records" if name == "confirmed" else "the held-out records"
+        records = "the test records" if name == "confirmed" else "the validation records"
         if value < 0.0:
             return f"it increases the squared error on {records}"
         return f"it leaves {_percent(1.0 - value, 0)} of the squared error on {records} (at most {_percent(1.0 - limit, 0)})"
@@ -361,7 +361,7 @@ def _title(d: Mapping[str, Any]) -> str:
         return (
             "The model agrees with the measurements"
             if verdict == "no_discrepancy"
-            else "Parameters were off; no effect is missing"
+            else "No missing effect found; refitted parameters suffice"
         )
     differences = d.get("record_differences")
     if differences:
@@ -535,8 +535,8 @@ def _likely(d: Mapping[str, Any]) -> str:
                 f"{KINDS[f['kind']]} {sure} {chance}, but the data do not determine its place: {open_places}."
             )
             continue
-        laws = " or ".join(
-            f"{spoken(law['effect'])} (probability {law['probability']:.2f}{_law_values(law)})"
+        laws = "; less likely ".join(
+            f"{spoken(law['effect'])} ({law['probability']:.2f}{_law_values(law)})"
             for law in f["laws"][:LAWS]
             if law is f["laws"][0] or law["probability"] >= d["criteria"]["reported"]
         )
@@ -725,8 +725,11 @@ def _best_candidate(d: Mapping[str, Any]) -> str:
     error = best["error"]
     c = _most_gained(error, "refit", "after")
     failed = [g for g in best["failed_gates"] if not g["passed"]]
+    likely = [f["laws"][0]["effect"] for f in _likely_kinds(d) if f["laws"]]
+    is_likely = not likely or set(likely) & set(best["effects"])
+    foremost = "The best candidate" if is_likely else "The candidate that errs least"
     text = (
-        f"The best candidate, {candidate_text(best)}, reduces the error in {c} from "
+        f"{foremost}, {candidate_text(best)}, reduces the error in {c} from "
         f"{_percent(error['refit'][c])} to {_percent(error['after'][c])}. It is not named because {failures(failed)}."
     )
     closed = d["gap"]["closed"]

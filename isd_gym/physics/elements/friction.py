@@ -33,8 +33,8 @@ class CoulombFriction(Element):
     source = "f = 0.5 kN, section 3.2, Figure 6"
     signature = "a step in force where the velocity changes sign; sticking"
     test = (
-        "Move the terminals with a slow triangle (0.1 Hz): the force must jump by twice {level} at each "
-        "reversal, and the jump must be the same at half the amplitude."
+        "Move the two parts slowly against each other (triangle, 0.1 Hz): beside what springs and dampers there give, the force "
+        "must jump by twice {level} at each reversal, at half the amplitude as well."
     )
     plane = "rate"
     bound = staticmethod(_constant)
@@ -57,7 +57,7 @@ class StribeckFriction(Element):
     source = "Stribeck; Armstrong-Helouvry et al., Automatica 30 (1994)"
     signature = "Coulomb friction with a higher level near zero velocity"
     test = (
-        "Move the terminals slowly and ever slower: the force must rise from {level} towards "
+        "Move the two parts slowly and ever slower: the force must rise from {level} towards "
         "{static_level} below {stribeck_velocity}, and jump at each reversal."
     )
     plane = "rate"
@@ -127,7 +127,7 @@ class AsymmetricFriction(Element):
     )
     signature = "Coulomb friction about a constant force: it creeps to one side under vibration"
     test = (
-        "Pull the terminals slowly one way and the other: the force must be {extension} out and {compression} in, "
+        "Pull the two parts slowly one way and the other: the force must be {extension} out and {compression} in, "
         "at every speed."
     )
     plane = "rate"

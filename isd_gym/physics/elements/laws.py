@@ -140,7 +140,7 @@ class ConstantForce(Element):
     equation = "F = F0"
     source = "gravity along a slope, a preload, a drive's offset"
     signature = "a drift that grows with the square of time where nothing holds the terminals"
-    test = "Let go of the terminals at rest: they must be pulled together with {force}."
+    test = "Let go of the two parts at rest: they must be pulled together with {force}."
     plane = "elongation"
     law = staticmethod(_constant)
     force: float = parameter("N", 1.0, 2e4, minimum=-math.inf)
@@ -270,7 +270,7 @@ class AsymmetricDamping(Element):
     source = "Dixon, The Shock Absorber Handbook: rebound and bump damping differ"
     signature = "an even part in the force-velocity plane; a mean offset under vibration"
     test = (
-        "Vibrate the terminals without a mean load: they must creep to one side, the more the faster the "
+        "Vibrate the two parts without a mean load: they must creep to one side, the more the faster the "
         "motion."
     )
     plane = "rate"
@@ -315,7 +315,7 @@ class CubicStiffness(Element):
     source = "Duffing; progressive springs"
     signature = "stiffness that grows with amplitude, smoothly and without dissipation"
     test = (
-        "Load the terminals slowly to half and to full travel: the extra force must grow eightfold "
+        "Load the two parts slowly to half and to full travel: the extra force must grow eightfold "
         "({stiffness}), and the same on the way back."
     )
     law = staticmethod(_cubic)
@@ -334,7 +334,7 @@ class GasSpring(Element):
     source = "polytropic gas column about its static state"
     signature = "stiffer in compression than in extension, smoothly"
     test = (
-        "Load the terminals slowly: compression must be stiffer than extension, with no loss over a full "
+        "Load the two parts slowly: compression must be stiffer than extension, with no loss over a full "
         "loop."
     )
     contains = ("linear_stiffness",)  # long
@@ -364,7 +364,7 @@ class BumpStop(Element):
     equation = "F = k (|d| - clearance) sgn d + c v in contact, never pulling; 0 else"
     source = "deputy cylinder stroke of Table 1: +-100 mm / 4.056 = +-24.65 mm at the device"
     signature = "nothing below a travel, a stiff spring beyond it"
-    test = "Load the terminals slowly: nothing extra below {clearance}, a slope of {stiffness} beyond it."
+    test = "Load the two parts slowly: nothing extra below {clearance}, a slope of {stiffness} beyond it."
     contains = ("linear_stiffness",)  # without clearance
     shaped_by = "clearance"
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"side": ("both", "extension", "compression")}
@@ -518,8 +518,8 @@ class CoggingForce(Element):
     source = "detent force of a permanent-magnet linear motor"
     signature = "periodic in travel, whatever the time"
     test = (
-        "Pull the device slowly through its whole travel: the force must repeat every {pitch} with "
-        "{amplitude}, at the same places each time."
+        "Move the two parts slowly through the whole travel, one way and back: the mean of both forces must swing by {amplitude} "
+        "to either side every {pitch}, at the same places each time."
     )
     contains = ("linear_stiffness",)  # for a pitch longer than the travel
     periodic = ("pitch", "phase")

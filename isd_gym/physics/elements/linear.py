@@ -18,7 +18,7 @@ class LinearStiffness(Element):
     source = "Table 6 (main spring, tyre), Table 4 (oil)"
     signature = "force in phase with travel, the same at every amplitude"
     test = (
-        "Load the terminals slowly: the force must follow travel with an extra {stiffness} at every "
+        "Load the two parts slowly: the force must follow travel with an extra {stiffness} at every "
         "amplitude."
     )
     stiffness: float = parameter("N/m", 1e2, 1e6)

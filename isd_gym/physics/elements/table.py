@@ -87,7 +87,7 @@ class TabulatedForce(Element):
     equation = "F = scale * table(d, v)"
     source = "a measured law, or the one that a diagnosis found without a name for it"
     signature = "whatever the table says"
-    test = "Move the terminals through the table's range: the force must be the table's."
+    test = "Move the two parts through the table's range: the force must be the table's."
     law = staticmethod(_tabulated)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {
         "interpolation": ("linear", "smooth"),
