@@ -206,7 +206,7 @@ def run(out: Path, tries: int, seed: int, only: list[str] | None, minutes: float
 
 
 def table(state: dict[str, Any]) -> str:
-    """What was tried and what came of it."""
+    """Return the table of tries and results by kind."""
     rows = [("kind", "tries", "results", "refused", "failures", "ms a try")]
     for kind, mine in state["kinds"].items():
         each = f"{1e3 * mine['seconds'] / max(mine['done'], 1):.2g}"

@@ -40,7 +40,7 @@ def car_with_wheel(r: Any, secret: Any) -> dict[str, Any]:
 
 
 def case(kind: str, seed: int, known: bool) -> dict[str, Any]:
-    """One car, and what was said of it."""
+    """Identify one car and return the result beside the truth."""
     from hidden import make
 
     from isd_gym.physics.network import Network

@@ -28,6 +28,7 @@ TUNED: dict[str, Any] = {
     "n_steps": 256, "batch_size": 2048, "n_epochs": 1, "gamma": 0.99, "gae_lambda": 1.0,
     "policy_kwargs": {"net_arch": {"pi": [64, 64], "vf": []}},
 }  # fmt: skip
+OFF_POLICY: dict[str, Any] = {"hold": 6, "reward_scale": 30.0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,11 +50,11 @@ RECIPES = {
     "ppo-2min": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED),
     "ppo-defaults": Recipe("PPO", 32, 1_900_000),
     "sac-defaults": Recipe("SAC", 32, 1_000_000),
-    "sac": Recipe("SAC", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}),
-    "sac, pink noise": Recipe("SAC", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}, pink=True),
-    "tqc": Recipe("TQC", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}),
-    "td3": Recipe("TD3", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}),
-    "td3, pink noise": Recipe("TD3", 32, 1_280_000, options={"hold": 6, "reward_scale": 30.0}, pink=True),
+    "sac": Recipe("SAC", 32, 1_280_000, options=OFF_POLICY),
+    "sac, pink noise": Recipe("SAC", 32, 1_280_000, options=OFF_POLICY, pink=True),
+    "tqc": Recipe("TQC", 32, 1_280_000, options=OFF_POLICY),
+    "td3": Recipe("TD3", 32, 1_280_000, options=OFF_POLICY),
+    "td3, pink noise": Recipe("TD3", 32, 1_280_000, options=OFF_POLICY, pink=True),
     "ppo-half-car": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED, environment="ISDHalfCarLearning-v0"),
     # half of the recipe, with one thing changed
     "half": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED),

@@ -121,7 +121,7 @@ def moves(rng, model, time):
     return out
 
 
-#: laws that are smooth where they are driven
+#: laws without kinks in the driven range
 SMOOTH = ["cubic_stiffness", "quadratic_damping", "gas_spring"]
 COARSE = 5e-4  # s, of a physics step
 

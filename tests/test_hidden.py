@@ -1,4 +1,4 @@
-"""The generator of hidden-effect records: what it says is hidden is what explains its records."""
+"""The generator of records with hidden effects: the stated effect explains the records."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def prefer_direct_problem(
         swapped = swap_roles(network, motion, force)
     except InputError:
         return None
-    turned = [_swap_channels(r, network, motion, force) for r in records]
+    turned = [swap_channels(r, network, motion, force) for r in records]
     if find_feedback(turned, swapped):
         return None
     direct = Problem(swapped, turned[:training])
@@ -78,32 +78,39 @@ def prefer_direct_problem(
     return turned, swapped, note
 
 
-def swap_roles(network: Network, motion: Channel, force: Channel) -> Network:
-    """Return the model with the force at a node as input and the displacement of the node as output.
+def swap_roles(network: Network, given: Channel, computed: Channel) -> Network:
+    """Return the model with an output as input and an input as output: the force at a node and the displacement of the node, either way.
 
     Args:
         network: The nominal model.
-        motion: Input of the model, a displacement.
-        force: Output of the model, the force at the same node.
+        given: Input of the model.
+        computed: Output of the model at the same node.
 
     Raises:
         InputError: The node has no inertia, or a force sensor at another moved node forbids the swap.
     """
-    pushed, moved = replace(force, offset=None, noise=None), replace(motion, offset=None, noise=None)
+    to_input, to_output = (replace(c, offset=None, noise=None) for c in (computed, given))
     return replace(
         network,
-        inputs=tuple(pushed if c == motion else c for c in network.inputs),
-        outputs=tuple(moved if c == force else c for c in network.outputs),
+        inputs=tuple(to_input if c == given else c for c in network.inputs),
+        outputs=tuple(to_output if c == computed else c for c in network.outputs),
     )
 
 
-def _swap_channels(record: Record, network: Network, motion: Channel, force: Channel) -> Record:
-    """Return an unfiltered record with the measured force as input and the measured motion as output."""
-    j = network.outputs.index(force)
-    inputs = {k: v for k, v in record.inputs.items() if k != motion.name}
-    inputs[force.name] = convert(record.measured[:, j], force.unit, force.si)
+def swap_channels(record: Record, network: Network, given: Channel, computed: Channel) -> Record:
+    """Return an unfiltered record of `network` with the channels of the model after `swap_roles`.
+
+    Args:
+        record: Measured record before any filter.
+        network: The model before the swap.
+        given: Its input.
+        computed: Its output.
+    """
+    j = network.outputs.index(computed)
+    inputs = {k: v for k, v in record.inputs.items() if k != given.name}
+    inputs[computed.name] = convert(record.measured[:, j], computed.unit, computed.si)
     measured = record.measured.copy()
-    measured[:, j] = convert(record.inputs[motion.name], motion.si, motion.unit)
+    measured[:, j] = convert(record.inputs[given.name], given.si, given.unit)
     return replace(record, inputs=inputs, measured=measured)
 
 

@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...common.errors import InputError
-from ...common.units import convert
 from ...physics.network import GROUND, Channel, assemble, natural_frequencies, transfer
 from ..simulation.problem import bare
+from .direct_problem import swap_channels, swap_roles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ...physics.elements import Element
     from ...physics.network import Network
     from ..simulation.problem import Record
 
@@ -36,24 +35,16 @@ class InverseProblem:
     network: Network
     #: the model with the drive as input
     direct: Network
-    drive: Channel
-    position: Channel
-    #: the motor that the drive's current passes, left out of `network`; None for a force
-    motor: Element | None
+    #: the model with the force of the drive as input
+    pushed: Network
     #: force at the mass by unit of the drive [N/A] or [-]
     gain: float
 
     def records(self, records: Sequence[Record]) -> list[Record]:
         """Return unfiltered records with the measured position as input and the force of the drive as output."""
-        p, j = self.position, self.direct.outputs.index(self.position)
-        return [
-            replace(
-                r,
-                inputs={p.name: convert(r.measured[:, j], p.unit, p.si)},
-                measured=(self.gain * r.inputs[self.drive.name])[:, None],
-            )
-            for r in records
-        ]
+        (drive,), (force,), (position,) = self.direct.inputs, self.pushed.inputs, self.pushed.outputs
+        pushed = [replace(r, inputs={force.name: self.gain * r.inputs[drive.name]}) for r in records]
+        return [swap_channels(r, self.pushed, force, position) for r in pushed]
 
     def restore(self, found: Network) -> Network | None:
         """Return the model with the drive as input, and the parameters and added elements of a completed inverse model.
@@ -76,8 +67,7 @@ class InverseProblem:
             description=found.description,
             uncertainty={},
         )
-        merged = {**self.direct.uncertainty, **found.uncertainty}
-        return replace(out, uncertainty={k: v for k, v in merged.items() if k in out.parameters})
+        return out.with_uncertainty({**self.direct.uncertainty, **found.uncertainty})
 
 
 def invert(network: Network) -> InverseProblem | None:
@@ -102,27 +92,18 @@ def invert(network: Network) -> InverseProblem | None:
             return None
         name = motor.name
     elif drive.quantity == "force" and drive.at == node:
-        left, motor, name = list(network.elements), None, drive.name
+        left, name = list(network.elements), drive.name
     else:
         return None
     force = Channel(name, "force", at=node, unit="N m" if node in network.turning else "N")
     try:
-        pushed = replace(
-            network,
-            elements=tuple(left),
-            inputs=(force,),
-            uncertainty={
-                k: v
-                for k, v in network.uncertainty.items()
-                if motor is None or not k.startswith(f"{motor.name}.")
-            },
-        )
+        pushed = replace(network, elements=tuple(left), inputs=(force,), uncertainty={})
+        pushed = pushed.with_uncertainty(network.uncertainty)
         at = np.array([1.0])  # [Hz]
         gain = float(np.real(transfer(network, at)[0, 0, 0] / transfer(pushed, at)[0, 0, 0]))
-        moved = replace(position, offset=None, noise=None)
-        inverse = replace(pushed, inputs=(moved,), outputs=(force,))
+        inverse = swap_roles(pushed, force, position)
         if assemble(bare(inverse)).size[0]:
             return None
     except (InputError, np.linalg.LinAlgError):
         return None
-    return InverseProblem(inverse, network, drive, position, motor, gain)
+    return InverseProblem(inverse, network, pushed, gain)

@@ -36,7 +36,7 @@ class RecordwiseFit:
     structure: Structure
     #: transformed parameters of each group (groups, parameters)
     x: Array
-    #: which parameters each group has for itself (parameters,)
+    #: mask of the parameters with a value per group (parameters,)
     own: NDArray[np.bool_]
     #: fitted point of each group
     points: tuple[Point, ...]
@@ -66,7 +66,7 @@ class RecordwiseFitter(Fitter):
             structure: The structure. Offsets of its sensors must not be shared by records (`Problem.loose`).
             x: Start values, transformed: (parameters,) for all groups, or (groups, parameters).
             groups: Indices of the records of each group.
-            own: Which parameters each group has for itself (parameters,).
+            own: Mask of the parameters with a value per group (parameters,).
             initial: Initial states to begin with, by record.
             iterations: Largest number of Gauss-Newton steps.
             tolerance: Relative decrease of the cost that ends the fit.
@@ -161,7 +161,7 @@ class _Layout:
 
     Args:
         structure: The structure.
-        own: Which parameters each group has for itself (parameters,).
+        own: Mask of the parameters with a value per group (parameters,).
         count: Number of groups.
     """
 

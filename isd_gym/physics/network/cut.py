@@ -9,7 +9,7 @@ from ...common.errors import InputError, shown
 from .model import GROUND, MOTIONS, Channel, Network
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
 
 def cut(network: Network, node: str) -> Network:
@@ -81,7 +81,7 @@ def cut(network: Network, node: str) -> Network:
         outputs=tuple(outputs),
         uncertainty={},
     )
-    return _uncertain(part, network.uncertainty)
+    return part.with_uncertainty(network.uncertainty)
 
 
 def cut_nodes(network: Network) -> list[str]:
@@ -156,13 +156,7 @@ def rejoin(whole: Network, part: Network) -> Network:
         description=part.description,
         uncertainty={},
     )
-    return _uncertain(joined, {**whole.uncertainty, **part.uncertainty})
-
-
-def _uncertain(network: Network, uncertainty: Mapping[str, float]) -> Network:
-    """Return the network with the uncertainties of the parameters that exist."""
-    known = network.parameters
-    return replace(network, uncertainty={k: v for k, v in uncertainty.items() if k in known})
+    return joined.with_uncertainty({**whole.uncertainty, **part.uncertainty})
 
 
 def _behind(network: Network, node: str) -> set[str]:

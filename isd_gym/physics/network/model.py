@@ -704,6 +704,18 @@ class Network:
                 return e
         raise InputError(f"no element {shown(name)}; there are {', '.join(e.name for e in self.elements)}")
 
+    def with_uncertainty(self, uncertainty: Mapping[str, float]) -> Network:
+        """Return the network with other uncertainties.
+
+        Args:
+            uncertainty: Relative standard deviation by parameter; parameters that the network lacks are left out.
+
+        Returns:
+            The new network.
+        """
+        known = self.parameters
+        return replace(self, uncertainty={k: v for k, v in uncertainty.items() if k in known})
+
     def with_parameters(self, values: Mapping[str, float]) -> Network:
         """Return a copy with changed parameters.
 

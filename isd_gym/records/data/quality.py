@@ -537,8 +537,7 @@ def _check_held(
     All are runs of exactly equal samples, longer than `rest` [s] or frequent. In a channel with noise, many
     equal samples have no innocent cause except a resolution coarser than the momentary noise. A channel
     without noise (an encoder, a command, a simulation) may rest: only a dead stop in mid-motion is reported.
-    The affected share of the signal separates warnings from errors (see `check`). `others` are the other
-    channels with their noise.
+    The affected share of the signal separates warnings from errors (see `check`). `others`: samples and noise of each further channel.
     """
     n, step = len(x), time[1] - time[0]
     starts, lengths = _runs(x)

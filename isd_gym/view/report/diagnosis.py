@@ -471,9 +471,8 @@ class View:
         Returns:
             Text with typographic symbols.
         """
-        cls = el.TYPES.get(e.effect)
         # the equations in the code are ASCII
-        text = cls.equation if cls is not None else ""
+        text: str = getattr(el.TYPES.get(e.effect), "equation", "")
         for plain, mark in (("F in ", "F ∈ "), ("^2", "²"), ("^3", "³"), (" - ", " − ")):
             text = text.replace(plain, mark)
         return text
@@ -487,8 +486,7 @@ class View:
         Returns:
             Text.
         """
-        cls = el.TYPES.get(e.effect)
-        return cls.source if cls is not None else ""
+        return getattr(el.TYPES.get(e.effect), "source", "")
 
     def signature(self, e: Effect) -> str:
         """Return the characteristic that distinguishes an effect.
@@ -499,8 +497,7 @@ class View:
         Returns:
             Text.
         """
-        cls = el.TYPES.get(e.effect)
-        return cls.signature if cls is not None else ""
+        return getattr(el.TYPES.get(e.effect), "signature", "")
 
     def test(self, e: Effect) -> str:
         """Return a test that would confirm an effect, with the expected values.
