@@ -1050,3 +1050,11 @@ def test_nobody_is_left_out_silently(small_score):
         assert set(lines) == set(shown.names)
         for name, line in lines.items():
             assert line.still or name in chart.caption.split("Not in the picture")[1]
+
+
+@pytest.mark.parametrize("high", [1.15, 1.3, 1.6, 2.0, 2.9, 5.0, 9.0, 30.0, 300.0])
+def test_texts_on_a_logarithmic_axis_have_room(high: float) -> None:
+    for low in (0.011, 0.99, 4.1, 10.8, 97.0):
+        ticks = charts.log_ticks(low, high * low, "{:g} %")
+        assert 2 <= len(ticks) <= 11, ticks
+        assert all(low <= at <= high * low for at, _ in ticks)

@@ -406,7 +406,7 @@ def _label(fig: Figure, ax: Axes, panel: Panel) -> None:
 
 
 def log_ticks(low: float, high: float, form: str = "{:g}") -> Ticks:
-    """Return ticks at round numbers between two positive numbers, if possible more than two.
+    """Return ticks at round numbers between two positive numbers, if possible more than three, and few enough for their texts.
 
     Args:
         low: Lower end.
@@ -417,7 +417,8 @@ def log_ticks(low: float, high: float, form: str = "{:g}") -> Ticks:
         Positions and texts.
     """
     ticks: list[float] = []
-    for steps in ((1,), (1, 2, 5), range(1, 10), [1 + k / 10 for k in range(90)]):
+    finer = ([1 + k / n for k in range(9 * n)] for n in (1, 2, 5, 10))
+    for steps in ((1,), (1, 2, 5), *finer):
         ticks = [
             t
             for k in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
