@@ -39,10 +39,16 @@ def road_names() -> Iterable[str]:
     return ("paper", "paper-printed", "flat", *"ABCDEFGH", "bump", "pothole", "sweep")
 
 
-def _option(usage: str, help: str) -> Any:
-    """Return an option from its usage, such as ``--map FILE``."""
-    flag, metavar = usage.split()
-    return typer.Option(flag, help=help, metavar=metavar)
+def option(usage: str, help: str, **settings: Any) -> Any:
+    """Return an option from its usage, such as ``--map FILE``, or ``--seed`` with the metavar of its type.
+
+    Args:
+        usage: Flag, and metavar after a space.
+        help: Help text.
+        settings: Further arguments of `typer.Option`.
+    """
+    flag, _, metavar = usage.partition(" ")
+    return typer.Option(flag, help=help, metavar=metavar or None, **settings)
 
 
 POLICIES = (
@@ -97,7 +103,7 @@ PreviewOption = Annotated[
     typer.Option(help="Length of road ahead [s] that policies with preview see.", min=0.0),
 ]
 
-JsonOption = Annotated[Path | None, _option("--json FILE", "Write the results to this file.")]
+JsonOption = Annotated[Path | None, option("--json FILE", "Write the results to this file.")]
 
 TrainedOption = Annotated[
     str | None,
@@ -111,7 +117,7 @@ TrainedOption = Annotated[
 
 ColumnsOption = Annotated[
     str | None,
-    _option(
+    option(
         "--columns NAME,NAME,...",
         "Names of the columns of text files without a header, in order: 'time,force [kN],travel [mm]'.",
     ),
@@ -119,17 +125,17 @@ ColumnsOption = Annotated[
 
 RenameOption = Annotated[
     list[str] | None,
-    _option("--rename COLUMN=CHANNEL", "Column of the files and the channel of the model. May be repeated."),
+    option("--rename COLUMN=CHANNEL", "Column of the files and the channel of the model. May be repeated."),
 ]
 
 UnitOption = Annotated[
     list[str] | None,
-    _option("--unit CHANNEL=UNIT", "Unit of a channel, or of the time, in the files. May be repeated."),
+    option("--unit CHANNEL=UNIT", "Unit of a channel, or of the time, in the files. May be repeated."),
 ]
 
 SignOption = Annotated[
     list[str] | None,
-    _option("--sign CHANNEL=-1", "Channel that is turned round in the files. May be repeated."),
+    option("--sign CHANNEL=-1", "Channel that is turned round in the files. May be repeated."),
 ]
 
 FileRateOption = Annotated[
@@ -139,12 +145,12 @@ FileRateOption = Annotated[
 
 MapOption = Annotated[
     Path | None,
-    _option("--map FILE", "File with the column of each channel, written by isd-gym inspect --out."),
+    option("--map FILE", "File with the column of each channel, written by isd-gym inspect --out."),
 ]
 
 ElementsOption = Annotated[
     list[Path] | None,
-    _option("--elements FILE.py", "Python file that registers your own elements. The program runs the file."),
+    option("--elements FILE.py", "Python file that registers your own elements. The program runs the file."),
 ]
 
 JobsOption = Annotated[int, typer.Option("--jobs", help="Number of processes on this machine.", min=1)]
@@ -185,6 +191,18 @@ def check_channels(names: Iterable[str], known: Iterable[str], option: str) -> N
             raise InputError(f"{option}: the model has no channel '{name}'; {hint(name, known)}")
 
 
+def read_names(
+    rename: list[str] | None, unit: list[str] | None, columns: str | None, sign: list[str] | None
+) -> dict[str, Any]:
+    """Return the values of --rename, --unit, --columns and --sign by name of the argument of `records_of`."""
+    return {
+        "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
+        "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
+        "columns": column_names(columns),
+        "signs": signs_of(sign),
+    }
+
+
 def channel_names(
     network: Any,
     rename: list[str] | None,
@@ -210,17 +228,11 @@ def channel_names(
     """
     from ..records.loggers import ChannelMap
 
-    named: dict[str, Any] = {
-        "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
-        "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
-        "columns": column_names(columns),
-        "signs": signs_of(sign),
-        "rate": rate,
-    }
+    named = read_names(rename, unit, columns, sign)
     channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
     check_channels(named["rename"].values(), channels, "--rename")
     if map_file is None:
-        return named
+        return named | {"rate": rate}
     if rename or unit or sign:
         raise InputError("--map replaces --rename, --unit and --sign: write their values into the map")
     return {"by": ChannelMap.load(map_file), "columns": named["columns"], "rate": rate}
