@@ -41,8 +41,7 @@ StepsOption = Annotated[
 PlantOption = Annotated[
     str,
     option(
-        "--network",
-        "The plant: a built-in network, such as half-car-isd or full-car-isd, or a model file.",
+        "--network", "The plant: a built-in network, such as half-car-isd or full-car-isd, or a model file."
     ),
 ]
 
@@ -189,26 +188,20 @@ def convert(
             help="A .zip saved by Stable-Baselines3, or a policy folder for --onnx, --c and --hub, or mpc-friction for --c."
         ),
     ],
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the policy.", metavar="DIR")] = None,
+    out: Annotated[Path | None, option("--out DIR", "Folder for the policy.")] = None,
     normalize: Annotated[
         Path | None,
-        typer.Option(
-            "--normalize",
-            help="The saved VecNormalize of the archive. Default: <name>_vecnormalize.pkl or vecnormalize.pkl beside it.",
-            metavar="FILE",
+        option(
+            "--normalize FILE",
+            "The saved VecNormalize of the archive. Default: <name>_vecnormalize.pkl or vecnormalize.pkl beside it.",
         ),
     ] = None,
     trained_with: TrainedOption = None,
-    network: Annotated[str, typer.Option(help="The network it was trained on.")] = "quarter-car-isd",
-    onnx: Annotated[Path | None, typer.Option("--onnx", help="Write an ONNX file.", metavar="FILE")] = None,
-    plain_c: Annotated[
-        Path | None, typer.Option("--c", help="Write it as plain C, a header and a source.", metavar="DIR")
-    ] = None,
+    network: Annotated[str, option("--network", "The network it was trained on.")] = "quarter-car-isd",
+    onnx: Annotated[Path | None, option("--onnx FILE", "Write an ONNX file.")] = None,
+    plain_c: Annotated[Path | None, option("--c DIR", "Write it as plain C, a header and a source.")] = None,
     hub: Annotated[
-        Path | None,
-        typer.Option(
-            "--hub", help="Write a folder for a model hub: policy, card with results, film.", metavar="DIR"
-        ),
+        Path | None, option("--hub DIR", "Write a folder for a model hub: policy, card with results, film.")
     ] = None,
 ) -> None:
     """Turn a Stable-Baselines3 PPO, A2C, SAC, TD3, DDPG or TQC archive into a policy folder, or a policy into ONNX, plain C or a

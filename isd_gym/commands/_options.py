@@ -73,45 +73,47 @@ ModelArgument = Annotated[
 
 NetworkOption = Annotated[
     str,
-    typer.Option(
-        help="The vehicle: a built-in network or a model file.", autocompletion=complete(network_names)
+    option(
+        "--network",
+        "The vehicle: a built-in network or a model file.",
+        autocompletion=complete(network_names),
     ),
 ]
 
 RoadOption = Annotated[
     str,
-    typer.Option(
-        help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, C+bump, or a CSV file.",
+    option(
+        "--road",
+        "paper, paper-printed, flat, A ... H, bump, pothole, sweep, C+bump, or a CSV file.",
         autocompletion=complete(road_names),
     ),
 ]
 
-SpeedOption = Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)]
+SpeedOption = Annotated[float, option("--speed", "Speed [m/s].", min=0.1)]
 
-DurationOption = Annotated[float, typer.Option(help="Length of an episode [s].", min=0.005)]
+DurationOption = Annotated[float, option("--duration", "Length of an episode [s].", min=0.005)]
 
 SeedOption = Annotated[
     int | None,
-    typer.Option(
-        help="Seed of the first road, as in reset(seed=). Default: the scoring roads, which no seed reaches.",
+    option(
+        "--seed",
+        "Seed of the first road, as in reset(seed=). Default: the scoring roads, which no seed reaches.",
         min=0,
     ),
 ]
 
 PreviewOption = Annotated[
-    float | None,
-    typer.Option(help="Length of road ahead [s] that policies with preview see.", min=0.0),
+    float | None, option("--preview", "Length of road ahead [s] that policies with preview see.", min=0.0)
 ]
 
 JsonOption = Annotated[Path | None, option("--json FILE", "Write the results to this file.")]
 
 TrainedOption = Annotated[
     str | None,
-    typer.Option(
-        "--trained-with",
-        help="Options of the training of a .zip that was saved without them: observation=measured or history, "
+    option(
+        "--trained-with NAME=VALUE,...",
+        "Options of the training of a .zip that was saved without them: observation=measured or history, "
         "action=current or increment, normalize=FILE or none, joined by commas.",
-        metavar="NAME=VALUE,...",
     ),
 ]
 
@@ -139,8 +141,7 @@ SignOption = Annotated[
 ]
 
 FileRateOption = Annotated[
-    float | None,
-    typer.Option("--rate", help="Sampling rate of files without time stamps [Hz].", metavar="HZ"),
+    float | None, option("--rate HZ", "Sampling rate of files without time stamps [Hz].")
 ]
 
 MapOption = Annotated[
@@ -153,11 +154,9 @@ ElementsOption = Annotated[
     option("--elements FILE.py", "Python file that registers your own elements. The program runs the file."),
 ]
 
-JobsOption = Annotated[int, typer.Option("--jobs", help="Number of processes on this machine.", min=1)]
+JobsOption = Annotated[int, option("--jobs", "Number of processes on this machine.", min=1)]
 
-EngineOption = Annotated[
-    str, typer.Option("--engine", help="Where the work runs: local, or ray for a Ray cluster.")
-]
+EngineOption = Annotated[str, option("--engine", "Where the work runs: local, or ray for a Ray cluster.")]
 
 
 def column_names(text: str | None) -> list[str] | None:

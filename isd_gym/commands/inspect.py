@@ -31,8 +31,7 @@ FilesArgument = Annotated[
 ]
 
 ChannelModelOption = Annotated[
-    str | None,
-    option("--model", "Model with the channels to find: a model file or a built-in network."),
+    str | None, option("--model", "Model with the channels to find: a model file or a built-in network.")
 ]
 
 MapTargetOption = Annotated[
