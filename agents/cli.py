@@ -28,7 +28,6 @@ class Algorithm(StrEnum):
 
 
 RunOption = Annotated[Path, option("--out DIR", "Folder of the run; an unfinished one goes on.")]
-
 StepsOption = Annotated[
     int | None,
     option(
@@ -37,21 +36,18 @@ StepsOption = Annotated[
         min=1,
     ),
 ]
-
 PlantOption = Annotated[
     str,
     option(
         "--network", "The plant: a built-in network, such as half-car-isd or full-car-isd, or a model file."
     ),
 ]
-
 RandomizeOption = Annotated[
     bool,
     option(
         "--randomize", "Vary mass, friction, thrust constant, road, speed and noise as the robust track does."
     ),
 ]
-
 FoundOption = Annotated[
     Path | None,
     option(
@@ -60,7 +56,6 @@ FoundOption = Annotated[
         "parameters vary within their 95 % intervals.",
     ),
 ]
-
 TrainingPreviewOption = Annotated[
     float,
     option(
@@ -69,7 +64,6 @@ TrainingPreviewOption = Annotated[
         min=0.0,
     ),
 ]
-
 UnaidedOption = Annotated[
     bool,
     option(
@@ -77,7 +71,6 @@ UnaidedOption = Annotated[
         "Train without a teacher and without the estimate of a Kalman filter among the features.",
     ),
 ]
-
 TrainingSensorsOption = Annotated[
     str,
     option(

@@ -62,11 +62,7 @@ class Stored:
     key: Any
 
 
-class _Mark:
-    pass
-
-
-_MARK = _Mark()
+_MARK = object()
 
 
 def read_pickle(data: bytes) -> Any:
@@ -148,10 +144,6 @@ class _Stack:
             if isinstance(key, str | int | float | bytes | None):
                 target[key] = value
 
-    def set_item(self) -> None:
-        value, key = self.pop(), self.pop()
-        self.set_items([key, value])
-
     def push_dict(self) -> None:
         pairs = self.pop_to_mark()
         self.push({})
@@ -161,13 +153,10 @@ class _Stack:
         inner, outer = self.pop(), self.pop()
         self.push(Name(str(outer)[:200], str(inner)[:200]))
 
-    def push_call(self) -> None:
+    def push_call(self, keywords: Any = None) -> None:
+        """Push the call of the object below its arguments. Keywords are skipped."""
         given, made = self.pop(), self.pop()
         self.push(Thing(made, given if isinstance(given, tuple) else ()))
-
-    def push_keyword_call(self) -> None:
-        self.pop()
-        self.push_call()
 
     def push_instance(self, name: str | None) -> None:
         given = self.pop_to_mark()
@@ -212,11 +201,11 @@ _ACTIONS: dict[str, Callable[[_Stack, Any], object]] = {
     "EMPTY_DICT": lambda stack, _: stack.push({}),
     "DICT": lambda stack, _: stack.push_dict(),
     "APPEND": lambda stack, _: stack.extend([stack.pop()]),
-    "SETITEM": lambda stack, _: stack.set_item(),
+    "SETITEM": lambda stack, _: stack.set_items([stack.pop(), stack.pop()][::-1]),
     "SETITEMS": lambda stack, _: stack.set_items(stack.pop_to_mark()),
     "GLOBAL": lambda stack, name: stack.push(Name(*name.split(" ", 1))),
     "STACK_GLOBAL": lambda stack, _: stack.push_name(),
-    "NEWOBJ_EX": lambda stack, _: stack.push_keyword_call(),
+    "NEWOBJ_EX": lambda stack, _: stack.push_call(stack.pop()),
     "BUILD": lambda stack, _: stack.set_state(),
     "BINPERSID": lambda stack, _: stack.push(Stored(stack.pop())),
 }

@@ -40,13 +40,7 @@ def road_names() -> Iterable[str]:
 
 
 def option(usage: str, help: str, **settings: Any) -> Any:
-    """Return an option from its usage, such as ``--map FILE``, or ``--seed`` with the metavar of its type.
-
-    Args:
-        usage: Flag, and metavar after a space.
-        help: Help text.
-        settings: Further arguments of `typer.Option`.
-    """
+    """Return an option from its usage: a flag and a metavar, such as ``--map FILE``, or a flag alone."""
     flag, _, metavar = usage.partition(" ")
     return typer.Option(flag, help=help, metavar=metavar or None, **settings)
 
@@ -63,14 +57,12 @@ PolicyArgument = Annotated[
         autocompletion=complete(policy_names),
     ),
 ]
-
 ModelArgument = Annotated[
     str,
     typer.Argument(
         help="A model file (isd-model/1) or a built-in network.", autocompletion=complete(network_names)
     ),
 ]
-
 NetworkOption = Annotated[
     str,
     option(
@@ -79,7 +71,6 @@ NetworkOption = Annotated[
         autocompletion=complete(network_names),
     ),
 ]
-
 RoadOption = Annotated[
     str,
     option(
@@ -88,11 +79,8 @@ RoadOption = Annotated[
         autocompletion=complete(road_names),
     ),
 ]
-
 SpeedOption = Annotated[float, option("--speed", "Speed [m/s].", min=0.1)]
-
 DurationOption = Annotated[float, option("--duration", "Length of an episode [s].", min=0.005)]
-
 SeedOption = Annotated[
     int | None,
     option(
@@ -101,13 +89,10 @@ SeedOption = Annotated[
         min=0,
     ),
 ]
-
 PreviewOption = Annotated[
     float | None, option("--preview", "Length of road ahead [s] that policies with preview see.", min=0.0)
 ]
-
 JsonOption = Annotated[Path | None, option("--json FILE", "Write the results to this file.")]
-
 TrainedOption = Annotated[
     str | None,
     option(
@@ -116,7 +101,6 @@ TrainedOption = Annotated[
         "action=current or increment, normalize=FILE or none, joined by commas.",
     ),
 ]
-
 ColumnsOption = Annotated[
     str | None,
     option(
@@ -124,38 +108,30 @@ ColumnsOption = Annotated[
         "Names of the columns of text files without a header, in order: 'time,force [kN],travel [mm]'.",
     ),
 ]
-
 RenameOption = Annotated[
     list[str] | None,
     option("--rename COLUMN=CHANNEL", "Column of the files and the channel of the model. May be repeated."),
 ]
-
 UnitOption = Annotated[
     list[str] | None,
     option("--unit CHANNEL=UNIT", "Unit of a channel, or of the time, in the files. May be repeated."),
 ]
-
 SignOption = Annotated[
     list[str] | None,
     option("--sign CHANNEL=-1", "Channel that is turned round in the files. May be repeated."),
 ]
-
 FileRateOption = Annotated[
     float | None, option("--rate HZ", "Sampling rate of files without time stamps [Hz].")
 ]
-
 MapOption = Annotated[
     Path | None,
     option("--map FILE", "File with the column of each channel, written by isd-gym inspect --out."),
 ]
-
 ElementsOption = Annotated[
     list[Path] | None,
     option("--elements FILE.py", "Python file that registers your own elements. The program runs the file."),
 ]
-
 JobsOption = Annotated[int, option("--jobs", "Number of processes on this machine.", min=1)]
-
 EngineOption = Annotated[str, option("--engine", "Where the work runs: local, or ray for a Ray cluster.")]
 
 

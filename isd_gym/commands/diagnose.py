@@ -51,9 +51,7 @@ RecordsArgument = Annotated[
         "by +: body.csv+wheel.mf4."
     ),
 ]
-
 FolderOption = Annotated[Path, option("--out DIR", "Folder of the result.")]
-
 NominalModelOption = Annotated[
     str | None,
     option(
@@ -63,7 +61,6 @@ NominalModelOption = Annotated[
         autocompletion=complete(network_names),
     ),
 ]
-
 ValidateOption = Annotated[
     list[Path] | None,
     option(
@@ -72,7 +69,6 @@ ValidateOption = Annotated[
         "DATA are held out.",
     ),
 ]
-
 AcceptOption = Annotated[
     list[str] | None,
     option(
@@ -80,7 +76,6 @@ AcceptOption = Annotated[
         "Data check that only warns: held, jumps, magnitude, length, silent, copies, sign, all. May be repeated.",
     ),
 ]
-
 UncertainOption = Annotated[
     list[str] | None,
     option(
@@ -88,11 +83,9 @@ UncertainOption = Annotated[
         "Relative standard deviation of a parameter (0.05 or 5%). The parameter is then refitted. Overrides the model file.",
     ),
 ]
-
 TrustOption = Annotated[
     bool, option("--trust-fmu", "Run the compiled code of an .fmu. The code has your rights.")
 ]
-
 CutOption = Annotated[
     str | None,
     option(
@@ -101,7 +94,6 @@ CutOption = Annotated[
         "the node. The part below (tyre, road) is left out.",
     ),
 ]
-
 UnmeasuredOption = Annotated[
     str | None,
     option(
@@ -110,7 +102,6 @@ UnmeasuredOption = Annotated[
         'the input with "measured": false in the model file.',
     ),
 ]
-
 TimeLimitOption = Annotated[
     float | None,
     option(
@@ -121,11 +112,9 @@ TimeLimitOption = Annotated[
         min=1.0,
     ),
 ]
-
 LagOption = Annotated[
     float, option("--max-lag", "Largest offset between the clocks of two loggers [s].", min=0.0)
 ]
-
 ThreadsOption = Annotated[
     int | None,
     option(
@@ -134,7 +123,6 @@ ThreadsOption = Annotated[
         min=1,
     ),
 ]
-
 BootstrapSeedOption = Annotated[
     int, option("--seed", "Seed of the bootstrap that gives the probabilities.", min=0)
 ]

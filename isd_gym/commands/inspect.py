@@ -29,21 +29,16 @@ FilesArgument = Annotated[
         help="Files of one run, one per logger: CSV, TSV, .lvm, .mat, Parquet, MDF.", metavar="FILE..."
     ),
 ]
-
 ChannelModelOption = Annotated[
     str | None, option("--model", "Model with the channels to find: a model file or a built-in network.")
 ]
-
 MapTargetOption = Annotated[
     Path | None, option("--out FILE", "Write the column found for each channel to this file, for --map.")
 ]
-
 PageOption = Annotated[Path | None, option("--html FILE", "Write a page with a picture of every column.")]
-
 ColumnUnitOption = Annotated[
     list[str] | None, option("--unit COLUMN=UNIT", "Unit of a column. May be repeated.")
 ]
-
 StampsOption = Annotated[str | None, option("--stamps COLUMN", "Column with the time.")]
 
 

@@ -29,11 +29,9 @@ from ._score_table import print_score
 from .console import check_file, progress, warm_up, write_json
 
 PoliciesArgument = Annotated[list[str], typer.Argument(help=POLICIES, autocompletion=complete(policy_names))]
-
 EpisodesOption = Annotated[
     int, option("--episodes", "Number of roads. All policies drive the same roads.", min=1)
 ]
-
 CardOption = Annotated[
     str | None,
     option(
@@ -41,7 +39,6 @@ CardOption = Annotated[
         "Compare with a benchmark card: ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0, or a file. Its references are not driven again.",
     ),
 ]
-
 SensorsOption = Annotated[
     str,
     option(
@@ -49,11 +46,9 @@ SensorsOption = Annotated[
         "Sensor imperfections, joined by commas: noise=1, delay=1 (control steps), road_error=0.001 (m), road_lag=0.01 (s), road_range=3 (m).",
     ),
 ]
-
 ControllerModelOption = Annotated[
     str | None, option("--model", "Model of the controllers. Default: the vehicle itself.")
 ]
-
 PointOption = Annotated[
     str | None,
     option(
@@ -61,7 +56,6 @@ PointOption = Annotated[
         "Point of the body at which ISO 2631-1 is evaluated. Default: the driver, if the network has one.",
     ),
 ]
-
 ReportOption = Annotated[Path | None, option("--report DIR", "Write a page with plots to this folder.")]
 
 
