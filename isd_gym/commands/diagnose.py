@@ -123,9 +123,6 @@ ThreadsOption = Annotated[
         min=1,
     ),
 ]
-BootstrapSeedOption = Annotated[
-    int, option("--seed", "Seed of the bootstrap that gives the probabilities.", min=0)
-]
 
 
 def command(
@@ -149,7 +146,7 @@ def command(
     max_lag: LagOption = 0.5,
     jobs: ThreadsOption = None,
     engine: EngineOption = "local",
-    seed: BootstrapSeedOption = 0,
+    seed: Annotated[int, option("--seed", "Seed of the bootstrap that gives the probabilities.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Find where a model and measurements disagree, and which physical effect is missing.

@@ -39,7 +39,6 @@ PageOption = Annotated[Path | None, option("--html FILE", "Write a page with a p
 ColumnUnitOption = Annotated[
     list[str] | None, option("--unit COLUMN=UNIT", "Unit of a column. May be repeated.")
 ]
-StampsOption = Annotated[str | None, option("--stamps COLUMN", "Column with the time.")]
 
 
 def command(
@@ -51,7 +50,7 @@ def command(
     unit: ColumnUnitOption = None,
     sign: SignOption = None,
     map_file: MapOption = None,
-    stamps: StampsOption = None,
+    stamps: Annotated[str | None, option("--stamps COLUMN", "Column with the time.")] = None,
     columns: ColumnsOption = None,
     rate: FileRateOption = None,
     json_file: JsonOption = None,

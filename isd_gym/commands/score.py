@@ -56,7 +56,6 @@ PointOption = Annotated[
         "Point of the body at which ISO 2631-1 is evaluated. Default: the driver, if the network has one.",
     ),
 ]
-ReportOption = Annotated[Path | None, option("--report DIR", "Write a page with plots to this folder.")]
 
 
 def command(
@@ -73,7 +72,7 @@ def command(
     network: NetworkOption = "quarter-car-isd",
     model: ControllerModelOption = None,
     point: PointOption = None,
-    report: ReportOption = None,
+    report: Annotated[Path | None, option("--report DIR", "Write a page with plots to this folder.")] = None,
     trained_with: TrainedOption = None,
     json_file: JsonOption = None,
 ) -> None:
