@@ -45,18 +45,13 @@ def option(usage: str, help: str, **settings: Any) -> Any:
     return typer.Option(flag, help=help, metavar=metavar or None, **settings)
 
 
-POLICIES = (
-    "passive, mpc, ... (isd-gym policies lists them), a policy's folder, a .zip of Stable-Baselines3 (only its weights are "
-    "read), or your own file.py:Class or file.py:function (the program runs the file)."
+_POLICY = typer.Argument(
+    help="passive, mpc, ... (isd-gym policies lists them), a policy's folder, a .zip of Stable-Baselines3 (only its weights are "
+    "read), or your own file.py:Class or file.py:function (the program runs the file).",
+    autocompletion=complete(policy_names),
 )
-
-PolicyArgument = Annotated[
-    str,
-    typer.Argument(
-        help=POLICIES,
-        autocompletion=complete(policy_names),
-    ),
-]
+PolicyArgument = Annotated[str, _POLICY]
+PoliciesArgument = Annotated[list[str], _POLICY]
 ModelArgument = Annotated[
     str,
     typer.Argument(

@@ -10,25 +10,22 @@ import typer
 
 from ._card_table import print_track
 from ._options import (
-    POLICIES,
     DurationOption,
     JsonOption,
     MapOption,
     NetworkOption,
+    PoliciesArgument,
     PreviewOption,
     RoadOption,
     SeedOption,
     SpeedOption,
     TrainedOption,
-    complete,
     option,
-    policy_names,
 )
 from ._score_bounds import bounds_beside, known_ceilings, known_optimum
 from ._score_table import print_score
 from .console import check_file, progress, warm_up, write_json
 
-PoliciesArgument = Annotated[list[str], typer.Argument(help=POLICIES, autocompletion=complete(policy_names))]
 EpisodesOption = Annotated[
     int, option("--episodes", "Number of roads. All policies drive the same roads.", min=1)
 ]
