@@ -250,13 +250,7 @@ class Task:
             look = control_step * math.ceil(look / control_step)
         drive: dict[str, Any] = {"road_": options.road, "speed": speed, "control_step": control_step}
         drive |= {"duration": options.duration, "randomize": options.randomize}
-        self.batch = Batch(
-            count,
-            self.network,
-            **drive,
-            preview=look,
-            extra=extra,
-        )
+        self.batch = Batch(count, self.network, **drive, preview=look, extra=extra)
         of = self.batch.of
         signals = len(self.measured)
         self.history = (

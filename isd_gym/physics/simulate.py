@@ -381,12 +381,7 @@ class Plant:
         moving = first.network.moving
         force = [c for c in first.network.inputs if c.quantity == "force"]
         for column in used:
-            for part, channels in (
-                ("r", moving),
-                ("v", moving),
-                ("alpha", moving),
-                ("F", force),
-            ):
+            for part, channels in (("r", moving), ("v", moving), ("alpha", moving), ("F", force)):
                 span = first.columns(part)
                 if span.start <= column < span.stop:
                     parts.append((part, channels[column - span.start].name))

@@ -418,13 +418,7 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
                 out.append(
                     (
                         tyre,
-                        point.load()(
-                            tyre,
-                            travel,
-                            network=score.plant,
-                            speed=score.speed,
-                            road=score.ground,
-                        ),
+                        point.load()(tyre, travel, network=score.plant, speed=score.speed, road=score.ground),
                     )
                 )
             except InputError:  # a road or a car without such a bound
