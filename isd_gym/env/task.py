@@ -128,14 +128,14 @@ class Options:
             raise InputError(
                 f"hold must be a whole number of control steps from 1 to {HELD}, not {shown(self.hold)}"
             )
-        for name in ("cost", "sensors", "randomize"):
+        kinds = {
+            "cost": (StageCost, Mapping),
+            "sensors": (Sensors, Mapping, str),
+            "randomize": (Mapping, str, Path),
+        }
+        for name, types in kinds.items():
             value = getattr(self, name)
-            own = {
-                "cost": (StageCost, Mapping),
-                "sensors": (Sensors, Mapping, str),
-                "randomize": (Mapping, str, Path),
-            }[name]
-            if value is not None and not isinstance(value, own):
+            if value is not None and not isinstance(value, types):
                 raise InputError(f"{name} must be a mapping of names to values, not {shown(value)}")
         if self.network is None or isinstance(self.network, list | tuple):
             raise InputError(
