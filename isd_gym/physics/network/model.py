@@ -266,7 +266,8 @@ class Network:
         _unique(list(self.moved_nodes), "moved node")
         self._check_uncertainty()
         self._check_connected()
-        self._check_turning()
+        if self.rotating:
+            self._check_turning()
         self._check_loads(by_name)
         if self.bodies or self.levers:
             from .coordinates import coordinates
@@ -455,8 +456,6 @@ class Network:
 
     def _check_turning(self) -> None:
         """Check that each element connects either rotational or translational nodes."""
-        if not self.rotating:
-            return
         for body in self.bodies:
             for node in (body.name, *(p.name for p in body.points)):
                 if node in self.rotating:
