@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from isd_gym.commands._options import TrainedOption
+from isd_gym.commands._options import SpeedOption, TrainedOption, option
 from isd_gym.common.plugins import wing
 
 #: plant unless given
@@ -27,65 +27,73 @@ class Algorithm(StrEnum):
     sac = "sac"
 
 
+RunOption = Annotated[Path, option("--out DIR", "Folder of the run; an unfinished one goes on.")]
+StepsOption = Annotated[
+    int | None,
+    option(
+        "--steps",
+        "Control steps of all cars together, to within a rollout (ppo: 327680 steps, with --preview or of a half or full car 393216; sac: 4096); tuned unless given.",
+        min=1,
+    ),
+]
+PlantOption = Annotated[
+    str,
+    option(
+        "--network", "The plant: a built-in network, such as half-car-isd or full-car-isd, or a model file."
+    ),
+]
+RandomizeOption = Annotated[
+    bool,
+    option(
+        "--randomize", "Vary mass, friction, thrust constant, road, speed and noise as the robust track does."
+    ),
+]
+FoundOption = Annotated[
+    Path | None,
+    option(
+        "--found DIR",
+        "Folder of isd-gym diagnose, in place of --network and --randomize: the plant is the found model, and its "
+        "parameters vary within their 95 % intervals.",
+    ),
+]
+TrainingPreviewOption = Annotated[
+    float,
+    option(
+        "--preview",
+        "Road ahead that the policy of a quarter car sees [s], e.g. 0.1; none unless given.",
+        min=0.0,
+    ),
+]
+UnaidedOption = Annotated[
+    bool,
+    option(
+        "--from-nothing",
+        "Train without a teacher and without the estimate of a Kalman filter among the features.",
+    ),
+]
+TrainingSensorsOption = Annotated[
+    str,
+    option(
+        "--sensors",
+        "Imperfections of the sensors, joined by commas: noise=1 (or 0:2), delay=1, road_error=0.001, road_lag=0.01, road_range=3.",
+    ),
+]
+
+
 def train(
     algorithm: Annotated[Algorithm, typer.Argument(help="ppo or sac.")],
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder of the run; an unfinished one goes on.", metavar="DIR")
-    ],
-    seed: Annotated[int, typer.Option(help="Training seed.", min=0)] = 0,
-    steps: Annotated[
-        int | None,
-        typer.Option(
-            help="Control steps of all cars together, to within a rollout (ppo: 327680 steps, with --preview or of a half or full car 393216; sac: 4096); tuned unless given.",
-            min=1,
-        ),
-    ] = None,
-    network: Annotated[
-        str,
-        typer.Option(
-            help="The plant: a built-in network, such as half-car-isd or full-car-isd, or a model file."
-        ),
-    ] = DEFAULT,
-    road: Annotated[str, typer.Option(help="paper, A ... H, bump, a CSV file, C+bump, ...")] = "paper",
-    speed: Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)] = 20.0,
-    randomize: Annotated[
-        bool,
-        typer.Option(
-            "--randomize",
-            help="Vary mass, friction, thrust constant, road, speed and noise as the robust track does.",
-        ),
-    ] = False,
-    found: Annotated[
-        Path | None,
-        typer.Option(
-            "--found",
-            help="Folder of isd-gym diagnose, in place of --network and --randomize: the plant is the found model, and its "
-            "parameters vary within their 95 % intervals.",
-            metavar="DIR",
-        ),
-    ] = None,
-    preview: Annotated[
-        float,
-        typer.Option(
-            help="Road ahead that the policy of a quarter car sees [s], e.g. 0.1; none unless given.", min=0.0
-        ),
-    ] = 0.0,
-    unaided: Annotated[
-        bool,
-        typer.Option(
-            "--from-nothing",
-            help="Train without a teacher and without the estimate of a Kalman filter among the features.",
-        ),
-    ] = False,
-    sensors: Annotated[
-        str,
-        typer.Option(
-            help="Imperfections of the sensors, joined by commas: noise=1 (or 0:2), delay=1, road_error=0.001, road_lag=0.01, road_range=3."
-        ),
-    ] = "",
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
-    ] = None,
+    out: RunOption,
+    seed: Annotated[int, option("--seed", "Training seed.", min=0)] = 0,
+    steps: StepsOption = None,
+    network: PlantOption = DEFAULT,
+    road: Annotated[str, option("--road", "paper, A ... H, bump, a CSV file, C+bump, ...")] = "paper",
+    speed: SpeedOption = 20.0,
+    randomize: RandomizeOption = False,
+    found: FoundOption = None,
+    preview: TrainingPreviewOption = 0.0,
+    unaided: UnaidedOption = False,
+    sensors: TrainingSensorsOption = "",
+    json_file: Annotated[Path | None, option("--json FILE", "Write the figures to this file.")] = None,
 ) -> None:
     """Train a policy; a repeated call with the same folder continues an unfinished run.
 
@@ -173,26 +181,20 @@ def convert(
             help="A .zip saved by Stable-Baselines3, or a policy folder for --onnx, --c and --hub, or mpc-friction for --c."
         ),
     ],
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the policy.", metavar="DIR")] = None,
+    out: Annotated[Path | None, option("--out DIR", "Folder for the policy.")] = None,
     normalize: Annotated[
         Path | None,
-        typer.Option(
-            "--normalize",
-            help="The saved VecNormalize of the archive. Default: <name>_vecnormalize.pkl or vecnormalize.pkl beside it.",
-            metavar="FILE",
+        option(
+            "--normalize FILE",
+            "The saved VecNormalize of the archive. Default: <name>_vecnormalize.pkl or vecnormalize.pkl beside it.",
         ),
     ] = None,
     trained_with: TrainedOption = None,
-    network: Annotated[str, typer.Option(help="The network it was trained on.")] = "quarter-car-isd",
-    onnx: Annotated[Path | None, typer.Option("--onnx", help="Write an ONNX file.", metavar="FILE")] = None,
-    plain_c: Annotated[
-        Path | None, typer.Option("--c", help="Write it as plain C, a header and a source.", metavar="DIR")
-    ] = None,
+    network: Annotated[str, option("--network", "The network it was trained on.")] = "quarter-car-isd",
+    onnx: Annotated[Path | None, option("--onnx FILE", "Write an ONNX file.")] = None,
+    plain_c: Annotated[Path | None, option("--c DIR", "Write it as plain C, a header and a source.")] = None,
     hub: Annotated[
-        Path | None,
-        typer.Option(
-            "--hub", help="Write a folder for a model hub: policy, card with results, film.", metavar="DIR"
-        ),
+        Path | None, option("--hub DIR", "Write a folder for a model hub: policy, card with results, film.")
     ] = None,
 ) -> None:
     """Turn a Stable-Baselines3 PPO, A2C, SAC, TD3, DDPG or TQC archive into a policy folder, or a policy into ONNX, plain C or a

@@ -18,7 +18,7 @@ import numpy as np
 from isd_gym.common.errors import InputError, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
 OPCODES = 1_000_000
 DIMENSIONS = 8
@@ -62,11 +62,7 @@ class Stored:
     key: Any
 
 
-class _Mark:
-    pass
-
-
-_MARK = _Mark()
+_MARK = object()
 
 
 def read_pickle(data: bytes) -> Any:
@@ -83,108 +79,16 @@ def read_pickle(data: bytes) -> Any:
     Raises:
         InputError: The data are no pickle of at most `OPCODES` steps.
     """
-    stack: list[Any] = []
-    memo: dict[int, Any] = {}
-
-    def since_mark() -> list[Any]:
-        at = len(stack) - 1
-        while stack[at] is not _MARK:  # IndexError without a mark
-            at -= 1
-        items = stack[at + 1 :]
-        del stack[at:]
-        return items
-
-    def put(target: Any, pairs: list[Any]) -> None:
-        if isinstance(target, Thing):
-            target = _items_of(target)
-        for key, value in zip(pairs[::2], pairs[1::2], strict=True):
-            if isinstance(key, str | int | float | bytes | None):
-                target[key] = value
-
-    def extend(target: Any, items: list[Any]) -> None:
-        if isinstance(target, list):
-            target += items
-        elif not isinstance(target, Thing | set):
-            raise ValueError("no list")
-
+    stack = _Stack()
     try:
-        argument: Any
         for step, (opcode, argument, _) in enumerate(pickletools.genops(data)):
             if step > OPCODES:
                 raise InputError(f"a pickle of more than {OPCODES} steps")
-            name = opcode.name
-            if name in _CONSTANTS:
-                stack.append(_CONSTANTS[name])
-            elif name in _VALUES:
-                stack.append(argument)
-            elif name in ("PROTO", "FRAME"):
-                continue
-            elif name == "STOP":
+            if opcode.name == "STOP":
                 return stack.pop()
-            elif name in ("PUT", "BINPUT", "LONG_BINPUT"):
-                memo[argument] = stack[-1]
-            elif name == "MEMOIZE":
-                memo[len(memo)] = stack[-1]
-            elif name in ("GET", "BINGET", "LONG_BINGET"):
-                stack.append(memo[argument])
-            elif name == "MARK":
-                stack.append(_MARK)
-            elif name == "POP":
-                stack.pop()
-            elif name == "POP_MARK":
-                since_mark()
-            elif name == "DUP":
-                stack.append(stack[-1])
-            elif name in ("EMPTY_TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"):
-                count = ("EMPTY_TUPLE", "TUPLE1", "TUPLE2", "TUPLE3").index(name)
-                items = stack[len(stack) - count :]
-                del stack[len(stack) - count :]
-                stack.append(tuple(items))
-            elif name == "TUPLE":
-                stack.append(tuple(since_mark()))
-            elif name in ("EMPTY_LIST", "EMPTY_DICT", "EMPTY_SET"):
-                stack.append([] if name != "EMPTY_DICT" else {})
-            elif name == "LIST" or name == "FROZENSET":
-                stack.append(since_mark())
-            elif name == "DICT":
-                pairs = since_mark()
-                stack.append({})
-                put(stack[-1], pairs)
-            elif name == "APPEND":
-                item = stack.pop()
-                extend(stack[-1], [item])
-            elif name in ("APPENDS", "ADDITEMS"):
-                items = since_mark()
-                extend(stack[-1], items)
-            elif name == "SETITEM":
-                value, key = stack.pop(), stack.pop()
-                put(stack[-1], [key, value])
-            elif name == "SETITEMS":
-                pairs = since_mark()
-                put(stack[-1], pairs)
-            elif name == "GLOBAL":
-                stack.append(Name(*argument.split(" ", 1)))
-            elif name == "STACK_GLOBAL":
-                inner, outer = stack.pop(), stack.pop()
-                stack.append(Name(str(outer)[:200], str(inner)[:200]))
-            elif name in ("REDUCE", "NEWOBJ"):
-                given, made = stack.pop(), stack.pop()
-                stack.append(Thing(made, given if isinstance(given, tuple) else ()))
-            elif name == "NEWOBJ_EX":
-                _, given, made = stack.pop(), stack.pop(), stack.pop()
-                stack.append(Thing(made, given if isinstance(given, tuple) else ()))
-            elif name in ("OBJ", "INST"):
-                given = since_mark()
-                made = Name(*argument.split(" ", 1)) if name == "INST" else given.pop(0)
-                stack.append(Thing(made, tuple(given)))
-            elif name == "BUILD":
-                state = stack.pop()
-                if isinstance(stack[-1], Thing):
-                    stack[-1].state = state
-            elif name == "BINPERSID":
-                stack.append(Stored(stack.pop()))
-            else:  # extension codes and out-of-band buffers do not occur in supported files
-                raise ValueError(name)
+            if opcode.name not in _ACTIONS:  # extension codes and out-of-band buffers
+                raise ValueError(opcode.name)
+            _ACTIONS[opcode.name](stack, argument)
     except InputError:
         raise
     except Exception as error:  # an opcode on an empty stack, or an invalid text
@@ -192,11 +96,118 @@ def read_pickle(data: bytes) -> Any:
     raise InputError("a pickle without an end")
 
 
-_CONSTANTS: dict[str, Any] = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
-_VALUES = {
+class _Stack:
+    """Stack and memo of a pickle. Too few items on the stack raise `IndexError`, except for `pop_tuple`."""
+
+    def __init__(self) -> None:
+        self.items: list[Any] = []
+        self.memo: dict[int, Any] = {}
+
+    def push(self, value: Any) -> None:
+        self.items.append(value)
+
+    def pop(self) -> Any:
+        return self.items.pop()
+
+    def pop_to_mark(self) -> list[Any]:
+        at = len(self.items) - 1
+        while self.items[at] is not _MARK:  # IndexError without a mark
+            at -= 1
+        items = self.items[at + 1 :]
+        del self.items[at:]
+        return items
+
+    def pop_tuple(self, count: int) -> tuple[Any, ...]:
+        start = len(self.items) - count
+        items = self.items[start:]
+        del self.items[start:]
+        return tuple(items)
+
+    def store(self, key: int) -> None:
+        """Keep the top of the stack in the memo."""
+        self.memo[key] = self.items[-1]
+
+    def extend(self, items: list[Any]) -> None:
+        """Append items to the list at the top. The items of objects and sets are skipped."""
+        target = self.items[-1]
+        if isinstance(target, list):
+            target += items
+        elif not isinstance(target, Thing | set):
+            raise ValueError("no list")
+
+    def set_items(self, pairs: list[Any]) -> None:
+        """Set keys and values, in turns, of the dict at the top."""
+        target = self.items[-1]
+        if isinstance(target, Thing):
+            target = _items_of(target)
+        for key, value in zip(pairs[::2], pairs[1::2], strict=True):
+            if isinstance(key, str | int | float | bytes | None):
+                target[key] = value
+
+    def push_dict(self) -> None:
+        pairs = self.pop_to_mark()
+        self.push({})
+        self.set_items(pairs)
+
+    def push_name(self) -> None:
+        inner, outer = self.pop(), self.pop()
+        self.push(Name(str(outer)[:200], str(inner)[:200]))
+
+    def push_call(self, keywords: Any = None) -> None:
+        """Push the call of the object below its arguments. Keywords are skipped."""
+        given, made = self.pop(), self.pop()
+        self.push(Thing(made, given if isinstance(given, tuple) else ()))
+
+    def push_instance(self, name: str | None) -> None:
+        given = self.pop_to_mark()
+        made = given.pop(0) if name is None else Name(*name.split(" ", 1))
+        self.push(Thing(made, tuple(given)))
+
+    def set_state(self) -> None:
+        state = self.pop()
+        if isinstance(self.items[-1], Thing):
+            self.items[-1].state = state
+
+
+_VALUES = (
     *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"),
     *("STRING", "BINSTRING", "SHORT_BINSTRING", "UNICODE", "SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8"),
     *("BINBYTES", "SHORT_BINBYTES", "BINBYTES8", "BYTEARRAY8"),
+)
+#: effect of each opcode, given its argument; all other opcodes are refused
+_ACTIONS: dict[str, Callable[[_Stack, Any], object]] = {
+    **dict.fromkeys(_VALUES, _Stack.push),
+    **dict.fromkeys(("PROTO", "FRAME"), lambda stack, _: None),
+    **dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT"), _Stack.store),
+    **dict.fromkeys(("GET", "BINGET", "LONG_BINGET"), lambda stack, key: stack.push(stack.memo[key])),
+    **dict.fromkeys(("EMPTY_LIST", "EMPTY_SET"), lambda stack, _: stack.push([])),
+    **dict.fromkeys(("LIST", "FROZENSET"), lambda stack, _: stack.push(stack.pop_to_mark())),
+    **dict.fromkeys(("APPENDS", "ADDITEMS"), lambda stack, _: stack.extend(stack.pop_to_mark())),
+    **dict.fromkeys(("REDUCE", "NEWOBJ"), lambda stack, _: stack.push_call()),
+    **dict.fromkeys(("OBJ", "INST"), _Stack.push_instance),
+    "NONE": lambda stack, _: stack.push(None),
+    "NEWTRUE": lambda stack, _: stack.push(True),
+    "NEWFALSE": lambda stack, _: stack.push(False),
+    "MEMOIZE": lambda stack, _: stack.store(len(stack.memo)),
+    "MARK": lambda stack, _: stack.push(_MARK),
+    "POP": lambda stack, _: stack.pop(),
+    "POP_MARK": lambda stack, _: stack.pop_to_mark(),
+    "DUP": lambda stack, _: stack.push(stack.items[-1]),
+    "EMPTY_TUPLE": lambda stack, _: stack.push(()),
+    "TUPLE1": lambda stack, _: stack.push(stack.pop_tuple(1)),
+    "TUPLE2": lambda stack, _: stack.push(stack.pop_tuple(2)),
+    "TUPLE3": lambda stack, _: stack.push(stack.pop_tuple(3)),
+    "TUPLE": lambda stack, _: stack.push(tuple(stack.pop_to_mark())),
+    "EMPTY_DICT": lambda stack, _: stack.push({}),
+    "DICT": lambda stack, _: stack.push_dict(),
+    "APPEND": lambda stack, _: stack.extend([stack.pop()]),
+    "SETITEM": lambda stack, _: stack.set_items([stack.pop(), stack.pop()][::-1]),
+    "SETITEMS": lambda stack, _: stack.set_items(stack.pop_to_mark()),
+    "GLOBAL": lambda stack, name: stack.push(Name(*name.split(" ", 1))),
+    "STACK_GLOBAL": lambda stack, _: stack.push_name(),
+    "NEWOBJ_EX": lambda stack, _: stack.push_call(stack.pop()),
+    "BUILD": lambda stack, _: stack.set_state(),
+    "BINPERSID": lambda stack, _: stack.push(Stored(stack.pop())),
 }
 ORDERED = Name("collections", "OrderedDict")
 

@@ -194,6 +194,36 @@ ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
 OUTPUTS = ("clip", "tanh")  # PPO clips its mean; SAC and TD3 squash their output
 
 
+def _layers(weights: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return weights and biases as float32. Raise `InputError` for sizes and values that cannot be run."""
+    if len(weights) > LAYERS:
+        raise InputError(f"the policy has {len(weights)} layers, at most {LAYERS} are run")
+    with np.errstate(over="ignore"):
+        layers = [(np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights]
+    for i, (w, b) in enumerate(layers):
+        if w.ndim != 2 or b.shape != w.shape[:1] or (i and w.shape[1] != len(layers[i - 1][1])):
+            raise InputError(f"layer {i} of the weights does not fit: {w.shape} and {b.shape}")
+        if not 0 < min(w.shape) <= max(w.shape) <= WIDTH:
+            raise InputError(f"layer {i} of the weights has sizes {w.shape}, at most {WIDTH} are run")
+        if not ((np.abs(w) <= LARGEST).all() and (np.abs(b) <= LARGEST).all()):
+            raise InputError(f"layer {i} of the weights is not finite, or larger than {LARGEST:g}")
+    return layers
+
+
+def _normalisation(
+    mean: np.ndarray | None, scale: np.ndarray | None, features: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and scale of the features as float32. Raise `InputError` for invalid values."""
+    with np.errstate(over="ignore", under="ignore"):
+        mean = np.zeros(features, np.float32) if mean is None else np.array(mean, np.float32)
+        scale = np.ones(features, np.float32) if scale is None else np.array(scale, np.float32)
+    if mean.shape != (features,) or scale.shape != (features,):
+        raise InputError(f"the normalisation needs {features} means and positive scales")
+    if not ((np.abs(mean) <= LARGEST).all() and (scale >= 1 / LARGEST).all() and (scale <= LARGEST).all()):
+        raise InputError(f"the normalisation needs means and positive scales of at most {LARGEST:g}")
+    return mean, scale
+
+
 class Policy:
     """A multilayer perceptron on features of the observations, with the interface of the controllers in `baselines`.
 
@@ -256,17 +286,7 @@ class Policy:
         #: network of the training
         self.model = network
         self.info = dict(info or {})
-        if len(weights) > LAYERS:
-            raise InputError(f"the policy has {len(weights)} layers, at most {LAYERS} are run")
-        with np.errstate(over="ignore"):
-            self.weights = [(np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights]
-        for i, (w, b) in enumerate(self.weights):
-            if w.ndim != 2 or b.shape != w.shape[:1] or (i and w.shape[1] != len(self.weights[i - 1][1])):
-                raise InputError(f"layer {i} of the weights does not fit: {w.shape} and {b.shape}")
-            if not 0 < min(w.shape) <= max(w.shape) <= WIDTH:
-                raise InputError(f"layer {i} of the weights has sizes {w.shape}, at most {WIDTH} are run")
-            if not ((np.abs(w) <= LARGEST).all() and (np.abs(b) <= LARGEST).all()):
-                raise InputError(f"layer {i} of the weights is not finite, or larger than {LARGEST:g}")
+        self.weights = _layers(weights)
         #: number of currents that it commands
         self.currents = len(self.weights[-1][1])
         motors = 1 if network is None else len(vehicle(network).driven)
@@ -275,17 +295,7 @@ class Policy:
                 f"the policy has {_counted(self.currents, 'output')}, network '{network.name}' has {_counted(motors, 'current')}"
             )
         features = self.weights[0][0].shape[1]
-        with np.errstate(over="ignore", under="ignore"):
-            self.mean = np.zeros(features, np.float32) if mean is None else np.array(mean, np.float32)
-            self.scale = np.ones(features, np.float32) if scale is None else np.array(scale, np.float32)
-        if self.mean.shape != (features,) or self.scale.shape != (features,):
-            raise InputError(f"the normalisation needs {features} means and positive scales")
-        if not (
-            (np.abs(self.mean) <= LARGEST).all()
-            and (self.scale >= 1 / LARGEST).all()
-            and (self.scale <= LARGEST).all()
-        ):
-            raise InputError(f"the normalisation needs means and positive scales of at most {LARGEST:g}")
+        self.mean, self.scale = _normalisation(mean, scale, features)
         self.signals = (features - self.memory.extra) // (1 + self.memory.order)
         if self.memory.width(self.signals) != features:
             raise InputError(
@@ -295,20 +305,26 @@ class Policy:
             raise InputError(
                 f"the policy reads {_counted(self.signals, 'signal')} and commands {_counted(self.currents, 'current')}"
             )
-        needed = []
-        if self.memory.filter is not None:
-            own = self.memory.filter.currents
-            needed += [self.memory.filter.current + own - 1, len(self.memory.filter.D) - 1]
-            if own != self.currents:
-                raise InputError(f"the policy commands {self.currents} currents, its memory's filter {own}")
-        if not max(needed, default=0) < self.signals:
-            raise InputError(f"the policy reads signal {max(needed)}, the observation has {self.signals}")
+        self._check_filter()
         if self.memory.ahead:
             #: length of the previewed road [s]
             self.observation, self.preview = "preview", self.memory.ahead * self.memory.step
         self._transposed = [(np.ascontiguousarray(w.T), b) for w, b in self.weights]
         self._act = ACTIVATIONS[activation]
         self._recall: Recall | None = None
+
+    def _check_filter(self) -> None:
+        """Check that the filter of the memory reads signals of the observation and knows every current."""
+        own = self.memory.filter
+        if own is None:
+            return
+        if own.currents != self.currents:
+            raise InputError(
+                f"the policy commands {self.currents} currents, its memory's filter {own.currents}"
+            )
+        last = max(own.current + own.currents, len(own.D)) - 1
+        if last >= self.signals:
+            raise InputError(f"the policy reads signal {last}, the observation has {self.signals}")
 
     # -------------------------------------------------------------------------------------- running
 

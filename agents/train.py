@@ -46,11 +46,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "isd-training/1"
 #: kind, mark and parts of the folder of a run
-FOLDER = (
-    "training run",
-    "run.json",
-    ("run.json", "checkpoint-*", ".checkpoint-*", "tensorboard", "policy"),
-)
+FOLDER = ("training run", "run.json", ("run.json", "checkpoint-*", ".checkpoint-*", "tensorboard", "policy"))
 #: ending of the names of policies by number of corners
 ENDINGS = {1: "", 2: "-half-car", 4: "-full-car"}
 #: validation roads, used neither in training (seeds from 2e6) nor in scores (seeds from 0)
@@ -300,14 +296,7 @@ class Run:
         group = s.group if cars == s.cars else 1
         points = round(critic / self.memory.step)
         return Remember(
-            inner,
-            self.memory,
-            s.head,
-            s.reward_scale,
-            s.reward_offset,
-            group,
-            points,
-            even=bool(self.spread),
+            inner, self.memory, s.head, s.reward_scale, s.reward_offset, group, points, even=bool(self.spread)
         )
 
     def go(self) -> dict[str, Any]:

@@ -304,13 +304,8 @@ def car_filter(
     law = preview_law(m, settings, followers, max(points, 0))
     # states in addition to those of the model: heights of the last steps under the leading wheels
     leading = sorted(set(sources))
-    n, kept = len(m.A), len(leading) * LAG
-    corners = len(car.corners)
-    A = block_diag(m.A, np.zeros((kept, kept)))
-    for k, leader in enumerate(leading):
-        A[n + k * LAG, n - corners + leader] = 1.0
-        for j in range(1, LAG):
-            A[n + k * LAG + j, n + k * LAG + j - 1] = 1.0
+    A, rows = _with_last_heights(m, leading)
+    kept = len(A) - len(m.A)
 
     def longer(block: np.ndarray, axis: int = 1) -> np.ndarray:
         width = [(0, kept if i == axis else 0) for i in range(2)]
@@ -324,11 +319,6 @@ def car_filter(
     C, S, rigid = longer(m.C[measured]), longer(m.S), longer(m.rigid, 0)
     D, F = m.D[measured], m.F[measured]
     gain = _kalman_gain(m, A, rough, G, C, rigid, settings, noise)
-    rows = np.zeros((len(leading), n + kept))
-    for k, leader in enumerate(leading):
-        oldest = n + k * LAG + LAG - 1
-        rows[k, oldest] = -1.0
-        rows[k, oldest - 1 if LAG > 1 else n - corners + leader] = 1.0
     levels = m.levels()
     plain = dict(
         A=A,
@@ -370,6 +360,18 @@ def car_filter(
     if echo is not None:
         echo = replace(echo, rows=tuples((rows @ back).tolist()))
     return _filter(plain, current), echo
+
+
+def _with_last_heights(m: RoadModel, leading: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return A with the last `LAG` heights under each leading wheel as further states, and the rows of the oldest rise."""
+    n, kept = len(m.A), len(leading) * LAG
+    A, rows = block_diag(m.A, np.zeros((kept, kept))), np.zeros((len(leading), n + kept))
+    for k, leader in enumerate(leading):
+        places = [n - len(m.car.corners) + leader, *range(n + k * LAG, n + (k + 1) * LAG)]
+        for newer, older in pairwise(places):
+            A[older, newer] = 1.0
+        rows[k, places[-1]], rows[k, places[-2]] = -1.0, 1.0
+    return A, rows
 
 
 def _filter(matrices: dict[str, np.ndarray], current: int) -> Filter:

@@ -297,7 +297,7 @@ def car_model(
     first = [min(d for d, t in zip(behind, tracks, strict=True) if t == i) for i in range(max(tracks) + 1)]
     delays = behind - np.array([first[t] for t in tracks])
     line = _Line.of(delays, tracks)
-    x, (r, v, currents) = parts.columns["x"], columns(car, parts)
+    x, (r, _, currents) = parts.columns["x"], columns(car, parts)
     roads = np.zeros((corners, max(tracks) + 1))
     for road, t in zip(r, tracks, strict=True):
         roads[road - parts.columns["r"].start, t] = 1.0
@@ -305,21 +305,14 @@ def car_model(
     leader = [
         next(c for c in range(corners) if tracks[c] == t and delays[c] == 0.0) for t in range(max(tracks) + 1)
     ]
-    # continuous: motion above the leaders' roads, and heights of the corners over their leaders
-    n, nl = len(parts.rate), len(parts.laws)
+    n = len(parts.rate)
     size = n + corners
-    A = np.zeros((size, size))
-    A[:n, :n], A[:n, n:] = parts.rate[:, x], parts.rate[:, r]
-    white = np.zeros((size, corners))
-    white[:n], white[n:] = parts.rate[:, v], np.eye(corners)
-    for t, c in enumerate(leader):
+    A, inputs, white = _continuous(car, parts)
+    for t, c in enumerate(
+        leader
+    ):  # motion above the leaders' roads, and heights of the corners over their leaders
         white[:n, c] -= T[:, t]
         white[n:, c] -= [float(track == t) for track in tracks]
-    inputs = np.zeros((size, len(currents) + nl))
-    for j, place in enumerate(currents):
-        if place is not None:
-            inputs[:n, j] = parts.rate[:, place]
-    inputs[:n, len(currents) :] = parts.rate[:, parts.apart]
     wide = np.hstack([inputs, white])
     big = np.zeros((size + wide.shape[1],) * 2)
     big[:size, :size], big[:size, size:] = A * step, wide * step
@@ -340,10 +333,6 @@ def car_model(
     def widened(rows: np.ndarray) -> np.ndarray:
         return np.hstack([rows[:, x], rows[:, r] @ line.heights])
 
-    def through(rows: np.ndarray) -> np.ndarray:
-        blocks = [np.zeros(len(rows)) if j is None else rows[:, j] for j in currents]
-        return np.column_stack(blocks)
-
     below = np.zeros((len(line.shift), inputs.shape[1]))
     effects = np.vstack([phi[:n, size : size + inputs.shape[1]], below])
     out = parts.out[:count]
@@ -356,7 +345,7 @@ def car_model(
         gamma=gamma,
         W=0.5 * (W + W.T),
         C=widened(out),
-        feedthrough=through(out),
+        feedthrough=_of_currents(out, currents),
         F=out[:, parts.apart],
         S=widened(parts.R),
         SF=parts.R[:, parts.apart],
@@ -369,6 +358,26 @@ def car_model(
         drifts=_drifts(car, parts.out[:, x], total),
         road_intensity=road_intensity,
     )
+
+
+def _of_currents(rows: np.ndarray, currents: list[int | None]) -> np.ndarray:
+    """Return the columns of the currents; zero for a corner without a motor."""
+    return np.column_stack([np.zeros(len(rows)) if j is None else rows[:, j] for j in currents])
+
+
+def _continuous(car: Vehicle, parts: Equations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the rates of the states and of the heights under the corners: by themselves, by currents and laws, and by
+    the velocity of the road under each corner.
+    """
+    x, (r, v, currents) = parts.columns["x"], columns(car, parts)
+    n, corners = len(parts.rate), len(r)
+    A = np.zeros((n + corners, n + corners))
+    A[:n, :n], A[:n, n:] = parts.rate[:, x], parts.rate[:, r]
+    inputs = np.zeros((n + corners, len(currents) + len(parts.laws)))
+    inputs[:n, : len(currents)] = _of_currents(parts.rate, currents)
+    inputs[:n, len(currents) :] = parts.rate[:, parts.apart]
+    white = np.vstack([parts.rate[:, v], np.eye(corners)])
+    return A, inputs, white
 
 
 def columns(car: Vehicle, parts: Equations) -> tuple[list[int], list[int], list[int | None]]:

@@ -406,13 +406,8 @@ class FrictionMpc(BatchController):
             self.observation = "preview"
         cost = cost or StageCost()
         self.prediction = m = prediction_model(model, control_step, road_intensity=s.road_intensity)
-        self.weights = w = Weights(
-            replace(cost, tyre_load=cost.tyre_load + s.tyre_load),
-            s.move,
-            s.effort,
-            s.centring,
-            device_reach(model),
-        )
+        cost = replace(cost, tyre_load=cost.tyre_load + s.tyre_load)
+        self.weights = w = Weights(cost, s.move, s.effort, s.centring, device_reach(model))
         self.estimator = Estimator(m, s.sensors, s.friction_noise)
         stops = {e.name: 0.0 for e in m.laws if e.bound is None}
         levels = m.levels()

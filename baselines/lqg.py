@@ -84,12 +84,8 @@ class Lqg(BatchController):
         self.settings = s = settings or LqgSettings()
         cost = cost or StageCost()
         self.prediction = m = prediction_model(model, control_step, road_intensity=s.road_intensity)
-        self.weights = Weights(
-            replace(cost, tyre_load=cost.tyre_load + s.tyre_load),
-            effort=s.effort,
-            centring=s.centring,
-            reach=device_reach(model),
-        )
+        cost = replace(cost, tyre_load=cost.tyre_load + s.tyre_load)
+        self.weights = Weights(cost, effort=s.effort, centring=s.centring, reach=device_reach(model))
         self.estimator = Estimator(m, s.sensors, s.friction_noise)
         self.preview = s.preview
         self._points = steps_ahead(s.preview, control_step)

@@ -127,12 +127,8 @@ class Mpc(BatchController):
         self.slew = SLEW_RATE * control_step
         self.settings = s = settings or MpcSettings()
         cost = cost or StageCost()
-        self.weights = w = Weights(
-            replace(cost, tyre_load=cost.tyre_load + s.tyre_load),
-            move=s.move,
-            centring=s.centring,
-            reach=device_reach(model),
-        )
+        cost = replace(cost, tyre_load=cost.tyre_load + s.tyre_load)
+        self.weights = w = Weights(cost, move=s.move, centring=s.centring, reach=device_reach(model))
         # a regulator must hold the device at some position
         design = replace(w, centring=max(w.centring, 1e-3))
         self.linear = statistical_linearisation(model, control_step, design, road_intensity=s.road_intensity)

@@ -130,17 +130,23 @@ class Run:
         Raises:
             InputError: The body has no such point.
         """
-        where = self.car.points.get(point)
-        if where is None:
-            raise InputError(
-                f"no point {shown(point)} on the body of network '{self.car.network.name}': there are "
-                f"{', '.join(self.car.points)}"
-            )
+        where = _position(self.car, point)
         motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
         total = np.zeros_like(self.body_acceleration)
         for arm, motion in zip(self.car.arms(*where), motions, strict=True):
             total += arm * motion
         return total
+
+    @property
+    def limit_violations(self) -> dict[str, int]:
+        """Number of samples beyond each of the `LIMITS`."""
+        slew = np.abs(np.diff(self.current, axis=0, prepend=0.0))
+        return {
+            "body_acceleration": int(np.sum(np.abs(self.body_acceleration) > LIMITS["body_acceleration"])),
+            "suspension_travel": int(np.sum(np.abs(self.suspension_travel) > LIMITS["suspension_travel"])),
+            "current": int(np.sum(np.abs(self.current) > LIMITS["current"] + 1e-9)),
+            "current_change": int(np.sum(slew > LIMITS["current_change"] + 1e-9)),
+        }
 
     def cost(self, cost: StageCost) -> np.ndarray:
         """Return the mean stage cost of each episode.
@@ -159,6 +165,15 @@ class Run:
         for factor, signal in zip(factors[1:], all_signals[1:], strict=True):
             total = total + square(factor, signal)
         return total.mean(axis=0)
+
+
+def _position(car: Vehicle, point: str) -> tuple[float, float]:
+    """Return the position of a point of the body. Raise `InputError` for an unknown point."""
+    if point not in car.points:
+        raise InputError(
+            f"no point {shown(point)} on the body of network '{car.network.name}': there are {', '.join(car.points)}"
+        )
+    return car.points[point]
 
 
 def comfort_point(car: Vehicle) -> str:
@@ -473,6 +488,40 @@ def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dic
     return quantity
 
 
+def _policy_row(
+    name: str,
+    run: Run,
+    own: dict[str, tuple[np.ndarray, str]],
+    reference: dict[str, tuple[np.ndarray, str]],
+    clairvoyant: np.ndarray | None,
+    ceiling: Callable[[float], dict[str, Any] | None] | None,
+) -> dict[str, Any]:
+    """Return the row of a policy in a score, from its `measures` and those of the reference."""
+    row: dict[str, Any] = {"policy": name}
+    row |= {key: compare(key, values, reference[key][0], unit) for key, (values, unit) in own.items()}
+    reachable = None
+    if clairvoyant is not None:
+        before, after = reference["cost"][0].mean(), own["cost"][0].mean()
+        reachable = float((before - after) / (before - np.mean(clairvoyant)))
+    bound = ceiling(run.preview) if ceiling is not None else None
+    return row | {
+        "limit_violations": run.limit_violations,
+        "fallbacks": run.fallbacks,
+        "control_time": {
+            "median": float(np.median(run.times)),
+            "p99_9": float(np.quantile(run.times, 0.999)),
+        },
+        "share_of_reachable_gain": reachable,
+        "preview": {"value": run.preview, "unit": "s"},
+        "share_of_causal_gain": row["cost"]["change"] / bound["change"] + 0.0 if bound else None,
+    }
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    """Return values with nine significant digits, as files store them."""
+    return [float(f"{value:.9g}") for value in values]
+
+
 def fingerprints(
     road: Any, speed: float, duration: float, seed: int | None, episodes: int
 ) -> list[list[float]]:
@@ -493,7 +542,7 @@ def fingerprints(
     for rng in generators(seed, 0, episodes):
         heights = ground.heights(duration, speed=speed, rng=rng)
         rows = heights[np.linspace(0, len(heights) - 1, 11).astype(int)[1:]]
-        out.append([float(f"{h:.9g}") for h in rows])
+        out.append(_rounded(rows))
     return out
 
 
@@ -664,10 +713,8 @@ def score(
     check_size(car, episodes, duration)
     cost = StageCost.of(cost, car.axes, len(car.corners))
     point = point or comfort_point(car)
-    if point not in car.points:
-        raise InputError(
-            f"no point {shown(point)} on the body of network '{network.name}': there are {', '.join(car.points)}"
-        )
+    _position(car, point)
+    conditions: dict[str, Any] = {"speed": speed, "episodes": episodes, "duration": duration, "seed": seed}
     named = [policies] if isinstance(policies, str | Entry) else policies
     entries = find_all(named, network, cost=cost, speed=speed)
     reference = reference or passive(network)
@@ -688,46 +735,34 @@ def score(
     if twice := next((n for n in names if names.count(n) > 1), None):
         raise InputError(f"policy {shown(twice, 200)} is named twice")
     todo = list(entries) if reference.name in names else [reference, *entries]
-    same: dict[str, Any] = {
-        "road": road,
-        "speed": speed,
-        "episodes": episodes,
-        "seed": seed,
-        "duration": duration,
+    runs = {
+        entry.name: drive(
+            entry,
+            network,
+            road=road,
+            **conditions,
+            cost=cost,
+            randomize=randomize,
+            sensors=sensors,
+            progress=progress and partial(progress, entry.name),
+        )
+        for entry in todo
     }
-    same |= {"cost": cost, "randomize": randomize, "sensors": sensors}
-    runs: dict[str, Run] = {}
-    for entry in todo:
-        tell = partial(progress, entry.name) if progress is not None else None
-        runs[entry.name] = drive(entry, network, progress=tell, **same)
-    before = runs[reference.name]
-    base = measures(before, cost, point)
-    reachable = None if clairvoyant is None else float(before.cost(cost).mean() - np.mean(clairvoyant))
-    rows: list[dict[str, Any]] = []
-    raw: dict[str, dict[str, list[float]]] = {}
-    for name, run in runs.items():
-        found = measures(run, cost, point)
-        raw[name] = {key: [float(f"{v:.9g}") for v in values] for key, (values, _) in found.items()}
-        compared = {key: compare(key, values, base[key][0], unit) for key, (values, unit) in found.items()}
-        gain = float(before.cost(cost).mean() - run.cost(cost).mean())
-        bound = ceiling(run.preview) if ceiling is not None else None
-        shares = {
-            "share_of_reachable_gain": None if reachable is None else gain / reachable,
-            "share_of_causal_gain": compared["cost"]["change"] / bound["change"] + 0.0 if bound else None,
-        }
-        rows.append({"policy": name, **compared, **_figures(run), **shares})
-    kept = [r for r in rows if r["policy"] in names] if reference.name in names else rows
+    found = {name: measures(run, cost, point) for name, run in runs.items()}
+    rows = [
+        _policy_row(name, run, found[name], found[reference.name], clairvoyant, ceiling)
+        for name, run in runs.items()
+    ]
     return Score(
         road=getattr(road, "name", str(road)),
-        speed=speed,
         network=network.name,
-        episodes=episodes,
-        duration=duration,
-        seed=seed,
-        policies=kept,
+        **conditions,
+        policies=rows,
         sensors=sensors or Sensors(),
-        raw=raw,
-        roads=[] if randomize else fingerprints(road, speed, duration, seed, episodes),
+        raw={
+            name: {key: _rounded(values) for key, (values, _) in own.items()} for name, own in found.items()
+        },
+        roads=[] if randomize else fingerprints(road, **conditions),
         runs=runs,
         plant=network,
         ground=ground,
@@ -735,22 +770,3 @@ def score(
         cost=cost,
         point=point,
     )
-
-
-def _figures(run: Run) -> dict[str, Any]:
-    """Return violations of the limits of Table 5, fallbacks, control time and preview of a run."""
-    slew = np.abs(np.diff(run.current, axis=0, prepend=0.0))
-    return {
-        "limit_violations": {
-            "body_acceleration": int(np.sum(np.abs(run.body_acceleration) > LIMITS["body_acceleration"])),
-            "suspension_travel": int(np.sum(np.abs(run.suspension_travel) > LIMITS["suspension_travel"])),
-            "current": int(np.sum(np.abs(run.current) > LIMITS["current"] + 1e-9)),
-            "current_change": int(np.sum(slew > LIMITS["current_change"] + 1e-9)),
-        },
-        "fallbacks": run.fallbacks,
-        "control_time": {
-            "median": float(np.median(run.times)),
-            "p99_9": float(np.quantile(run.times, 0.999)),
-        },
-        "preview": {"value": run.preview, "unit": "s"},
-    }

@@ -39,119 +39,95 @@ def road_names() -> Iterable[str]:
     return ("paper", "paper-printed", "flat", *"ABCDEFGH", "bump", "pothole", "sweep")
 
 
-def _option(usage: str, help: str) -> Any:
-    """Return an option from its usage, such as ``--map FILE``."""
-    flag, metavar = usage.split()
-    return typer.Option(flag, help=help, metavar=metavar)
+def option(usage: str, help: str, **settings: Any) -> Any:
+    """Return an option from its usage: a flag and a metavar, such as ``--map FILE``, or a flag alone."""
+    flag, _, metavar = usage.partition(" ")
+    return typer.Option(flag, help=help, metavar=metavar or None, **settings)
 
 
-POLICIES = (
-    "passive, mpc, ... (isd-gym policies lists them), a policy's folder, a .zip of Stable-Baselines3 (only its weights are "
-    "read), or your own file.py:Class or file.py:function (the program runs the file)."
+_POLICY = typer.Argument(
+    help="passive, mpc, ... (isd-gym policies lists them), a policy's folder, a .zip of Stable-Baselines3 (only its weights are "
+    "read), or your own file.py:Class or file.py:function (the program runs the file).",
+    autocompletion=complete(policy_names),
 )
-
-PolicyArgument = Annotated[
-    str,
-    typer.Argument(
-        help=POLICIES,
-        autocompletion=complete(policy_names),
-    ),
-]
-
+PolicyArgument = Annotated[str, _POLICY]
+PoliciesArgument = Annotated[list[str], _POLICY]
 ModelArgument = Annotated[
     str,
     typer.Argument(
         help="A model file (isd-model/1) or a built-in network.", autocompletion=complete(network_names)
     ),
 ]
-
 NetworkOption = Annotated[
     str,
-    typer.Option(
-        help="The vehicle: a built-in network or a model file.", autocompletion=complete(network_names)
+    option(
+        "--network",
+        "The vehicle: a built-in network or a model file.",
+        autocompletion=complete(network_names),
     ),
 ]
-
 RoadOption = Annotated[
     str,
-    typer.Option(
-        help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, C+bump, or a CSV file.",
+    option(
+        "--road",
+        "paper, paper-printed, flat, A ... H, bump, pothole, sweep, C+bump, or a CSV file.",
         autocompletion=complete(road_names),
     ),
 ]
-
-SpeedOption = Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)]
-
-DurationOption = Annotated[float, typer.Option(help="Length of an episode [s].", min=0.005)]
-
+SpeedOption = Annotated[float, option("--speed", "Speed [m/s].", min=0.1)]
+DurationOption = Annotated[float, option("--duration", "Length of an episode [s].", min=0.005)]
 SeedOption = Annotated[
     int | None,
-    typer.Option(
-        help="Seed of the first road, as in reset(seed=). Default: the scoring roads, which no seed reaches.",
+    option(
+        "--seed",
+        "Seed of the first road, as in reset(seed=). Default: the scoring roads, which no seed reaches.",
         min=0,
     ),
 ]
-
 PreviewOption = Annotated[
-    float | None,
-    typer.Option(help="Length of road ahead [s] that policies with preview see.", min=0.0),
+    float | None, option("--preview", "Length of road ahead [s] that policies with preview see.", min=0.0)
 ]
-
-JsonOption = Annotated[Path | None, _option("--json FILE", "Write the results to this file.")]
-
+JsonOption = Annotated[Path | None, option("--json FILE", "Write the results to this file.")]
 TrainedOption = Annotated[
     str | None,
-    typer.Option(
-        "--trained-with",
-        help="Options of the training of a .zip that was saved without them: observation=measured or history, "
+    option(
+        "--trained-with NAME=VALUE,...",
+        "Options of the training of a .zip that was saved without them: observation=measured or history, "
         "action=current or increment, normalize=FILE or none, joined by commas.",
-        metavar="NAME=VALUE,...",
     ),
 ]
-
 ColumnsOption = Annotated[
     str | None,
-    _option(
+    option(
         "--columns NAME,NAME,...",
         "Names of the columns of text files without a header, in order: 'time,force [kN],travel [mm]'.",
     ),
 ]
-
 RenameOption = Annotated[
     list[str] | None,
-    _option("--rename COLUMN=CHANNEL", "Column of the files and the channel of the model. May be repeated."),
+    option("--rename COLUMN=CHANNEL", "Column of the files and the channel of the model. May be repeated."),
 ]
-
 UnitOption = Annotated[
     list[str] | None,
-    _option("--unit CHANNEL=UNIT", "Unit of a channel, or of the time, in the files. May be repeated."),
+    option("--unit CHANNEL=UNIT", "Unit of a channel, or of the time, in the files. May be repeated."),
 ]
-
 SignOption = Annotated[
     list[str] | None,
-    _option("--sign CHANNEL=-1", "Channel that is turned round in the files. May be repeated."),
+    option("--sign CHANNEL=-1", "Channel that is turned round in the files. May be repeated."),
 ]
-
 FileRateOption = Annotated[
-    float | None,
-    typer.Option("--rate", help="Sampling rate of files without time stamps [Hz].", metavar="HZ"),
+    float | None, option("--rate HZ", "Sampling rate of files without time stamps [Hz].")
 ]
-
 MapOption = Annotated[
     Path | None,
-    _option("--map FILE", "File with the column of each channel, written by isd-gym inspect --out."),
+    option("--map FILE", "File with the column of each channel, written by isd-gym inspect --out."),
 ]
-
 ElementsOption = Annotated[
     list[Path] | None,
-    _option("--elements FILE.py", "Python file that registers your own elements. The program runs the file."),
+    option("--elements FILE.py", "Python file that registers your own elements. The program runs the file."),
 ]
-
-JobsOption = Annotated[int, typer.Option("--jobs", help="Number of processes on this machine.", min=1)]
-
-EngineOption = Annotated[
-    str, typer.Option("--engine", help="Where the work runs: local, or ray for a Ray cluster.")
-]
+JobsOption = Annotated[int, option("--jobs", "Number of processes on this machine.", min=1)]
+EngineOption = Annotated[str, option("--engine", "Where the work runs: local, or ray for a Ray cluster.")]
 
 
 def column_names(text: str | None) -> list[str] | None:
@@ -185,6 +161,18 @@ def check_channels(names: Iterable[str], known: Iterable[str], option: str) -> N
             raise InputError(f"{option}: the model has no channel '{name}'; {hint(name, known)}")
 
 
+def read_names(
+    rename: list[str] | None, unit: list[str] | None, columns: str | None, sign: list[str] | None
+) -> dict[str, Any]:
+    """Return the values of --rename, --unit, --columns and --sign by name of the argument of `records_of`."""
+    return {
+        "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
+        "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
+        "columns": column_names(columns),
+        "signs": signs_of(sign),
+    }
+
+
 def channel_names(
     network: Any,
     rename: list[str] | None,
@@ -210,17 +198,11 @@ def channel_names(
     """
     from ..records.loggers import ChannelMap
 
-    named: dict[str, Any] = {
-        "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
-        "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
-        "columns": column_names(columns),
-        "signs": signs_of(sign),
-        "rate": rate,
-    }
+    named = read_names(rename, unit, columns, sign)
     channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
     check_channels(named["rename"].values(), channels, "--rename")
     if map_file is None:
-        return named
+        return named | {"rate": rate}
     if rename or unit or sign:
         raise InputError("--map replaces --rename, --unit and --sign: write their values into the map")
     return {"by": ChannelMap.load(map_file), "columns": named["columns"], "rate": rate}

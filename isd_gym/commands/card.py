@@ -12,6 +12,7 @@ import typer
 from ..common.errors import InputError, plain
 from ..env.registration import ENVIRONMENTS
 from ._card_table import print_track
+from ._options import option
 
 
 def command(
@@ -21,17 +22,15 @@ def command(
     ] = None,
     card: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--card",
-            help="Built-in card (ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0) or a file. Default: the card of the scores' car.",
+            "Built-in card (ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0) or a file. Default: the card of the scores' car.",
         ),
     ] = None,
     write: Annotated[
         Path | None,
-        typer.Option(
-            "--write",
-            help="Write a card of the scores instead, one track per score, named after its file.",
-            metavar="FILE",
+        option(
+            "--write FILE", "Write a card of the scores instead, one track per score, named after its file."
         ),
     ] = None,
 ) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from time import monotonic
@@ -27,118 +27,108 @@ from ._options import (
     channel_names,
     check_channels,
     check_records,
-    column_names,
     complete,
     network_names,
+    option,
     pairs,
-    signs_of,
+    read_names,
 )
 from .console import check_file, lines
 
 if TYPE_CHECKING:
     from ..physics.network import Network
+    from ..records.data import Table
+    from ..records.loggers import Recording
 
 #: share of --max-seconds that is kept for the report; of 15 s at most
 REPORT = 0.2
 
 
-DataArgument = Annotated[
+RecordsArgument = Annotated[
     list[Path],
     typer.Argument(
         help="Measured records with time and the model's channels (CSV, Excel, Parquet, .mat, .mf4, .tdms, .uff, .gz). Join files of several loggers "
         "by +: body.csv+wheel.mf4."
     ),
 ]
-
-OutOption = Annotated[Path, typer.Option("--out", help="Folder of the result.", metavar="DIR")]
-
-ModelOption = Annotated[
+FolderOption = Annotated[Path, option("--out DIR", "Folder of the result.")]
+NominalModelOption = Annotated[
     str | None,
-    typer.Option(
-        help="Nominal model: a file, a built-in network, or an FMU (.fmu). Required, except for a folder of cases with "
+    option(
+        "--model",
+        "Nominal model: a file, a built-in network, or an FMU (.fmu). Required, except for a folder of cases with "
         "their own model.json.",
         autocompletion=complete(network_names),
     ),
 ]
-
 ValidateOption = Annotated[
     list[Path] | None,
-    typer.Option(
-        help="Held-out records. One part chooses the effect, the rest gives the reported errors. Without this option some of "
+    option(
+        "--validate DATA...",
+        "Held-out records. One part chooses the effect, the rest gives the reported errors. Without this option some of "
         "DATA are held out.",
-        metavar="DATA...",
     ),
 ]
-
 AcceptOption = Annotated[
     list[str] | None,
-    typer.Option(
-        help="Data check that only warns: held, jumps, magnitude, length, silent, copies, sign, all. May be repeated.",
-        metavar="CHECK",
+    option(
+        "--accept CHECK",
+        "Data check that only warns: held, jumps, magnitude, length, silent, copies, sign, all. May be repeated.",
     ),
 ]
-
 UncertainOption = Annotated[
     list[str] | None,
-    typer.Option(
-        help="Relative standard deviation of a parameter (0.05 or 5%). The parameter is then refitted. Overrides the model file.",
-        metavar="PARAMETER=SHARE",
+    option(
+        "--uncertain PARAMETER=SHARE",
+        "Relative standard deviation of a parameter (0.05 or 5%). The parameter is then refitted. Overrides the model file.",
     ),
 ]
-
-TrustFmuOption = Annotated[
-    bool, typer.Option("--trust-fmu", help="Run the compiled code of an .fmu. The code has your rights.")
+TrustOption = Annotated[
+    bool, option("--trust-fmu", "Run the compiled code of an .fmu. The code has your rights.")
 ]
-
 CutOption = Annotated[
     str | None,
-    typer.Option(
-        help="Without a measured road: node with an accelerometer. The motion of the node drives the part of the model above "
+    option(
+        "--cut NODE",
+        "Without a measured road: node with an accelerometer. The motion of the node drives the part of the model above "
         "the node. The part below (tyre, road) is left out.",
-        metavar="NODE",
     ),
 ]
-
 UnmeasuredOption = Annotated[
     str | None,
-    typer.Option(
-        help="Without a measured road: the unmeasured input, taken as white velocity in the likelihood of a linear model. Default: "
+    option(
+        "--unmeasured INPUT",
+        "Without a measured road: the unmeasured input, taken as white velocity in the likelihood of a linear model. Default: "
         'the input with "measured": false in the model file.',
-        metavar="INPUT",
     ),
 ]
-
-MaxSecondsOption = Annotated[
+TimeLimitOption = Annotated[
     float | None,
-    typer.Option(
-        help="Time after which the diagnosis ends [s], with what was found; the summary lists what was not tried. The first "
+    option(
+        "--max-seconds SECONDS",
+        "Time after which the diagnosis ends [s], with what was found; the summary lists what was not tried. The first "
         "compilation of the kernels (isd-gym warm) does not count. The result then depends on the speed of the machine. "
         "Default: no limit; with --unmeasured 120 s of processor time.",
         min=1.0,
-        metavar="SECONDS",
     ),
 ]
-
-MaxLagOption = Annotated[
-    float, typer.Option(help="Largest offset between the clocks of two loggers [s].", min=0.0)
+LagOption = Annotated[
+    float, option("--max-lag", "Largest offset between the clocks of two loggers [s].", min=0.0)
 ]
-
-JobsOption = Annotated[
+ThreadsOption = Annotated[
     int | None,
-    typer.Option(
+    option(
         "--jobs",
-        help="Threads of a diagnosis (default 2), or processes of a fleet (default 1). The result is the same for any number.",
+        "Threads of a diagnosis (default 2), or processes of a fleet (default 1). The result is the same for any number.",
         min=1,
     ),
 ]
 
-SeedOption = Annotated[int, typer.Option(help="Seed of the bootstrap that gives the probabilities.", min=0)]
-
 
 def command(
-    data: DataArgument,
-    out: OutOption,
-    model: ModelOption = None,
+    data: RecordsArgument,
+    out: FolderOption,
+    model: NominalModelOption = None,
     validate: ValidateOption = None,
     rename: RenameOption = None,
     unit: UnitOption = None,
@@ -149,14 +139,14 @@ def command(
     accept: AcceptOption = None,
     elements: ElementsOption = None,
     uncertain: UncertainOption = None,
-    trust_fmu: TrustFmuOption = False,
+    trust_fmu: TrustOption = False,
     cut: CutOption = None,
     unmeasured: UnmeasuredOption = None,
-    max_seconds: MaxSecondsOption = None,
-    max_lag: MaxLagOption = 0.5,
-    jobs: JobsOption = None,
+    max_seconds: TimeLimitOption = None,
+    max_lag: LagOption = 0.5,
+    jobs: ThreadsOption = None,
     engine: EngineOption = "local",
-    seed: SeedOption = 0,
+    seed: Annotated[int, option("--seed", "Seed of the bootstrap that gives the probabilities.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Find where a model and measurements disagree, and which physical effect is missing.
@@ -179,161 +169,109 @@ def command(
     Without a road: isd-gym diagnose drive.csv --model car.json --cut wheel --out found
     """
     begun = monotonic()
+    from ..diagnosis import SearchSettings, diagnose
+    from ..view.report import check_target
+
     check_file(json_file)
+    accept, validate = accept or [], validate or []
     if len(data) == 1 and data[0].is_dir() and not validate:
-        case = wing("fleet").case_itself(data[0], model)
-        if case is not None:  # the folder is one case
-            data, validate = [*map(Path, case.data)], [*map(Path, case.validate)]
-            model = model or case.model
+        data, validate, model = _files_of_case(data[0], model)
     if len(data) == 1 and data[0].is_dir():
-        refused = (
-            validate,
-            rename,
-            unit,
-            sign,
-            rate,
-            columns,
-            elements,
-            cut,
-            unmeasured,
-            uncertain,
-            max_seconds,
-        )
-        if any(refused):
+        if any(
+            (validate, rename, unit, sign, rate, columns, elements, cut, unmeasured, uncertain, max_seconds)
+        ):
             raise InputError(
                 "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
             )
-        steps = {"map": map_file and str(map_file), "accept": accept or [], "seed": seed, "max_lag": max_lag}
+        steps = {"map": map_file and str(map_file), "accept": accept, "seed": seed, "max_lag": max_lag}
         wing("fleet").diagnose_fleet(data[0], out, model, steps, jobs or 1, engine, json_file)
         return
     if model is None:
         raise InputError("--model is missing: name the model to compare the records with")
     shares = _shares(uncertain)
-    check_records(data, validate or [])
-    records = _Records(model, data, validate or [], accept or [], out, json_file, shares)
+    check_records(data, validate)
+    about = {"Model": model, "Data": ", ".join(map(str, data))}
+    if validate:
+        about["Validation"] = ", ".join(map(str, validate))
     if Path(model).suffix.lower() == ".fmu":
-        given = {"elements": elements, "cut": cut, "unmeasured": unmeasured, "map": map_file}
-        _check_unit_options({**given, "max-seconds": max_seconds, "rate": rate})
-        named = {
-            "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
-            "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
-            "header": column_names(columns),
-            "signs": signs_of(sign),
-        }
-        records.diagnose_unit(named, trust_fmu)
+        _check_fmu_options(elements, cut, unmeasured, map_file, max_seconds, rate)
+        check_target(out)
+        named = read_names(rename, unit, columns, sign)
+        named["header"] = named.pop("columns")
+        result = wing("fmi").diagnose_unit(model, trust_fmu, data, validate, accept, named, shares)
+        print_diagnosis(result, json_file, write_result(result, out, about))
         return
-    network, options = _network(model, elements, shares, (rename, unit, map_file, columns, sign, rate))
+    network = _load_network(model, elements, shares)
+    options = channel_names(network, rename, unit, map_file, columns, sign, rate)
+    if "by" in options:
+        network = options["by"].measured(network)
     unmeasured = unmeasured or next((c.name for c in network.inputs if not c.measured and cut is None), None)
     if unmeasured is not None:
+        check_channels([unmeasured], [c.name for c in network.inputs], "--unmeasured")
         if cut is not None:
             raise InputError("--cut and --unmeasured exclude each other: use one of them")
-        records.identify_without_road(network, unmeasured, options, max_seconds)
-        return
-    settings = {"max_lag": max_lag, "jobs": jobs or 2, "max_seconds": max_seconds}
-    records.diagnose(network, options, cut, seed, settings, begun)
-
-
-@dataclass(frozen=True)
-class _Records:
-    """The records of a command, its model and where the result is written."""
-
-    model: str
-    data: list[Path]
-    validate: list[Path]
-    #: names of data checks that only warn
-    accept: list[str]
-    out: Path
-    json_file: Path | None
-    #: relative standard deviations of --uncertain by parameter
-    shares: dict[str, float]
-
-    @property
-    def about(self) -> dict[str, str]:
-        """What the report says of its sources."""
-        held = {"Validation": ", ".join(map(str, self.validate))} if self.validate else {}
-        return {"Model": self.model, "Data": ", ".join(map(str, self.data)), **held}
-
-    def diagnose_unit(self, named: dict[str, Any], trust: bool) -> None:
-        """Refit the parameters of an FMU."""
-        from ..view.report import check_target
-
-        check_target(self.out)
-        result = wing("fmi").diagnose_unit(
-            self.model, trust, self.data, self.validate, self.accept, named, self.shares
-        )
-        print_diagnosis(result, self.json_file, write_result(result, self.out, self.about))
-
-    def identify_without_road(
-        self, network: Network, unmeasured: str, options: dict[str, Any], max_seconds: float | None
-    ) -> None:
-        """Refit a linear model with an input that was not measured."""
-        check_channels([unmeasured], [c.name for c in network.inputs], "--unmeasured")
-        files = [*self.data, *self.validate]
         wing("no_road").identify_without_road(
-            files, network, unmeasured, self.accept, options, max_seconds, self.out, self.json_file
+            [*data, *validate], network, unmeasured, accept, options, max_seconds, out, json_file
         )
-
-    def diagnose(
-        self,
-        network: Network,
-        options: dict[str, Any],
-        cut: str | None,
-        seed: int,
-        settings: dict[str, Any],
-        begun: float,
-    ) -> None:
-        """Diagnose the records; the time since `begun` counts to --max-seconds."""
-        from ..diagnosis import SearchSettings, diagnose
-        from ..diagnosis.simulation.time_limit import TimeLimit
-        from ..physics.network import cut as cut_at
-        from ..records.loggers.record_reading import records_of
-        from ..view.report import check_target
-
-        check_target(self.out)
-        part = network if cut is None else cut_at(network, cut)
-        wanted, seconds = (*part.inputs, *part.outputs), settings["max_seconds"]
-        limit = seconds and TimeLimit(seconds - REPORT * min(seconds, 15.0), monotonic, begun)
-        with lines() as say, limit.until(inf) if limit else nullcontext():
-            fitted, held = (
-                [r for f in files for r in records_of(f, network, wanted, **options)]
-                for files in (self.data, self.validate)
-            )
-            result = diagnose(
-                fitted,
-                network,
-                validate=held,
-                accept=self.accept,
-                progress=say,
-                seed=seed,
-                cut=cut,
-                settings=SearchSettings(**settings),
-            )
-            say("writing the report")
-            page = write_result(result, self.out, self.about | {"Seed": str(seed)})
-        print_diagnosis(result, self.json_file, page)
+        return
+    check_target(out)
+    with lines() as say, _time_limit(max_seconds, begun):
+        fitted, held = (_read_records(files, network, cut, options) for files in (data, validate))
+        settings = SearchSettings(max_lag=max_lag, jobs=jobs or 2, max_seconds=max_seconds)
+        result = diagnose(
+            fitted, network, validate=held, accept=accept, progress=say, seed=seed, cut=cut, settings=settings
+        )
+        say("writing the report")
+        page = write_result(result, out, about | {"Seed": str(seed)})
+    print_diagnosis(result, json_file, page)
 
 
-def _network(
-    model: str, elements: list[Path] | None, shares: dict[str, float], names: tuple[Any, ...]
-) -> tuple[Network, dict[str, Any]]:
-    """Return the nominal model and how columns give its channels; `names` are the values of the options of `channel_names`."""
-    from ..physics import elements as el
+def _files_of_case(folder: Path, model: str | None) -> tuple[list[Path], list[Path], str | None]:
+    """Return the records, the held-out records and the model of a folder. A fleet remains the folder itself."""
+    case = wing("fleet").case_itself(folder, model)
+    if case is None:
+        return [folder], [], model
+    return [*map(Path, case.data)], [*map(Path, case.validate)], model or case.model
+
+
+def _check_fmu_options(*values: object) -> None:
+    """Raise `InputError` for an option that an FMU does not take."""
+    names = ("--elements", "--cut", "--unmeasured", "--map", "--max-seconds", "--rate")
+    for name, value in zip(names, values, strict=True):
+        if value:
+            raise InputError(f"{name} wants a network (isd-model/1): the inside of an FMU is hidden")
+
+
+def _load_network(model: str, elements: list[Path] | None, uncertainty: dict[str, float]) -> Network:
+    """Return the nominal model with the elements of --elements and the uncertainty of --uncertain."""
+    from ..physics.elements import register_file
     from ..physics.network import Network
 
     for file in elements or ():
-        el.register_file(file)
+        register_file(file)
     network = Network.load(model)
-    if shares:
-        network = replace(network, uncertainty={**network.uncertainty, **shares})
-    options = channel_names(network, *names)
-    return options["by"].measured(network) if "by" in options else network, options
+    return replace(network, uncertainty={**network.uncertainty, **uncertainty}) if uncertainty else network
 
 
-def _check_unit_options(given: dict[str, Any]) -> None:
-    """Raise `InputError` for an option that an FMU cannot take."""
-    for option, value in given.items():
-        if value:
-            raise InputError(f"--{option} wants a network (isd-model/1): the inside of an FMU is hidden")
+def _read_records(
+    files: list[Path], network: Network, cut: str | None, options: dict[str, Any]
+) -> list[Table | Recording]:
+    """Return the records of files with the channels of the network, or of its part above --cut."""
+    from ..physics.network import cut as cut_at
+    from ..records.loggers.record_reading import records_of
+
+    part = network if cut is None else cut_at(network, cut)
+    wanted = (*part.inputs, *part.outputs)
+    return [record for file in files for record in records_of(file, network, wanted, **options)]
+
+
+def _time_limit(max_seconds: float | None, begun: float) -> AbstractContextManager[object]:
+    """Return the context of --max-seconds, without the time that is kept for the report."""
+    from ..diagnosis.simulation.time_limit import TimeLimit
+
+    if max_seconds is None:
+        return nullcontext()
+    return TimeLimit(max_seconds - REPORT * min(max_seconds, 15.0), monotonic, begun).until(inf)
 
 
 def _shares(uncertain: list[str] | None) -> dict[str, float]:

@@ -17,41 +17,40 @@ from ._options import (
     SignOption,
     check_channels,
     column_names,
+    option,
     pairs,
     signs_of,
 )
 from .console import check_file, terminal_columns, write_json
 
+FilesArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Files of one run, one per logger: CSV, TSV, .lvm, .mat, Parquet, MDF.", metavar="FILE..."
+    ),
+]
+ChannelModelOption = Annotated[
+    str | None, option("--model", "Model with the channels to find: a model file or a built-in network.")
+]
+MapTargetOption = Annotated[
+    Path | None, option("--out FILE", "Write the column found for each channel to this file, for --map.")
+]
+PageOption = Annotated[Path | None, option("--html FILE", "Write a page with a picture of every column.")]
+ColumnUnitOption = Annotated[
+    list[str] | None, option("--unit COLUMN=UNIT", "Unit of a column. May be repeated.")
+]
+
 
 def command(
-    data: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Files of one run, one per logger: CSV, TSV, .lvm, .mat, Parquet, MDF.", metavar="FILE..."
-        ),
-    ],
-    model: Annotated[
-        str | None, typer.Option(help="Model with the channels to find: a model file or a built-in network.")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            help="Write the column found for each channel to this file, for --map.",
-            metavar="FILE",
-        ),
-    ] = None,
-    html: Annotated[
-        Path | None,
-        typer.Option("--html", help="Write a page with a picture of every column.", metavar="FILE"),
-    ] = None,
+    data: FilesArgument,
+    model: ChannelModelOption = None,
+    out: MapTargetOption = None,
+    html: PageOption = None,
     rename: RenameOption = None,
-    unit: Annotated[
-        list[str] | None, typer.Option(help="Unit of a column. May be repeated.", metavar="COLUMN=UNIT")
-    ] = None,
+    unit: ColumnUnitOption = None,
     sign: SignOption = None,
     map_file: MapOption = None,
-    stamps: Annotated[str | None, typer.Option(help="Column with the time.", metavar="COLUMN")] = None,
+    stamps: Annotated[str | None, option("--stamps COLUMN", "Column with the time.")] = None,
     columns: ColumnsOption = None,
     rate: FileRateOption = None,
     json_file: JsonOption = None,

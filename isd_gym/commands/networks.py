@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..common.errors import InputError
-from ._options import complete, network_names
+from ._options import complete, network_names, option
 from .console import check_file, print_names
 
 
@@ -21,8 +21,7 @@ def command(
         ),
     ] = None,
     draw: Annotated[
-        Path | None,
-        typer.Option("--draw", help="Draw the network to this file: .svg, .png or .pdf.", metavar="FILE"),
+        Path | None, option("--draw FILE", "Draw the network to this file: .svg, .png or .pdf.")
     ] = None,
 ) -> None:
     """List the built-in networks, print one as a start for your own, or draw one.

@@ -10,67 +10,66 @@ import typer
 
 from ._card_table import print_track
 from ._options import (
-    POLICIES,
     DurationOption,
     JsonOption,
     MapOption,
     NetworkOption,
+    PoliciesArgument,
     PreviewOption,
     RoadOption,
     SeedOption,
     SpeedOption,
     TrainedOption,
-    complete,
-    policy_names,
+    option,
 )
 from ._score_bounds import bounds_beside, known_ceilings, known_optimum
 from ._score_table import print_score
 from .console import check_file, progress, warm_up, write_json
 
+EpisodesOption = Annotated[
+    int, option("--episodes", "Number of roads. All policies drive the same roads.", min=1)
+]
+CardOption = Annotated[
+    str | None,
+    option(
+        "--against CARD",
+        "Compare with a benchmark card: ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0, or a file. Its references are not driven again.",
+    ),
+]
+SensorsOption = Annotated[
+    str,
+    option(
+        "--sensors",
+        "Sensor imperfections, joined by commas: noise=1, delay=1 (control steps), road_error=0.001 (m), road_lag=0.01 (s), road_range=3 (m).",
+    ),
+]
+ControllerModelOption = Annotated[
+    str | None, option("--model", "Model of the controllers. Default: the vehicle itself.")
+]
+PointOption = Annotated[
+    str | None,
+    option(
+        "--point",
+        "Point of the body at which ISO 2631-1 is evaluated. Default: the driver, if the network has one.",
+    ),
+]
+
 
 def command(
-    policies: Annotated[
-        list[str],
-        typer.Argument(
-            help=POLICIES,
-            autocompletion=complete(policy_names),
-        ),
-    ],
+    policies: PoliciesArgument,
     road: RoadOption = "paper",
     map_file: MapOption = None,
     speed: SpeedOption = 20.0,
-    episodes: Annotated[
-        int, typer.Option(help="Number of roads. All policies drive the same roads.", min=1)
-    ] = 32,
+    episodes: EpisodesOption = 32,
     seed: SeedOption = None,
     duration: DurationOption = 20.0,
     preview: PreviewOption = None,
-    against: Annotated[
-        str | None,
-        typer.Option(
-            help="Compare with a benchmark card: ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0, or a file. Its references are not driven again.",
-            metavar="CARD",
-        ),
-    ] = None,
-    sensors: Annotated[
-        str,
-        typer.Option(
-            help="Sensor imperfections, joined by commas: noise=1, delay=1 (control steps), road_error=0.001 (m), road_lag=0.01 (s), road_range=3 (m)."
-        ),
-    ] = "",
+    against: CardOption = None,
+    sensors: SensorsOption = "",
     network: NetworkOption = "quarter-car-isd",
-    model: Annotated[
-        str | None, typer.Option(help="Model of the controllers. Default: the vehicle itself.")
-    ] = None,
-    point: Annotated[
-        str | None,
-        typer.Option(
-            help="Point of the body at which ISO 2631-1 is evaluated. Default: the driver, if the network has one."
-        ),
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option("--report", help="Write a page with plots to this folder.", metavar="DIR")
-    ] = None,
+    model: ControllerModelOption = None,
+    point: PointOption = None,
+    report: Annotated[Path | None, option("--report DIR", "Write a page with plots to this folder.")] = None,
     trained_with: TrainedOption = None,
     json_file: JsonOption = None,
 ) -> None:

@@ -8,7 +8,15 @@ from typing import Annotated, Any
 import typer
 
 from ..common.errors import InputError
-from ._options import NetworkOption, PolicyArgument, PreviewOption, RoadOption, SpeedOption, TrainedOption
+from ._options import (
+    NetworkOption,
+    PolicyArgument,
+    PreviewOption,
+    RoadOption,
+    SpeedOption,
+    TrainedOption,
+    option,
+)
 from .console import check_file, progress, warm_up
 
 LONGEST = 3600.0  # duration of a drive [s]
@@ -16,19 +24,14 @@ LONGEST = 3600.0  # duration of a drive [s]
 
 def command(
     policy: PolicyArgument,
-    against: Annotated[
-        str | None, typer.Option(help="Second policy, on the same road.", metavar="POLICY")
-    ] = None,
+    against: Annotated[str | None, option("--against POLICY", "Second policy, on the same road.")] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", help="Write a film (.mp4 or .gif) instead of opening a window.", metavar="FILE"
-        ),
+        Path | None, option("--out FILE", "Write a film (.mp4 or .gif) instead of opening a window.")
     ] = None,
     road: RoadOption = "paper",
     speed: SpeedOption = 20.0,
-    seconds: Annotated[float, typer.Option(help="Length of the drive [s].", min=0.1)] = 10.0,
-    seed: Annotated[int, typer.Option(help="Seed of the road, as in reset(seed=).", min=0)] = 0,
+    seconds: Annotated[float, option("--seconds", "Length of the drive [s].", min=0.1)] = 10.0,
+    seed: Annotated[int, option("--seed", "Seed of the road, as in reset(seed=).", min=0)] = 0,
     preview: PreviewOption = None,
     network: NetworkOption = "quarter-car-isd",
     trained_with: TrainedOption = None,

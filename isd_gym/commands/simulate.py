@@ -20,6 +20,7 @@ from ._options import (
     UnitOption,
     channel_names,
     check_records,
+    option,
 )
 from .console import check_file, printer, tell, write_json
 
@@ -38,27 +39,24 @@ def command(
             "several loggers by +: a.csv+b.mf4."
         ),
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", help="File to write. The suffix selects the format.", metavar="FILE"),
-    ] = None,
+    out: Annotated[Path | None, option("--out FILE", "File to write. The suffix selects the format.")] = None,
     compare: Annotated[
         bool,
-        typer.Option(
+        option(
             "--compare",
-            help="Print the errors of the model's outputs on DATA. The initial state of each record and free offsets are fitted, "
+            "Print the errors of the model's outputs on DATA. The initial state of each record and free offsets are fitted, "
             "parameters stay.",
         ),
     ] = False,
     against: Annotated[
         str | None,
-        typer.Option(
-            help="With --compare: a second model, such as the nominal model of this rig. Prints its errors too, and the share of its "
+        option(
+            "--against MODEL",
+            "With --compare: a second model, such as the nominal model of this rig. Prints its errors too, and the share of its "
             "squared error beyond noise that MODEL removes: how far a model found on another rig transfers.",
-            metavar="MODEL",
         ),
     ] = None,
-    step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
+    step: Annotated[float, option("--step", "Largest physics step [s].", min=1e-6)] = 1e-3,
     rename: RenameOption = None,
     unit: UnitOption = None,
     sign: SignOption = None,
@@ -67,20 +65,20 @@ def command(
     rate: FileRateOption = None,
     initial: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Initial displacement or velocity of a node in SI units (body=0.01, body.velocity=0.2), or a JSON file. May be "
+        option(
+            "--initial NODE=VALUE|FILE|fit",
+            "Initial displacement or velocity of a node in SI units (body=0.01, body.velocity=0.2), or a JSON file. May be "
             "repeated. fit: fitted to the model's outputs in DATA.",
-            metavar="NODE=VALUE|FILE|fit",
         ),
     ] = None,
     json_file: JsonOption = None,
     interpolation: Annotated[
         str,
-        typer.Option(
-            help="Displacements and forces between samples. smooth: a cubic spline through inputs without much noise or jumps, "
+        option(
+            "--interpolation auto|linear|smooth|spline",
+            "Displacements and forces between samples. smooth: a cubic spline through inputs without much noise or jumps, "
             "straight lines through others. auto: as in a diagnosis, 'smooth', and 'spline' with small physics steps where an output has "
             "fewer than 21 samples per period.",
-            metavar="auto|linear|smooth|spline",
         ),
     ] = "auto",
 ) -> None:

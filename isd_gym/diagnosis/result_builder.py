@@ -47,8 +47,9 @@ if TYPE_CHECKING:
     from ..common.arrays import Array
     from ..physics.network import Network
     from .estimation.structure import Structure
+    from .planning import Design
     from .records import Feedback
-    from .result import Law, RecordDifferences
+    from .result import Law, RecordDifferences, Tabulated
     from .selection.candidate_comparison import CandidateComparison
     from .selection.forward_backward import Search
     from .simulation.problem import Problem
@@ -117,16 +118,8 @@ class ResultBuilder:
         if not is_named:
             quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
         posterior = quantities if final is refitted else posterior
-        no_law: Law | None = None
-        what = "the picture of a law"
-        laws = [self._attempt(what, no_law, draw_law, p, final.fit, e.element, e.parameters) for e in found]
-        if tabulated:
-            laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
-        test = None
-        if is_ambiguous:
-            self.say("designing the test that would decide")
-            candidates = [scores.foremost, *rivals]
-            test = self._attempt("the next test", None, next_experiment, self.whole, candidates, noise)
+        laws = self._laws(final, found, tabulated)
+        test = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else None
         result = Diagnosis(
             verdict=decision.verdict,
             summary="",
@@ -158,7 +151,7 @@ class ResultBuilder:
             simulation_fit=last,
             record_differences=differences,
             traces=self._traces(final),
-            laws=tuple(x for x in laws if x is not None),
+            laws=laws,
             notes=(*notes, *self._tried(), *self.lost),
             units={c.name: c.unit for c in network.outputs},
             evidence=measured.evidence,
@@ -327,6 +320,22 @@ class ResultBuilder:
             channel = h.where[0] if h.place == "channel" else None
             out.append(Effect(h.effect, owner_pair(network, h), channel, probability, own, element, h.behind))
         return out
+
+    def _laws(
+        self, final: Candidate, effects: Sequence[Effect], tabulated: Tabulated | None
+    ) -> tuple[Law, ...]:
+        """Return the laws of the found effects and of the table of a free force, each as a curve."""
+        p, what = self.search.problem, "the picture of a law"
+        no_law: Law | None = None
+        laws = [self._attempt(what, no_law, draw_law, p, final.fit, e.element, e.parameters) for e in effects]
+        if tabulated:
+            laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
+        return tuple(law for law in laws if law is not None)
+
+    def _next_test(self, candidates: Sequence[Candidate], noise: Array) -> Design | None:
+        """Return the test that would decide between candidates."""
+        self.say("designing the test that would decide")
+        return self._attempt("the next test", None, next_experiment, self.whole, candidates, noise)
 
     def _rejected(
         self, decision: Decision, rows: Mapping[str, Array], completes: bool

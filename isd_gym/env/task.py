@@ -128,14 +128,14 @@ class Options:
             raise InputError(
                 f"hold must be a whole number of control steps from 1 to {HELD}, not {shown(self.hold)}"
             )
-        for name in ("cost", "sensors", "randomize"):
+        kinds = {
+            "cost": (StageCost, Mapping),
+            "sensors": (Sensors, Mapping, str),
+            "randomize": (Mapping, str, Path),
+        }
+        for name, types in kinds.items():
             value = getattr(self, name)
-            own = {
-                "cost": (StageCost, Mapping),
-                "sensors": (Sensors, Mapping, str),
-                "randomize": (Mapping, str, Path),
-            }[name]
-            if value is not None and not isinstance(value, own):
+            if value is not None and not isinstance(value, types):
                 raise InputError(f"{name} must be a mapping of names to values, not {shown(value)}")
         if self.network is None or isinstance(self.network, list | tuple):
             raise InputError(
@@ -148,6 +148,18 @@ class Options:
         car = vehicle(network)
         put(self, "cost", StageCost.of(self.cost, car.axes, len(car.corners)))
         put(self, "sensors", Sensors.of(self.sensors))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether a decision is one control step with commanded currents and minus its cost as reward."""
+        return (
+            self.hold == 1
+            and self.action == "current"
+            and self.reward == "cost"
+            and self.observation != "history"
+            and not self.per_level
+            and self.reward_scale == 1.0
+        )
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Options:
@@ -171,6 +183,17 @@ class Options:
                     f"the environment got an unexpected keyword argument {shown(key)}; options are {', '.join(known)}"
                 )
         return cls(**given)
+
+
+def _channel_faults(network: Network, names: Sequence[str]) -> list[el.Element]:
+    """Return the elements at measured channels. Raise `InputError` for a sensor that leads."""
+    faults = [e for e in network.elements if e.place == "channel" and e.where[0] in names]
+    for e in faults:
+        if isinstance(e, el.SensorDelay) and e.delay < 0:
+            raise InputError(
+                f"element '{e.name}': no sensor of an environment can lead; delay must be >= 0 s"
+            )
+    return faults
 
 
 class Task:
@@ -225,9 +248,9 @@ class Task:
         if picture:  # a picture shows the road in front of the car
             look = max(look, PICTURE_WINDOW / self.slowest)
             look = control_step * math.ceil(look / control_step)
-        cars: dict[str, Any] = {"road_": options.road, "speed": speed, "control_step": control_step}
-        cars |= {"duration": options.duration, "randomize": options.randomize}
-        self.batch = Batch(count, self.network, **cars, preview=look, extra=extra)
+        drive: dict[str, Any] = {"road_": options.road, "speed": speed, "control_step": control_step}
+        drive |= {"duration": options.duration, "randomize": options.randomize}
+        self.batch = Batch(count, self.network, **drive, preview=look, extra=extra)
         of = self.batch.of
         signals = len(self.measured)
         self.history = (
@@ -248,53 +271,25 @@ class Task:
         self.group = group
         self._reference: Batch | None = None
         if options.reward == "relative" and group == 1:
-            self._reference = Batch(count, self.network, **cars)
+            self._reference = Batch(count, self.network, **drive)
             self._reference.set_cost(weights, bounds, width=signals, threads=threads)
         self._weights = np.ones(count)
         self._usual = usual_level(self.batch) if options.per_level else 0.0
         self._slew = SLEW_RATE * control_step
         self.actions = np.zeros((of.currents, count))
         self._bind()
-        self.is_plain = (
-            options.hold == 1
-            and options.action == "current"
-            and options.reward == "cost"
-            and self.history is None
-            and not options.per_level
-            and options.reward_scale == 1.0
-        )
-        self._make_sensors(count)
+        self.is_plain = options.is_plain
+        self._channel_faults = _channel_faults(self.network, [signal.name for signal in self.measured])
+        self._histories: dict[str, np.ndarray] = {}
+        self.sensors = options.sensors
+        self._sight: Sight | None = None
+        if not self.sensors.perfect:
+            kinds = [signal.kind for signal in self.measured]
+            self._sight = Sight(self.sensors, count, kinds, of.tracks, self.points, control_step)
+        self.is_faulty = bool(self._channel_faults) or self._sight is not None
         warn_of_pulling_tyres(
             self.vehicle, [road(r) for r in varied.get("road", (options.road,))], max(map(float, speeds))
         )
-
-    def _make_sensors(self, count: int) -> None:
-        """Prepare the errors of signals that a policy sees."""
-        names = [signal.name for signal in self.measured]
-        self._channel_faults = [
-            e for e in self.network.elements if e.place == "channel" and e.where[0] in names
-        ]
-        for e in self._channel_faults:
-            if isinstance(e, el.SensorDelay) and e.delay < 0:
-                raise InputError(
-                    f"element '{e.name}': no sensor of an environment can lead; delay must be >= 0 s"
-                )
-        self._histories: dict[str, np.ndarray] = {}
-        assert isinstance(self.options.sensors, Sensors)
-        self.sensors = self.options.sensors
-        self._sight = (
-            None
-            if self.sensors.perfect
-            else Sight(
-                self.sensors,
-                count,
-                [signal.kind for signal in self.measured],
-                self.batch.of.tracks,
-                self.points,
-                self.options.control_step,
-            )
-        )
-        self.is_faulty = bool(self._channel_faults) or self._sight is not None
 
     def _bind(self) -> None:
         """Let commanded currents be written where the cars read them."""

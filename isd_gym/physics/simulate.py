@@ -114,6 +114,23 @@ def side_by_side(asm: Assembly) -> tuple[object, ...]:
     return asm.size, laws, asm.by_difference, asm.outputs_by_difference, _instant(asm)
 
 
+def _step_matrices(asm: Assembly, B: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the state after a step by the state, by held inputs, and by inputs that rise from zero to one."""
+    n, k = B.shape
+    if not n:
+        return np.zeros((0, 0)), np.zeros((0, k)), np.zeros((0, k))
+    big = np.zeros((n + 2 * k, n + 2 * k))
+    big[:n, :n], big[:n, n : n + k] = asm.rate[:, asm.columns("x")] * step, B * step
+    big[n : n + k, n + k :] = np.eye(k)
+    with np.errstate(all="ignore"):
+        phi = expm(big) if np.isfinite(big).all() else big
+    if not np.isfinite(phi).all():
+        raise InputError(
+            f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part overflows"
+        )
+    return phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
+
+
 def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     """Return the exact discretisation of the linear part: first-order hold for `columns`, zero-order hold for
     currents and friction.
@@ -133,22 +150,9 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
 
     n, laws = asm.size[0], list(asm.laws)
     x, u, c, f = asm.columns("x"), list(columns), asm.columns("I"), asm.columns("f")
-    A = asm.rate[:, x]
     B = np.hstack([asm.rate[:, u], asm.rate[:, c], asm.rate[:, f]])
-    k, m, nc = B.shape[1], len(u), c.stop - c.start
-    if n:
-        big = np.zeros((n + 2 * k, n + 2 * k))
-        big[:n, :n], big[:n, n : n + k] = A * step, B * step
-        big[n : n + k, n + k :] = np.eye(k)
-        with np.errstate(all="ignore"):
-            phi = expm(big) if np.isfinite(big).all() else big
-        if not np.isfinite(phi).all():
-            raise InputError(
-                f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part overflows"
-            )
-        Ad, hold, late = phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
-    else:
-        Ad, hold, late = np.zeros((0, 0)), np.zeros((0, k)), np.zeros((0, k))
+    m, nc = len(u), c.stop - c.start
+    Ad, hold, late = _step_matrices(asm, B, step)
     early = hold - late
     U0, U1, G0, G1 = early[:, :m], late[:, :m], early[:, m + nc :], late[:, m + nc :].copy()
     codes = tuple(law_code(type(e)) for e in laws)
@@ -162,8 +166,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     E, R = asm.elongation[order], asm.elongation_rate[order]
     differ = np.array(asm.by_difference, bool)[order]
     R[differ] = E[differ] / step
-    own = list(range(f.start, f.stop))
-    own = [own[j] for j in order]
+    own = [f.start + j for j in order]
     blank = np.zeros((n, nl * bool(differ.any())))
     states = np.hstack([Ad, U0, U1, hold[:, m : m + nc], blank, start[:, :ns]])
 
@@ -191,18 +194,8 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     seen_outside = np.hstack(
         [O[:, x], zero.repeat(m, 1), O[:, u], O[:, c], zero.repeat(blank.shape[1], 1), O[:, own]]
     )
-    sizes = (
-        n,
-        m,
-        nc,
-        nl,
-        ns,
-        way,
-        len(asm.outputs),
-        -(-len(rows) // 4) * 4,
-        seen_outside.shape[1],
-        int(differ.any()),
-    )
+    padded = -(-len(rows) // 4) * 4
+    sizes = (n, m, nc, nl, ns, way, len(asm.outputs), padded, seen_outside.shape[1], int(differ.any()))
     O = asm.outputs
     return Discrete(
         blocks=(Ad, U0, U1, _pad(hold[:, m : m + nc]), G0, G1),
@@ -389,12 +382,7 @@ class Plant:
         moving = first.network.moving
         force = [c for c in first.network.inputs if c.quantity == "force"]
         for column in used:
-            for part, channels in (
-                ("r", moving),
-                ("v", moving),
-                ("alpha", moving),
-                ("F", force),
-            ):
+            for part, channels in (("r", moving), ("v", moving), ("alpha", moving), ("F", force)):
                 span = first.columns(part)
                 if span.start <= column < span.stop:
                     parts.append((part, channels[column - span.start].name))

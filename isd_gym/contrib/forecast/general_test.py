@@ -13,7 +13,7 @@ from isd_gym.common.errors import plain as one_line
 from isd_gym.common.inputs import read_json
 from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
 from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.planning.design import MOST, Design, Rival
+from isd_gym.diagnosis.planning.design import MAX_RIVALS, Design, Rival
 from isd_gym.diagnosis.planning.excitation import (
     Excitation,
     Rig,
@@ -57,11 +57,11 @@ def read_rivals(network: Network, result: str | Path | Mapping[str, Any]) -> lis
         raise InputError(f"{name}: is no result of a diagnosis (isd-diagnosis/1)")
     rows = data.get("alternatives") or []
     try:
-        if any(not row.get("values") for row in rows[:MOST]):
+        if any(not row.get("values") for row in rows[:MAX_RIVALS]):
             raise InputError(f"{name}: its alternatives have no values; run the diagnosis again")
         stated = {path: float(q["value"]) for path, q in (data.get("parameters") or {}).items()}
         fitted = {path: value for path, value in stated.items() if math.isfinite(value)}
-        out = [_read_rival(network, row, fitted) for row in rows[:MOST]]
+        out = [_read_rival(network, row, fitted) for row in rows[:MAX_RIVALS]]
     except InputError:
         raise
     except (AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from isd_gym.physics.elements import Motion
 
 REQUIRED_DEVIANCE = 50.0  # deviance by which a rival must be worse
-MOST = 16000  # simulated samples; a part of a longer test represents the whole test
+MAX_SAMPLES = 16000  # simulated samples; a part of a longer test represents the whole test
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,11 +251,11 @@ def _simulate(problem: Problem, network: Network) -> list[Array]:
 
 
 def _shorten(records: Sequence[Record], notes: list[str]) -> tuple[list[Record], float]:
-    """Return at most about `MOST` samples of the records, and the ratio of whole to simulated length."""
+    """Return at most about `MAX_SAMPLES` samples of the records, and the ratio of whole to simulated length."""
     total = sum(r.samples for r in records)
-    if total <= MOST:
+    if total <= MAX_SAMPLES:
         return list(records), 1.0
-    share = MOST / total
+    share = MAX_SAMPLES / total
     cut = [r.part(0, max(int(share * len(r)), 400), r.name) if len(r) > 400 else r for r in records]
     factor = total / sum(r.samples for r in cut)
     notes.append(f"the first {1 / factor:.0%} of each record was simulated and represents the whole record")

@@ -31,7 +31,7 @@ FINALISTS = 5  # tests for which rivals are refitted in full
 #: receives the stage and the finished share
 Progress = Callable[[str, float], None]
 
-MOST = 3  # rivals that are compared
+MAX_RIVALS = 3  # rivals that are compared
 SAMPLES = 12000  # of a test in the linearised comparison of rivals
 
 
@@ -207,7 +207,7 @@ def design_test(
         The test, or None for fewer than two rivals or if no test can be simulated.
     """
     progress = progress or (lambda name, share: None)
-    rivals = list(rivals)[:MOST]
+    rivals = list(rivals)[:MAX_RIVALS]
     if len(rivals) < 2:
         return None
     every = list(list_excitations(network, rig) if tests is None else tests)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 POINTS = 240  # of the motion at which forces are compared: a resolution
 NEAR = 0.5  # largest error of a match, as a share of the force
-MOST = 3  # matches per effect
+MAX_MATCHES = 3  # matches per effect
 STARTS = 6  # of a law at most
 
 
@@ -213,7 +213,7 @@ def _match_laws(
         absorbing: Laws beside the elements, whose coefficients may take up a part of the difference.
 
     Returns:
-        At most `MOST` laws with an error below `NEAR`, and the parameter values, best first.
+        At most `MAX_MATCHES` laws with an error below `NEAR`, and the parameter values, best first.
     """
     travel = motion.v if found[0].plane == "rate" else motion.d
     axis = np.sort(travel[:: max(1, len(travel) // POINTS)])
@@ -233,4 +233,4 @@ def _match_laws(
         match = match_law(h.kind, (s.values for s in starts), residual)
         if match is not None and match.error < NEAR:
             near.append((match.error, (h, match.values)))
-    return [effect for _, effect in sorted(near, key=lambda t: t[0])[:MOST]]
+    return [effect for _, effect in sorted(near, key=lambda t: t[0])[:MAX_MATCHES]]

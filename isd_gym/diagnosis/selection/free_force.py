@@ -45,7 +45,7 @@ LENGTHS = {"rate": (0.7, 0.35), "elongation": (0.7, 0.35), "both": (0.7,)}
 #: smallest variance of a direction, as a share of the variance of the strongest direction
 KEPT = 1e-4
 #: largest number of directions
-MOST = {"rate": 12, "elongation": 12, "both": 24}
+MAX_DIRECTIONS = {"rate": 12, "elongation": 12, "both": 24}
 #: tables that are fitted with all samples
 FINALS = 3
 #: prior standard deviation of the force, as a multiple of the typical force
@@ -129,7 +129,7 @@ def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: flo
     network, base = fit.network, fit.structure
     motion = {"elongation": m.d, "rate": m.v}
     axes = {k: _axis(x, KNOTS[over]) for k, x in motion.items() if over in (k, "both")}
-    basis = _directions([*axes.values()], length, sigma, MOST[over])
+    basis = _directions([*axes.values()], length, sigma, MAX_DIRECTIONS[over])
     name = network.free_name("missing_force")
     shape = tuple(map(len, axes.values()))
     given: dict[str, Any] = {k: tuple(x.tolist()) for k, x in axes.items()}

@@ -124,7 +124,7 @@ class Record:
     def part(self, first: int, stop: int, name: str, lead: int = 0) -> Record:
         """Return compared samples first to stop - 1 as a record; at most `lead` samples before the first lead in."""
         back = 0 if self.reading else min(max(lead, self.lead), self.lead + first)
-        back -= back % WHOLE  # a record can be thinned by each factor up to `MOST`
+        back -= back % WHOLE  # a record can be thinned by each factor up to `MAX_THINNING`
         begin = self.lead + first - back
         cut = slice(begin * self.thin, (self.lead + stop - 1 + 2 * self.margin) * self.thin + 1)
         return replace(
@@ -205,8 +205,8 @@ BROKEN = (InputError, np.linalg.LinAlgError)
 #: largest number of physics steps per sample
 FINEST = 60
 #: largest factor by which a record is thinned, and smallest number of samples of a thinned record
-MOST, LEAST = 4, 500
-WHOLE = math.lcm(*range(1, MOST + 1))
+MAX_THINNING, MIN_SAMPLES = 4, 500
+WHOLE = math.lcm(*range(1, MAX_THINNING + 1))
 #: largest number of samples of all lanes in one call
 LARGEST = 2_000_000
 
@@ -318,7 +318,7 @@ class Problem:
 
     def _spare(self, record: Record) -> int:
         """Return the factor by which a record may be thinned."""
-        most = int(min(COARSE * self.scale(record) / record.step, record.samples / LEAST, MOST))
+        most = int(min(COARSE * self.scale(record) / record.step, record.samples / MIN_SAMPLES, MAX_THINNING))
         if record.reading is not None:
             return 1
         if record.taps is None:

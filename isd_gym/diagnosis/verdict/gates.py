@@ -54,7 +54,7 @@ COMPARE: dict[Relation, Callable[[float, float], bool]] = {
     ">=": operator.ge,
 }
 #: largest magnitude of a gate's value: an infinite one is stated as this
-MOST = 1e6
+MAX_GATE_VALUE = 1e6
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,8 @@ class Gate:
 
 
 def gate(name: str, value: float, relation: Relation, limit: float, text: str) -> Gate:
-    """Return a gate that passes if ``value relation limit`` is true. Infinite values become `MOST`."""
-    value = min(max(float(value), -MOST), MOST)
+    """Return a gate that passes if ``value relation limit`` is true. Infinite values become `MAX_GATE_VALUE`."""
+    value = min(max(float(value), -MAX_GATE_VALUE), MAX_GATE_VALUE)
     return Gate(name, COMPARE[relation](value, limit), value, float(limit), text, relation)
 
 
@@ -131,7 +131,7 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             + (f": {'; '.join(e.indistinguishable)}" if e.indistinguishable else "")
             + (
                 f"; the nearest leaves {e.rival_loss:.3g} times the excess error"
-                if e.rival_loss < MOST
+                if e.rival_loss < MAX_GATE_VALUE
                 else ""
             ),
         ),

@@ -26,6 +26,15 @@ class _Sensor(Element):
     plane = "time"
 
 
+class _ZeroSensor(_Sensor):
+    """An effect at the zero of a sensor, absent from channels whose offset is a fitted parameter."""
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        free = any(c.name == where[0] and c.offset for c in network.outputs)
+        return not free and super().stands(network, where)
+
+
 @register
 class SensorGain(_Sensor):
     type = "sensor_gain"
@@ -56,7 +65,7 @@ class SensorGain(_Sensor):
 
 
 @register
-class SensorBias(_Sensor):
+class SensorBias(_ZeroSensor):
     type = "sensor_bias"
     mechanism = "sensor"
     equation = "y = y_true + bias"
@@ -67,11 +76,6 @@ class SensorBias(_Sensor):
 
     def apply(self, signal: Array, step: float) -> Array:
         return signal + self.bias
-
-    @classmethod
-    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        free = any(c.name == where[0] and c.offset for c in network.outputs)  # already a fitted parameter
-        return not free and super().stands(network, where)
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
@@ -103,7 +107,7 @@ class SensorDelay(_Sensor):
 
 
 @register
-class SensorMagnitude(_Sensor):
+class SensorMagnitude(_ZeroSensor):
     type = "sensor_magnitude"
     mechanism = "sensor"
     equation = "y = |y_true|"
@@ -118,13 +122,6 @@ class SensorMagnitude(_Sensor):
         return 1.0
 
     @classmethod
-    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        free = any(
-            c.name == where[0] and c.offset for c in network.outputs
-        )  # a magnitude has a zero of its own
-        return not free and super().stands(network, where)
-
-    @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         low, high = np.quantile(at.samples, [0.001, 0.999]) if at.samples is not None else (-1.0, 1.0)
         # below zero only noise
@@ -132,7 +129,7 @@ class SensorMagnitude(_Sensor):
 
 
 @register
-class SensorDeadZone(_Sensor):
+class SensorDeadZone(_ZeroSensor):
     type = "sensor_dead_zone"
     mechanism = "sensor"
     equation = "y = sgn(y_true) max(|y_true| - w, 0)"
@@ -147,11 +144,6 @@ class SensorDeadZone(_Sensor):
 
     def fault(self, time: float) -> float:
         return 1.0
-
-    @classmethod
-    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        free = any(c.name == where[0] and c.offset for c in network.outputs)
-        return not free and super().stands(network, where)
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:

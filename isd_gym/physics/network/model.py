@@ -237,23 +237,45 @@ class Network:
         ):
             if count > most:
                 raise InputError(f"the model has {count} {what}, at most {most} are handled")
-        for node in self.nodes:
-            check_name(node, "node")
-        for e in self.elements:
-            check_name(e.name, "element")
-        for c in self.inputs + self.outputs:
-            check_name(c.name, "channel")
+        channels = [c.name for c in self.inputs + self.outputs]
+        for kind, names in (
+            ("node", self.nodes),
+            ("element", [e.name for e in self.elements]),
+            ("channel", channels),
+        ):
+            for name in names:
+                check_name(name, kind)
         self._check_masses()
         self._check_bodies()
         for node in self.turning:
             if node not in self.masses:
                 raise InputError(f"inertias: '{node}' has none")
         _unique([*(e.name for e in self.elements), *(v.name for v in self.levers)], "element")
-        _unique([c.name for c in self.inputs + self.outputs], "channel")
-        if "time" in {c.name for c in self.inputs + self.outputs}:
+        _unique(channels, "channel")
+        if "time" in channels:
             raise InputError("a channel cannot be called 'time'")
         by_name = {e.name: e for e in self.elements}
         motors = {e.name for e in self.elements if isinstance(e, el.Motor)}
+        self._check_places(motors)
+        self._check_nodes(by_name)
+        for c in self.inputs:
+            self._check_input(c, motors)
+        self._check_conditions()
+        for c in self.outputs:
+            self._check_output(c, by_name)
+        _unique(list(self.moved_nodes), "moved node")
+        self._check_uncertainty()
+        self._check_connected()
+        if self.rotating:
+            self._check_turning()
+        self._check_loads(by_name)
+        if self.bodies or self.levers:
+            from .coordinates import coordinates
+
+            coordinates(self)
+
+    def _check_places(self, motors: set[str]) -> None:
+        """Check that each element is between two nodes, at a motor or at an output."""
         outputs = {c.name for c in self.outputs}
         for e in self.elements:
             if e.place == "between" and len(set(e.where)) != 2:
@@ -262,6 +284,9 @@ class Network:
                 raise InputError(f"element '{e.name}': no motor '{e.where[0]}'")
             if e.place == "channel" and e.where[0] not in outputs:
                 raise InputError(f"element '{e.name}': no output '{e.where[0]}'")
+
+    def _check_nodes(self, by_name: Mapping[str, el.Element]) -> None:
+        """Check that the nodes and elements of the channels exist."""
         nodes = set(self.nodes)
         for kind, channels in (("input", self.inputs), ("output", self.outputs)):
             for c in channels:
@@ -275,12 +300,9 @@ class Network:
                 for name in c.elements:
                     if name not in by_name:
                         raise InputError(f"{kind} '{c.name}': no element '{name}'")
-        for c in self.inputs:
-            self._check_input(c, motors)
-        self._check_conditions()
-        for c in self.outputs:
-            self._check_output(c, by_name)
-        _unique(list(self.moved_nodes), "moved node")
+
+    def _check_uncertainty(self) -> None:
+        """Check that the uncertainty is a relative standard deviation of a parameter."""
         known = self.parameters
         for key, sigma in self.uncertainty.items():
             if key not in known:
@@ -289,13 +311,6 @@ class Network:
                 raise InputError(
                     f"uncertainty: '{key}' must be a relative sigma of 0 to 100, not {shown(sigma)}"
                 )
-        self._check_connected()
-        self._check_turning()
-        self._check_loads(by_name)
-        if self.bodies or self.levers:
-            from .coordinates import coordinates
-
-            coordinates(self)
 
     def _check_bodies(self) -> None:
         """Check that the nodes of a body belong to the body alone, and that no lever has the ground as a node."""
@@ -441,8 +456,6 @@ class Network:
 
     def _check_turning(self) -> None:
         """Check that each element connects either rotational or translational nodes."""
-        if not self.rotating:
-            return
         for body in self.bodies:
             for node in (body.name, *(p.name for p in body.points)):
                 if node in self.rotating:

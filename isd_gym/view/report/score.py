@@ -14,8 +14,6 @@ from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, pictur
 from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from ...benchmark.scoring import Score
 
 SCORE_KIND = "score report"
@@ -420,13 +418,7 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
                 out.append(
                     (
                         tyre,
-                        point.load()(
-                            tyre,
-                            travel,
-                            network=score.plant,
-                            speed=score.speed,
-                            road=score.ground,
-                        ),
+                        point.load()(tyre, travel, network=score.plant, speed=score.speed, road=score.ground),
                     )
                 )
             except InputError:  # a road or a car without such a bound
@@ -444,114 +436,104 @@ def trade_off(shown: Shown) -> Chart:
     Returns:
         The chart.
     """
-    from ...benchmark.scoring import PAPER
-
-    items: list[Item] = [Rule("x", 0.0), Rule("y", 0.0)]
-    xs, ys = [0.0], [0.0]
-
-    def mark(
-        name: str,
-        x: float,
-        y: float,
-        look: Look,
-        tyre: float | None,
-        spans: Sequence[Any] = (None, None),
-        more: str = "",
-        hollow: bool = False,
-        size: float = 7.0,
-    ) -> None:
-        text = f"{name}, tyre {percent(tyre)}" if tyre is not None else name
-        note = f"{name}: travel {percent(x / 100)}, acceleration {percent(y / 100)}" + (
-            f", tyre load {percent(tyre)}" if tyre is not None else ""
-        )
-        items.append(
-            Marks(
-                name,
-                [x],
-                [y],
-                look,
-                spans[0],
-                spans[1],
-                [text],
-                [note + more],
-                open=hollow,
-                size=size,
-                quiet=True,
-            )
-        )
-        xs.append(x)
-        ys.append(y)
-
-    for name in shown.names:
-        look, row = shown.looks[name], shown.rows.get(name)
-        if row is None or name == shown.reference:
-            mark(name, 0.0, 0.0, look, None)
-            continue
-        a, l, t = (row[k] for k in list(COLUMNS)[1:])
-        if "change" not in a or "change" not in l:
-            continue
-        spans: Sequence[Any] = (None, None)
-        if shown.interval(a) and shown.interval(l):
-            spans = [([100 * q["low"]], [100 * q["high"]]) for q in (l, a)]
-        more = (
-            f"; cost J {percent(row['cost']['change'])} {shown.interval(row['cost'])}"
-            if "change" in row["cost"]
-            else ""
-        )
-        mark(name, 100 * l["change"], 100 * a["change"], look, t.get("change"), spans, more)
-    paper = not shown.score.comparable.tables
-    for (name, (before, after)), marker in zip(PAPER.items(), ("*", "p"), strict=True):
-        if paper:
-            a, l, t = (q / p - 1 for p, q in zip(before, after, strict=True))
-            mark(
-                f"paper's {name.split(' (')[0]}",
-                100 * l,
-                100 * a,
-                Look(MUTED, "-", marker),
-                t,
-                hollow=True,
-                size=9.0,
-            )
-    known = shown.score.references.get("clairvoyant_point")
-    if known:
-        a, l, t = (known[f"{k}_change"] for k in ("body_acceleration", "suspension_travel", "tyre_load"))
-        mark("clairvoyant", 100 * l, 100 * a, Look(INK, "-", "o"), t, hollow=True, size=8.0)
+    marks = [*_policy_marks(shown), *_published_marks(shown)]
+    xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
+    curves = fronts(shown.score)
+    lines = []
+    for (tyre, curve), dashes in zip(curves, ("-", (0, (5, 2))), strict=False):
+        label = f"causal bound at tyre load {percent(tyre, 0)}"
+        lines.append(Line(label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, dashes, "", 1.1)))
     left, right = min(-22.0, min(xs) - 6), max(6.0, max(xs) + 6)
     bottom, top = min(-26.0, min(ys) - 4), max(5.0, max(ys) + 5)
-    curves = fronts(shown.score)
-    for (tyre, curve), line in zip(curves, ("-", (0, (5, 2))), strict=False):
-        label = f"causal bound at tyre load {percent(tyre, 0)}"
-        items.append(Line(label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, line, "", 1.1)))
-    bound = (
-        " Lines: the causal LQ bound, the optimum of an unlimited force between body and wheel without friction, at the stated tyre "
-        "load. In the mean over roads, no controller that does not see the road ahead is below the line of its tyre load."
-        if curves
-        else ""
+    panel = Panel(
+        Axis(f"change of suspension travel against {shown.reference}", "%", low=left, high=right),
+        Axis("change of body acceleration", "%", low=bottom, high=top),
+        (Rule("x", 0.0), Rule("y", 0.0), *marks, *lines),
     )
-    if known:
-        bound += " The clairvoyant optimum knows these roads in advance, which no controller does. It is the best solution of a search."
-    crosses = (
-        f"Crosses are 95 % paired intervals over {shown.score.episodes} episodes; the"
-        if shown.score.episodes > 1
-        else "One episode has no interval. The"
-    )
-    two = " Two points are the results of the paper." if paper else ""
     return Chart(
         "trade_off",
         "The trade-off",
         "Change of acceleration over change of travel, by policy",
-        f"Better policies are lower and further left. {crosses} label of each point has the change of RMS tyre load.{two}{bound}",
-        {
-            "all": [
-                Panel(
-                    Axis(f"change of suspension travel against {shown.reference}", "%", low=left, high=right),
-                    Axis("change of body acceleration", "%", low=bottom, high=top),
-                    tuple(items),
-                )
-            ]
-        },
+        _trade_off_caption(shown.score, has_bound=bool(curves)),
+        {"all": [panel]},
         size=(7.2, 4.6),
     )
+
+
+def _mark(
+    name: str,
+    travel: float,
+    acceleration: float,
+    tyre: float | None,
+    look: Look,
+    more: str = "",
+    **style: Any,
+) -> Marks:
+    """Return the point of a policy, from its changes as fractions."""
+    x, y = 100 * travel, 100 * acceleration
+    text, note = name, f"{name}: travel {percent(x / 100)}, acceleration {percent(y / 100)}"
+    if tyre is not None:
+        text, note = f"{name}, tyre {percent(tyre)}", f"{note}, tyre load {percent(tyre)}"
+    return Marks(name, [x], [y], look, texts=[text], notes=[note + more], quiet=True, **style)
+
+
+def _policy_marks(shown: Shown) -> list[Marks]:
+    """Return the points of the policies of a score, with intervals."""
+    marks = []
+    for name in shown.names:
+        look, row = shown.looks[name], shown.rows.get(name)
+        if row is None or name == shown.reference:
+            marks.append(_mark(name, 0.0, 0.0, None, look))
+            continue
+        a, l, t = (row[k] for k in list(COLUMNS)[1:])
+        if "change" not in a or "change" not in l:
+            continue
+        spans = {}
+        if shown.interval(a) and shown.interval(l):
+            spans = {f"{k}_interval": ([100 * q["low"]], [100 * q["high"]]) for k, q in (("x", l), ("y", a))}
+        more = ""
+        if "change" in row["cost"]:
+            more = f"; cost J {percent(row['cost']['change'])} {shown.interval(row['cost'])}"
+        marks.append(_mark(name, l["change"], a["change"], t.get("change"), look, more, **spans))
+    return marks
+
+
+def _published_marks(shown: Shown) -> list[Marks]:
+    """Return the points of the paper's tables and of the clairvoyant optimum, where they apply to the score."""
+    from ...benchmark.scoring import PAPER
+
+    marks = []
+    if not shown.score.comparable.tables:
+        for (name, (before, after)), marker in zip(PAPER.items(), ("*", "p"), strict=True):
+            a, l, t = (q / p - 1 for p, q in zip(before, after, strict=True))
+            label, look = f"paper's {name.split(' (')[0]}", Look(MUTED, "-", marker)
+            marks.append(_mark(label, l, a, t, look, open=True, size=9.0))
+    if known := shown.score.references.get("clairvoyant_point"):
+        a, l, t = (known[f"{k}_change"] for k in ("body_acceleration", "suspension_travel", "tyre_load"))
+        marks.append(_mark("clairvoyant", l, a, t, Look(INK, "-", "o"), open=True, size=8.0))
+    return marks
+
+
+def _trade_off_caption(score: Score, *, has_bound: bool) -> str:
+    """Return the caption of `trade_off`."""
+    parts = ["Better policies are lower and further left."]
+    if score.episodes > 1:
+        parts.append(f"Crosses are 95 % paired intervals over {score.episodes} episodes; the")
+    else:
+        parts.append("One episode has no interval. The")
+    parts.append("label of each point has the change of RMS tyre load.")
+    if not score.comparable.tables:
+        parts.append("Two points are the results of the paper.")
+    if has_bound:
+        parts.append(
+            "Lines: the causal LQ bound, the optimum of an unlimited force between body and wheel without friction, at the stated tyre "
+            "load. In the mean over roads, no controller that does not see the road ahead is below the line of its tyre load."
+        )
+    if score.references.get("clairvoyant_point"):
+        parts.append(
+            "The clairvoyant optimum knows these roads in advance, which no controller does. It is the best solution of a search."
+        )
+    return " ".join(parts)
 
 
 def distribution(shown: Shown) -> Chart | None:
