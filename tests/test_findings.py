@@ -1,5 +1,8 @@
 """Probabilities of place, kind and law, from weighted candidates made by hand."""
 
+import json
+from collections import Counter
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -9,6 +12,7 @@ from isd_gym.diagnosis.result_builder import ResultBuilder
 from isd_gym.diagnosis.selection.criteria import CRITERIA
 from isd_gym.diagnosis.selection.weights import FREE_FORCE, Statement, WeightedCandidate
 from isd_gym.diagnosis.verdict.findings import find
+from isd_gym.diagnosis.verdict.grades import OBSERVED, grade, observed
 from isd_gym.diagnosis.verdict.wording import summary_of
 
 FRONT, REAR = ("body_front", "wheel_front"), ("body_rear", "wheel_rear")
@@ -140,3 +144,37 @@ def test_a_candidate_without_a_rival_is_not_listed_as_one_that_cannot_be_told_ap
     made = ResultBuilder._contenders(SimpleNamespace(scores=scores), [], is_tied)
     assert [c.effects[0] for c in made] == listed
     assert (made[0].why_not == "cannot be told apart on these data") == is_tied
+
+
+@pytest.mark.parametrize(
+    ("probability", "told"),
+    [(0.97, "certain"), (0.8, "certain"), (0.79, "probable"), (0.5, "probable"), (0.49, "possible"), (0.0, "possible")],
+)  # fmt: skip
+def test_a_probability_has_a_grade(probability, told):
+    assert grade(probability) == told
+    assert found((1.0, [friction(FRONT)]), own=[friction(FRONT)])[0].to_dict()["grade"] == {
+        "place": "certain",
+        "kind": "certain",
+    }
+
+
+def test_the_frequencies_of_grades_are_those_of_the_first_looks():
+    folder = Path(__file__).resolve().parents[1] / "benchmarks"
+    stated, true = Counter(), Counter()
+    suites = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    for suite in ("families 463", "families 472", "home 463", "home 472"):
+        for level, bins in suites[suite]["reliability"].items():
+            for b in bins:
+                stated["simulated", level, grade(b["low"])] += b["names"]
+                true["simulated", level, grade(b["low"])] += round(b["names"] * b["right"])
+    for look in json.loads((folder / "first-looks.json").read_text(encoding="utf-8")):
+        for rig in look["rigs"]:
+            for level, statements in rig["stated"].items():
+                for probability, is_true in statements:
+                    stated["measured", level, grade(probability)] += 1
+                    true["measured", level, grade(probability)] += is_true
+    counted = {k: (stated[k], true[k]) for k in stated if stated[k]}
+    kept = {(r, x, g): n for r, by in OBSERVED.items() for x, of in by.items() for g, n in of.items() if n[0]}
+    assert kept == counted
+    assert observed("place", "certain") == "true: 248 of 264 on simulated rigs, 7 of 7 on measured rigs"
+    assert observed("law", "possible") == "true: 25 of 145 on simulated rigs"

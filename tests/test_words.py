@@ -12,7 +12,9 @@ from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis.verdict.gates import Reason, decide, gate, gates_of, table_gates
 from isd_gym.diagnosis.verdict.wording import (
     ADVICE,
+    KINDS,
     NOT_BORNE_OUT,
+    TESTS,
     described,
     failures,
     plain_number,
@@ -342,3 +344,19 @@ def test_a_figure_that_is_not_finite_does_not_lose_the_result() -> None:
     assert failures([gate("g", float("nan"), ">", 1.0, "").to_dict() | {"value": None}]) == (
         "g is unknown (needed above 1)"
     )
+
+
+@pytest.mark.parametrize(("probability", "is_told"), [(0.95, True), (0.33, True), (0.1, False)])
+def test_an_unnamed_effect_has_a_test_on_the_rig_for_its_likeliest_kind(
+    probability: float, is_told: bool
+) -> None:
+    told = document(VAGUE, findings=dry(probability))
+    steps = statements_of(told).next_steps
+    assert any("two or three constant speeds" in step for step in steps) is is_told
+    assert not any(
+        "constant speeds" in step for step in statements_of(document(findings=dry(0.95))).next_steps
+    )
+
+
+def test_every_kind_has_a_test_on_the_rig() -> None:
+    assert set(TESTS) == set(KINDS) - {"other"}

@@ -10,6 +10,7 @@ from ..result import Quantity
 from ..selection.candidate import parameter_values
 from ..selection.weights import FREE_FORCE, Statement, probability
 from .gates import NAMELESS
+from .grades import grade
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -32,6 +33,7 @@ class LawProbability:
         return {
             "effect": self.effect,
             "probability": self.probability,
+            "grade": grade(self.probability),
             "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
         }
 
@@ -58,6 +60,7 @@ class Finding:
             "place_probability": self.place_probability,
             "kind": self.kind,
             "kind_probability": self.kind_probability,
+            "grade": {"place": grade(self.place_probability), "kind": grade(self.kind_probability)},
             "laws": [law.to_dict() for law in self.laws],
             "named": self.named,
         }

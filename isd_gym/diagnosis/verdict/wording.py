@@ -39,6 +39,24 @@ POSSIBLE = 0.2
 MOST_GROUPS, MOST_NAMES = 4, 5
 #: ratio of the amplitudes of two groups of records from which on the groups differ in amplitude
 UNLIKE = 1.3
+#: test on the rig that shows whether an effect of a kind is there
+TESTS = {
+    "dry_friction": "move {parts} against each other slowly, at two or three constant speeds in both directions, and log the force: dry "
+    "friction is as large at each speed and turns its sign with the motion",
+    "viscous": "move {parts} against each other at several constant speeds in both directions and log the force: a viscous force follows "
+    "the speed, not the travel",
+    "elastic": "move {parts} against each other slowly through the whole travel, out and back, and log the force: an elastic force is the "
+    "same both ways",
+    "play": "turn a slow motion of {parts} round at several positions and log the force: with play the travel changes and the force does not",
+    "inertial": "shake {parts} with one amplitude at several frequencies and log the force: an inertia force grows with the square of the "
+    "frequency",
+    "position_periodic": "move {parts} against each other slowly and steadily through several periods and log the force: its pattern "
+    "repeats with the position",
+    "series_compliance": "load {parts} in steps and measure the deflection of each link between them: the compliance gives way under the load",
+    "drive": "hold the mechanism, command steps and slow ramps of several sizes, and log the force: it must follow the command as the model says",
+    "sensor": "compare the sensor with a reference at rest and in slow motion: zero, scale, sign and clock",
+    "constant": "bring {parts} to rest from both sides and log the force: a constant force is the mean of both",
+}
 #: kinds of effects in words
 KINDS = {
     "dry_friction": "Dry friction",
@@ -127,9 +145,8 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         _closed_loop(document),
     ]
     finding = [_not_tried(document), *finding]
-    return Statements(
-        _title(document), _kept(finding), _kept(remarks), _kept([*_urgent(document), _next(document)])
-    )
+    steps = [*_urgent(document), _next(document), _test_of_kind(document)]
+    return Statements(_title(document), _kept(finding), _kept(remarks), _kept(steps))
 
 
 def _not_tried(d: Mapping[str, Any]) -> str:
@@ -430,6 +447,18 @@ def _next(d: Mapping[str, Any]) -> str:
     failed = {g["gate"] for g in best["failed_gates"] if not g["passed"]} if best and is_gain(best) else set()
     advice = next((text for name, text in ADVICE.items() if name in failed), None)
     return f"{advice or 'log further motions or inputs: the missing force may depend on a quantity that is not measured'}."
+
+
+def _test_of_kind(d: Mapping[str, Any]) -> str:
+    """Return a test on the rig for the likeliest kind; empty where an effect is named, none is missing, or no kind is likelier than others."""
+    if d["verdict"] not in ("ambiguous", "unknown_effect") or d["reason"] == "records_differ":
+        return ""
+    found = [f for f in d["findings"] if f["kind"] in TESTS and f["place"]]
+    first = max(found, key=lambda f: f["kind_probability"], default=None)
+    if first is None or first["kind_probability"] < POSSIBLE:
+        return ""
+    words = TESTS[first["kind"]].format(parts=" and ".join(first["place"]))
+    return f"test for {_lower(KINDS[first['kind']])} {_spot(first['place'])}: {words}."
 
 
 def _is_table_refuted(d: Mapping[str, Any]) -> bool:

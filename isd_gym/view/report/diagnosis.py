@@ -18,6 +18,7 @@ from ...common.files import check_folder, whole_folder, write_text
 from ...common.units import practical
 from ...diagnosis.estimation.structure import offsets_of
 from ...diagnosis.result import FOLDER, Effect
+from ...diagnosis.verdict.grades import grade, observed
 from ...diagnosis.verdict.wording import is_gain, statements_of, unit_statements_of
 from ...physics import elements as el
 from ...physics.network import Network
@@ -220,8 +221,8 @@ class View:
             self.errors |= {"candidate": d.best_candidate.error["after"], "noise_floor": noise}
         self.stages = list(self.errors)
         self.clouds = clouds(d, self.trace) if self.trace is not None else []
-        self.notes = list(dict.fromkeys(d.notes))
-        self.spoken = el.spoken
+        self.remarks += list(dict.fromkeys(d.notes))
+        self.spoken, self.observed = el.spoken, observed
         self.loops = loops_of(d, self.trace, self.clouds) if self.trace is not None else []
         self.laws = list(d.laws)
 
@@ -290,6 +291,39 @@ class View:
         for c in self.d.gap.get("refit", {}):
             text = re.sub(rf"(?<!\w){re.escape(c)}(?!\w)", channel_text(c).replace("\\", r"\\"), text)
         return re.sub(r"(?<=\d) %", "\u00a0%", text)
+
+    @property
+    def known(self) -> list[list[tuple[str, str, str]]]:
+        """What is known of each named effect, or of the likeliest unnamed one: place, kind and law, each as text, grade and frequency."""
+        named = [f for f in self.d.findings if f.named]
+        rows = []
+        for f in named or self.d.findings[:1]:
+            stated = [
+                ("place", self.place_text(f.place), f.place_probability),
+                ("kind", channel_text(f.kind), f.kind_probability),
+            ]
+            if f.kind == "other":
+                stated[1] = ("kind", "none of the library", f.kind_probability)
+            else:
+                stated += [("law", self.spoken(law.effect), law.probability) for law in f.laws[:1]]
+            graded = [(level, text, share, grade(share)) for level, text, share in stated]
+            rows.append(
+                [(text, f"{name}, {share:.2f}", observed(level, name)) for level, text, share, name in graded]
+            )
+        return rows
+
+    @property
+    def completion(self) -> str:
+        """What `model.json` has in addition to the refitted model; '' where it has nothing."""
+        d = self.d
+        if d.tabulated is not None:
+            return f"the {self.force_text.split()[0]} as a table"
+        effects = [e.effect for e in d.effects]
+        if not effects and d.best_candidate is not None and d.best_candidate.completes:
+            effects = list(d.best_candidate.effects)
+        if not effects and d.verdict == "ambiguous" and d.contenders:
+            effects = list(d.contenders[0].effects)
+        return " and ".join(self.spoken(e) for e in effects)
 
     @staticmethod
     def place_text(place: Sequence[str]) -> str:
