@@ -99,7 +99,8 @@ class ResultBuilder:
         if is_ambiguous:  # a law of the library stands for the force
             free = FreeForce()
         # where the records differ, no law stands for the difference
-        completes = is_free and decision.reason == "gates" and not is_ambiguous and self._is_supported(free)
+        is_unknown = decision.verdict == "unknown_effect" and decision.reason == "gates"
+        completes = is_unknown and self._is_supported(free)
         if completes:
             free = FreeForce(free.best)
         # the likeliest law of several that the records do not tell apart, or the best supported one

@@ -145,7 +145,6 @@ def _diagnose(
         loose, network, note = direct
         notes.append(note)
     feedback = find_feedback(loose, network)
-    notes += map(str, feedback)
     whole = _whole(loose, network, len(fit))
     with limit.until(SEARCH):
         misreading = find_misreading(whole)

@@ -146,6 +146,28 @@ def work_share(problem: Problem, fit: Fit, name: str) -> float:
     return work[name] / max(sum(work.values()), 1e-300)
 
 
+def lossy_share(problem: Problem, fit: Fit) -> float:
+    """Return the largest force of an element that dissipates over the largest force of all elements, as root mean squares over the records to fit by.
+
+    Args:
+        problem: Records and channels.
+        fit: Fitted structure with its initial states.
+
+    Returns:
+        Share from 0 to 1; 1 without an element that dissipates.
+
+    Raises:
+        InputError: The simulation breaks down.
+    """
+    elements = [e for e in fit.network.elements if e.place == "between"]
+    forces: dict[str, Array] = {}
+    for pair in {e.between for e in elements}:
+        forces |= element_forces(problem, fit, pair)
+    size = {e.name: rms(forces[e.name]) for e in elements if e.name in forces}
+    lossy = [size[e.name] for e in elements if e.name in size and e.mechanism in DISSIPATIVE]
+    return max(lossy) / max(*size.values(), 1e-300) if lossy else 1.0
+
+
 def dissipated_work(force: Array, motion: Motion) -> float:
     """Return the mean power of the equivalent viscous damper of a force: a spring in parallel takes the part that returns.
 

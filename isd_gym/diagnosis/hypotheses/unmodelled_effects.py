@@ -10,9 +10,10 @@ import numpy as np
 from ...common.errors import InputError
 from ...physics.elements import PROBE
 from ...physics.network import assemble
+from ..estimation.multiple_shooting import is_lightly_damped
 from ..estimation.structure import add
 from ..simulation.problem import bare
-from .forces import place_forces
+from .forces import DISSIPATIVE, lossy_share, place_forces
 from .library import hypotheses
 from .motion import motions, setting, simulate_variants
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
     """Compute what each force law of the library, too small to be named, does to the outputs.
 
+    In a lightly damped structure the forces that dissipate are small beside those that store energy. There a law that dissipates has a share
+    of the former, since the same share of the latter would be a multiple of the damping.
+
     Args:
         problem: records and channels; the records to fit by are simulated.
         fit: fitted structure with its initial states.
@@ -35,7 +39,8 @@ def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dic
         the simulation break down.
     """
     motion, forces = motions(problem, fit), place_forces(problem, fit)
-    networks = []
+    lossy = lossy_share(problem, fit) if is_lightly_damped(problem.network) else 1.0
+    networks, sizes = [], []
     for h in hypotheses(fit.network):
         simpler = set(h.kind.contains) & {e.type for e in fit.network.elements} or h.kind.replaces
         if h.place != "between" or h.kind.series or simpler:
@@ -50,11 +55,12 @@ def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dic
             except (InputError, np.linalg.LinAlgError):
                 continue
             networks.append(built)
+            sizes.append(lossy if h.kind.mechanism in DISSIPATIVE else 1.0)
     out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
     point = {i: y for _, i, y in simulate_variants(problem, fit, [fit.network])}
     for chunk, i, y in simulate_variants(problem, fit, networks):
         with np.errstate(over="ignore", invalid="ignore"):
-            change = (y - point[i]) * (share / PROBE)
+            change = (y - point[i]) * (share / PROBE) * np.array(sizes)[chunk]
             most = np.abs(change).max(axis=(0, 1))
         # a diverged variant is no evidence
         out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)

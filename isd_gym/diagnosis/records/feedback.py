@@ -50,12 +50,6 @@ class Feedback:
     share: float  # share of the unpredicted part of the input that past outputs explain, on samples not used for the fit
     significance: float  # probability of such a gain in open loop (sign test over blocks)
 
-    def __str__(self) -> str:
-        return (
-            f"closed loop: {self.input} follows from {' and '.join(self.outputs)} (past outputs explain {self.share:.0%} "
-            "of what its own past leaves unpredicted)"
-        )
-
 
 def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback, ...]:
     """Find inputs that follow from past outputs.

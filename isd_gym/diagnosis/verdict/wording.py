@@ -454,8 +454,10 @@ def _test_of_kind(d: Mapping[str, Any]) -> str:
     if d["verdict"] not in ("ambiguous", "unknown_effect") or d["reason"] == "records_differ":
         return ""
     found = [f for f in d["findings"] if f["kind"] in TESTS and f["place"]]
-    first = max(found, key=lambda f: f["kind_probability"], default=None)
+    first, second, *_ = *sorted(found, key=lambda f: -f["kind_probability"]), None, None
     if first is None or first["kind_probability"] < POSSIBLE:
+        return ""
+    if second is not None and second["kind_probability"] == first["kind_probability"]:  # effects of one candidate
         return ""
     words = TESTS[first["kind"]].format(parts=" and ".join(first["place"]))
     return f"test for {_lower(KINDS[first['kind']])} {_spot(first['place'])}: {words}."
