@@ -457,7 +457,9 @@ def _test_of_kind(d: Mapping[str, Any]) -> str:
     first, second, *_ = *sorted(found, key=lambda f: -f["kind_probability"]), None, None
     if first is None or first["kind_probability"] < POSSIBLE:
         return ""
-    if second is not None and second["kind_probability"] == first["kind_probability"]:  # effects of one candidate
+    if (
+        second is not None and second["kind_probability"] == first["kind_probability"]
+    ):  # effects of one candidate
         return ""
     words = TESTS[first["kind"]].format(parts=" and ".join(first["place"]))
     return f"test for {_lower(KINDS[first['kind']])} {_spot(first['place'])}: {words}."
