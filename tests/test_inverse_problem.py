@@ -97,7 +97,7 @@ def test_the_completed_model_has_the_drive_as_input() -> None:
     assert restored.masses == {"carriage": 4.4}
     assert [e.name for e in restored.elements] == ["bearing", "motor", "cogging_force"]
     assert (restored.inputs, restored.outputs) == (network.inputs, network.outputs)
-    gain = {"type": "sensor_gain", "channel": "motor", "gain": 1.1}
+    gain = {"type": "sensor_gain", "channel": "motor_force", "gain": 1.1}
     faulty = Network.load(
         inverse.network.to_dict()
         | {"elements": [*inverse.network.to_dict()["elements"], {"name": "fault", **gain}]}

@@ -360,3 +360,15 @@ def test_an_unnamed_effect_has_a_test_on_the_rig_for_its_likeliest_kind(
 
 def test_every_kind_has_a_test_on_the_rig() -> None:
     assert set(TESTS) == set(KINDS) - {"other"}
+
+
+def test_asymmetric_friction_is_told_as_friction_and_an_offset_too() -> None:
+    sides = {"extension": 3.0, "compression": 2.0}
+    law = FRICTION | {
+        "effect": "asymmetric_friction",
+        "parameters": {k: {"value": v, "low": v, "high": v, "unit": "N"} for k, v in sides.items()},
+    }
+    assert "Coulomb friction of 2.5 N and a constant force of 0.5 N are the same force" in summary_of(
+        document(effects=[law])
+    )
+    assert "the same force" not in summary_of(document())

@@ -153,7 +153,7 @@ class ResultBuilder:
             record_differences=differences,
             traces=self._traces(final),
             laws=laws,
-            notes=(*notes, *self._tried(), *self.lost),
+            notes=tuple(dict.fromkeys((*notes, *self._tried(), *self.lost))),
             units={c.name: c.unit for c in network.outputs},
             evidence=measured.evidence,
             criteria=criteria,

@@ -198,8 +198,8 @@ def _diagnose_inverse(
         if error <= flow.settings.drifted:
             return None
         note = (
-            f"{inverse.network.inputs[0].name} is taken as input and the force of {inverse.network.outputs[0].name} as output: no spring holds the "
-            f"motion, and the simulated one errs by {error:.0%}"
+            f"{inverse.network.inputs[0].name} is taken as input and {inverse.network.outputs[0].name} as output: no spring holds the motion, "
+            f"and the simulated one errs by {error:.0%}"
         )
         whole = _whole(inverse.records(records), inverse.network, len(flow.whole.estimation))
         own = [*notes, note]

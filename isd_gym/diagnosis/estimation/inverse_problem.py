@@ -90,9 +90,9 @@ def invert(network: Network) -> InverseProblem | None:
         left = [e for e in network.elements if motor.name not in (e.name, *e.where)]
         if len(left) < len(network.elements) - 1:  # an effect at the motor
             return None
-        name = motor.name
+        name = f"{motor.name}_force"
     elif drive.quantity == "force" and drive.at == node:
-        left, name = list(network.elements), drive.name
+        left, name = [*network.elements], drive.name
     else:
         return None
     force = Channel(name, "force", at=node, unit="N m" if node in network.turning else "N")

@@ -116,7 +116,7 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
     """
     verdict, remarks = document["verdict"], []
     if verdict == "missing_effect":
-        finding = [_missing(document), _remaining(document)]
+        finding = [_missing(document), *map(_same_force, document["effects"]), _remaining(document)]
     elif verdict == "ambiguous":
         finding = [_ambiguous(document)]
         remarks = [_likely(document)]
@@ -241,6 +241,19 @@ def described(effect: Mapping[str, Any]) -> str:
     """Return an effect of the JSON with its place and values."""
     figures = ", ".join(_parameter(k, q) for k, q in effect["parameters"].items() if q["value"] is not None)
     return f"{_placed(effect)} ({figures})"
+
+
+def _same_force(effect: Mapping[str, Any]) -> str:
+    """Return the two laws that together give the same force as an asymmetric friction; empty for another effect."""
+    if effect["effect"] != "asymmetric_friction":
+        return ""
+    forward, back = effect["parameters"]["extension"], effect["parameters"]["compression"]
+    level, offset = 0.5 * (forward["value"] + back["value"]), 0.5 * (forward["value"] - back["value"])
+    unit = forward["unit"]
+    return (
+        f"Coulomb friction of {plain_value(level, unit)} and a constant force of {plain_value(offset, unit)} are the same "
+        "force: an offset of a load or of a sensor looks like this."
+    )
 
 
 def _placed(effect: Mapping[str, Any]) -> str:
