@@ -276,6 +276,16 @@ def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
     assert said.endswith("Next: run the test in next_experiment.csv.")
     alone = summary_of(document(abreast, alternatives=rivals[:1]))
     assert "but 1 other law predicts as well" in alone
+    pairs = [
+        r | {"effects": ["backlash", *r["effects"]], "where": [["ground", "mass"], *r["where"]]}
+        for r in rivals
+    ]
+    told = statements_of(document(abreast, alternatives=pairs))
+    assert told.title == "Probably missing: backlash between ground and mass; a further effect is open"
+    assert (
+        "contains backlash between ground and mass. They differ in the further effect: Coulomb friction"
+        in told.text
+    )
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         _simulation_fit(document),
         _closed_loop(document),
     ]
-    finding = [_not_tried(document), *finding]
+    finding.append(_not_tried(document))
     steps = [*_urgent(document), _next(document), _test_of_kind(document)]
     return Statements(_title(document), _kept(finding), _kept(remarks), _kept(steps))
 
@@ -156,7 +156,7 @@ def _not_tried(d: Mapping[str, Any]) -> str:
     limit = plain_number(d["search"]["max_seconds"])
     return (
         f"The time limit of {limit} s ended the diagnosis early. Not tried: {', '.join(d['not_tried'])}. "
-        "What follows rests on the rest of the search."
+        "The result rests on the rest of the search."
     )
 
 
@@ -410,6 +410,11 @@ def _title(d: Mapping[str, Any]) -> str:
         return f"Missing: {_lower(KINDS[kinds[0]['kind']])}{place} open"
     if d["tabulated"] and not _is_table_refuted(d):
         return f"Missing: a force {_between(d['tabulated']['between'])}; its law is open"
+    if common := _in_all_rivals(d):
+        sure = any(f["kind_probability"] >= d["criteria"]["certain"] for f in kinds)
+        return (
+            f"{'Missing' if sure else 'Probably missing'}: {candidate_text(common)}; a further effect is open"
+        )
     if verdict == "ambiguous" and len(d["alternatives"]) > 1:
         return f"An effect is missing; these data leave {len(d['alternatives'])} candidates"
     if kinds:
@@ -464,7 +469,11 @@ def _next(d: Mapping[str, Any]) -> str:
 
 def _test_of_kind(d: Mapping[str, Any]) -> str:
     """Return a test on the rig for the likeliest kind; empty where an effect is named, none is missing, or no kind is likelier than others."""
-    if d["verdict"] not in ("ambiguous", "unknown_effect") or d["reason"] == "records_differ":
+    if (
+        d["verdict"] not in ("ambiguous", "unknown_effect")
+        or d["reason"] == "records_differ"
+        or d["next_experiment"]
+    ):
         return ""
     found = [f for f in d["findings"] if f["kind"] in TESTS and f["place"]]
     first, second, *_ = *sorted(found, key=lambda f: -f["kind_probability"]), None, None
@@ -621,6 +630,14 @@ def _law_values(law: Mapping[str, Any]) -> str:
 
 def _ambiguous(d: Mapping[str, Any]) -> str:
     rivals, best = d["alternatives"], d["best_candidate"]
+    if common := _in_all_rivals(d):
+        rest = " or ".join(
+            f"{candidate_text(_without(r, common)) or 'no further effect'} (leaves {_left(r)})" for r in rivals
+        )
+        return (
+            f"Each of {len(rivals)} candidates that these data do not tell apart contains {candidate_text(common)}. They differ in the "
+            f"further effect: {rest}."
+        )
     if d["reason"] != "kind_certain" and len(rivals) > 1:
         names = " or ".join(f"{candidate_text(r)} (leaves {_left(r)})" for r in rivals)
         return (
@@ -633,6 +650,28 @@ def _ambiguous(d: Mapping[str, Any]) -> str:
         f"{subject}: {candidate_text(best)} removes {_percent(best['explained'], 0)} of {EXCESS}, "
         f"but {failures(best['failed_gates'])}."
     )
+
+
+def _in_all_rivals(d: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the effects that each of several candidates contains at the same place; None where there are none."""
+    rivals = d["alternatives"]
+    if d["verdict"] != "ambiguous" or d["reason"] == "kind_certain" or len(rivals) < 2:
+        return None
+    named = [[(e, sorted(w)) for e, w in zip(r["effects"], r["where"], strict=True)] for r in rivals]
+    first = rivals[0]
+    shared = [k for k, effect in enumerate(named[0]) if all(effect in others for others in named[1:])]
+    if not shared:
+        return None
+    return {key: [first[key][k] for k in shared] for key in ("effects", "where")}
+
+
+def _without(rival: Mapping[str, Any], common: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the effects of a candidate that are not among common effects."""
+    known = [(e, sorted(w)) for e, w in zip(common["effects"], common["where"], strict=True)]
+    rest = [
+        (e, w) for e, w in zip(rival["effects"], rival["where"], strict=True) if (e, sorted(w)) not in known
+    ]
+    return {"effects": [e for e, _ in rest], "where": [w for _, w in rest]}
 
 
 def _left(rival: Mapping[str, Any]) -> str:
