@@ -10,7 +10,9 @@ from rigs import pushed_mass
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis.estimation.sensitivities import deviations
 from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis.selection.uncertainty import intervals
+from isd_gym.diagnosis.result import Quantity
+from isd_gym.diagnosis.selection.uncertainty import intervals, relative_uncertainty
+from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 
@@ -117,3 +119,20 @@ def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
     for path in ("mass.mass", "spring.stiffness"):
         deviation = 0.5 * np.log(found[path].high / found[path].low) / 1.96
         assert 0.7 * known < deviation <= 1.01 * spread[path]
+
+
+def test_a_law_is_determined_by_its_size_and_not_by_its_shape():
+    """The Stribeck velocity of a friction whose levels are known to 10 % may be open: Coulomb friction is the simpler law."""
+    stribeck = el.StribeckFriction(
+        "law", ("mass", "ground"), level=5.0, static_level=8.0, stribeck_velocity=0.1
+    )
+    known = {
+        "law.level": Quantity(5.0, 4.5, 5.5, "N", None),
+        "law.static_level": Quantity(8.0, 7.2, 8.8, "N", None),
+    }
+    known["law.stribeck_velocity"] = Quantity(0.1, 0.001, 9.0, "m/s", None)
+    assert relative_uncertainty(stribeck, known) == pytest.approx(-np.log(0.9))
+    # a law of one parameter has no other size
+    dead = el.DriveDeadZone("law", ("motor",), threshold=0.5)
+    open_zone = {"law.threshold": Quantity(0.5, 0.05, 5.0, "A", None)}
+    assert relative_uncertainty(dead, open_zone) == pytest.approx(-np.log(0.1))

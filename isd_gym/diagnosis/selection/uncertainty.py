@@ -202,7 +202,8 @@ def relative_uncertainty(
 ) -> float:
     """Return half of the widest 95 % interval of a law, as the logarithm of a factor; infinite where the interval holds zero.
 
-    Of several parameters with the same unit the largest counts: an asymmetric damper may be soft in one direction.
+    Of several parameters with the same unit the largest counts: an asymmetric damper may be soft in one direction. The parameter that shapes a
+    law (`shaped_by`) does not count beside others: without a certain shape the law is close to a simpler one, with which it is compared.
 
     Args:
         element: The law.
@@ -210,10 +211,11 @@ def relative_uncertainty(
         difference: Difference of two parameters that counts in their place (`differing_part`).
     """
     by_unit: dict[str, tuple[float, float]] = {}
-    for f in el.parameter_fields(type(element)):
-        q = quantities.get(f"{element.name}.{f.name}")
-        if q is None or f.metadata["stride"]:  # a phase has no size
-            continue
+    # a phase has no size
+    sized = [f for f in el.parameter_fields(type(element)) if not f.metadata["stride"]]
+    fitted = [f for f in sized if f"{element.name}.{f.name}" in quantities]
+    for f in [f for f in fitted if f.name != element.shaped_by] or fitted:
+        q = quantities[f"{element.name}.{f.name}"]
         neutral = f.default if isinstance(f.default, int | float) else 0.0
         size = abs(q.value - neutral)
         half = q.value - q.low if f.metadata["minimum"] >= 0 else 0.5 * abs(q.high - q.low)

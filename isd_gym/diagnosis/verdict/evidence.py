@@ -23,7 +23,7 @@ class EffectEvidence:
     label: str
     #: share of the force, current or signal at its place, or of the dissipated work where damping is slight
     share: float
-    #: half of the widest 95 % interval, as the logarithm of a factor; infinite where the interval holds zero
+    #: half of the widest 95 % interval of a value that is no shape, as the logarithm of a factor; infinite where the interval holds zero
     spread: float = 0.0
     #: how the values contradict the name; empty where they do not
     contradiction: str = ""

@@ -275,7 +275,7 @@ def _determined(e: Evidence, c: Criteria) -> Gate:
             -math.expm1(-worst),
             "<",
             -math.expm1(-c.determined),
-            "half of the widest 95 % interval over the value (1: the interval holds zero)",
+            "half of the widest 95 % interval over the value (1: the interval holds zero); without the parameter that shapes the law",
         ),
         gate(
             "determined",

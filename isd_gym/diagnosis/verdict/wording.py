@@ -632,7 +632,8 @@ def _ambiguous(d: Mapping[str, Any]) -> str:
     rivals, best = d["alternatives"], d["best_candidate"]
     if common := _in_all_rivals(d):
         rest = " or ".join(
-            f"{candidate_text(_without(r, common)) or 'no further effect'} (leaves {_left(r)})" for r in rivals
+            f"{candidate_text(_without(r, common)) or 'no further effect'} (leaves {_left(r)})"
+            for r in rivals
         )
         return (
             f"Each of {len(rivals)} candidates that these data do not tell apart contains {candidate_text(common)}. They differ in the "
