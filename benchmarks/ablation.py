@@ -1,14 +1,18 @@
 """Replay finished diagnoses with each limit of the decision varied and each gate removed, and count the verdicts that change.
 
-python benchmarks/ablation.py DIR [DIR ...] [--json FILE] [--markdown FILE]
+python benchmarks/ablation.py [DIR ...] [--json FILE] [--markdown FILE]
+python benchmarks/ablation.py --store DIR [DIR ...]
 python benchmarks/ablation.py --shares DIR [DIR ...] [--json FILE]
 python benchmarks/ablation.py --search [--seed N] [--json FILE] [--only WORD ...] [--rigs SUITE:KIND ...]
 
-DIR     results of `python benchmarks/diagnose.py … --out DIR`: each holds the evidence that its verdict follows from.
+DIR     results of `python benchmarks/diagnose.py … --out DIR`: each holds the evidence that its verdict follows from. Without DIR the
+        stored evidence is replayed.
 
 `decide` is a pure function of evidence and limits, so a replay fits nothing and takes seconds. A limit that changes no verdict
 over hundreds of rigs, or that helps a single one, is a candidate for deletion.
 
+--store         keep the evidence of finished diagnoses in benchmarks/evidence.jsonl.gz, so that a reader repeats the replay without the
+                records; an older entry of the same rig is replaced
 --shares        how often places and kinds are true that are stated with less confidence, and the probability stated with
                 `mistaken_weak` or `mistaken_extra` halved, as it is, and doubled
 --search        diagnose a sample of quick rigs again for each variation of `search_ablation.py`: a setting, a constant or a rule of
@@ -22,11 +26,13 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import gzip
 import json
 import math
 import sys
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +49,11 @@ from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+#: evidence of finished diagnoses
+STORE = Path(__file__).with_name("evidence.jsonl.gz")
+#: entries of a row, and of its diagnosis, that a replay reads
+ROW = ("suite", "family", "kind", "name", "answer", "truth")
+SAID = ("verdict", "reason", "effects", "findings", "gates", "best_candidate", "evidence", "criteria")
 #: factors by which every limit is varied
 FACTORS = (0.5, 0.8, 1.25, 2.0)
 
@@ -107,12 +118,12 @@ def evidence_of(saved: dict[str, Any]) -> Evidence:
 
 
 @contextmanager
-def without_gate(name: str) -> Iterator[None]:
-    """Let a gate pass whatever its value."""
+def without_gates(*names: str) -> Iterator[None]:
+    """Let gates pass whatever their values."""
     original = rules.gates_of
 
     def gates(e: Evidence, c: Criteria = rules.CRITERIA) -> Any:
-        return tuple(replace(g, passed=True) if g.name == name else g for g in original(e, c))
+        return tuple(replace(g, passed=True) if g.name in names else g for g in original(e, c))
 
     rules.gates_of = gates
     try:
@@ -136,12 +147,16 @@ def compare(replays: Sequence[Replay], rule: str, variation: str, **limits: floa
 
 
 def ablate(replays: Sequence[Replay]) -> list[Change]:
-    """Return one change per gate removed and per limit and factor."""
+    """Return one change per gate and per pair of gates removed, for all gates removed that change nothing alone, and per limit and factor."""
     gates = sorted({g["gate"] for r in replays for g in r.row["diagnosis"]["gates"]})
     out = []
     for name in gates:
-        with without_gate(name):
+        with without_gates(name):
             out.append(compare(replays, f"gate {name}", "removed"))
+    idle = [name for name, c in zip(gates, out, strict=True) if not (c.better or c.worse or c.other)]
+    for names in (*combinations(gates, 2), tuple(idle)):
+        with without_gates(*names):
+            out.append(compare(replays, f"gates {', '.join(names)}", "removed together"))
     for f in fields(Criteria):
         for factor in FACTORS:
             limit = factor * float(getattr(rules.CRITERIA, f.name))
@@ -203,11 +218,33 @@ def markdown(changes: Sequence[Change], count: int) -> str:
     return f"Verdicts of {count} diagnoses that change:\n\n{table}\n"
 
 
+def rows_of(folders: Sequence[Path]) -> list[Row]:
+    """Return the rows of result folders; without folders the stored rows."""
+    if not folders:
+        with gzip.open(STORE, "rt", encoding="utf-8") as lines:
+            return [json.loads(line) for line in lines]
+    paths = sorted(p for folder in folders for p in folder.glob("*.json"))
+    return [json.loads(p.read_text())["result"] for p in paths]
+
+
+def store(folders: Sequence[Path]) -> None:
+    """Add what a replay reads of the rows of result folders to the stored rows."""
+    kept = {r["name"]: r for r in (rows_of(()) if STORE.exists() else [])}
+    for row in rows_of(folders):
+        said = row.get("diagnosis", {})
+        if "evidence" in said:
+            kept[row["name"]] = {k: row[k] for k in ROW if k in row} | {
+                "diagnosis": {k: said[k] for k in SAID if k in said}
+            }
+    with STORE.open("wb") as file, gzip.GzipFile("", "wb", fileobj=file, mtime=0) as packed:
+        packed.writelines(json.dumps(kept[name]).encode() + b"\n" for name in sorted(kept))
+    print(f"{len(kept)} diagnoses in {STORE}")
+
+
 def replays_of(folders: Sequence[Path]) -> list[Replay]:
     """Return the finished diagnoses of result folders; those without evidence, or decided elsewhere, are left out."""
     out, skipped = [], 0
-    for path in sorted(p for folder in folders for p in folder.glob("*.json")):
-        row = json.loads(path.read_text())["result"]
+    for row in rows_of(folders):
         try:
             replay = Replay.of(row)
         except (KeyError, TypeError, AttributeError):
@@ -224,7 +261,7 @@ def replays_of(folders: Sequence[Path]) -> list[Replay]:
 
 def add_shares(folders: Sequence[Path], file: Path) -> None:
     """Add the shares of true statements of result folders to a file, under the names of their suites and seeds."""
-    rows = [json.loads(p.read_text())["result"] for d in folders for p in sorted(d.glob("*.json"))]
+    rows = rows_of(folders)
     seeds = sorted({r["name"].rpartition("-")[2] for r in rows if r["suite"] in ("home", "families")})
     name = ", ".join([*sorted({r["suite"] for r in rows}), *seeds])
     known = json.loads(file.read_text()) if file.exists() else {}
@@ -245,6 +282,7 @@ def main() -> None:
     parser.add_argument(
         "--shares", action="store_true", help="stated and observed shares of doubtful statements"
     )
+    parser.add_argument("--store", action="store_true", help="keep the evidence of results for later replays")
     parser.add_argument("--seed", type=int, default=464)
     parser.add_argument("--rigs", nargs="*", default=[], metavar="SUITE:KIND")
     parser.add_argument("--only", nargs="*", default=[""], metavar="WORD")
@@ -259,6 +297,9 @@ def main() -> None:
         return
     if args.shares:
         add_shares(args.folders, args.json or Path(__file__).with_name("ablation-shares.json"))
+        return
+    if args.store:
+        store(args.folders)
         return
     replays = replays_of(args.folders)
     if not replays:
