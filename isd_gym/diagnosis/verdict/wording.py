@@ -185,12 +185,12 @@ def unit_statements_of(document: Mapping[str, Any]) -> Statements:
     title, steps, remarks = _title(document), [_next(document)], [_noise(document), _limits(document)]
     if verdict == "no_discrepancy":
         finding = [
-            f"The FMU agrees with the measurements; no effect is missing ({_errors(gap, _widest(gap), 'refit')})."
+            f"The FMU agrees with the measurements; no effect is missing ({_errors(document, _widest(gap), 'refit')})."
         ]
     elif verdict == "parameters_only":
         most = _most_gained(gap, "before", "refit")
         finding = [
-            f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
+            f"Refitted parameters explain the difference; no effect is missing ({_errors(document, most, 'before', 'refit')})."
         ]
         steps = [
             "use the refitted parameters (parameters.ssv), and test them with a record of another excitation."
@@ -198,7 +198,7 @@ def unit_statements_of(document: Mapping[str, Any]) -> Statements:
     else:
         title = "An effect is missing that no parameter of the FMU explains"
         finding = [
-            f"An effect is missing that no parameter values of the FMU explain ({_errors(gap, _widest(gap), 'before', 'refit')}).",
+            f"An effect is missing that no parameter values of the FMU explain ({_errors(document, _widest(gap), 'before', 'refit')}).",
             _where(document),
         ]
         shifted = [n for n, share in document["constant"].items() if share is not None and share > 0.5]
@@ -306,12 +306,22 @@ def _percent(value: float | None, digits: int = 1) -> str:
     return "an unknown share" if value is None else f"{round(100 * value, digits) + 0.0:.{digits}f} %"
 
 
-def _errors(gap: Mapping[str, Mapping[str, float]], channel: str, *stages: str) -> str:
+def _errors(d: Mapping[str, Any], channel: str, *stages: str) -> str:
     """Return the errors of a channel, such as ``error in travel: 40.0 % before, 30.0 % refitted, noise 2.0 %``."""
     words = {"before": " before", "refit": " refitted"}
+    gap = d["gap"]["held_out"]
     stated = [f"{_percent(gap[s][channel])}{words[s] if len(stages) > 1 else ''}" for s in stages]
-    noise = _percent(gap["noise_floor"][channel])
-    return f"error in {channel}: {', '.join(stated)}, noise {noise}"
+    return f"error in {channel}: {', '.join(stated)}, {_noise_of(d, channel)}"
+
+
+def _noise_of(d: Mapping[str, Any], channel: str) -> str:
+    """Return the noise of a channel, or its bound where the data give no more."""
+    e = d["evidence"]
+    known = dict(zip(e["channels"], e["noise_known"], strict=True)).get(channel, True)
+    noise = d["gap"]["held_out"]["noise_floor"][channel]
+    if noise is not None and 0.0 < noise < 5e-4:
+        return "noise below 0.1 %"
+    return f"noise {'' if known else 'at most '}{_percent(noise)}"
 
 
 def _square(value: float | None) -> float:
@@ -345,7 +355,8 @@ FAILURES = {
 
 def failures(gates: Iterable[Mapping[str, Any]]) -> str:
     """Return what the failed gates mean, such as ``its values are uncertain by 95 %``."""
-    return " and ".join(_failure(g) for g in gates if not g["passed"])
+    *first, last = [_failure(g) for g in gates if not g["passed"]] or [""]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _failure(g: Mapping[str, Any]) -> str:
@@ -362,7 +373,7 @@ def _failure(g: Mapping[str, Any]) -> str:
             else f"its values are uncertain by {_percent(value, 0)} (less than {_percent(limit, 0)} needed)"
         )
     if value is not None and name == "probable":
-        return f"other candidates are as likely (its weight is {_percent(value, 0)}, needed {_percent(limit, 0)})"
+        return f"other candidates are at least as likely (its weight is {_percent(value, 0)}, needed {_percent(limit, 0)})"
     if value is not None and name == "distinguishable":
         return f"{value:.0f} other {'laws predict' if value > 1 else 'law predicts'} as well"
     known = FAILURES.get((name, g["relation"]))
@@ -515,7 +526,7 @@ def _missing(d: Mapping[str, Any]) -> str:
     text = (
         f"The model lacks {found}. With {'these effects' if len(d['effects']) > 1 else 'this effect'} the error in {c} on held-out "
         f"data {'falls' if down else 'rises'} from {_percent(gap['refit'][c])} to {_percent(gap['after'][c])} "
-        f"(noise {_percent(gap['noise_floor'][c])})."
+        f"({_noise_of(d, c)})."
     )
     return text if down else f"{text} {NOT_BORNE_OUT}"
 
@@ -548,7 +559,7 @@ def _remaining(d: Mapping[str, Any]) -> str:
         return ""
     most = f", largest when {left['when']}" if left["when"] != "everywhere" else ""
     text = (
-        f"An error of {_percent(left['after'])} in {left['channel']} remains (noise {_percent(left['noise_floor'])}){most}. "
+        f"An error of {_percent(left['after'])} in {left['channel']} remains ({_noise_of(d, left['channel'])}){most}. "
         "Another effect may be missing."
     )
     if left["candidate"]:
@@ -688,7 +699,7 @@ def _unknown(d: Mapping[str, Any]) -> str:
         if d.get("not_tried")
         else "no known effect passes the checks for a name"
     )
-    return f"An effect is missing, and {why} ({_errors(gap, c, 'before', 'refit')})."
+    return f"An effect is missing, and {why} ({_errors(d, c, 'before', 'refit')})."
 
 
 def _parameter_name(path: str) -> str:
@@ -884,13 +895,11 @@ def _agreement(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     worst = _most_gained(gap, "refit", "noise_floor")
     if not _agrees(d):
-        return f"No missing effect can be named ({_errors(gap, worst, 'before', 'refit')})."
+        return f"No missing effect can be named ({_errors(d, worst, 'before', 'refit')})."
     if d["verdict"] == "no_discrepancy":
-        return (
-            f"The model agrees with the measurements; no effect is missing ({_errors(gap, worst, 'refit')})."
-        )
+        return f"The model agrees with the measurements; no effect is missing ({_errors(d, worst, 'refit')})."
     most = _most_gained(gap, "before", "refit")
-    return f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
+    return f"Refitted parameters explain the difference; no effect is missing ({_errors(d, most, 'before', 'refit')})."
 
 
 def _reason(d: Mapping[str, Any]) -> str:
