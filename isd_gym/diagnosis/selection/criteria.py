@@ -199,8 +199,8 @@ class Criteria:
     partly: float = limit(
         0.36,
         "share of names",
-        "the same of a name that explains less than `alone_removes` of the gap, whatever small effects excuse the rest; and of the places and kinds "
-        "of such a candidate that is not named",
+        "the same of a name that explains less than `alone_removes` of the gap, whatever small effects excuse the rest, or that leaves a wide gap "
+        "(`wide_gap`); and of the places and kinds of such a candidate that is not named",
         "of 26 such names at first looks (seeds 310 to 317 of all families) 9 were wrong, of 814 others 22: (9 + 1) / (26 + 2); of 32 such "
         "places and kinds in answers without a name 9 were wrong",
     )
@@ -241,17 +241,18 @@ class Criteria:
         return float(1.0 - self.least_removed ** (effects + 1))
 
     def share_mistaken(
-        self, level: str, explained: float, support: float = 1.0, is_named: bool = True
+        self, level: str, explained: float, left: float = 0.0, support: float = 1.0, is_named: bool = True
     ) -> float:
         """Return the share of statements of a level that are wrong although no resampling shows it.
 
         Args:
             level: 'place', 'kind' or 'law'.
             explained: Share of the held-out excess error that the foremost candidate removes.
+            left: Excess error that it leaves, mean over channels, as a share of the deviation. Another law may remove a wide rest.
             support: Share of the samples on the rarer side of a law's characteristic point.
             is_named: Whether the foremost candidate passed every gate.
         """
-        is_doubtful = explained < self.alone_removes or support < self.support
+        is_doubtful = explained < self.alone_removes or left > self.wide_gap or support < self.support
         own = {"law": self.mistaken, "kind": self.mistaken_kind, "place": self.mistaken_place}[level]
         if is_doubtful and (level == "law" or not is_named):
             own = max(own, self.partly)

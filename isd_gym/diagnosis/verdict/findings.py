@@ -94,7 +94,11 @@ def find(
     """
     c = search.criteria
     share = functools.partial(
-        c.share_mistaken, explained=evidence.explained, support=evidence.support, is_named=is_named
+        c.share_mistaken,
+        explained=evidence.explained,
+        left=evidence.width_after,
+        support=evidence.support,
+        is_named=is_named,
     )
     every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
     for w in candidates:

@@ -413,4 +413,4 @@ def with_findings(
 
 def confidence(e: Evidence, c: Criteria = CRITERIA) -> float:
     """Return the probability of a name: the weight of the candidates with the name, times the share of such names that are right."""
-    return (1.0 - c.share_mistaken("law", e.explained, e.support)) * e.probability
+    return (1.0 - c.share_mistaken("law", e.explained, e.width_after, e.support)) * e.probability
