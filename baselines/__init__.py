@@ -205,7 +205,7 @@ def make(
             default car.
         cost: Minimised stage cost; None for the environment's.
         control_step: Control step [s].
-        options: Fields of the controller's settings, such as ``make("mpc", solver="daqp", horizon=30)``.
+        options: Fields of the controller's settings, such as ``make("mpc", horizon=30)``.
 
     Returns:
         The controller.

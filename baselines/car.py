@@ -30,7 +30,6 @@ from .model import (
     device_reach,
     equations,
     lift,
-    stationary,
     steady_gain,
     white_covariance,
 )
@@ -453,36 +452,3 @@ def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, flo
         V = 0.5 * (V + V.T)
     worth = V + model.C.T @ (q[:, None] * model.C)
     return K, float(np.trace(worth @ model.W))
-
-
-def blind_gain(model: CarModel, blind: CarModel, K: np.ndarray) -> np.ndarray:
-    """Return the gain of a regulator that treats the rises under the rear wheels as new.
-
-    Args:
-        model: Model of the car with its delay line.
-        blind: Model of the same car with `wheelbase=False`.
-        K: Gain on the state of the blind model.
-
-    Returns:
-        Gain (currents, n).
-    """
-    return np.hstack([K, -K @ blind.lift @ model.heights])
-
-
-def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float:
-    """Return the mean cost of ``I = -K x`` on a white road from the covariance of the closed loop.
-
-    Args:
-        model: Model of the car.
-        weights: Weights of the cost.
-        K: Gain (currents, n).
-
-    Returns:
-        Mean cost per step [-].
-    """
-    q, r = weights.of(model)
-    loop = model.A - model.inputs @ K
-    X = stationary(loop, model.W)
-    C = model.C @ loop - model.feedthrough @ K
-    now = np.einsum("i,ij,jk,ik->", q, C, X, C) + np.einsum("i,ij,jk,ik->", r, K, X, K)
-    return float(now + np.trace(model.C.T @ (q[:, None] * model.C) @ model.W))

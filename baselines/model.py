@@ -619,21 +619,6 @@ def steady_gain(
     return np.linalg.solve(C @ V @ C.T + covariance, C @ V).T
 
 
-def closed_loop_spread(model: Model, K: np.ndarray, noise: np.ndarray | None = None) -> np.ndarray:
-    """Return the stationary covariance of the state under ``I = -K x``.
-
-    Args:
-        model: Prediction model.
-        K: Gain (n,).
-        noise: Covariance of the state per step (n, n), in addition to the road's; None for zero.
-
-    Returns:
-        Covariance (n, n).
-    """
-    W = model.W + (0.0 if noise is None else noise)
-    return stationary(model.A - np.outer(model.B, K), W)
-
-
 def stationary(A: np.ndarray, W: np.ndarray, doublings: int = 14) -> np.ndarray:
     """Return the covariance of ``x+ = A x + w`` after 2^doublings steps (80 s at 5 ms), finite even for a drifting device.
 

@@ -520,7 +520,7 @@ def seen(folder: Path) -> dict[str, str]:
 
 def grids(rng: Rng, folder: Path) -> None:
     """Grids of sweeps, JSON and TOML."""
-    from isd_gym.benchmark.grid import Grid
+    from isd_gym.contrib.sweep.grid import Grid
 
     tree = {
         "policies": ["isd-passive", "lqg"],

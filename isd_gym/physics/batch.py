@@ -229,14 +229,9 @@ class Batch:
         self._first_results, self.first_seen = results[:, 0], seen[0]
         self._calls = [(*self._drive_arguments, results.reshape(-1), seen, *share) for share in self._shares]
 
-    def renew(self, seen: np.ndarray | None = None) -> None:
-        """Release the results of the last step to the caller; the next step writes to new arrays.
-
-        Args:
-            seen: Array (count, width) float32 for the next observations; None for a new one.
-        """
-        fresh = np.empty(self.seen.shape, np.float32) if seen is None else seen
-        self._write_to(np.empty(self._results.shape), fresh)
+    def renew(self) -> None:
+        """Release the results of the last step to the caller; the next step writes to new arrays."""
+        self._write_to(np.empty(self._results.shape), np.empty(self.seen.shape, np.float32))
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("cars", "out", "counters", "target", "first_targets", "_setup")
@@ -552,11 +547,6 @@ class Batch:
         With one track, the level is the variance that each physics step adds to the height under the wheel.
         """
         return self.cars[self.of.gain] ** 2
-
-    @property
-    def road_height(self) -> np.ndarray:
-        """Present height of the road under the first corner (count,) [m]."""
-        return self.cars[self.of.height]
 
     @property
     def road_heights(self) -> np.ndarray:
