@@ -305,7 +305,7 @@ def archive(rng: Rng) -> dict[str, bytes]:
     way = rng.random()
     if way < 0.5:
         body = spoil_bytes(rng, body)
-    inner = zipped(parts | {"w/data.pkl": body, "w/byteorder": b"little"})
+    inner = zipped(parts | {"w/data.pkl": body, "w/byteorder": b"little", "w/version": b"3\n"})
     if 0.5 <= way < 0.65:
         inner = spoil_bytes(rng, inner)
     return {
