@@ -525,7 +525,6 @@ def test_limit_holds_what_is_not_a_number():
     [
         (lambda: baselines.make("nonsense"), "no controller 'nonsense'"),
         (lambda: baselines.make("mpc", horizn=3), "no option 'horizn'"),
-        (lambda: baselines.make("mpc", solver="nonsense"), "no solver 'nonsense'"),
         (lambda: baselines.make("mpc", horizon=2), "horizon"),
         (lambda: baselines.make("lqg", model="force-rig"), "is no car"),
         (lambda: baselines.make("skyhook", model="force-rig"), "is no car"),

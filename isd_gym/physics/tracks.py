@@ -68,25 +68,6 @@ NARROWEST, WIDEST = 0.1, 10.0  # track widths [m]
 _SNAP = 1e-9  # relative distance from a whole number of steps that is rounding
 
 
-def coherence(frequency: np.ndarray, width: float, cutoff: float = 0.0) -> np.ndarray:
-    """Return the normalised cross-spectral density gamma of two tracks of an isotropic surface; formula of this module.
-
-    Args:
-        frequency: Spatial frequencies n [cycle/m], any shape.
-        width: Track width b [m].
-        cutoff: Cut-off n_c of the road [cycle/m].
-
-    Returns:
-        gamma(n), between 0 and 1, in the shape of `frequency`. The ordinary coherence is its square.
-    """
-    from scipy.special import k1
-
-    x = np.atleast_1d(2 * math.pi * width * np.hypot(frequency, cutoff))
-    gamma = np.ones_like(x)
-    np.multiply(x, k1(x, where=x > 0, out=np.zeros_like(x)), where=x > 0, out=gamma)
-    return gamma.reshape(np.shape(frequency))
-
-
 def innovations(poles: np.ndarray, coefficients: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the first-order sections, driven by one white noise, whose sum has the sampled density of a process.
 
@@ -220,6 +201,14 @@ class WheelPositions:
     def behind(self) -> tuple[float, ...]:
         """Distance of each wheel behind the foremost wheel [m]."""
         return tuple(max(self.x) - x for x in self.x)
+
+    @cached_property
+    def leaders(self) -> tuple[int, ...]:
+        """Index of the foremost wheel of each track."""
+        return tuple(
+            min((behind, i) for i, behind in enumerate(self.behind) if self.track[i] == t)[1]
+            for t in range(self.tracks)
+        )
 
     def delays(self, speed: float, step: float) -> np.ndarray:
         """Return the delay of each wheel behind the foremost wheel.

@@ -26,7 +26,7 @@ from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import REFERENCE_FREQUENCY, Road
 from isd_gym.physics.road import road as find_road
-from isd_gym.physics.vehicle import require_quarter_car, signal_channels, vehicle
+from isd_gym.physics.vehicle import require_quarter_car, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -166,7 +166,7 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
     ]
     bare = Network(network.name, network.masses, tuple(moving), network.inputs)
     channels = [
-        c for c in signal_channels(bare) if c.name in ("body_acceleration", "suspension_travel", "tyre_load")
+        c for c in vehicle(bare).channels if c.name in ("body_acceleration", "suspension_travel", "tyre_load")
     ]
     ss = linearise(bare, outputs=channels)
     name = next(c.name for c in network.inputs if c.quantity == "displacement")

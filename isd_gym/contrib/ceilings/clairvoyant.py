@@ -41,7 +41,7 @@ from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
 from isd_gym.physics.road import road as find_road
 from isd_gym.physics.simulate import PHYSICS_STEP, Plant, discretise
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, signal_channels
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
 from . import relaxed
 from .descent import ALPHAS, PIECE, Car, Compiled, Objective, Plan, Slopes, backward, compiled
@@ -102,7 +102,7 @@ class Episode:
             network.inputs,
         )
         wanted = ("body_acceleration", "suspension_travel", "tyre_load")
-        extra = [c for c in signal_channels(network) if c.name in wanted]
+        extra = [c for c in vehicle(network).channels if c.name in wanted]
         self.single = Plant(bare, PHYSICS_STEP, extra=extra)
         self.rows = np.array([*range(self.single.n), *self.single.memory], np.int64)
         self.nz = len(self.rows)
