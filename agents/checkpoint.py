@@ -1,8 +1,8 @@
 """A learner's state as a folder of plain numbers; resuming a training executes no code from the folder.
 
 `learner.safetensors` holds the networks' weights, the optimisers' moments and the free variables of a
-Stable-Baselines3 learner; `average.npz` the running mean of the actor; `NAME.npy` the columns of a replay
-buffer; `state.json` everything else. The learner is created from the run's settings as at the start, and must
+Stable-Baselines3 learner, and the running mean of the actor; `NAME.npy` the columns of a replay buffer;
+`state.json` everything else. The learner is created from the run's settings as at the start, and must
 have the shapes of the stored arrays.
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import zipfile
 from contextlib import suppress
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -23,19 +22,20 @@ from isd_gym.common.files import writing
 from isd_gym.common.inputs import is_number, read_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
-SCHEMA = "isd-checkpoint/1"
+SCHEMA = "isd-checkpoint/2"
 NAME = re.compile(r"(\.?)checkpoint-(\d{12})")  # with a dot while it is written
-LEARNER, AVERAGE, STATE = "learner.safetensors", "average.npz", "state.json"
+LEARNER, STATE = "learner.safetensors", "state.json"
 BUFFER = ("explored", "observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-FILES = (LEARNER, AVERAGE, STATE, *(f"{key}.npy" for key in BUFFER))
+FILES = (LEARNER, STATE, *(f"{key}.npy" for key in BUFFER))
 STEPS = 10**12  # above the number of steps of any run
 #: above every number of a learner; larger numbers overflow in a network of single precision
 LARGEST = 1e12
-#: parts of the actor, whose running mean a checkpoint holds
+#: parts of the actor, whose running mean a checkpoint holds, and the name of the mean
 ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
+AVERAGE = "average"
 
 
 def newest(folder: Path) -> Path | None:
@@ -100,9 +100,8 @@ def write(folder: Path, model: Any, average: dict[str, np.ndarray], state: dict[
     with writing(place, temporary):
         temporary.mkdir(exist_ok=True)
         # the library's own file writer raises other errors
-        (temporary / LEARNER).write_bytes(save(_tensors(model)))
-        arrays: dict[str, Any] = average
-        np.savez(temporary / AVERAGE, **arrays)
+        mean = {f"{AVERAGE}/{key}": value for key, value in average.items()}
+        (temporary / LEARNER).write_bytes(save(_tensors(model) | mean))
         if getattr(model, "replay_buffer", None) is not None:
             buffer = model.replay_buffer
             for key in BUFFER:
@@ -141,9 +140,7 @@ def read(checkpoint: Path, model: Any) -> tuple[dict[str, np.ndarray], dict[str,
             raise InputError("its counts cannot be")
         if not _sound(state):
             raise InputError(f"{STATE} says something else")
-        _restore(model, checkpoint / LEARNER)
-        wanted = {k: v for k, v in model.policy.state_dict().items() if k.startswith(ACTOR)}
-        average = dict(_averages(checkpoint / AVERAGE, wanted))
+        average = _restore(model, checkpoint / LEARNER)
         model._n_updates, model._episode_num = held["updates"], held["episodes"]
         model.num_timesteps = steps(checkpoint)
         if getattr(model, "replay_buffer", None) is not None:
@@ -173,24 +170,6 @@ def _sound(state: dict[str, Any]) -> bool:
     )
 
 
-def _averages(path: Path, wanted: dict[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the arrays of an archive of `numpy.savez`, of known names and shapes; others are not unpacked."""
-    with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-        if names and sorted(names) != sorted(f"{k}.npy" for k in wanted):
-            raise InputError(f"{path.name} does not hold the actor's arrays")
-        for name in names:
-            key = name.removesuffix(".npy")
-            with archive.open(name) as stream:
-                if np.lib.format.read_magic(stream) != (1, 0):
-                    raise InputError(f"{shown(name)} is of another version of numpy's format")
-                shape, _, kind = np.lib.format.read_array_header_1_0(stream)
-            _check(key, shape, kind, wanted[key])
-            with archive.open(name) as stream:
-                found = np.lib.format.read_array(stream, allow_pickle=False)
-            yield key, _like(key, found, wanted[key])
-
-
 def _filled(buffer: Any) -> int:
     """Return the number of filled rows of a replay buffer."""
     if not 0 <= buffer.pos <= buffer.buffer_size:
@@ -198,15 +177,10 @@ def _filled(buffer: Any) -> int:
     return int(buffer.buffer_size if buffer.full else buffer.pos)
 
 
-def _check(name: str, shape: tuple[int, ...], kind: np.dtype[Any], wanted: Any) -> None:
-    """Raise `InputError` for an array that holds no numbers, or has another shape than `wanted`."""
-    if kind.kind not in "fiub" or tuple(shape) != tuple(wanted.shape):
-        raise InputError(f"{shown(name)} is {kind} of shape {tuple(shape)}, not {tuple(wanted.shape)}")
-
-
 def _like(name: str, value: np.ndarray, wanted: Any) -> np.ndarray:
     """Return an array of numbers with the shape of `wanted`; raise `InputError` for other arrays."""
-    _check(name, value.shape, value.dtype, wanted)
+    if value.dtype.kind not in "fiub" or value.shape != tuple(wanted.shape):
+        raise InputError(f"{shown(name)} is {value.dtype} of shape {value.shape}, not {tuple(wanted.shape)}")
     if value.size and not (np.abs(value, dtype=float) <= LARGEST).all():
         raise InputError(f"{shown(name)} holds a number that is not finite, or beyond {LARGEST:g}")
     return value
@@ -235,7 +209,8 @@ def _tensors(model: Any) -> dict[str, np.ndarray]:
     return {k: np.array(v.detach().numpy()) for k, v in out.items()}
 
 
-def _restore(model: Any, path: Path) -> None:
+def _restore(model: Any, path: Path) -> dict[str, np.ndarray]:
+    """Fill a learner with the tensors of a file, and return the running mean of the actor's weights."""
     import torch
     from safetensors import safe_open
 
@@ -251,6 +226,10 @@ def _restore(model: Any, path: Path) -> None:
                 raise InputError(f"{shown(name)} is of shape {shape}, not {tuple(wanted.shape)}")
             return torch.from_numpy(np.array(_like(name, file.get_tensor(name), wanted)))
 
+        average = {}
+        if any(name.startswith(f"{AVERAGE}/") for name in left):  # there is no mean before the first update
+            actor = {k: v for k, v in model.policy.state_dict().items() if k.startswith(ACTOR)}
+            average = {k: take(f"{AVERAGE}/{k}", v).numpy() for k, v in actor.items()}
         modules, variables = model._get_torch_save_params()
         for name in modules:
             if not name.endswith("optimizer"):
@@ -267,6 +246,7 @@ def _restore(model: Any, path: Path) -> None:
             )
     if left:
         raise InputError(f"its learner holds {shown(min(left))}, which this one has not")
+    return average
 
 
 def _moments(

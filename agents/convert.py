@@ -1,9 +1,9 @@
-"""Conversion of Stable-Baselines3 policies (.zip, with or without VecNormalize) to policies that need only numpy.
+"""Conversion of Stable-Baselines3 policies (.zip, with or without VecNormalize) to policies that need no torch.
 
 An archive of Stable-Baselines3 holds pickles, and other programs execute code from the archive when they load
-a pickle. No code is executed here: `pickles` reads the content of a pickle without calling anything. An archive
-from a stranger is therefore as safe as a policy folder. `torch.load(weights_only=True)` is no replacement: it
-needs torch, executed code before torch 2.6 (CVE-2025-32434), and reads no VecNormalize.
+a pickle. No code is executed here: `torch.load(weights_only=True)` reads the weights (torch 2.6 or later;
+CVE-2025-32434), and every class or function that a VecNormalize names is replaced by one that does nothing. An
+archive from a stranger is therefore as safe as a policy folder.
 """
 
 from __future__ import annotations
@@ -11,7 +11,10 @@ from __future__ import annotations
 import io
 import math
 import os
+import pickle
+import pickletools
 import re
+import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,14 +22,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, shown
+from isd_gym.common.errors import InputError, how_to_install, shown
 from isd_gym.common.inputs import number, parse_json, read_bytes, too_large
 from isd_gym.env.history import BOUND
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
 
 from .memory import Memory
-from .pickles import STORAGES, Name, Stored, Thing, array, mapping, read_pickle, tensor
 from .policy import Head, Policy
 
 if TYPE_CHECKING:
@@ -36,41 +38,28 @@ if TYPE_CHECKING:
 ARCHIVE_LIMIT = 512 * 2**20
 
 
-class _Zip:
-    """The parts of a zip archive, whose sizes are checked before reading; raises `InputError`."""
+def _unzip(data: bytes, where: str) -> zipfile.ZipFile:
+    """Return a zip archive; raise `InputError` for other data, and for an archive that is too large unpacked."""
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        total = sum(part.file_size for part in archive.infolist())
+    except Exception as error:  # a zip archive can be broken in many ways
+        raise InputError(f"{where}: not a zip archive ({type(error).__name__})") from None
+    if total > ARCHIVE_LIMIT:
+        raise too_large(where, total, ARCHIVE_LIMIT)
+    return archive
 
-    def __init__(self, data: bytes, where: str) -> None:
-        self.where = where
-        try:
-            self.file = zipfile.ZipFile(io.BytesIO(data))
-            self.parts = {part.filename: part for part in self.file.infolist()}
-        except Exception as error:  # a zip archive can be broken in many ways
-            raise InputError(f"{where}: not a zip archive ({type(error).__name__})") from None
-        total = sum(part.file_size for part in self.parts.values())
-        if total > ARCHIVE_LIMIT:
-            raise too_large(where, total, ARCHIVE_LIMIT)
 
-    def read(self, name: str) -> bytes:
-        """Return the bytes of a part."""
-        part = self.parts.get(name)
-        if part is None:
-            raise InputError(f"{self.where}: no part {shown(name)}")
-        if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or part.flag_bits & 1:
-            raise InputError(
-                f"{self.where}: part {shown(name)} is packed in another way than saved archives are"
-            )
-        try:
-            with self.file.open(part) as stream:
-                found = stream.read(part.file_size)  # never more than the declared size
-        except Exception as error:
-            raise InputError(f"{self.where}: part {shown(name)} is broken ({type(error).__name__})") from None
-        if len(found) != part.file_size:
-            raise InputError(f"{self.where}: part {shown(name)} is shorter than told")
-        return found
+def _part(archive: zipfile.ZipFile, name: str, where: str) -> bytes:
+    """Return the bytes of a part of an archive, never more than its declared size."""
+    try:
+        return archive.read(name)
+    except Exception as error:
+        raise InputError(f"{where}: part {shown(name)} cannot be read ({type(error).__name__})") from None
 
 
 def read_torch(data: bytes, where: str) -> dict[str, np.ndarray]:
-    """Return the arrays of a state dict saved by `torch.save`, without torch and without executing its pickle.
+    """Return the arrays of a state dict saved by `torch.save`, without executing code of the file.
 
     Args:
         data: Content of the file.
@@ -80,47 +69,116 @@ def read_torch(data: bytes, where: str) -> dict[str, np.ndarray]:
         Array by name.
 
     Raises:
-        InputError: The file holds no weights saved by torch.
+        InputError: The file holds no weights saved by torch, or torch is not installed.
     """
-    archive = _Zip(data, where)
-    inside = {name.partition("/")[2]: name for name in archive.parts}
-    if "data.pkl" not in inside:
-        raise InputError(f"{where}: not weights saved by torch")
-    if "byteorder" in inside and archive.read(inside["byteorder"]) != b"little":
-        raise InputError(f"{where}: not saved on a little-endian machine")
-    storages: dict[tuple[str, str], np.ndarray] = {}
-
-    def storage(reference: Any) -> np.ndarray:
-        key = reference.key if isinstance(reference, Stored) else None
-        if not (
-            isinstance(key, tuple) and len(key) >= 3 and isinstance(key[1], Name) and isinstance(key[2], str)
-        ):
-            raise InputError("a tensor without a storage")
-        _, made, name, *_ = key
-        if made.module != "torch" or made.name not in STORAGES or f"data/{name}" not in inside:
-            raise InputError(f"no storage {shown(name)} of {shown(made.name)}")
-        place = (made.name, name)
-        if place not in storages:
-            kind, held = STORAGES[made.name], archive.read(inside[f"data/{name}"])
-            storages[place] = np.frombuffer(held[: len(held) // kind.itemsize * kind.itemsize], kind)
-        return storages[place]
-
     try:
-        out, total = {}, 0
-        for name, value in mapping(read_pickle(archive.read(inside["data.pkl"]))).items():
-            if isinstance(value, Thing) and value.made == _TENSOR and len(value.arguments) >= 4:
-                reference, offset, size, stride = value.arguments[:4]
-                found = tensor(storage(reference), offset, size, stride)
-                total += found.nbytes
-                if total > ARCHIVE_LIMIT:
-                    raise InputError("tensors that overlap")
-                out[str(name)] = found
-        return out
-    except InputError as error:
-        raise InputError(f"{where}: not weights saved by torch ({error})") from None
+        import torch
+    except ImportError:
+        raise InputError(f"{where}: reading weights needs torch: {how_to_install('agents')}") from None
+    _unzip(data, where)  # checks the unpacked size
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of unusual files
+            state = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        if sum(tensor.numel() * tensor.element_size() for tensor in state.values()) > ARCHIVE_LIMIT:
+            raise ValueError("tensors that overlap")
+        return {str(name): tensor.numpy() for name, tensor in state.items()}
+    except Exception as error:  # any error is a fault of the file
+        raise InputError(f"{where}: not weights saved by torch ({type(error).__name__})") from None
 
 
-_TENSOR = Name("torch._utils", "_rebuild_tensor_v2")
+class _Inert:
+    """Stands for every class and function that a pickle names: keeps arguments and state, and does nothing else."""
+
+    #: module and name in the pickle
+    made = ""
+    arguments: tuple[Any, ...] = ()
+    state: Any = None
+
+    def __new__(cls, *arguments: Any, **_: Any) -> _Inert:
+        made = super().__new__(cls)
+        made.arguments = arguments
+        return made
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        """Skip an item."""
+
+
+class _InertUnpickler(pickle.Unpickler):
+    """Unpickler that calls nothing of what a pickle names."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        return type("_Inert", (_Inert,), {"made": f"{module}.{name}"})
+
+
+#: limits of a pickle: opcodes, and tuples, whose hash is computed recursively
+OPCODES, TUPLES = 1_000_000, 1000
+
+
+def read_pickle(data: bytes) -> Any:
+    """Return the content of a pickle without executing code of the pickle.
+
+    Args:
+        data: The pickle.
+
+    Returns:
+        Plain values; objects keep the arguments of the call (`arguments`) and the state (`state`) alone.
+
+    Raises:
+        InputError: The data are no pickle, or a pickle beyond the limits.
+    """
+    tuples = 0
+    try:
+        for step, (opcode, argument, _) in enumerate(pickletools.genops(data)):
+            tuples += opcode.name.startswith("TUPLE")
+            place = argument if opcode.name.endswith("BINPUT") else 0
+            if max(step, place or 0) > OPCODES or tuples > TUPLES:
+                raise ValueError("too large")
+        return _InertUnpickler(io.BytesIO(data)).load()
+    except Exception as error:  # any error is a fault of the file
+        raise InputError(f"not a pickle that can be read ({type(error).__name__})") from None
+
+
+#: numeric types of pickled arrays
+KINDS: dict[Any, np.dtype[Any]] = {"f4": np.dtype("<f4"), "f8": np.dtype("<f8"), "i8": np.dtype("<i8")}
+
+
+def array(value: Any) -> np.ndarray:
+    """Return a pickled array or number of numpy.
+
+    Args:
+        value: Part of `read_pickle`.
+
+    Returns:
+        The array.
+
+    Raises:
+        InputError: The value is no array of numbers.
+    """
+    shape: Any
+    order: Any
+    try:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return np.array(float(value))
+        shape, order = (), "C"
+        if value.made.endswith("core.multiarray._reconstruct"):
+            _, shape, kind, is_fortran, data = value.state
+            order = "F" if is_fortran is True else "C"
+        elif value.made.endswith("core.multiarray.scalar"):
+            kind, data = value.arguments
+        elif value.made.endswith("core.numeric._frombuffer"):
+            data, kind, shape, order = value.arguments
+        else:
+            raise ValueError(value.made)
+        is_native = kind.state is None or (kind.state[1] in "<|" and not any(kind.state[2:5]))
+        if kind.made != "numpy.dtype" or not is_native:
+            raise ValueError("dtype")
+        return np.frombuffer(bytes(data), KINDS[kind.arguments[0]]).reshape(shape, order=order).copy()
+    except (ArithmeticError, AttributeError, IndexError, KeyError, TypeError, ValueError):
+        raise InputError("not an array of numbers") from None
 
 
 def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
@@ -135,15 +193,13 @@ def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
     Raises:
         InputError: The file is no saved VecNormalize.
     """
+    data = read_bytes(path)
     try:
-        thing = read_pickle(read_bytes(path))
-        if not isinstance(thing, Thing) or not isinstance(thing.state, dict):
-            raise InputError("another object")
-        state = thing.state
-        rms = state.get("obs_rms")
-        if not isinstance(rms, Thing) or not isinstance(rms.state, dict):
+        state = getattr(read_pickle(data), "state", None)
+        statistics = getattr(state.get("obs_rms"), "state", None) if isinstance(state, dict) else None
+        if not isinstance(state, dict) or not isinstance(statistics, dict):
             raise InputError("no running mean of the observations")
-        mean, variance = (array(rms.state.get(key)).astype(float) for key in ("mean", "var"))
+        mean, variance = (array(statistics.get(key)).astype(float) for key in ("mean", "var"))
         if state.get("norm_obs", True) is not True:
             return np.zeros_like(mean), np.ones_like(mean), math.inf
         epsilon, clip = (number(array(state.get(k)).item(), k) for k in ("epsilon", "clip_obs"))
@@ -153,10 +209,7 @@ def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
             raise InputError("clip_obs and epsilon are not > 0")
         return mean, np.sqrt(variance + epsilon), clip
     except InputError as error:
-        text = str(error)
-        if text.startswith(f"{path}:"):
-            raise
-        raise InputError(f"'{path}' is not a saved VecNormalize ({text})") from None
+        raise InputError(f"'{path}' is not a saved VecNormalize ({error})") from None
 
 
 def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
@@ -420,12 +473,12 @@ def convert(
         InputError: The file is no such archive, or was trained for other spaces.
     """
     path, where = Path(archive), shown(str(archive), 200)
-    file = _Zip(read_bytes(path, ARCHIVE_LIMIT), where)
-    if "data" not in file.parts:
+    file = _unzip(read_bytes(path, ARCHIVE_LIMIT), where)
+    if "data" not in file.namelist():
         raise InputError(
             f"{where} is not an archive of Stable-Baselines3, or not a whole one: it has no part 'data'"
         )
-    data = parse_json(file.read("data"), where)
+    data = parse_json(_part(file, "data", where), where)
     if not isinstance(data, Mapping):
         raise InputError(f"{where} is not an archive of Stable-Baselines3: its data is {shown(data)}")
     seen = _space(data, "observation_space", where)
@@ -436,7 +489,7 @@ def convert(
         normalize = normalize_beside(path)
     elif str(normalize) == "none":
         normalize = None
-    state = read_torch(file.read("policy.pth"), where)
+    state = read_torch(_part(file, "policy.pth", where), where)
     try:
         kind, _ = actor_layers(state)
         given = data.get("policy_kwargs", {})

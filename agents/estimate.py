@@ -51,22 +51,22 @@ def lqg_filter(
     levels, S = m.levels()[dry], m.S[dry]
     matrices = dict(
         A=T @ m.A @ back,
-        B=T @ m.B,
+        B=(T @ m.B)[:, None],
         G=T @ m.G[:, dry] * levels,
         S=S @ back,
         K=-(S @ m.G[:, dry] + m.SF[np.ix_(dry, dry)]) * levels,
         C=m.C[:N_SENSORS] @ back,
-        D=m.D[:N_SENSORS],
+        D=m.D[:N_SENSORS, None],
         F=m.F[:N_SENSORS, dry] * levels,
         L=T @ controller.estimator.gain,
-        law=controller._law @ back,
-        rate=controller._rate @ back / controller.settings.width,
+        law=(controller._law @ back)[None],
+        rate=(controller._rate @ back / controller.settings.width)[None],
     )
     if preview > 0:
         matrices |= dict(
-            road=T @ m.P,
-            law_ahead=controller._law_ahead,
-            rate_ahead=controller._rate_ahead / controller.settings.width,
+            road=(T @ m.P)[:, None],
+            law_ahead=controller._law_ahead[None],
+            rate_ahead=(controller._rate_ahead / controller.settings.width)[None],
         )
     plain: dict[str, Any] = {k: tuples(np.asarray(v).tolist()) for k, v in matrices.items()}
     return Filter(**plain, force=(float(controller._force),), slew=SLEW_LIMIT)

@@ -41,8 +41,6 @@ class Filter:
     law z - force tanh(rate z)`` [A]. Features of each current are ``(I* - I) / slew`` within ±`reach`, and
     the offset [A] from the law in a policy's head.
 
-    With one current, B, D, law, rate, road, law_ahead, rate_ahead and force may be flat.
-
     Attributes:
         A: State matrix (n, n).
         B: Response to the currents (n, currents).
@@ -89,12 +87,6 @@ class Filter:
 
     def __post_init__(self) -> None:
         try:
-            for name in ("B", "D", "road"):
-                self._nest(name, column=True)
-            for name in ("law", "rate", "law_ahead", "rate_ahead"):
-                self._nest(name, column=False)
-            if isinstance(self.force, int | float):
-                object.__setattr__(self, "force", (self.force,))
             n, nf, ny, m = len(self.B), len(self.K), len(self.D), len(self.law)
             ahead = len(self.law_ahead[0]) if self.law_ahead else 0
             known, roads = len(self.road), len(self.road[0]) if self.road else 0
@@ -134,12 +126,6 @@ class Filter:
             raise InputError(
                 f"memory: filter's current must be the place of a signal, not {shown(self.current)}"
             )
-
-    def _nest(self, name: str, *, column: bool) -> None:
-        """Turn a flat list of numbers into one column or one row."""
-        value = getattr(self, name)
-        if len(value) and not any(isinstance(v, list | tuple) for v in value):
-            object.__setattr__(self, name, tuple((v,) for v in value) if column else (tuple(value),))
 
     @property
     def currents(self) -> int:
@@ -481,12 +467,6 @@ class Recall(Remembered):
         return [ones if k else self.ratio for k in range(self.order)]
 
     def begin(self, which: np.ndarray | slice, observations: np.ndarray) -> None:
-        """Restart the memory of some cars.
-
-        Args:
-            which: Indices or mask of the cars.
-            observations: Observations of these cars (cars, signals, then the road ahead).
-        """
         super().begin(which, observations)
         if self.memory.ahead:
             self.features[which, self._road] = self._rises(observations)
@@ -503,14 +483,6 @@ class Recall(Remembered):
         return out
 
     def see(self, observations: np.ndarray) -> np.ndarray:
-        """Update the features with the next observations.
-
-        Args:
-            observations: Observations (count, signals, then the road ahead).
-
-        Returns:
-            Features (count, width), valid until the next call.
-        """
         f = self.features
         risen = ahead = None
         if self.memory.ahead or self.echo:

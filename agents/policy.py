@@ -1,4 +1,4 @@
-"""A policy folder: weights as safetensors and `policy.json`; needs only numpy, and executes no code.
+"""A policy folder: weights as safetensors and `policy.json`; needs no torch, and executes no code.
 
 from isd_gym.agents.policy import Policy
 
@@ -13,13 +13,13 @@ import hashlib
 import json
 import math
 import os
-import struct
 from copy import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import safetensors.numpy as safetensors
 
 from isd_gym.common.errors import InputError, plain, shown
 from isd_gym.common.files import whole_folder
@@ -29,7 +29,6 @@ from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
 from .memory import Memory, Recall
-from .pickles import sizes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,8 +36,8 @@ if TYPE_CHECKING:
 SCHEMA = "isd-policy/1"
 JSON_NAME, WEIGHTS_NAME = "policy.json", "weights.safetensors"
 POLICY = ("policy", JSON_NAME, (JSON_NAME, WEIGHTS_NAME))
-#: limits of a policy's files: bytes of a file, tensors, layers, neurons of a layer
-FILE_LIMIT, TENSORS, LAYERS, WIDTH = 256 * 2**20, 256, 32, 8192
+#: limits of a policy's files: bytes of a file, layers, neurons of a layer
+FILE_LIMIT, LAYERS, WIDTH = 256 * 2**20, 32, 8192
 FEATURE_LIMIT = 10.0  # features are clipped at ten times their scale
 SHIPPED = Path(__file__).parent / "policies"
 
@@ -115,35 +114,6 @@ class Head:
         return np.clip((current - present) / np.float32(self.slew), -1.0, 1.0)
 
 
-# ---------------------------------------------------------------------------------------- safetensors
-
-_DTYPES: dict[str, np.dtype[Any]] = {"F32": np.dtype("<f4"), "F64": np.dtype("<f8")}
-
-
-def write_safetensors(tensors: Mapping[str, np.ndarray]) -> bytes:
-    """Return tensors (float32) in the safetensors format: length of the header, JSON header, bytes.
-
-    Args:
-        tensors: Array by name.
-
-    Returns:
-        Content of the file.
-    """
-    header, parts, offset = {}, [], 0
-    for name, value in sorted(tensors.items()):
-        data = np.ascontiguousarray(value, "<f4").tobytes()
-        header[name] = {
-            "dtype": "F32",
-            "shape": list(np.shape(value)),
-            "data_offsets": [offset, offset + len(data)],
-        }
-        parts.append(data)
-        offset += len(data)
-    text = json.dumps(header, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)
-    return struct.pack("<Q", len(text)) + text + b"".join(parts)
-
-
 def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarray]:
     """Return the tensors of a safetensors file.
 
@@ -152,31 +122,15 @@ def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarra
         where: Name of the file, for messages.
 
     Returns:
-        Float array by name.
+        Array by name.
 
     Raises:
-        InputError: The data are no safetensors file of floats.
+        InputError: The data are no safetensors file.
     """
     try:
-        (length,) = struct.unpack_from("<Q", data)
-        if length > len(data) - 8:
-            raise ValueError
-        header = parse_json(data[8 : 8 + length], where)
-        if not isinstance(header, dict) or len(header) > TENSORS:
-            raise ValueError
-        out = {}
-        for name, entry in header.items():
-            if name == "__metadata__":
-                continue
-            kind, (begin, end) = _DTYPES[entry["dtype"]], sizes(entry["data_offsets"], "offsets")
-            shape = sizes(entry["shape"], "sizes")
-            if not begin <= end <= len(data) - 8 - length or end - begin != math.prod(shape) * kind.itemsize:
-                raise ValueError
-            found = np.frombuffer(data, kind, math.prod(shape), 8 + length + begin)
-            out[name] = found.reshape(shape)
-        return out
-    except (struct.error, ValueError, KeyError, TypeError):
-        raise InputError(f"{where}: not a safetensors file of floats") from None
+        return safetensors.load(data)
+    except Exception as error:  # any error is a fault of the file
+        raise InputError(f"{where}: not a safetensors file ({error})") from None
 
 
 # --------------------------------------------------------------------------------------------- policy
@@ -475,7 +429,7 @@ class Policy:
         tensors = {"normalisation.mean": self.mean, "normalisation.scale": self.scale}
         for i, (w, b) in enumerate(self.weights):
             tensors |= {f"layer.{i}.weight": w, f"layer.{i}.bias": b}
-        blob = write_safetensors(tensors)
+        blob = safetensors.save(tensors)
         head = {
             "schema": SCHEMA,
             "name": self.name,

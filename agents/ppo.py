@@ -57,12 +57,7 @@ class GroupBuffer(RolloutBuffer):
             )
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
-        """Compute the advantages of a finished rollout.
-
-        Args:
-            last_values: Without effect.
-            dones: Ends of episodes after the last step (cars,).
-        """
+        # no critic: `last_values` has no effect
         grouped = self.rewards.reshape(self.buffer_size, -1, self.group)
         relative = (grouped - grouped.mean(axis=2, keepdims=True)).reshape(self.rewards.shape)
         follows = np.append(self.episode_starts[1:], dones[None].astype(np.float32), axis=0)
@@ -73,14 +68,7 @@ class GroupBuffer(RolloutBuffer):
         self.returns = self.advantages
 
     def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
-        """Return minibatches of whole groups; contiguous rows are faster than single rows.
-
-        Args:
-            batch_size: Number of samples per minibatch; None for all.
-
-        Returns:
-            Minibatches.
-        """
+        # whole groups: contiguous rows are faster than single rows
         steps = self.buffer_size - self.tail
         total = steps * self.n_envs // self.group
         data = (self.observations, self.actions, self.values, self.log_probs, self.advantages, self.returns)

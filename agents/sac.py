@@ -56,14 +56,6 @@ class Bilinear(nn.Module):
         self.width = k * (k + 1) // 2 + 2 * k + width
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the features.
-
-        Args:
-            x: Columns (cars, inputs).
-
-        Returns:
-            Features (cars, width of the features).
-        """
         s = x[:, self.core]
         road = x[:, self.seen :] if self.road else torch.zeros_like(x[:, :1])
         return torch.cat([(s @ self.one) * (s @ self.other), s, s * self.cross(road), self.hidden(x)], dim=1)
@@ -73,14 +65,6 @@ class Adam(torch.optim.Adam):
     """Adam with an optional `factor` on the learning rate per parameter group; Stable-Baselines3 sets one rate for all groups."""
 
     def step(self, closure: Any = None) -> Any:
-        """Run one step of the optimiser.
-
-        Args:
-            closure: Function that returns the loss; None without re-evaluation.
-
-        Returns:
-            Loss; None without a closure.
-        """
         rates = [group["lr"] for group in self.param_groups]
         for group in self.param_groups:
             group["lr"] *= group.get("factor", 1.0)
@@ -102,14 +86,6 @@ class First(BaseFeaturesExtractor):
         super().__init__(space, seen)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the first columns.
-
-        Args:
-            x: Columns (cars, inputs).
-
-        Returns:
-            Columns (cars, seen).
-        """
         return x[:, : self.features_dim]
 
 
@@ -140,15 +116,6 @@ class Critic(nn.Module):
         self.optimizer: Any = None
 
     def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return the action values.
-
-        Args:
-            observations: Observations (cars, inputs).
-            actions: Actions (cars, 1).
-
-        Returns:
-            Tuple of one tensor (cars, 1).
-        """
         slope = self.slope(observations[:, : self.seen])
         own = actions * slope[:, : self.actions] + actions.square() * slope[:, self.actions :]
         if self.actions > 1:
@@ -156,11 +123,6 @@ class Critic(nn.Module):
         return (0.1 * own + self.out(self.body(torch.cat([actions, observations], dim=1))),)
 
     def set_training_mode(self, mode: bool) -> None:
-        """Set training or evaluation mode.
-
-        Args:
-            mode: Whether the mode is training.
-        """
         self.train(mode)
 
 
@@ -182,25 +144,9 @@ class SACPolicy(_SACPolicy):
         super().__init__(*args, **kwargs)
 
     def make_actor(self, features_extractor: Any = None) -> Actor:
-        """Return the actor.
-
-        Args:
-            features_extractor: Without effect.
-
-        Returns:
-            The actor.
-        """
         return super().make_actor(First(self.observation_space, self.seen))  # type: ignore[arg-type]
 
     def make_critic(self, features_extractor: Any = None) -> Any:
-        """Return the critic.
-
-        Args:
-            features_extractor: Without effect.
-
-        Returns:
-            The critic.
-        """
         arch: Any = self.net_arch
         (inputs,) = self.observation_space.shape  # type: ignore[misc]
         core = self.core or list(range(self.seen))
@@ -238,15 +184,7 @@ class GroupReplayBuffer(ReplayBuffer):
         self.explored = np.ones((self.buffer_size, self.n_envs // group), bool)
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
-        """Return a sample of whole groups; episodes end by time alone.
-
-        Args:
-            batch_size: Number of rows.
-            env: Normalisation of Stable-Baselines3.
-
-        Returns:
-            Rows; `discounts` (rows, 1) are the factors on the values after the steps.
-        """
+        # episodes end by time alone; `discounts` (rows, 1) are the factors on the values after the steps
         count = max(batch_size // self.group, 1)
         held = self.buffer_size if self.full else self.pos
         steps = min(self.n_steps, held)
@@ -346,12 +284,6 @@ class GroupSAC(SAC):
         return (grouped - grouped.mean(dim=1, keepdim=True)).reshape(-1, 1)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Run updates of critic and actor.
-
-        Args:
-            gradient_steps: Number of updates.
-            batch_size: Number of rows per update.
-        """
         actor, critic, target = self.actor, self.critic, self.critic_target
         self._update_learning_rate([actor.optimizer, critic.optimizer])
         moves = next(actor.parameters()).requires_grad

@@ -10,7 +10,9 @@ figures.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, field, replace
+from importlib import resources
 from typing import Any
 
 from isd_gym.env.sensors import Sensors
@@ -31,13 +33,11 @@ def robust() -> tuple[dict[str, Any], Sensors]:
     Returns:
         Ranges for the environment, and sensors.
     """
-    from isd_gym.benchmark.grid import Grid
-
-    given = dict(Grid.load("robust").random)
+    grid = resources.files("isd_gym.benchmark") / "grids" / "robust.toml"
+    given = tomllib.loads(grid.read_text(encoding="utf-8"))["random"]
     ranges = {name: tuple(span) for name, span in given["factors"].items()}
-    return {**ranges, "speed": tuple(given["speed"]), "road": given["road"]}, Sensors(
-        noise=tuple(given["noise"])
-    )
+    ranges |= {"speed": tuple(given["speed"]), "road": given["road"]}
+    return ranges, Sensors(noise=tuple(given["noise"]))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from isd_gym.physics.road import road
+from isd_gym.env.task import usual_level
 
 from .policy import FEATURE_LIMIT, Head
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from .memory import Memory
 
 ROAD_STRIDE = 2  # control steps between the points of the road ahead
-USUAL_SPEED = 20.0  # m/s
 ROAD_RISE = 2e-3  # m, RMS of the rises of the paper's road between the points
 
 
@@ -82,14 +81,6 @@ class Remember(VecEnvWrapper):
         self.seconds = 0.0
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the seeds of the groups.
-
-        Args:
-            seed: Seed of the first group; None for a random seed.
-
-        Returns:
-            Seed of each car.
-        """
         seeds = self.venv.seed(seed)
         inner: Any = self.venv
         # equal seeds give equal cars on equal roads for the whole training
@@ -97,11 +88,6 @@ class Remember(VecEnvWrapper):
         return inner._seeds
 
     def reset(self) -> np.ndarray:
-        """Start all cars on new roads.
-
-        Returns:
-            Features (cars, columns).
-        """
         obs = self.venv.reset()
         inner: Any = self.venv
         if self.group > 1 and inner._stagger:
@@ -118,7 +104,7 @@ class Remember(VecEnvWrapper):
         if self.even:
             inner: Any = self.venv
             batch = inner.env.task.batch
-            usual = _level(batch)
+            usual = usual_level(batch)
             levels = np.where(batch.levels > 0.0, batch.levels, usual)  # a bump has weight 1
             self._weights = (usual / levels).astype(np.float32)
 
@@ -144,19 +130,9 @@ class Remember(VecEnvWrapper):
         return self._obs[:, self._present]
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Store the actions of the next step.
-
-        Args:
-            actions: Actions (cars, 1) in [-1, 1].
-        """
         self.venv.step_async(self.head.current(actions, self.present, self._recall))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Run one control step with the stored actions.
-
-        Returns:
-            Features (cars, columns), rewards (cars,), ends of episodes (cars,) and information per car.
-        """
         begin = time.perf_counter()
         obs, rewards, done, infos = self.venv.step_wait()
         self.seconds += time.perf_counter() - begin
@@ -179,11 +155,3 @@ class Remember(VecEnvWrapper):
         if done.any():
             self._weigh()
         return features, rewards, done, infos
-
-
-def _level(batch: Any) -> float:
-    """Return the level of the paper's road at the usual speed, as `Batch.levels` counts it."""
-    usual, step = road("paper"), batch.plant.step
-    if batch.of.tracks == 1:
-        return float(usual.noise(USUAL_SPEED, step)[0] ** 2)
-    return float(usual.track_filters(batch.vehicle.wheels.width, USUAL_SPEED, step)[1][0] ** 2)

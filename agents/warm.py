@@ -23,7 +23,7 @@ FORGET = 200  # steps at the start of an episode, from rest, with little informa
 NOISE = 0.5  # noise relative to the demonstrated increments, so that recovery is demonstrated, too
 
 
-def demonstrate(
+def _demonstrate(
     env: Any,
     entry: Entry,
     steps: int,
@@ -31,20 +31,10 @@ def demonstrate(
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, torch.Tensor]:
-    """Return a shuffled demonstration of a teacher in the training environment.
+    """Return a shuffled demonstration of a teacher over a number of control steps.
 
-    Args:
-        env: Training environment (`Remember`).
-        entry: The teacher.
-        steps: Number of control steps.
-        gamma: Discount factor of the values.
-        rng: Generator of the noise.
-        progress: Called with the finished share.
-
-    Returns:
-        Tensors of n samples: `features` (n, width); `wanted` (n, currents), the teacher's actions in [-1, 1];
-            `done` (n, currents), the actions with noise; `value` (n, 1), the discounted scaled future
-            rewards.
+    Tensors of n samples: `features` (n, width); `wanted` (n, currents), the teacher's actions in [-1, 1]; `done`
+    (n, currents), the actions with noise; `value` (n, 1), the discounted scaled future rewards.
     """
     teacher: Any = entry.make()
     teacher.reset_batch(env.num_envs)
@@ -96,7 +86,7 @@ def warm_start(
     """
     rng = np.random.default_rng(seed)
     env.seed(seed)
-    data = demonstrate(
+    data = _demonstrate(
         env, entry, settings.warm_steps, settings.gamma, rng, lambda share: progress(0.5 * share)
     )
     policy = model.policy

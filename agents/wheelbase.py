@@ -16,11 +16,11 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg import block_diag, expm, solve_discrete_are
+from scipy.linalg import block_diag, expm
 
-from isd_gym.baselines.car import CarWeights, WholeCar, columns
+from isd_gym.baselines.car import CarWeights, WholeCar, columns, continuous, drifts, of_currents
 from isd_gym.baselines.lqg import LawSettings
-from isd_gym.baselines.model import dry, equations, white_covariance
+from isd_gym.baselines.model import dry, equations, riccati, white_covariance
 from isd_gym.common.errors import InputError
 from isd_gym.env.environment import ISDSuspensionVectorEnv
 from isd_gym.env.sensors import ANGULAR_NOISE, NOISE
@@ -96,69 +96,36 @@ def road_model(network: Network, step: float) -> RoadModel:
         InputError: The network is no car.
     """
     car = vehicle(network)
-    channels, nodes = [*car.channels], state_channels(network)
-    parts = equations(network, [*channels, *nodes], {})
-    dry_laws = dry(parts.laws)
-    x, (r, v, motors) = list(range(parts.columns["x"].stop)), columns(car, parts)
-    currents = [place for place in motors if place is not None]
-    laws = [parts.apart[j] for j in dry_laws]
-    n, corners = len(x), len(r)
-    size = n + corners
-    given = [*currents, *v, *laws]
-    big = np.zeros((size + len(given),) * 2)
-    big[:n, :size], big[:n, size:] = parts.rate[:, [*x, *r]], parts.rate[:, given]
-    big[n:size, size + len(currents) : size + len(currents) + corners] = np.eye(corners)
-    white = big[:size, size + len(currents) : size + len(currents) + corners]
-    W = [white_covariance(big[:size, :size], white[:, [i]], 1.0, step) for i in range(corners)]
+    parts = equations(network, [*car.channels, *state_channels(network)], {})
+    x, (r, _, currents) = parts.columns["x"], columns(car, parts)
+    rubs, m, count = dry(parts.laws), len(currents), len(car.channels)
+    A, inputs, white = continuous(car, parts)
+    size, corners = len(A), len(r)
+    wide = np.hstack([inputs[:, [*range(m), *(m + j for j in rubs)]], white])
+    big = np.zeros((size + wide.shape[1],) * 2)
+    big[:size, :size], big[:size, size:] = A, wide
     phi = expm(big * step)[:size]
-    phi[n:, n:size] *= np.exp(-step / ROAD_MEMORY)
-    ends = np.cumsum([size, len(currents), corners, len(laws)])
-    b, p, g = (phi[:, begin:end] for begin, end in pairwise(ends))
-    seen, slide = parts.out[: len(channels)], parts.R[dry_laws]
+    phi[size - corners :, size - corners : size] *= np.exp(-step / ROAD_MEMORY)
+    ends = np.cumsum([size, m, len(rubs), corners])
+    b, g, p = (phi[:, begin:end] for begin, end in pairwise(ends))
+    laws = [parts.apart[j] for j in rubs]
+    seen, slide, states = parts.out[:count], parts.R[rubs], [*range(x.stop), *r]
     return RoadModel(
         car=car,
         step=step,
         A=phi[:, :size],
         B=b,
         P=p / step,
-        W=np.array(W),
+        W=np.array([white_covariance(A, white[:, [i]], 1.0, step) for i in range(corners)]),
         G=g,
-        C=seen[:, [*x, *r]],
-        D=seen[:, currents],
+        C=seen[:, states],
+        D=of_currents(seen, currents),
         F=seen[:, laws],
-        S=slide[:, [*x, *r]],
+        S=slide[:, states],
         SF=slide[:, laws],
-        laws=tuple(parts.laws[j] for j in dry_laws),
-        rigid=_rigid(car, channels, nodes, seen[:, x], parts.out[len(channels) :, x], corners),
+        laws=tuple(parts.laws[j] for j in rubs),
+        rigid=drifts(car, parts.out[:, x], size),
     )
-
-
-def _rigid(
-    car: Vehicle, channels: list[Any], nodes: list[Any], seen: np.ndarray, whole: np.ndarray, corners: int
-) -> np.ndarray:
-    """Return the states (n, motions) of a car that heaves, pitches or rolls as a whole without relative motion."""
-    at = {car.body: (0.0, 0.0)} | {c.wheel: (c.x, c.y) for c in car.corners}
-    still = [i for i, c in enumerate(channels) if c.quantity in ("displacement", "velocity")]
-    keep = [
-        i
-        for i, c in enumerate(nodes)
-        if c.quantity == "displacement" or c.at in at or c.at in car.angles.values()
-    ]
-    rows = np.vstack([whole[keep], seen[still]])
-    out = []
-    for motion in ("heave", *car.axes):
-        wanted = np.zeros(len(rows))
-        for k, i in enumerate(keep):
-            if nodes[i].quantity != "velocity":
-                continue
-            node = str(nodes[i].at)
-            if node in at:
-                px, py = at[node]
-                wanted[k] = {"heave": 1.0, "pitch": -px, "roll": py}[motion]
-            else:
-                wanted[k] = float(car.angles.get(motion) == node)
-        out.append(np.append(np.linalg.lstsq(rows, wanted, rcond=None)[0], np.zeros(corners)))
-    return np.array(out).T
 
 
 # ----------------------------------------------------------------------------------------------- the law
@@ -205,13 +172,7 @@ def preview_law(model: RoadModel, settings: LawSettings, followers: list[int], p
     q, r = weights[:, None], np.diag(efforts)
     C, D = m.C @ m.A, m.C @ m.B + m.D
     Q, R, N = C.T @ (q * C), D.T @ (q * D) + r, C.T @ (q * D)
-    try:
-        V = solve_discrete_are(m.A, m.B, Q, R, s=N)
-    except np.linalg.LinAlgError:
-        raise InputError(
-            f"network '{car.network.name}' has no linear-quadratic controller: something in it neither decays nor "
-            "can be moved"
-        ) from None
+    V = riccati(m.network, m.A, m.B, Q, R, N)
     K = np.linalg.solve(R + m.B.T @ V @ m.B, m.B.T @ V @ m.A + N.T)
     value = V + m.C.T @ (q * m.C)
     across = m.B.T @ value + m.D.T @ (q * m.C)
@@ -291,12 +252,8 @@ def car_filter(
     settings = LawSettings()
     m = road_model(network, control_step)
     wheels = car.wheels
-    leaders = [
-        min((behind, i) for i, behind in enumerate(wheels.behind) if wheels.track[i] == track)[1]
-        for track in range(wheels.tracks)
-    ]
     followers = [i for i, behind in enumerate(wheels.behind) if behind > 0.0]
-    sources = [leaders[wheels.track[i]] for i in followers]
+    sources = [wheels.leaders[wheels.track[i]] for i in followers]
     delays = wheels.delays(speed, control_step)
     points = max((int(delays[i]) - LAG + 1 for i in followers), default=0)
     if points < 1:
@@ -398,12 +355,7 @@ def _kalman_gain(
     usual = NOISE | ANGULAR_NOISE
     deviations = [getattr(settings.sensors, k, ANGULAR) for k in kinds]
     R = np.diag([d**2 + (noise * usual[k]) ** 2 for d, k in zip(deviations, kinds, strict=True)])
-    try:
-        V = solve_discrete_are(A.T, C.T, W, R)
-    except np.linalg.LinAlgError:
-        raise InputError(
-            f"network '{m.car.network.name}' has no Kalman filter: the measured signals do not show all of its motion"
-        ) from None
+    V = riccati(m.network, A.T, C.T, W, R)
     return np.linalg.solve(C @ V @ C.T + R, C @ V).T
 
 

@@ -7,8 +7,8 @@ controller sees only the observation of the environment.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from functools import partial
+from dataclasses import fields, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from isd_gym.benchmark.driving import Idle
@@ -29,85 +29,6 @@ Factory = Callable[..., Controller | Idle]
 PREVIEW = 0.25  # default preview of the controllers with preview [s]
 
 
-def _idle(name: str) -> Factory:
-    return lambda model, cost, control_step: Idle(name, model)
-
-
-def _skyhook(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
-    from .simple import Skyhook
-
-    return Skyhook(model, cost, control_step, name="skyhook", **options)
-
-
-def _add(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
-    from .simple import AccelerationDriven
-
-    return AccelerationDriven(model, cost, control_step, name="add", **options)
-
-
-def _lqg(
-    model: Network, cost: StageCost, control_step: float, *, ahead: bool = False, **options: Any
-) -> Controller:
-    from .lqg import Lqg, LqgSettings
-
-    base = LqgSettings(preview=PREVIEW) if ahead else LqgSettings()
-    name = "lqg-preview" if ahead else "lqg"
-    return Lqg(model, cost, control_step, **_settings("lqg", base, options), name=name)
-
-
-def _lqr_full(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
-    from .lqg import FullStateLqr
-
-    return FullStateLqr(model, cost, control_step, **_settings("lqg", "LqgSettings", options))
-
-
-def _mpc(
-    model: Network, cost: StageCost, control_step: float, *, start: str = "", **options: Any
-) -> Controller:
-    from . import mpc
-
-    base = mpc.PAPER if start else mpc.MpcSettings()
-    return mpc.Mpc(model, cost, control_step, **_settings("mpc", base, options), name=start or "mpc")
-
-
-def _friction(
-    model: Network,
-    cost: StageCost,
-    control_step: float,
-    *,
-    ahead: bool = False,
-    robust: bool = False,
-    **options: Any,
-) -> Controller:
-    from .friction import FrictionMpc, FrictionMpcSettings, with_preview
-
-    base, name = FrictionMpcSettings(), "mpc-friction"
-    if ahead:
-        base = with_preview(base, float(options.pop("preview", PREVIEW)), control_step)
-        name = "mpc-friction-preview"
-    if robust:
-        # mean change of J against the same car without current, 96 cars of the robust track's ranges
-        # (`benchmarks/tune.py mpc-friction noise=... --randomize`): 0 -22.29 %, 0.25 -23.61, 0.5 -23.76, 1
-        # -23.70
-        base, name = replace(base, sensors=noisy(0.5)), "mpc-robust"
-    return FrictionMpc(model, cost, control_step, **_settings("friction", base, options), name=name)
-
-
-def _lqg_wheelbase(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
-    from .wheelbase import WheelbaseLqg, WheelbaseSettings
-
-    return WheelbaseLqg(model, cost, control_step, **_settings("wheelbase", WheelbaseSettings(), options))
-
-
-def _mpc_wheelbase(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
-    from .friction import FrictionMpcSettings
-    from .wheelbase import DESIGN_SPEED, WheelbaseMpc
-
-    speed = float(options.pop("speed", DESIGN_SPEED))
-    settings = _settings("friction", FrictionMpcSettings(), options)
-    return WheelbaseMpc(model, cost, control_step, speed=speed, **settings)
-
-
 def noisy(share: float) -> Any:
     """Return the sensor noise that an estimator should assume.
 
@@ -125,37 +46,62 @@ def noisy(share: float) -> Any:
     return Sensors(**{k: (getattr(clean, k) ** 2 + (share * v) ** 2) ** 0.5 for k, v in NOISE.items()})
 
 
-def _settings(module: str, base: Any, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keyword `settings` of a controller with single fields replaced; raise `InputError` for an unknown field."""
-    import dataclasses
-    import importlib
+def _idle(name: str) -> Factory:
+    return lambda model, cost, control_step: Idle(name, model)
 
-    if isinstance(base, str):
-        base = getattr(importlib.import_module(f".{module}", __package__), base)()
-    base = options.get("settings", base)
-    known = {f.name for f in dataclasses.fields(base)}
-    unknown = [k for k in options if k not in known and k != "settings"]
-    if unknown:
-        raise InputError(f"no option '{unknown[0]}': there are {', '.join(sorted(known))}")
-    return {"settings": dataclasses.replace(base, **{k: v for k, v in options.items() if k != "settings"})}
+
+def _of(name: str, kind: str, usual: Callable[[Any, float, dict[str, Any]], Any]) -> Factory:
+    """Return the factory of a class such as 'lqg.Lqg', whose module is imported on demand.
+
+    `usual` returns the settings from the module, the control step and the options; options are fields of the settings.
+    """
+    module, _, cls = kind.partition(".")
+
+    def make_one(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+        home = import_module(f".{module}", __package__)
+        settings = options.pop("settings", None) or usual(home, control_step, options)
+        known = {f.name for f in fields(settings)}
+        if unknown := [k for k in options if k not in known]:
+            raise InputError(f"no option '{unknown[0]}': there are {', '.join(sorted(known))}")
+        return getattr(home, cls)(model, cost, control_step, replace(settings, **options), name)
+
+    return make_one
+
+
+def _previewing(home: Any, control_step: float, options: dict[str, Any]) -> Any:
+    """Return the settings of the friction-aware MPC for the preview of the options."""
+    preview = float(options.pop("preview", PREVIEW))
+    return home.with_preview(home.FrictionMpcSettings(), preview, control_step)
+
+
+def _robust(home: Any, control_step: float, options: dict[str, Any]) -> Any:
+    """Return the settings of the friction-aware MPC for noisy sensors."""
+    # mean change of J against the same car without current, 96 cars of the robust track's ranges
+    # (`benchmarks/tune.py mpc-friction noise=... --randomize`): 0 -22.29 %, 0.25 -23.61, 0.5 -23.76, 1
+    # -23.70
+    return home.FrictionMpcSettings(sensors=noisy(0.5))
 
 
 #: name -> factory(model, cost, control_step, **options)
 CONTROLLERS: dict[str, Factory] = {
     "passive": _idle("passive"),  # on another plant: the conventional car
     "isd-passive": _idle("isd-passive"),
-    "skyhook": _skyhook,
-    "add": _add,
-    "lqg": _lqg,
-    "lqg-preview": partial(_lqg, ahead=True),
-    "lqr-full": _lqr_full,
-    "mpc-paper": partial(_mpc, start="mpc-paper"),
-    "mpc": _mpc,
-    "mpc-friction": _friction,
-    "mpc-friction-preview": partial(_friction, ahead=True),
-    "mpc-robust": partial(_friction, robust=True),
-    "lqg-wheelbase": _lqg_wheelbase,
-    "mpc-wheelbase": _mpc_wheelbase,
+    "skyhook": _of("skyhook", "simple.Skyhook", lambda home, *_: home.Skyhook.default),
+    "add": _of("add", "simple.AccelerationDriven", lambda home, *_: home.AccelerationDriven.default),
+    "lqg": _of("lqg", "lqg.Lqg", lambda home, *_: home.LqgSettings()),
+    "lqg-preview": _of("lqg-preview", "lqg.Lqg", lambda home, *_: home.LqgSettings(preview=PREVIEW)),
+    "lqr-full": _of("lqr-full", "lqg.FullStateLqr", lambda home, *_: home.LqgSettings()),
+    "mpc-paper": _of("mpc-paper", "mpc.Mpc", lambda home, *_: home.PAPER),
+    "mpc": _of("mpc", "mpc.Mpc", lambda home, *_: home.MpcSettings()),
+    "mpc-friction": _of("mpc-friction", "friction.FrictionMpc", lambda home, *_: home.FrictionMpcSettings()),
+    "mpc-friction-preview": _of("mpc-friction-preview", "friction.FrictionMpc", _previewing),
+    "mpc-robust": _of("mpc-robust", "friction.FrictionMpc", _robust),
+    "lqg-wheelbase": _of(
+        "lqg-wheelbase", "wheelbase.WheelbaseLqg", lambda home, *_: home.WheelbaseSettings()
+    ),
+    "mpc-wheelbase": _of(
+        "mpc-wheelbase", "wheelbase.WheelbaseMpc", lambda home, *_: home.WheelbaseMpcSettings()
+    ),
 }
 #: one-line descriptions
 ABOUT = {
@@ -205,7 +151,7 @@ def make(
             default car.
         cost: Minimised stage cost; None for the environment's.
         control_step: Control step [s].
-        options: Fields of the controller's settings, such as ``make("mpc", solver="daqp", horizon=30)``.
+        options: Fields of the controller's settings, such as ``make("mpc", horizon=30)``.
 
     Returns:
         The controller.

@@ -19,18 +19,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import expm
 
-from isd_gym.physics import elements as el
 from isd_gym.physics.vehicle import Vehicle, state_channels, vehicle
 
 from .model import (
     ROAD_INTENSITY,
     Laws,
     Sensors,
-    _riccati,
     device_reach,
     equations,
     lift,
-    stationary,
+    riccati,
     steady_gain,
     white_covariance,
 )
@@ -38,9 +36,9 @@ from .model import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from isd_gym.physics import elements as el
     from isd_gym.physics.cost import StageCost
     from isd_gym.physics.network import Network
-    from isd_gym.physics.vehicle import Corner
 
     from .model import Equations
 
@@ -59,7 +57,7 @@ class WholeCar(Laws):
     @cached_property
     def thrusts(self) -> np.ndarray:
         """Thrust of each motor at its terminals per current (currents,) [N/A]; 0 without a motor."""
-        return np.array([_thrust(self.network, c) for c in self.car.driven])
+        return np.array([self.car.thrust(c) for c in self.car.driven])
 
     @cached_property
     def device_rates(self) -> np.ndarray:
@@ -208,11 +206,6 @@ class CarWeights:
         return q, np.array(factors[motions + 2 * corners :]) + self.effort / currents
 
 
-def _thrust(network: Network, corner: Corner) -> float:
-    motor = next((e for e in network.elements if e.name == corner.motor), None)
-    return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
-
-
 @dataclass(frozen=True)
 class _Line:
     """The delay line: relation between past rises and the corners.
@@ -307,7 +300,7 @@ def car_model(
     ]
     n = len(parts.rate)
     size = n + corners
-    A, inputs, white = _continuous(car, parts)
+    A, inputs, white = continuous(car, parts)
     for t, c in enumerate(
         leader
     ):  # motion above the leaders' roads, and heights of the corners over their leaders
@@ -345,7 +338,7 @@ def car_model(
         gamma=gamma,
         W=0.5 * (W + W.T),
         C=widened(out),
-        feedthrough=_of_currents(out, currents),
+        feedthrough=of_currents(out, currents),
         F=out[:, parts.apart],
         S=widened(parts.R),
         SF=parts.R[:, parts.apart],
@@ -355,26 +348,41 @@ def car_model(
         heights=line.heights,
         rises=line.rises,
         lift=T,
-        drifts=_drifts(car, parts.out[:, x], total),
+        drifts=drifts(car, parts.out[:, x], total),
         road_intensity=road_intensity,
     )
 
 
-def _of_currents(rows: np.ndarray, currents: list[int | None]) -> np.ndarray:
-    """Return the columns of the currents; zero for a corner without a motor."""
+def of_currents(rows: np.ndarray, currents: list[int | None]) -> np.ndarray:
+    """Return the columns of the currents.
+
+    Args:
+        rows: Rows over the columns of the equations.
+        currents: Column of each current; None for a corner without a motor.
+
+    Returns:
+        Columns (rows, currents); zero for a corner without a motor.
+    """
     return np.column_stack([np.zeros(len(rows)) if j is None else rows[:, j] for j in currents])
 
 
-def _continuous(car: Vehicle, parts: Equations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the rates of the states and of the heights under the corners: by themselves, by currents and laws, and by
-    the velocity of the road under each corner.
+def continuous(car: Vehicle, parts: Equations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the rates of the states and of the heights of the road under the corners.
+
+    Args:
+        car: Car.
+        parts: Its equations.
+
+    Returns:
+        Rates (n + corners, .) by states and heights, by currents and forces of the laws, and by the velocity of the road
+            under each corner.
     """
     x, (r, v, currents) = parts.columns["x"], columns(car, parts)
     n, corners = len(parts.rate), len(r)
     A = np.zeros((n + corners, n + corners))
     A[:n, :n], A[:n, n:] = parts.rate[:, x], parts.rate[:, r]
     inputs = np.zeros((n + corners, len(currents) + len(parts.laws)))
-    inputs[:n, : len(currents)] = _of_currents(parts.rate, currents)
+    inputs[:n, : len(currents)] = of_currents(parts.rate, currents)
     inputs[:n, len(currents) :] = parts.rate[:, parts.apart]
     white = np.vstack([parts.rate[:, v], np.eye(corners)])
     return A, inputs, white
@@ -400,8 +408,17 @@ def columns(car: Vehicle, parts: Equations) -> tuple[list[int], list[int], list[
     return r, v, [None if name is None else first + named.index(name) for name in inputs]
 
 
-def _drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
-    """Return the states (total, motions) of a body that moves at 1 m/s or 1 rad/s, wheels with it, at the roads' heights."""
+def drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
+    """Return the states of a body that moves at 1 m/s or 1 rad/s, wheels with it, at the heights of the roads.
+
+    Args:
+        car: Car.
+        out: Rows of the channels of the car and of its nodes over the states of the motion.
+        total: Number of states of the model, those of the motion first.
+
+    Returns:
+        States (total, motions).
+    """
     nodes = state_channels(car.network)
     count = len(car.channels)
     travels = [j for j, c in enumerate(car.channels) if "travel" in c.name]
@@ -445,7 +462,7 @@ def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, flo
     C, D = model.C @ A, model.C @ B + model.feedthrough
     Q, N, R = C.T @ (q[:, None] * C), C.T @ (q[:, None] * D), D.T @ (q[:, None] * D) + np.diag(r)
     V = np.zeros((model.n, model.n))
-    V[:k, :k] = _riccati(model, A[:k, :k], B[:k], Q[:k, :k], R, N[:k])
+    V[:k, :k] = riccati(model.network, A[:k, :k], B[:k], Q[:k, :k], R, N[:k])
     for _ in range(model.n - k + 1):
         across = B.T @ V @ A + N.T
         K = np.linalg.solve(R + B.T @ V @ B, across)
@@ -453,36 +470,3 @@ def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, flo
         V = 0.5 * (V + V.T)
     worth = V + model.C.T @ (q[:, None] * model.C)
     return K, float(np.trace(worth @ model.W))
-
-
-def blind_gain(model: CarModel, blind: CarModel, K: np.ndarray) -> np.ndarray:
-    """Return the gain of a regulator that treats the rises under the rear wheels as new.
-
-    Args:
-        model: Model of the car with its delay line.
-        blind: Model of the same car with `wheelbase=False`.
-        K: Gain on the state of the blind model.
-
-    Returns:
-        Gain (currents, n).
-    """
-    return np.hstack([K, -K @ blind.lift @ model.heights])
-
-
-def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float:
-    """Return the mean cost of ``I = -K x`` on a white road from the covariance of the closed loop.
-
-    Args:
-        model: Model of the car.
-        weights: Weights of the cost.
-        K: Gain (currents, n).
-
-    Returns:
-        Mean cost per step [-].
-    """
-    q, r = weights.of(model)
-    loop = model.A - model.inputs @ K
-    X = stationary(loop, model.W)
-    C = model.C @ loop - model.feedthrough @ K
-    now = np.einsum("i,ij,jk,ik->", q, C, X, C) + np.einsum("i,ij,jk,ik->", r, K, X, K)
-    return float(now + np.trace(model.C.T @ (q[:, None] * model.C) @ model.W))

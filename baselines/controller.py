@@ -74,7 +74,6 @@ class BatchController(Controller):
     slew = SLEW_LIMIT
 
     def reset(self) -> None:
-        """Clear the memory of a single car."""
         self.reset_batch(1)
 
     def reset_batch(self, count: int) -> None:
@@ -87,14 +86,6 @@ class BatchController(Controller):
         self._start(count)
 
     def act(self, observation: np.ndarray) -> float:
-        """Return the commanded current for one observation.
-
-        Args:
-            observation: Observation (6,), or longer with preview.
-
-        Returns:
-            Current [A].
-        """
         return float(self.act_batch(np.asarray(observation)[None])[0])
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
@@ -174,11 +165,6 @@ class WholeCarController(BatchController):
         self.signals = Signals(self.car)
 
     def reset_batch(self, count: int) -> None:
-        """Clear the memory, and start a number of cars.
-
-        Args:
-            count: Number of cars.
-        """
         self._last = np.zeros((len(self.car.driven), count))
         self._start(count)
 
@@ -186,14 +172,6 @@ class WholeCarController(BatchController):
         return self.act_batch(np.asarray(observation)[None])[0]
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return the commanded currents; each car has a separate memory.
-
-        Args:
-            observations: Observations (cars, signals) of the environment.
-
-        Returns:
-            Currents (cars, currents) [A].
-        """
         obs = self.signals.clean(observations, self._last)
         self._last = limit(self._command(obs), obs[self.signals.currents], self.slew)
         return self._last.T

@@ -47,15 +47,8 @@ def corner_cost(cost: StageCost) -> StageCost:
     )
 
 
-def corner_view(car: Vehicle) -> np.ndarray:
-    """Return the matrix from the observation of a car to the observations of quarter cars.
-
-    Args:
-        car: Car with several corners.
-
-    Returns:
-        Matrix (corners with a current, 6, signals).
-    """
+def _corner_view(car: Vehicle) -> np.ndarray:
+    """Return the matrix (corners with a current, 6, signals) from the observation of a car to those of quarter cars."""
     names = [signal.name for signal in car.measured]
     view = np.zeros((len(car.driven), 1 + len(OWN), len(names)))
     for i, corner in enumerate(car.driven):
@@ -98,18 +91,13 @@ class Decentralised(Controller):
         """Store the controllers of the corners."""
         super().__init__(name, model)
         self.car, self.corners = vehicle(model), list(corners)
-        self._view = corner_view(self.car)
+        self._view = _corner_view(self.car)
         self.reset()
 
     def reset(self) -> None:
         self.reset_batch(1)
 
     def reset_batch(self, count: int) -> None:
-        """Clear the memory, and start a number of cars.
-
-        Args:
-            count: Number of cars.
-        """
         for c in self.corners:
             c.reset_batch(count)
 
@@ -117,14 +105,6 @@ class Decentralised(Controller):
         return self.act_batch(np.asarray(observation)[None])[0]
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return the commanded currents.
-
-        Args:
-            observations: Observations (cars, signals) of the environment.
-
-        Returns:
-            Currents (cars, currents) [A].
-        """
         own = self.observed(np.asarray(observations, float))
         currents = [c.act_batch(obs) for c, obs in zip(self.corners, own, strict=True)]
         self.fallbacks = sum(c.fallbacks for c in self.corners)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -155,15 +155,22 @@ class FullStateLqr(Lqg):
     Args:
         model: The network that the controller assumes.
         cost: Minimised stage cost; None for the environment's.
-        args: Further arguments of `Lqg`.
-        options: Further arguments of `Lqg`, by name.
+        control_step: Control step [s].
+        settings: Settings; None for the defaults.
+        name: Name in scores.
     """
 
     observation = "full"
 
-    def __init__(self, model: Network, cost: StageCost | None = None, *args: Any, **options: Any) -> None:
-        options.setdefault("name", "lqr-full")
-        super().__init__(model, cost, *args, **options)
+    def __init__(
+        self,
+        model: Network,
+        cost: StageCost | None = None,
+        control_step: float = 5e-3,
+        settings: LqgSettings | None = None,
+        name: str = "lqr-full",
+    ) -> None:
+        super().__init__(model, cost, control_step, settings, name)
         m = self.prediction
         heights = [i for i, c in enumerate(state_channels(model)) if c.quantity == "displacement"]
         speeds = [

@@ -17,8 +17,9 @@ from scipy.linalg import expm, solve_discrete_are
 from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network, assemble
+from isd_gym.physics.network.linear import slopes
 from isd_gym.physics.road import paper_road
-from isd_gym.physics.vehicle import require_quarter_car, signal_channels, state_channels
+from isd_gym.physics.vehicle import require_quarter_car, state_channels, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -97,7 +98,11 @@ class Laws:
         Returns:
             Levels (laws,) [N]; 0 for laws that are not dry friction.
         """
-        return friction_levels(self.laws, rate)
+        out = np.zeros(len(self.laws))
+        for j in self.friction:
+            e = self.laws[j]
+            out[j] = e.bound(np.array(e.law_parameters()), 0.0, rate)  # type: ignore[misc]
+        return out
 
 
 @dataclass(frozen=True)
@@ -105,7 +110,7 @@ class Model(Laws):
     """One control step of a car: ``x+ = A x + B I + G f + w``, ``y = C x + D I + F f``, ``v = S x + SI I + SF f``.
 
     x (n,) are states with positions above the road, I [A] the current of the step, f (nl,) [N] the forces of
-    the nonlinear `laws` (friction, stops), w the road, y (6,) the signals of `signal_channels`, and v (nl,)
+    the nonlinear `laws` (friction, stops), w the road, y (6,) the signals of `Vehicle.channels`, and v (nl,)
     [m/s] the rates of the laws.
 
     Attributes:
@@ -186,23 +191,6 @@ def dry(laws: Sequence[el.Element]) -> list[int]:
     return [j for j, e in enumerate(laws) if e.bound is not None]
 
 
-def friction_levels(laws: Sequence[el.Element], rate: float = SLIDING) -> np.ndarray:
-    """Return the friction level of each law.
-
-    Args:
-        laws: Laws.
-        rate: Sliding rate [m/s].
-
-    Returns:
-        Levels (laws,) [N]; 0 for laws that are not dry friction.
-    """
-    out = np.zeros(len(laws))
-    for j in dry(laws):
-        e = laws[j]
-        out[j] = e.bound(np.array(e.law_parameters()), 0.0, rate)  # type: ignore[misc]
-    return out
-
-
 def equivalent_damping(level: float, rate_rms: float) -> float:
     """Return the damping that is equivalent to dry friction at a Gaussian rate.
 
@@ -263,20 +251,15 @@ def equations(network: Network, channels: Sequence[Channel], damping: Mapping[st
     )
     asm = assemble(bare, channels)
     cols = {part: asm.columns(part) for part in ("x", "r", "v", "I", "f")}
-    kept, slopes_k, slopes_c = [], np.zeros(len(asm.laws)), np.zeros(len(asm.laws))
-    for j, e in enumerate(asm.laws):
-        if e.name in damping:
-            slopes_c[j] = damping[e.name]
-        elif (e.bound is not None or isinstance(e, el.BumpStop)) and not asm.by_difference[j]:
-            kept.append(j)
-        elif e.law is not None:
-            p, d = np.array(e.law_parameters()), 1e-7
-            slopes_k[j] = (e.law(p, d, 0.0, 0.0, 0.0, 1e-9)[0] - e.law(p, -d, 0.0, 0.0, 0.0, 1e-9)[0]) / (
-                2 * d
-            )
-            slopes_c[j] = (e.law(p, 0.0, d, 0.0, 0.0, 1e-9)[0] - e.law(p, 0.0, -d, 0.0, 0.0, 1e-9)[0]) / (
-                2 * d
-            )
+    kept = [
+        j
+        for j, e in enumerate(asm.laws)
+        if (e.bound is not None or isinstance(e, el.BumpStop))
+        and e.name not in damping
+        and not asm.by_difference[j]
+    ]
+    slopes_k, slopes_c = slopes(asm.laws, damping)
+    slopes_k[kept] = slopes_c[kept] = 0.0
     rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
     f_all = cols["f"]
     gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f_all], rows)
@@ -346,7 +329,7 @@ def prediction_model(
         InputError: The network is no quarter car, or is tied to the ground.
     """
     require_quarter_car(network, "the prediction model is that")
-    parts = equations(network, [*signal_channels(network), *state_channels(network)], dict(damping or {}))
+    parts = equations(network, [*vehicle(network).channels, *state_channels(network)], dict(damping or {}))
     rate, out, R, cols, apart = parts.rate, parts.out, parts.R, parts.columns, parts.apart
     if cols["r"].stop - cols["r"].start != 1:
         raise InputError(f"network '{network.name}': a controller's car stands on one road")
@@ -470,12 +453,24 @@ class Weights:
         return self.cost.quadratic[3] + self.effort
 
 
-def _riccati(model: Model | CarModel, *matrices: np.ndarray) -> np.ndarray:
+def riccati(network: Network, *matrices: np.ndarray) -> np.ndarray:
+    """Return the solution of a discrete Riccati equation.
+
+    Args:
+        network: Network of the car, for the message.
+        matrices: A, B, Q, R and optionally N, as `scipy.linalg.solve_discrete_are` takes them.
+
+    Returns:
+        Solution (n, n).
+
+    Raises:
+        InputError: The equation has no solution.
+    """
     try:
         return solve_discrete_are(*matrices[:4], s=matrices[4] if len(matrices) > 4 else None)
     except np.linalg.LinAlgError:
         raise InputError(
-            f"network '{model.network.name}' has no linear-quadratic controller: "
+            f"network '{network.name}' has no linear-quadratic controller: "
             "something in it neither decays nor can be moved or seen"
         ) from None
 
@@ -497,7 +492,7 @@ def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
     C, D = model.C @ model.A, model.C @ model.B + model.D  # signals at the end of the step
     Q, R = C.T @ (q * C), np.array([[D @ (q[:, 0] * D) + weights.current]])
     N = (C.T @ (q[:, 0] * D))[:, None]
-    V = _riccati(model, model.A, model.B[:, None], Q, R, N)
+    V = riccati(model.network, model.A, model.B[:, None], Q, R, N)
     K = np.linalg.solve(R + model.B[None] @ V @ model.B[:, None], model.B[None] @ V @ model.A + N.T)[0]
     return K, V
 
@@ -564,7 +559,7 @@ def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarr
     Q[n, n] += weights.current
     R += weights.current + weights.move
     N[n] += weights.current
-    V = _riccati(model, A, B, Q, R, N)
+    V = riccati(model.network, A, B, Q, R, N)
     K = np.linalg.solve(R + B.T @ V @ B, B.T @ V @ A + N.T)[0]
     return K, V
 
@@ -615,23 +610,8 @@ def steady_gain(
     # random walk of the absolute speed whose filter, against white road velocity, has this time constant
     for drift in drifts.T:
         W = W + model.road_intensity * model.step / memory**2 * np.outer(drift, drift)
-    V = _riccati(model, model.A.T, C.T, W, covariance)
+    V = riccati(model.network, model.A.T, C.T, W, covariance)
     return np.linalg.solve(C @ V @ C.T + covariance, C @ V).T
-
-
-def closed_loop_spread(model: Model, K: np.ndarray, noise: np.ndarray | None = None) -> np.ndarray:
-    """Return the stationary covariance of the state under ``I = -K x``.
-
-    Args:
-        model: Prediction model.
-        K: Gain (n,).
-        noise: Covariance of the state per step (n, n), in addition to the road's; None for zero.
-
-    Returns:
-        Covariance (n, n).
-    """
-    W = model.W + (0.0 if noise is None else noise)
-    return stationary(model.A - np.outer(model.B, K), W)
 
 
 def stationary(A: np.ndarray, W: np.ndarray, doublings: int = 14) -> np.ndarray:

@@ -35,9 +35,11 @@ from .model import (
     prediction_model,
     statistical_linearisation,
 )
-from .qp import Program, program
+from .qp import Osqp, Program
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from isd_gym.physics.network import Network
 
 ACCELERATION_LIMIT = 5.0  # m/s^2, Table 5
@@ -63,8 +65,8 @@ class MpcSettings:
             effect of the road.
         spread: Factor on the effect of the road in 'planned' [-].
         friction_noise: Standard deviation of the estimator's friction per step [N].
-        solver: 'osqp', 'daqp' or 'piqp' (the last two need an installation; comparison in
-            `docs/explanation/baselines.md`).
+        solver: Class of the quadratic program (`qp.Program`); other solvers are compared in
+            `docs/explanation/baselines.md`.
         sensors: Standard deviations of the measurements in the estimator.
         road_intensity: Two-sided intensity of the road's velocity [m^2/s].
 
@@ -81,7 +83,7 @@ class MpcSettings:
     friction: str = "planned"
     spread: float = 1.0
     friction_noise: float = 300.0
-    solver: str = "osqp"
+    solver: Callable[[np.ndarray, np.ndarray], Program] = Osqp
     sensors: Sensors = field(default_factory=Sensors)
     road_intensity: float = ROAD_INTENSITY
 
@@ -112,7 +114,7 @@ class Mpc(BatchController):
         name: Name in scores.
 
     Raises:
-        InputError: The solver is not installed, or the network is no car.
+        InputError: The network is no car.
     """
 
     def __init__(
@@ -201,8 +203,7 @@ class Mpc(BatchController):
         )  # without the present current, the second half
         self._low = -self._high
         # one solver per car, created on demand: it starts from its last solution
-        self._programs: dict[int, Program] = defaultdict(partial(program, s.solver, self._P, self._rows))
-        self._programs[0]  # a missing solver raises an error now
+        self._programs: dict[int, Program] = defaultdict(partial(s.solver, self._P, self._rows))
         # acceleration and travel have soft limits: two additional slacks, in a program that is rarely needed
         self._soft_given = signals[:, :2, given].transpose(1, 0, 2).reshape(2 * N, -1)
         self._soft_moves = signals[:, :2, u].transpose(1, 0, 2).reshape(2 * N, -1)
@@ -221,7 +222,7 @@ class Mpc(BatchController):
                 np.hstack([np.zeros((2, pieces)), np.eye(2)]),
             ]
         )
-        self._soft_programs: dict[int, Program] = defaultdict(partial(program, s.solver, P_soft, soft))
+        self._soft_programs: dict[int, Program] = defaultdict(partial(s.solver, P_soft, soft))
         self._rates_given, self._rates_moves = rates[:, :, given], rates[:, :, u]
         # effect of the road on the rates k steps ahead, without feedback
         V, deviations = np.zeros((n, n)), np.empty((N, len(free.friction)))

@@ -1,4 +1,4 @@
-"""Solvers of a small dense quadratic program with changing vectors: OSQP, or DAQP and PIQP for comparison."""
+"""A small dense quadratic program with changing vectors, solved by OSQP."""
 
 from __future__ import annotations
 
@@ -8,10 +8,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from scipy import sparse
-
-from isd_gym.common.errors import InputError
-
-SOLVERS = ("osqp", "daqp", "piqp")
 
 
 @dataclass(frozen=True)
@@ -94,100 +90,3 @@ class Osqp:
         info, x = bare.info, bare.solution.x
         good = info.status_val in self._good and bool(np.isfinite(x).all())
         return Outcome(x.copy() if good else None, info.status)
-
-
-class Daqp:
-    """DAQP, an active-set solver (`pip install daqp`), which starts from the active limits of the last solution.
-
-    Args:
-        P: Quadratic cost (n, n).
-        A: Constraints (m, n).
-    """
-
-    INFINITE = 1e30  # DAQP's value for no limit
-
-    def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
-        import daqp
-
-        self._solver: Any = daqp.Model()
-        m, n = A.shape
-        self._solver.setup(
-            np.ascontiguousarray(P), np.zeros(n), np.ascontiguousarray(A), np.ones(m), -np.ones(m)
-        )
-
-    def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
-        """Solve the program.
-
-        Args:
-            q: Linear cost (n,).
-            low: Lower limits (m,).
-            high: Upper limits (m,).
-            guess: Without effect.
-
-        Returns:
-            Solution and status.
-        """
-        self._solver.update(
-            f=q, bupper=np.minimum(high, self.INFINITE), blower=np.maximum(low, -self.INFINITE)
-        )
-        x, _, flag, _ = self._solver.solve()
-        good = flag > 0 and bool(np.isfinite(x).all())
-        return Outcome(np.array(x) if good else None, str(flag))
-
-
-class Piqp:
-    """PIQP, a proximal interior-point solver (`pip install piqp`).
-
-    Args:
-        P: Quadratic cost (n, n).
-        A: Constraints (m, n).
-    """
-
-    def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
-        import piqp
-
-        self._solver: Any = piqp.DenseSolver()
-        m, n = A.shape
-        self._solver.setup(P, np.zeros(n), None, None, A, -np.ones(m), np.ones(m))
-        self._good = piqp.PIQP_SOLVED
-
-    def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
-        """Solve the program.
-
-        Args:
-            q: Linear cost (n,).
-            low: Lower limits (m,).
-            high: Upper limits (m,).
-            guess: Without effect.
-
-        Returns:
-            Solution and status.
-        """
-        self._solver.update(c=q, h_l=low, h_u=high)
-        status = self._solver.solve()
-        x = np.array(self._solver.result.x)
-        good = status == self._good and bool(np.isfinite(x).all())
-        return Outcome(x if good else None, str(status))
-
-
-def program(solver: str, P: np.ndarray, A: np.ndarray) -> Program:
-    """Return a quadratic program for a solver.
-
-    Args:
-        solver: Name of the solver, of `SOLVERS`.
-        P: Quadratic cost (n, n).
-        A: Constraints (m, n).
-
-    Returns:
-        The program.
-
-    Raises:
-        InputError: The solver is unknown or not installed.
-    """
-    kinds: dict[str, Any] = {"osqp": Osqp, "daqp": Daqp, "piqp": Piqp}
-    if solver not in kinds:
-        raise InputError(f"no solver '{solver}': {', '.join(SOLVERS)}")
-    try:
-        return kinds[solver](P, A)
-    except ImportError:
-        raise InputError(f"solver '{solver}' is not installed: pip install {solver}") from None

@@ -12,7 +12,7 @@ with F_now from the measured body acceleration, and b, c_p, k_p, f of the elemen
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -133,10 +133,9 @@ class ForceControl(BatchController):
         cost: StageCost | None = None,
         control_step: float = 5e-3,
         settings: StrutSettings | None = None,
-        name: str = "",
-        **_: Any,
+        name: str = "force-control",
     ) -> None:
-        super().__init__(name or type(self).__name__.lower(), model)
+        super().__init__(name, model)
         self.slew = SLEW_RATE * control_step
         self.settings = settings or self.default
         self.step, self.strut = control_step, Strut.of(model)
@@ -187,15 +186,6 @@ class Skyhook(ForceControl):
     default = StrutSettings(body=2500.0, travel=1100.0, forget=0.95, tau=0.006, width=0.012)
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return the wanted force of the strut, positive in tension.
-
-        Args:
-            acceleration: Body acceleration (n,) [m/s^2].
-            rate: Rate of the suspension travel (n,) [m/s].
-
-        Returns:
-            Force (n,) [N].
-        """
         return self.settings.body * self.velocity + self.settings.travel * rate
 
 
@@ -210,14 +200,5 @@ class AccelerationDriven(ForceControl):
     default = StrutSettings(body=2600.0, travel=2300.0, forget=0.1, tau=0.0016, width=0.012, softness=0.06)
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return the wanted force of the strut, positive in tension.
-
-        Args:
-            acceleration: Body acceleration (n,) [m/s^2].
-            rate: Rate of the suspension travel (n,) [m/s].
-
-        Returns:
-            Force (n,) [N].
-        """
         z = self.settings
         return (z.travel + 0.5 * z.body * np.tanh(acceleration * rate / z.softness)) * rate

@@ -59,6 +59,17 @@ class WheelbaseSettings(LawSettings):
             raise InputError(f"speed must be a positive number of m/s, not {self.speed:g}")
 
 
+@dataclass(frozen=True)
+class WheelbaseMpcSettings(FrictionMpcSettings):
+    """Settings of the planner at each corner, in addition to `FrictionMpcSettings`; the previews follow from the speed.
+
+    Attributes:
+        speed: Speed of the car [m/s].
+    """
+
+    speed: float = DESIGN_SPEED
+
+
 class WheelbaseLqg(WholeCarController):
     """The law ``I = -K x`` of the frictionless car and its delay line, plus the friction over the thrust constant at each corner.
 
@@ -133,9 +144,7 @@ class WheelbaseMpc(Decentralised):
         model: Network of the assumed car.
         cost: Stage cost of the car; None for the usual one.
         control_step: Control step [s].
-        settings: Settings of each corner's planner; None for the defaults. The previews follow from the
-            speed.
-        speed: Speed of the car [m/s].
+        settings: Settings; None for the defaults.
         name: Name in scores.
 
     Attributes:
@@ -151,14 +160,13 @@ class WheelbaseMpc(Decentralised):
         model: Network,
         cost: StageCost | None = None,
         control_step: float = 5e-3,
-        settings: FrictionMpcSettings | None = None,
-        speed: float = DESIGN_SPEED,
+        settings: WheelbaseMpcSettings | None = None,
         name: str = "mpc-wheelbase",
     ) -> None:
         """Create the planners of the corners."""
-        base = settings or FrictionMpcSettings()
+        base = settings or WheelbaseMpcSettings()
         own = WheelbaseSettings(
-            speed=speed,
+            speed=base.speed,
             sensors=base.sensors,
             friction_noise=base.friction_noise,
             road_intensity=base.road_intensity,
@@ -177,24 +185,11 @@ class WheelbaseMpc(Decentralised):
         super().__init__(name, model, corners)
 
     def reset_batch(self, count: int) -> None:
-        """Clear the memory, and start a number of cars.
-
-        Args:
-            count: Number of cars.
-        """
         super().reset_batch(count)
         self.estimator.reset(count)
         self._last = np.zeros((len(self.corners), count))
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return the commanded currents; each car has a separate memory.
-
-        Args:
-            observations: Observations (cars, signals) of the environment.
-
-        Returns:
-            Currents (cars, currents) [A].
-        """
         found = super().act_batch(observations)
         self._last = found.T
         return found

@@ -305,7 +305,7 @@ def archive(rng: Rng) -> dict[str, bytes]:
     way = rng.random()
     if way < 0.5:
         body = spoil_bytes(rng, body)
-    inner = zipped(parts | {"w/data.pkl": body, "w/byteorder": b"little"})
+    inner = zipped(parts | {"w/data.pkl": body, "w/byteorder": b"little", "w/version": b"3\n"})
     if 0.5 <= way < 0.65:
         inner = spoil_bytes(rng, inner)
     return {
@@ -520,7 +520,7 @@ def seen(folder: Path) -> dict[str, str]:
 
 def grids(rng: Rng, folder: Path) -> None:
     """Grids of sweeps, JSON and TOML."""
-    from isd_gym.benchmark.grid import Grid
+    from isd_gym.contrib.sweep.grid import Grid
 
     tree = {
         "policies": ["isd-passive", "lqg"],

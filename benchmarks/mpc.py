@@ -28,12 +28,56 @@ import numpy as np
 from scipy.optimize import nnls
 
 from isd_gym import baselines
-from isd_gym.baselines.qp import SOLVERS, Program, program
+from isd_gym.baselines.qp import Osqp, Outcome, Program
 from isd_gym.benchmark.scoring import Entry, drive
 from isd_gym.common.files import write_text
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
+
+class Daqp:
+    """DAQP, an active-set solver (`pip install daqp`), which starts from the active limits of the last solution."""
+
+    INFINITE = 1e30  # DAQP's value for no limit
+
+    def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
+        import daqp
+
+        self._solver: Any = daqp.Model()
+        m, n = A.shape
+        self._solver.setup(
+            np.ascontiguousarray(P), np.zeros(n), np.ascontiguousarray(A), np.ones(m), -np.ones(m)
+        )
+
+    def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
+        self._solver.update(
+            f=q, bupper=np.minimum(high, self.INFINITE), blower=np.maximum(low, -self.INFINITE)
+        )
+        x, _, flag, _ = self._solver.solve()
+        good = flag > 0 and bool(np.isfinite(x).all())
+        return Outcome(np.array(x) if good else None, str(flag))
+
+
+class Piqp:
+    """PIQP, a proximal interior-point solver (`pip install piqp`)."""
+
+    def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
+        import piqp
+
+        self._solver: Any = piqp.DenseSolver()
+        m, n = A.shape
+        self._solver.setup(P, np.zeros(n), None, None, A, -np.ones(m), np.ones(m))
+        self._good = piqp.PIQP_SOLVED
+
+    def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
+        self._solver.update(c=q, h_l=low, h_u=high)
+        status = self._solver.solve()
+        x = np.array(self._solver.result.x)
+        good = status == self._good and bool(np.isfinite(x).all())
+        return Outcome(x if good else None, str(status))
+
+
+SOLVERS: dict[str, Any] = {"osqp": Osqp, "daqp": Daqp, "piqp": Piqp}
 SCHEMA = "isd-mpc-times/1"
 REPLAYS = 7
 SEED = 4000
@@ -43,8 +87,8 @@ CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
     "lqg": ("lqg", {}),
     "mpc-paper, horizon 20": ("mpc-paper", {"horizon": 20}),
     "mpc": ("mpc", {}),
-    "mpc, daqp": ("mpc", {"solver": "daqp"}),
-    "mpc, piqp": ("mpc", {"solver": "piqp"}),
+    "mpc, daqp": ("mpc", {"solver": Daqp}),
+    "mpc, piqp": ("mpc", {"solver": Piqp}),
     "mpc-friction": ("mpc-friction", {}),
     "mpc-friction-preview": ("mpc-friction-preview", {}),
 }
@@ -141,7 +185,7 @@ def optimum(
 
 def compare(P: np.ndarray, A: np.ndarray, asked: list[tuple]) -> dict[str, Any]:
     """Every solver on the same problems."""
-    first = program("daqp", P, A)
+    first = Daqp(P, A)
     best = np.array([optimum(P, q, A, l, h, first.solve(q, l, h, g).x) for q, l, h, g in asked])
     objective = lambda x, q: 0.5 * x @ P @ x + q @ x  # noqa: E731
     # no change of current has cost 0, so the optimum is negative: the mean optimum is the possible gain
@@ -151,7 +195,7 @@ def compare(P: np.ndarray, A: np.ndarray, asked: list[tuple]) -> dict[str, Any]:
         wall, cpu = np.empty((2, REPLAYS, len(asked)), np.int64)
         failures, gaps, moves, beyond = 0, [], [], []
         for r in range(REPLAYS):
-            solved = program(solver, P, A)
+            solved = SOLVERS[solver](P, A)
             for k, (q, low, high, guess) in enumerate(asked):
                 begin, thread = time.perf_counter_ns(), time.thread_time_ns()
                 x = solved.solve(q, low, high, guess).x
@@ -199,7 +243,7 @@ def closed_loop(episodes: int, duration: float) -> dict[str, Any]:
     net = Network.load("quarter-car-isd")
     out = {}
     for solver in SOLVERS:
-        entry = Entry(f"mpc, {solver}", lambda s=solver: baselines.make("mpc", solver=s))
+        entry = Entry(f"mpc, {solver}", lambda s=solver: baselines.make("mpc", solver=SOLVERS[s]))
         run = drive(entry, net, episodes=episodes, seed=SEED, duration=duration)
         out[solver] = {"cost": float(run.cost(StageCost()).mean()), "fallbacks": run.fallbacks}
     return {"episodes": episodes, "duration": duration, "seed": SEED, "solvers": out}

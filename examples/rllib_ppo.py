@@ -13,7 +13,7 @@ from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.tune.registry import register_env
 
-from isd_gym.env.wrappers import cost_of
+from isd_gym.benchmark.driving import cost_of
 
 CARS, HORIZON = 256, 128
 

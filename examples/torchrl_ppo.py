@@ -16,7 +16,7 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from isd_gym.env.wrappers import cost_of
+from isd_gym.benchmark.driving import cost_of
 
 CARS, HORIZON, EPOCHS, BATCHES = 512, 128, 2, 16
 

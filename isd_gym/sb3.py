@@ -89,11 +89,6 @@ class BatchedVecEnv(VecEnv):
         self._begun = time.time()
 
     def reset(self) -> VecEnvObs:
-        """Put all cars at the start of new roads.
-
-        Returns:
-            Observations (count, width).
-        """
         given = any(s is not None for s in self._seeds)
         obs, _ = self.env.reset(seed=list(self._seeds) if given else None)
         self._reset_seeds()
@@ -107,19 +102,9 @@ class BatchedVecEnv(VecEnv):
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Store the actions of the next step.
-
-        Args:
-            actions: Actions (count, currents).
-        """
         self._actions = actions if self._gain is None else actions * self._gain
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Run one decision with the stored actions.
-
-        Returns:
-            Observations (count, width), rewards (count,), ends of episodes (count,) and information per car.
-        """
         obs, rewards, terminated, truncated, info = self.env.step(self._actions)
         done = terminated | truncated
         infos = self._nothing
@@ -140,88 +125,33 @@ class BatchedVecEnv(VecEnv):
         return obs, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Close the environment."""
         self.env.close()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the seeds of the next `reset`.
-
-        Args:
-            seed: Seed of the first road; None for a random seed.
-
-        Returns:
-            Seed of each car.
-        """
         if seed is None:
             seed = int(np.random.default_rng().integers(2**31))
         self._seeds = [seed + i // self.env.cars_per_road for i in range(self.num_envs)]
         return self._seeds
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute of the environment for each car.
-
-        Args:
-            attr_name: Name of the attribute.
-            indices: Indices of the cars; None for all.
-
-        Returns:
-            The same value for each car.
-        """
         value = getattr(self.env, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Raise an error: the cars of a batch share their attributes.
-
-        Args:
-            attr_name: Name of the attribute.
-            value: Value.
-            indices: Indices of the cars.
-
-        Raises:
-            InputError: Always.
-        """
         raise InputError("the cars of a batch share their attributes: give options to make_vec_env instead")
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Raise an error: the cars of a batch have no separate methods.
-
-        Args:
-            method_name: Name of the method.
-            args: Arguments.
-            indices: Indices of the cars.
-            kwargs: Arguments by name.
-
-        Returns:
-            Nothing; the function never returns.
-
-        Raises:
-            InputError: Always.
-        """
         raise InputError(f"the cars of a batch have no methods of their own (env_method '{method_name}')")
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Return whether cars are wrapped; a batch has no wrappers of single cars.
-
-        Args:
-            wrapper_class: Class of a wrapper.
-            indices: Indices of the cars; None for all.
-
-        Returns:
-            False for each car.
-        """
+        # a batch has no wrappers of single cars
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """Return the pictures of the cars.
-
-        Returns:
-            Picture (height, width, 3) of each car; None without pictures.
-        """
         frames: list[np.ndarray | None] = [*(self.env.render() or [None] * self.num_envs)]
         return frames
 

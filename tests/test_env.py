@@ -249,7 +249,7 @@ def test_preview_shows_the_road_that_comes():
     heights, views = [], []
     for _ in range(300):
         obs, *_ = env.step(np.zeros(1, np.float32))
-        heights.append(batch.road_height[0])
+        heights.append(batch.road_heights[0, 0])
         views.append(obs[6:] + heights[-1])
     assert max(heights) > 0.04
     for k in range(0, 270):

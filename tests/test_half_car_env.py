@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.integrate import trapezoid
+from scipy.special import k1
 
 from isd_gym.common.errors import InputError
 from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
@@ -381,7 +382,8 @@ def stationary_rms(name):
     left, right = response[:, :, track == 0].sum(axis=2), response[:, :, track == 1].sum(axis=2)
     power = np.abs(left) ** 2 + np.abs(right) ** 2
     if car.wheels.tracks == 2:
-        power += 2 * ground.coherence(f / 20.0, car.wheels.width)[:, None] * np.real(left * right.conj())
+        x = 2 * np.pi * f / 20.0 * car.wheels.width  # coherence of an isotropic surface
+        power += 2 * (x * k1(x))[:, None] * np.real(left * right.conj())
     power *= ground.psd(f / 20.0)[:, None] / 20.0
     return dict(zip([c.name for c in car.channels], np.sqrt(trapezoid(power, f, axis=0)), strict=True))
 

@@ -4,11 +4,18 @@ import numpy as np
 import pytest
 
 from isd_gym import baselines
-from isd_gym.baselines.car import CarWeights, blind_gain, car_model, car_regulator, simulated_cost
+from isd_gym.baselines.car import CarWeights, car_model, car_regulator
 from isd_gym.benchmark.driving import Crew, Entry, travel
 from isd_gym.benchmark.policies import find
 from isd_gym.common.errors import InputError
-from isd_gym.contrib.ceilings.bounds import ideal_car, lq_bound, reference, wheelbase_bound
+from isd_gym.contrib.ceilings.bounds import (
+    blind_gain,
+    ideal_car,
+    lq_bound,
+    reference,
+    simulated_cost,
+    wheelbase_bound,
+)
 from isd_gym.env.environment import ISDSuspensionVectorEnv
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network

@@ -334,24 +334,3 @@ def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]
     )
     made = f"Made by {command} on {date}, version {version}; card {card['digest'][:16]}."
     return "\n".join([what, "", *lines, "", made])
-
-
-def fingerprints_of(one: Mapping[str, Any], episodes: int = 2) -> list[list[float]]:
-    """Return the fingerprints of the first roads of a track on this machine.
-
-    Args:
-        one: The track.
-        episodes: Number of roads.
-
-    Returns:
-        Fingerprint of each road.
-    """
-    from .scoring import fingerprints
-
-    return fingerprints(
-        one["road"],
-        one["speed"]["value"],
-        one["duration"]["value"],
-        one["seed"],
-        min(episodes, one["episodes"]),
-    )

@@ -233,3 +233,37 @@ def _commands(crew: Crew, seen: np.ndarray, env: ISDSuspensionVectorEnv, dtype: 
             f"{kind(env.network)} with {count}: choose a policy of that car"
         )
     return found.reshape(crew.cars, count).clip(-CURRENT_LIMIT, CURRENT_LIMIT)
+
+
+def cost_of(
+    act: Callable[[np.ndarray], np.ndarray],
+    *,
+    roads: int = 32,
+    duration: float = 20.0,
+    name: str = "ISDSuspensionLearning-v0",
+    hold: int = 1,
+) -> float:
+    """Return J of a policy of the environment for learning, on the roads of the score.
+
+    Args:
+        act: ``act(observations (roads, n)) -> actions (roads, currents)``.
+        roads: Number of roads.
+        duration: Length of each road [s].
+        name: Name of the environment.
+        hold: Number of control steps per action; a policy that was trained with a hold may drive without one.
+
+    Returns:
+        Mean stage cost J [-].
+    """
+    import gymnasium
+
+    env = gymnasium.make_vec(
+        name, roads, hold=hold, duration=duration, reward="cost", autoreset_mode="disabled"
+    )
+    observations, _ = env.reset(options={"scoring_road": 0})
+    costs, over = [], False
+    while not over:
+        observations, _, _, truncated, info = env.step(act(observations))
+        costs.append(info["cost"].mean())
+        over = bool(truncated.any())
+    return float(np.mean(costs))

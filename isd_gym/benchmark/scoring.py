@@ -14,11 +14,10 @@ from ..common.errors import InputError, shown
 from ..common.inputs import check_memory
 from ..common.seeds import generators, named_roads
 from ..env.sensors import Sensors
-from ..physics import elements as el
 from ..physics.cost import StageCost, square
 from ..physics.network import Network
 from ..physics.road import road as find_road
-from ..physics.vehicle import Corner, Vehicle, vehicle
+from ..physics.vehicle import Vehicle, vehicle
 from .comparability import Comparable, comparable
 from .driving import Controller, Crew, Entry, Idle, travel
 from .policies import find_all, passive
@@ -398,7 +397,7 @@ def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, t
     energy = np.zeros(run.body_acceleration.shape[1])
     for corner in car.driven:
         current, rate = run.signals[corner.named("current")], run.signals[corner.named("device_travel_rate")]
-        power = RESISTANCE * current**2 - _thrust(car, corner) * current * rate
+        power = RESISTANCE * current**2 - car.thrust(corner) * current * rate
         energy = energy + np.sum(power, axis=0) * dt
     found = {
         "cost": run.cost(cost),
@@ -447,12 +446,6 @@ def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float
                 group[name] = (f"{head}\n{f'{corner}, ' if corner else ''}{unit}", digits, scale)
         out += [group] if group else []
     return out
-
-
-def _thrust(car: Vehicle, corner: Corner) -> float:
-    """Return the thrust of a corner's motor at its terminals per current [N/A]; 0 without a motor."""
-    motor = next((e for e in car.network.elements if e.name == corner.motor), None)
-    return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
 
 
 def _pool(name: str, values: np.ndarray) -> np.ndarray:

@@ -16,9 +16,9 @@ def command() -> None:
 
     import numpy as np
 
-    from ..benchmark.grid import Condition
     from ..benchmark.policies import find
     from ..benchmark.scoring import drive
+    from ..env.sensors import Sensors
     from ..physics.network import Network
     from ..physics.simulate import simulate
 
@@ -45,6 +45,6 @@ def command() -> None:
                 plant,
                 episodes=episodes,
                 duration=0.05,
-                sensors=Condition(noise=1.0, road_error=1e-3).sensors,
+                sensors=Sensors(noise=1.0, road_error=1e-3),
             )
         ready(name, begin)

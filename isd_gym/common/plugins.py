@@ -23,7 +23,7 @@ OWN = {
     },
     COMMANDS: {
         "train": "isd_gym.agents.cli:train",
-        "convert": "isd_gym.agents.cli:convert",
+        "convert": "isd_gym.contrib.exports.command:command",
         "export": "isd_gym.contrib.fmi.command:command",
         "plan": "isd_gym.contrib.forecast.command:command",
         "record": "isd_gym.contrib.minari.command:command",
@@ -38,7 +38,6 @@ OWN = {
         "ceiling": "isd_gym.contrib.ceilings.ceiling:known",
     },
     WINGS: {
-        "exports": "isd_gym.contrib.exports",
         "fleet": "isd_gym.contrib.fleet.command",
         "fmi": "isd_gym.contrib.fmi.command",
         "hub": "isd_gym.contrib.hub",

@@ -2,7 +2,8 @@
 
 `ceilings` (bounds and least known costs), `exports` (plain C, ONNX), `fleet` (a diagnosis for each of many cases), `fmi`
 (functional mock-up units), `hub` (a folder for a model hub), `minari` (data sets), `no_road` (identification without a
-measured road), `reproduce` (figures of the paper; it shows the ceilings), `sweep` (grids of conditions).
+measured road), `reproduce` (figures of the paper; it shows the ceilings), `sweep` (grids of conditions). `engine` runs the many
+independent cases of `fleet` and `sweep` on cores and clusters.
 
 The core reaches a wing by an entry point (`isd_gym.common.plugins`). No wing imports another, but `reproduce` the ceilings.
 """

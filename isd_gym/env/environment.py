@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import copy
 import os
 from contextlib import contextmanager
 from math import isfinite
@@ -25,7 +24,7 @@ from .pictures import Onlooker
 from .task import EXCEEDS, Options, Task, info_maker
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from ..view.rendering import CarSnapshot, Renderer, Snapshot
 
@@ -33,7 +32,6 @@ PICTURES = 50.0  # pictures per simulated second in a window; `render` may be ca
 _QUARTER_CAR = vehicle(Network.load("quarter-car-isd"))
 #: measured signals of a quarter car: name, unit, bound
 MEASURED = tuple((signal.name, signal.unit, signal.bound) for signal in _QUARTER_CAR.measured)
-N_MEASURED = len(MEASURED)
 #: names of the numbers in `info` of a quarter car's step after the speed and the cost
 STEP_INFO = (*_QUARTER_CAR.costs, *_QUARTER_CAR.tyre_loads, *EXCEEDS)
 
@@ -226,35 +224,6 @@ class ISDSuspensionEnv(gym.Env):
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, fps=PICTURES)  # type: ignore[arg-type]
         return self._renderer.draw(self.snapshot())
-
-    def get_state(self) -> dict[str, Any]:
-        """Return the state of the episode: car, road, sensors, memory of the observation, random generator.
-
-        Returns:
-            A state for `set_state` of this or an equal environment, single or vectorised; it can be pickled.
-
-        Raises:
-            gymnasium.error.ResetNeeded: The environment was not reset.
-        """
-        if not self._ready:
-            raise gym.error.ResetNeeded("call reset() before get_state()")
-        return self.task.get_state(0) | {"steps": self._steps, "rng": copy.deepcopy(self.np_random)}
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Continue from a state: the same actions give the same observations and rewards, to the last bit.
-
-        Args:
-            state: A state of `get_state`.
-
-        Raises:
-            InputError: The state is of another network, or of an environment with other options.
-        """
-        self.task.set_state(0, state)
-        self._np_random, self._steps, self._ready = copy.deepcopy(state["rng"]), state["steps"], True
-        self._speed = float(self.task.batch.speeds[0])
-        self._drawn = {name: values[0] for name, values in self.task.batch.drawn.items()}
-        if self._onlooker is not None:
-            self._onlooker.start()
 
     def snapshot(self) -> Snapshot | CarSnapshot:
         """Return the content of a picture of the car.
@@ -515,52 +484,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
         with self._alone():
             return self._step(actions)
 
-    def step_into(
-        self,
-        actions: np.ndarray,
-        observations: np.ndarray,
-        rewards: np.ndarray,
-        terminated: np.ndarray,
-        truncated: np.ndarray,
-    ) -> dict[str, Any]:
-        """Run a step, and write the results into arrays of the caller, such as views of torch tensors.
-
-        Signals are written by the compiled step itself, without a copy.
-
-        Args:
-            actions: Actions (num_envs, currents).
-            observations: Array (num_envs, width) float32 for the observations, contiguous.
-            rewards: Array (num_envs,) of floats for the rewards.
-            terminated: Array (num_envs,) of booleans.
-            truncated: Array (num_envs,) of booleans.
-
-        Returns:
-            `info` of the step.
-
-        Raises:
-            InputError: An array has another shape or type.
-        """
-        shape = (self.num_envs, self.task.width)
-        for name, given, kinds, form in (
-            ("observations", observations, (np.float32,), shape),
-            ("rewards", rewards, (np.float32, np.float64), shape[:1]),
-            ("terminated", terminated, (np.bool_,), shape[:1]),
-            ("truncated", truncated, (np.bool_,), shape[:1]),
-        ):
-            good = isinstance(given, np.ndarray) and given.shape == form and given.dtype in kinds
-            if not (good and given.flags.c_contiguous and given.flags.writeable):
-                raise InputError(
-                    f"{name} must be a writable, contiguous array of shape {form} and type {np.dtype(kinds[0]).name}"
-                )
-        with self._alone():
-            obs, rewards[:], terminated[:], truncated[:], info = self._step(actions, observations)
-            if obs is not observations:
-                observations[:] = obs
-            self._last = observations.copy()
-            return info
-
     def _step(
-        self, actions: np.ndarray, seen: np.ndarray | None = None
+        self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         if not self._rngs:
             raise gym.error.ResetNeeded("call reset() before step()")
@@ -580,7 +505,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             if self._any_done and self.autoreset_mode is AutoresetMode.NEXT_STEP
             else None
         )
-        batch.renew(seen if task.history is None else None)
+        batch.renew()
         if task.is_plain:
             batch.step()
             reward = batch.judged[0]
@@ -635,45 +560,6 @@ class ISDSuspensionVectorEnv(VectorEnv):
         for name in ("cost", *self.task.step_info):
             info[name][which] = 0.0
         return obs
-
-    def get_state(self, car: int) -> dict[str, Any]:
-        """Return the state of a car's episode, see `ISDSuspensionEnv.get_state`.
-
-        Args:
-            car: Index of the car.
-
-        Returns:
-            A state for `set_state` of this or an equal environment, single or vectorised.
-
-        Raises:
-            gymnasium.error.ResetNeeded: The environment was not reset.
-        """
-        if not self._rngs:
-            raise gym.error.ResetNeeded("call reset() before get_state()")
-        rng = copy.deepcopy(self._rngs[car])
-        return self.task.get_state(car) | {"steps": int(self.steps[car]), "rng": rng}
-
-    def set_state(self, car: int, state: Mapping[str, Any]) -> None:
-        """Continue a car from a state: the same actions give the same observations and rewards, to the last bit.
-
-        Args:
-            car: Index of the car.
-            state: A state of `get_state`.
-
-        Raises:
-            InputError: The state is of another network, or of an environment with other options.
-            gymnasium.error.ResetNeeded: The environment was not reset.
-        """
-        if not self._rngs:
-            raise gym.error.ResetNeeded("call reset() before set_state()")
-        self.task.set_state(car, state)
-        self._rngs[car], self.steps[car] = copy.deepcopy(state["rng"]), state["steps"]
-        self._done[car], self._oldest = False, int(self.steps.max())
-        self._any_done = bool(self._done.any())
-        self._speeds = self.task.batch.speeds.copy()
-        self._speeds.setflags(write=False)
-        if self._onlookers:
-            self._onlookers[car].start()
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture of every car.

@@ -32,7 +32,6 @@ from .tracks import (
     ONE_WHEEL,
     SUM_STATES,
     WheelPositions,
-    coherence,
     delayed,
     track_filters,
 )
@@ -134,21 +133,6 @@ class Road:
             return math.sqrt(intensity * step), 1.0
         return math.sqrt(intensity * -math.expm1(-2 * rate * step) / (2 * rate)), math.exp(-rate * step)
 
-    def check_tracks(self, tracks: int) -> None:
-        """Check that a car can drive on this road.
-
-        Args:
-            tracks: Number of tracks of the car, 1 or 2.
-
-        Raises:
-            InputError: The profile differs between left and right, and the car has one track.
-        """
-        if self.has_two_tracks and tracks == 1:
-            raise InputError(
-                f"road {shown(self.name)} has a left and a right track, the car has one: "
-                "choose a road without sides, or a full car"
-            )
-
     def track_filters(self, width: float, speed: float, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the first-order sections of the rough left and right track, exact at the samples.
 
@@ -164,23 +148,6 @@ class Road:
             InputError: The track width is implausible.
         """
         return track_filters(self.roughness * REFERENCE_FREQUENCY**2, self.cutoff, width, speed * step)
-
-    def fixed(self, speed: float, step: float, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return the fixed profile for a car with one track: `fixed_tracks` with one track.
-
-        Args:
-            speed: Speed [m/s].
-            step: Step [s].
-            count: Number of steps.
-            rng: Draws the start, with `shift`.
-
-        Returns:
-            Heights [m] (m,), m <= count; empty without a profile.
-
-        Raises:
-            InputError: The profile differs between left and right.
-        """
-        return self.fixed_tracks(1, speed, step, count, rng)[0]
 
     def fixed_tracks(
         self, tracks: int, speed: float, step: float, count: int, rng: np.random.Generator
@@ -200,7 +167,11 @@ class Road:
         Raises:
             InputError: The profile differs between left and right, and the car has one track.
         """
-        self.check_tracks(tracks)
+        if self.has_two_tracks and tracks == 1:
+            raise InputError(
+                f"road {shown(self.name)} has a left and a right track, the car has one: "
+                "choose a road without sides, or a full car"
+            )
         if self.abscissa is None or self.profile is None:
             return np.empty((tracks, 0))
         x = np.arange(count + 1) * step * (1.0 if self.over_time else speed)
@@ -292,18 +263,6 @@ class Road:
             Density [m^3] in the shape of `n`.
         """
         return self.roughness * REFERENCE_FREQUENCY**2 / (np.asarray(n, float) ** 2 + self.cutoff**2)
-
-    def coherence(self, n: np.ndarray, width: float) -> np.ndarray:
-        """Return the normalised cross-spectral density of the left and the right track.
-
-        Args:
-            n: Spatial frequencies [cycle/m].
-            width: Track width [m].
-
-        Returns:
-            gamma(n) [-], in the shape of `n`; the ordinary coherence is its square.
-        """
-        return coherence(n, width, self.cutoff)
 
 
 def _numbers(given: object, name: str) -> np.ndarray:

@@ -19,7 +19,7 @@ from ..common.errors import InputError, shown
 from ..common.units import HELD, convert
 from . import elements as el
 from .balance import Balance
-from .kernel.layout import CLOSED, CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
+from .kernel.layout import CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
 
 if TYPE_CHECKING:
@@ -488,30 +488,6 @@ class Plant:
         """Rows of the kernel's state for the states of the hysteresis laws."""
         laws = self.assemblies[0].laws
         return [self.at.memory + j for j, i in enumerate(self.order) if isinstance(laws[i], el.Hysteresis)]
-
-    def softened(self, softness: float) -> np.ndarray:
-        """Return `mats` with dry friction that is viscous below ``softness * |g| * level``; g is the rate per
-        force of the friction.
-
-        Args:
-            softness: Factor [-].
-
-        Returns:
-            Numbers in the shape of `mats`.
-        """
-        at, mats = self.at, self.mats.copy()
-        numbers = mats if mats.ndim == 2 else mats.transpose(1, 0, 2)
-        for j in range(at.smooth, at.laws):
-            own = at.gains + j * at.rows + at.states + j
-            with np.errstate(divide="ignore", invalid="ignore"):
-                # the contribution of the stop to the yielding of its friction is unchanged
-                give, stopped = (k + CLOSED * (j - at.smooth) for k in (at.give, at.give_stopped))
-                through = np.where(numbers[stopped] > 0, -1.0 / numbers[stopped] - numbers[own], 0.0)
-                numbers[own] *= 1.0 + softness
-                yields = -(numbers[own] + through)
-                numbers[give] = np.where(numbers[own] < 0, -1.0 / numbers[own], 0.0)
-                numbers[stopped] = np.where(yields > 0, 1.0 / yields, 0.0)
-        return mats
 
     def _start_laws(self, state: np.ndarray, inputs: np.ndarray, held: np.ndarray | None) -> None:
         """Set elongations, rates and forces of the initial state and the first inputs, in static balance.

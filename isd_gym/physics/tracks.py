@@ -57,85 +57,15 @@ import numpy as np
 
 from ..common.errors import InputError, shown
 
-#: poles p_i and weights w_i of the normalised cross-spectral density, as returned by `fit_coherence`
+#: poles p_i and weights w_i of the normalised cross-spectral density: least maximum of the relative error of 1 - gamma for
+#: 0.03 <= x <= 300 (0.003 to 30 cycle/m at a track width of 1.6 m); `tests/test_road_tracks.py` repeats the fit
 COHERENCE_POLES = (0.0616719, 0.36458450, 1.47371465, 8.54813673)
 COHERENCE_WEIGHTS = (0.00386171, 0.10422879, 0.96151732, -0.06960782)
 SUM_STATES = len(COHERENCE_POLES) + 1  # first-order states of s
 DIFFERENCE_STATES = len(COHERENCE_POLES)  # first-order states of d
 TRACK_STATES = SUM_STATES + DIFFERENCE_STATES
 NARROWEST, WIDEST = 0.1, 10.0  # track widths [m]
-FITTED_BAND = (0.03, 300.0)  # x of `fit_coherence`: 0.003 to 30 cycle/m at a track width of 1.6 m
 _SNAP = 1e-9  # relative distance from a whole number of steps that is rounding
-
-
-def coherence(frequency: np.ndarray, width: float, cutoff: float = 0.0) -> np.ndarray:
-    """Return the normalised cross-spectral density gamma of two tracks of an isotropic surface; formula of this module.
-
-    Args:
-        frequency: Spatial frequencies n [cycle/m], any shape.
-        width: Track width b [m].
-        cutoff: Cut-off n_c of the road [cycle/m].
-
-    Returns:
-        gamma(n), between 0 and 1, in the shape of `frequency`. The ordinary coherence is its square.
-    """
-    from scipy.special import k1
-
-    x = np.atleast_1d(2 * math.pi * width * np.hypot(frequency, cutoff))
-    gamma = np.ones_like(x)
-    np.multiply(x, k1(x, where=x > 0, out=np.zeros_like(x)), where=x > 0, out=gamma)
-    return gamma.reshape(np.shape(frequency))
-
-
-def fitted_coherence(frequency: np.ndarray, width: float, cutoff: float = 0.0) -> np.ndarray:
-    """Return the coherence of the filters: the rational approximation of `coherence`.
-
-    Args:
-        frequency: Spatial frequencies n [cycle/m], any shape.
-        width: Track width b [m].
-        cutoff: Cut-off n_c of the road [cycle/m].
-
-    Returns:
-        gamma(n) of the continuous filters, in the shape of `frequency`.
-    """
-    square = np.asarray((2 * math.pi * width * np.hypot(frequency, cutoff)) ** 2)[..., None]
-    poles = np.square(COHERENCE_POLES)
-    return (np.array(COHERENCE_WEIGHTS) * poles / (square + poles)).sum(axis=-1)
-
-
-def fit_coherence() -> tuple[np.ndarray, np.ndarray]:
-    """Return poles and weights that approximate x K1(x): the source of `COHERENCE_POLES` and `COHERENCE_WEIGHTS`.
-
-    The fit minimises the largest relative error of 1 - gamma over `FITTED_BAND`, by least squares of rising
-    powers of the error. The relative error of 1 - gamma equals that of the density of the difference of the
-    tracks, which excites roll; the absolute error of gamma is smaller.
-
-    Returns:
-        Poles p_i (4,) in increasing order and weights w_i (4,) of sum 1 [-].
-    """
-    from scipy.optimize import least_squares
-    from scipy.special import k1
-
-    x = np.geomspace(*FITTED_BAND, 500)
-    wanted = 1 - x * k1(x)
-    square = x[:, None] ** 2
-
-    def unpack(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        weights = theta[DIFFERENCE_STATES:]
-        return np.exp(theta[:DIFFERENCE_STATES]), np.append(weights, 1 - weights.sum())
-
-    def error(theta: np.ndarray) -> np.ndarray:
-        poles, weights = unpack(theta)
-        return (weights * square / (square + poles**2)).sum(axis=1) / wanted - 1
-
-    theta = np.array([*np.log([0.06, 0.35, 1.5, 8.0]), 0.004, 0.1, 0.95])
-    for power in (1, 3, 7, 15, 31):
-        worst = np.abs(error(theta)).max()
-        theta = least_squares(
-            lambda t, q=power, e=worst: np.sign(error(t)) * np.abs(error(t) / e) ** q,
-            theta, x_scale="jac", max_nfev=2000,
-        ).x  # fmt: skip
-    return unpack(theta)
 
 
 def innovations(poles: np.ndarray, coefficients: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
@@ -271,6 +201,14 @@ class WheelPositions:
     def behind(self) -> tuple[float, ...]:
         """Distance of each wheel behind the foremost wheel [m]."""
         return tuple(max(self.x) - x for x in self.x)
+
+    @cached_property
+    def leaders(self) -> tuple[int, ...]:
+        """Index of the foremost wheel of each track."""
+        return tuple(
+            min((behind, i) for i, behind in enumerate(self.behind) if self.track[i] == t)[1]
+            for t in range(self.tracks)
+        )
 
     def delays(self, speed: float, step: float) -> np.ndarray:
         """Return the delay of each wheel behind the foremost wheel.

@@ -161,6 +161,18 @@ class Vehicle:
         """Names of the dynamic tyre loads."""
         return tuple(c.named("tyre_load") for c in self.corners)
 
+    def thrust(self, corner: Corner) -> float:
+        """Return the thrust of a corner's motor at its terminals per current.
+
+        Args:
+            corner: One of `corners`.
+
+        Returns:
+            Thrust constant [N/A]; 0 without a motor.
+        """
+        motor = next((e for e in self.network.elements if e.name == corner.motor), None)
+        return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
+
     def arms(self, x: float, y: float) -> tuple[float, ...]:
         """Return the factors on the accelerations of the body that give the vertical acceleration of a point.
 
@@ -442,21 +454,6 @@ def require_quarter_car(network: Network, what: str) -> None:
         raise InputError(
             f"{what} of a quarter car, but network '{network.name}' is a {found}: choose a network with one corner"
         )
-
-
-def signal_channels(network: Network) -> list[Channel]:
-    """Return the signals of a car as channels of its network, see `Vehicle.channels`.
-
-    Args:
-        network: The network.
-
-    Returns:
-        Channels.
-
-    Raises:
-        InputError: The network is no car.
-    """
-    return list(vehicle(network).channels)
 
 
 def state_channels(network: Network) -> list[Channel]:

@@ -59,7 +59,7 @@ def test_law_rolled_out_costs_what_riccati_says():
     net = bounds.ideal("quarter-car-isd")
     point = bounds.lq_bound(weights=(1, 0.5, 0.5))
     car = bounds.linear_car(net)
-    plant = Plant(net, h, lanes=lanes, extra=bounds.signal_channels(net))
+    plant = Plant(net, h, lanes=lanes, extra=bounds.vehicle(net).channels)
     rng = np.random.default_rng(3)
     gain, _ = paper_road().noise(20.0, h)
     road = np.cumsum(np.vstack([np.zeros((1, lanes)), gain * rng.standard_normal((steps, lanes))]), axis=0)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from isd_gym.benchmark.grid import Grid
 from isd_gym.contrib.sweep.conditions import sweep
+from isd_gym.contrib.sweep.grid import Grid
 
 ROOT = Path(__file__).parents[2]
 

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isd_gym.benchmark import engine
 from isd_gym.benchmark.driving import Entry
-from isd_gym.benchmark.engine import Task
-from isd_gym.benchmark.grid import Condition, Grid
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
 from isd_gym.common.errors import InputError
+from isd_gym.contrib import engine
+from isd_gym.contrib.engine import Task
 from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
+from isd_gym.contrib.sweep.grid import Condition, Grid
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import vehicle
 
@@ -125,7 +125,7 @@ def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable
 @pytest.mark.slow
 def test_killed_as_a_whole_it_goes_on_where_it_was(tmp_path, importable):
     code = (
-        "from pathlib import Path\nfrom isd_gym.benchmark import engine\nimport test_sweep\n"
+        "from pathlib import Path\nfrom isd_gym.contrib import engine\nimport test_sweep\n"
         f"folder = Path({str(tmp_path)!r})\n"
         "if __name__ == '__main__':\n"
         "    engine.run(test_sweep._tasks('slow', folder, 12), folder / 'out', jobs=2)\n"

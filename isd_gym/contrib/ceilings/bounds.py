@@ -26,11 +26,13 @@ from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import REFERENCE_FREQUENCY, Road
 from isd_gym.physics.road import road as find_road
-from isd_gym.physics.vehicle import require_quarter_car, signal_channels, vehicle
+from isd_gym.physics.vehicle import require_quarter_car, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from isd_gym.baselines.car import CarModel, CarWeights
 
 # ============================================================================================ the causal bound
 
@@ -164,7 +166,7 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
     ]
     bare = Network(network.name, network.masses, tuple(moving), network.inputs)
     channels = [
-        c for c in signal_channels(bare) if c.name in ("body_acceleration", "suspension_travel", "tyre_load")
+        c for c in vehicle(bare).channels if c.name in ("body_acceleration", "suspension_travel", "tyre_load")
     ]
     ss = linearise(bare, outputs=channels)
     name = next(c.name for c in network.inputs if c.quantity == "displacement")
@@ -496,7 +498,7 @@ def wheelbase_bound(
     Raises:
         InputError: The road is not white in velocity, or the car has two tracks, whose coherence the model leaves out.
     """
-    from isd_gym.baselines.car import CarWeights, blind_gain, car_model, car_regulator, simulated_cost
+    from isd_gym.baselines.car import CarWeights, car_model, car_regulator
     from isd_gym.benchmark.policies import conventional
 
     network, ground = Network.load(network), find_road(road)
@@ -525,6 +527,41 @@ def wheelbase_bound(
         blind=simulated_cost(known, weights, blind_gain(known, blind, K)),
         passive=simulated_cost(passive, CarWeights(stage, centring=0.0), idle),
     )
+
+
+def blind_gain(model: CarModel, blind: CarModel, K: np.ndarray) -> np.ndarray:
+    """Return the gain of a regulator that treats the rises under the rear wheels as new.
+
+    Args:
+        model: Model of the car with its delay line.
+        blind: Model of the same car with `wheelbase=False`.
+        K: Gain on the state of the blind model.
+
+    Returns:
+        Gain (currents, n).
+    """
+    return np.hstack([K, -K @ blind.lift @ model.heights])
+
+
+def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float:
+    """Return the mean cost of ``I = -K x`` on a white road from the covariance of the closed loop.
+
+    Args:
+        model: Model of the car.
+        weights: Weights of the cost.
+        K: Gain (currents, n).
+
+    Returns:
+        Mean cost per step [-].
+    """
+    from isd_gym.baselines.model import stationary
+
+    q, r = weights.of(model)
+    loop = model.A - model.inputs @ K
+    X = stationary(loop, model.W)
+    C = model.C @ loop - model.feedthrough @ K
+    now = np.einsum("i,ij,jk,ik->", q, C, X, C) + np.einsum("i,ij,jk,ik->", r, K, X, K)
+    return float(now + np.trace(model.C.T @ (q[:, None] * model.C) @ model.W))
 
 
 def _linear_device(network: Network) -> Network:

@@ -36,11 +36,12 @@ from isd_gym.common.files import write_text
 from isd_gym.common.seeds import generators
 from isd_gym.physics import elements as el
 from isd_gym.physics.cost import StageCost
+from isd_gym.physics.kernel.layout import CLOSED
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
 from isd_gym.physics.road import road as find_road
 from isd_gym.physics.simulate import PHYSICS_STEP, Plant, discretise
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, signal_channels
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
 from . import relaxed
 from .descent import ALPHAS, PIECE, Car, Compiled, Objective, Plan, Slopes, backward, compiled
@@ -101,7 +102,7 @@ class Episode:
             network.inputs,
         )
         wanted = ("body_acceleration", "suspension_travel", "tyre_load")
-        extra = [c for c in signal_channels(network) if c.name in wanted]
+        extra = [c for c in vehicle(network).channels if c.name in wanted]
         self.single = Plant(bare, PHYSICS_STEP, extra=extra)
         self.rows = np.array([*range(self.single.n), *self.single.memory], np.int64)
         self.nz = len(self.rows)
@@ -213,8 +214,8 @@ class Episode:
         Returns:
             Currents (steps,) [A].
         """
-        one = self._car(self.single, self.single.softened(softness))
-        many = self._car(self.many, self.many.softened(softness))
+        one = self._car(self.single, softened(self.single, softness))
+        many = self._car(self.many, softened(self.many, softness))
         objective, N = self._objective(barrier), self.steps
         slopes = Slopes(np.zeros((N, self.nz, self.nz + 1)), np.zeros((N, 3, self.nz + 1)))
 
@@ -324,6 +325,32 @@ class Episode:
         found = relaxed.bound(car, self.slew + SLACK, self.most + SLACK, on_current)
         constant = 0.0 if self.penalty is None else self.penalty.constant
         return None if found is None else (found - constant) / self.steps
+
+
+def softened(plant: Plant, softness: float) -> np.ndarray:
+    """Return the numbers of a plant with dry friction that is viscous below ``softness * |g| * level``; g is the rate per
+    force of the friction.
+
+    Args:
+        plant: The plant.
+        softness: Factor [-].
+
+    Returns:
+        Numbers in the shape of `Plant.mats`.
+    """
+    at, mats = plant.at, plant.mats.copy()
+    numbers = mats if mats.ndim == 2 else mats.transpose(1, 0, 2)
+    for j in range(at.smooth, at.laws):
+        own = at.gains + j * at.rows + at.states + j
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # the contribution of the stop to the yielding of its friction is unchanged
+            give, stopped = (k + CLOSED * (j - at.smooth) for k in (at.give, at.give_stopped))
+            through = np.where(numbers[stopped] > 0, -1.0 / numbers[stopped] - numbers[own], 0.0)
+            numbers[own] *= 1.0 + softness
+            yields = -(numbers[own] + through)
+            numbers[give] = np.where(numbers[own] < 0, -1.0 / numbers[own], 0.0)
+            numbers[stopped] = np.where(yields > 0, 1.0 / yields, 0.0)
+    return mats
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.benchmark.engine import Outcome, Task, stored
-from isd_gym.benchmark.engine import run as run_tasks
 from isd_gym.common.errors import InputError, ReportError, plain, shown
 from isd_gym.common.files import claim_folder, write_text
+from isd_gym.contrib.engine import Outcome, Task, stored
+from isd_gym.contrib.engine import run as run_tasks
 from isd_gym.records import schemas
 from isd_gym.records.data.table import SUFFIXES, suffix_of
 from isd_gym.records.schemas.checking import problems

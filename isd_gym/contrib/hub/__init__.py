@@ -38,7 +38,7 @@ TEXT = """\
 
 A policy ({algorithm}) for `{environment}` of the Python package `isd_gym`. It commands the currents of the motors in a car's hydraulic
 electric inerters every 5 ms, from signals that a car can measure{ahead}. The folder holds weights as safetensors and everything
-else as JSON. Loading the folder needs numpy alone and runs no code of it. {library}
+else as JSON. Loading the folder needs no PyTorch and runs no code of it. {library}
 
 ```python
 import gymnasium

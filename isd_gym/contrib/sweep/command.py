@@ -48,9 +48,8 @@ def command(
 
     Example: isd-gym sweep grid.toml --out runs/sweep --jobs 2
     """
-    from isd_gym.benchmark.grid import Grid
-
     from .conditions import check_policies, items_are, sweep
+    from .grid import Grid
 
     made = Grid.load(grid)
     check_policies(made)

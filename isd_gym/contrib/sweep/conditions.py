@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.benchmark.engine import Outcome, Task, shard, stored
-from isd_gym.benchmark.engine import run as run_tasks
-from isd_gym.benchmark.grid import SCHEMA, Condition, Grid, belongings
 from isd_gym.common.errors import InputError, markdown
 from isd_gym.common.files import claim_folder, write_text
 from isd_gym.common.inputs import is_number
 from isd_gym.common.seeds import named_roads
+from isd_gym.contrib.engine import Outcome, Task, shard, stored
+from isd_gym.contrib.engine import run as run_tasks
 from isd_gym.physics.network import Network
+
+from .grid import SCHEMA, Condition, Grid, belongings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

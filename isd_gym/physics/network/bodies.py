@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ...common.errors import InputError, shown
+from ...common.inputs import is_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,17 +31,6 @@ def angle_node(body: str, axis: str) -> str:
         Name such as 'body.pitch'.
     """
     return f"{body}.{axis}"
-
-
-def is_number(value: Any) -> bool:
-    """Return whether a value from a file is a finite number.
-
-    Args:
-        value: Any value.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return isinstance(value, int) or math.isfinite(value)
 
 
 @dataclass(frozen=True)

@@ -125,8 +125,8 @@ def from_dict(data: Any) -> Network:
         description=_text(data, "description", ""),
         masses={**masses, **inertias},
         turning=frozenset(inertias),
-        bodies=read_bodies(data.get("bodies", {})),
-        levers=tuple(read_lever(v, i) for i, v in enumerate(data.get("levers", []))),
+        bodies=_read_bodies(data.get("bodies", {})),
+        levers=tuple(_read_lever(v, i) for i, v in enumerate(data.get("levers", []))),
         elements=tuple(read_element(e, i) for i, e in enumerate(data["elements"])),
         inputs=tuple(read_channel(c, "inputs", i) for i, c in enumerate(data.get("inputs", []))),
         outputs=tuple(read_channel(c, "outputs", i) for i, c in enumerate(data.get("outputs", []))),
@@ -210,18 +210,8 @@ def _nodes_of(value: Any, where: str) -> tuple[str, str]:
     raise InputError(f'{where}: "between" must be a list of two node names, not {shown(value)}')
 
 
-def read_bodies(data: Any) -> tuple[Body, ...]:
-    """Return the rigid bodies of a model file.
-
-    Args:
-        data: Object of body by name.
-
-    Returns:
-        Bodies in the order of the file.
-
-    Raises:
-        InputError: A key is unknown or missing, or a value is invalid.
-    """
+def _read_bodies(data: Any) -> tuple[Body, ...]:
+    """Return the rigid bodies of a model file in the order of the file; raise `InputError` for an invalid entry."""
     if not isinstance(data, Mapping):
         raise InputError(f"bodies must be an object of body by name, not {type(data).__name__}")
     out = []
@@ -246,19 +236,8 @@ def read_bodies(data: Any) -> tuple[Body, ...]:
     return tuple(out)
 
 
-def read_lever(data: Any, index: int) -> Lever:
-    """Return a lever of a model file.
-
-    Args:
-        data: Entry of the lever.
-        index: Index of the entry, for messages.
-
-    Returns:
-        The lever.
-
-    Raises:
-        InputError: A key is unknown or missing, or a value is invalid.
-    """
+def _read_lever(data: Any, index: int) -> Lever:
+    """Return the lever of an entry of a model file; raise `InputError` for an invalid entry."""
     name = _name_of(data, "levers", index)
     where = f"lever '{name}'"
     if "unit" not in data:

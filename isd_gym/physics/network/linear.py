@@ -53,10 +53,15 @@ class StateSpace:
         return np.array([self.C @ np.linalg.solve(si * eye - self.A, self.B) + self.D for si in s])
 
 
-def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return stiffness [N/m] and damping [N s/m] of each law at rest; `damping` has priority.
+def slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slopes of laws at rest; laws that read a logged channel have the slope at the reference of the channel.
 
-    Laws that read a logged channel have the slope at the reference of the channel.
+    Args:
+        laws: Laws.
+        damping: Linear damping [N s/m] by name of a law, instead of the slopes of the law.
+
+    Returns:
+        Stiffness [N/m] and damping [N s/m] of each law, (laws,) each.
     """
     slopes_k, slopes_c = np.zeros(len(laws)), np.zeros(len(laws))
     for j, e in enumerate(laws):
@@ -188,7 +193,7 @@ def linearise(
         raise InputError("the velocity of an algebraic node has no state-space form")
     if not laws and asm.laws:
         try:
-            slopes_k, slopes_c = _slopes(asm.laws, damping or {})
+            slopes_k, slopes_c = slopes(asm.laws, damping or {})
             # f = Kd d + Kc v with d, v = rows @ base and base containing f: solve for f
             rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
             gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f], rows)

@@ -432,7 +432,7 @@ class Network:
             for this, other in (pair, pair[::-1]):
                 if this != GROUND:
                     links[this].append(other)
-        held = set(self.inertial_nodes) | set(self.moved_nodes) | {n for v in self.levers for n in v.between}
+        held = set(self.inertial) | set(self.moved_nodes) | {n for v in self.levers for n in v.between}
         held |= {c.at for c in self.inputs if c.quantity == "force" and c.at is not None}
         for node, others in links.items():
             if node not in held and len(others) < 2:
@@ -442,7 +442,7 @@ class Network:
                 )
         # an inerter to the ground is an inertia: a force may drive its node
         inert = [n for e in self.elements if GROUND in e.where and e.linear()[2] > 0 for n in e.where]
-        reached, frontier = set(), [*self.inertial_nodes, *inert, *self.moved_nodes, GROUND]
+        reached, frontier = set(), [*self.inertial, *inert, *self.moved_nodes, GROUND]
         while frontier:
             node = frontier.pop()
             if node not in reached:
@@ -584,11 +584,6 @@ class Network:
         from .assembly import _assemble
 
         return _assemble(self, ())
-
-    @property
-    def inertial_nodes(self) -> tuple[str, ...]:
-        """Nodes with momentum: nodes with a mass, and all nodes of bodies."""
-        return (*self.masses, *(n for b in self.bodies for n in b.nodes))
 
     @property
     def carried(self) -> dict[str, float]:

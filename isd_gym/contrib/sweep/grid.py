@@ -41,17 +41,19 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ..common.errors import InputError, hint, shown
-from ..common.inputs import is_number, parse_json, read_bytes
-from ..env.sensors import Sensors
-from ..physics.network import Network
-from .engine import Task
+from isd_gym import benchmark
+from isd_gym.common.errors import InputError, hint, shown
+from isd_gym.common.inputs import is_number, parse_json, read_bytes
+from isd_gym.contrib.engine import Task
+from isd_gym.env.sensors import Sensors
+from isd_gym.physics.network import Network
 
 SCHEMA = "isd-sweep/1"
 #: largest numbers of conditions and items, largest number in a grid, and largest size of a file of a grid
 #: [bytes]
 CONDITIONS, ITEMS, LARGEST, BELONGING = 10_000, 1_000_000, 1e100, 2**30
-BUILT_IN = Path(__file__).parent / "grids"
+#: beside the benchmark, since `isd-gym train --randomize` draws from the ranges of the robust track
+BUILT_IN = Path(benchmark.__file__).parent / "grids"
 SENSES = tuple(f.name for f in fields(Sensors))
 #: keys of [random]: ranges of numbers, and choices
 RANGES, CHOICES = ("speed", "preview", "noise", "road_error", "road_lag", "road_range"), ("road", "network")
@@ -169,7 +171,7 @@ def _network(source: str, changed: float) -> Network:
 
 @lru_cache(maxsize=256)
 def _check_road(source: str, changed: float) -> None:
-    from ..physics.road import road
+    from isd_gym.physics.road import road
 
     road(source)
 
