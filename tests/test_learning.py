@@ -1,6 +1,5 @@
 """Options for learning: held actions, relative rewards, histories, groups of cars, states; and what they leave unchanged."""
 
-import copy
 import pickle
 import threading
 
@@ -216,19 +215,51 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "options"), CASES)
-def test_an_episode_branches_by_a_copy_to_the_last_bit(name, options):
+def test_an_episode_branches_from_a_state_to_the_last_bit(name, options):
     env, rng = made(name, **options), np.random.default_rng(0)
     env.reset(seed=3)
     shape = env.action_space.shape
     driven(env, rng.uniform(-1, 1, (137, *shape)))
-    other = copy.deepcopy(env)
+    state = pickle.loads(pickle.dumps(env.get_state()))
     actions = rng.uniform(-1, 1, (500, *shape))
     seen, rewards, infos = driven(env, actions)
+    following = env.reset()[0]
+    other = made(name, **options)
+    other.reset(seed=9)
+    driven(other, actions[:5])
+    other.set_state(state)
     again = driven(other, actions)
     np.testing.assert_array_equal(seen, again[0])
     np.testing.assert_array_equal(rewards, again[1])
     assert infos == again[2]
-    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])  # and so do the next roads
+    np.testing.assert_array_equal(following, other.reset()[0])  # and so do the next roads
+    many = gymnasium.make_vec(name, 11, **options).unwrapped
+    many.reset(seed=50)
+    for _ in range(31):  # another place in the rings of the road
+        many.step(rng.uniform(-1, 1, (11, *shape)))
+    many.set_state(9, state)
+    back = many.get_state(9)
+    for k, action in enumerate(actions[:200]):
+        all_actions = np.zeros((11, *shape))
+        all_actions[9] = action
+        obs, reward, *_ = many.step(all_actions)
+        np.testing.assert_array_equal(obs[9], seen[k])
+        assert reward[9] == rewards[k]
+    many.set_state(2, back)
+    other.set_state(many.get_state(2))
+    np.testing.assert_array_equal(driven(other, actions[:50])[0], seen[:50])
+
+
+def test_a_state_of_another_car_is_refused():
+    env = made("ISDHalfCar-v0")
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.get_state()
+    quarter = made(observation="history")
+    quarter.reset(seed=0)
+    with pytest.raises(InputError, match="another network, another observation"):
+        env.set_state(quarter.get_state())
+    with pytest.raises(InputError, match=r"comes from get_state\(\)"):
+        env.set_state({"states": 1})
 
 
 def test_the_cost_of_a_policy_for_learning_is_that_of_its_score():

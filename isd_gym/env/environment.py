@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from contextlib import contextmanager
 from math import isfinite
@@ -24,7 +25,7 @@ from .pictures import Onlooker
 from .task import EXCEEDS, Options, Task, info_maker
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from ..view.rendering import CarSnapshot, Renderer, Snapshot
 
@@ -224,6 +225,35 @@ class ISDSuspensionEnv(gym.Env):
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, fps=PICTURES)  # type: ignore[arg-type]
         return self._renderer.draw(self.snapshot())
+
+    def get_state(self) -> dict[str, Any]:
+        """Return the state of the episode: car, road, sensors, memory of the observation, random generator.
+
+        Returns:
+            A state for `set_state` of this or an equal environment, single or vectorised; it can be pickled.
+
+        Raises:
+            gymnasium.error.ResetNeeded: The environment was not reset.
+        """
+        if not self._ready:
+            raise gym.error.ResetNeeded("call reset() before get_state()")
+        return self.task.get_state(0) | {"steps": self._steps, "rng": copy.deepcopy(self.np_random)}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Continue from a state: the same actions give the same observations and rewards, to the last bit.
+
+        Args:
+            state: A state of `get_state`.
+
+        Raises:
+            InputError: The state is of another network, or of an environment with other options.
+        """
+        self.task.set_state(0, state)
+        self._np_random, self._steps, self._ready = copy.deepcopy(state["rng"]), state["steps"], True
+        self._speed = float(self.task.batch.speeds[0])
+        self._drawn = {name: values[0] for name, values in self.task.batch.drawn.items()}
+        if self._onlooker is not None:
+            self._onlooker.start()
 
     def snapshot(self) -> Snapshot | CarSnapshot:
         """Return the content of a picture of the car.
@@ -560,6 +590,45 @@ class ISDSuspensionVectorEnv(VectorEnv):
         for name in ("cost", *self.task.step_info):
             info[name][which] = 0.0
         return obs
+
+    def get_state(self, car: int) -> dict[str, Any]:
+        """Return the state of a car's episode, see `ISDSuspensionEnv.get_state`.
+
+        Args:
+            car: Index of the car.
+
+        Returns:
+            A state for `set_state` of this or an equal environment, single or vectorised.
+
+        Raises:
+            gymnasium.error.ResetNeeded: The environment was not reset.
+        """
+        if not self._rngs:
+            raise gym.error.ResetNeeded("call reset() before get_state()")
+        rng = copy.deepcopy(self._rngs[car])
+        return self.task.get_state(car) | {"steps": int(self.steps[car]), "rng": rng}
+
+    def set_state(self, car: int, state: Mapping[str, Any]) -> None:
+        """Continue a car from a state: the same actions give the same observations and rewards, to the last bit.
+
+        Args:
+            car: Index of the car.
+            state: A state of `get_state`.
+
+        Raises:
+            InputError: The state is of another network, or of an environment with other options.
+            gymnasium.error.ResetNeeded: The environment was not reset.
+        """
+        if not self._rngs:
+            raise gym.error.ResetNeeded("call reset() before set_state()")
+        self.task.set_state(car, state)
+        self._rngs[car], self.steps[car] = copy.deepcopy(state["rng"]), state["steps"]
+        self._done[car], self._oldest = False, int(self.steps.max())
+        self._any_done = bool(self._done.any())
+        self._speeds = self.task.batch.speeds.copy()
+        self._speeds.setflags(write=False)
+        if self._onlookers:
+            self._onlookers[car].start()
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture of every car.

@@ -171,7 +171,8 @@ def history_of(car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> History
     ]  # with the middle time constant
     for follower, distance in enumerate(wheels.behind):
         if distance:
-            leader = wheels.leaders[wheels.track[follower]]
+            track = [w for w, t in enumerate(wheels.track) if t == wheels.track[follower]]
+            leader = min(track, key=wheels.behind.__getitem__)
             own = [travels[leader], rates[leader], n + rates[leader]]
             late += [(c, distance - wheels.behind[leader], lead) for c in body + own for lead in LEADS]
             body = []
@@ -221,6 +222,28 @@ class Remembered:
         self.features[which] = 0.0
         self.past[which] = 0.0
         self.features[which, : self.signals] = observations[:, : self.signals] / self.scale
+
+    def get_state(self, i: int) -> np.ndarray:
+        """Return the state of a car's history.
+
+        Args:
+            i: Index of the car.
+
+        Returns:
+            Numbers, and earlier values of the repeated ones, in one dimension.
+        """
+        return np.concatenate([self.features[i], np.roll(self.past[i], -self.newest, axis=0).ravel()])
+
+    def set_state(self, i: int, state: np.ndarray) -> None:
+        """Put a car's history into a state of `get_state`.
+
+        Args:
+            i: Index of the car.
+            state: The state.
+        """
+        width = self.features.shape[1]
+        self.features[i] = state[:width]
+        self.past[i] = np.roll(state[width:].reshape(self.past.shape[1:]), self.newest, axis=0)
 
     def see(self, observations: np.ndarray) -> np.ndarray:
         """Update the histories with the signals after one more control step.

@@ -204,6 +204,32 @@ class Sight:
         noise = self.sensors.noise
         self.sigma[i] = self._usual * (rng.uniform(*noise) if isinstance(noise, tuple) else noise)
 
+    def get_state(self, i: int) -> tuple[np.ndarray, ...]:
+        """Return the memory of a car's sensors.
+
+        Args:
+            i: Index of the car.
+
+        Returns:
+            Arrays for `set_state`.
+        """
+        return tuple(part[i].copy() for part in self._parts())
+
+    def set_state(self, i: int, state: Sequence[np.ndarray]) -> None:
+        """Put a car's sensors into a state of `get_state`.
+
+        Args:
+            i: Index of the car.
+            state: The arrays.
+        """
+        for part, value in zip(self._parts(), state, strict=True):
+            part[i] = value
+
+    def _parts(self) -> tuple[np.ndarray, ...]:
+        """Return views of all arrays with a memory, cars first."""
+        past, roads = (x.transpose(1, 0, 2) for x in (self._past, self._roads))
+        return self.keys, self.count, self.sigma, past, roads
+
     def see(
         self, obs: np.ndarray, speeds: np.ndarray, which: np.ndarray | slice, *, first: bool
     ) -> np.ndarray:

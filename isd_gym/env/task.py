@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import copy
+import hashlib
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -436,6 +439,66 @@ class Task:
         if self._sight is not None:
             obs = self._sight.see(obs, self.batch.speeds[which], which, first=first)
         return np.clip(obs, -self._bounds, self._bounds)
+
+    @cached_property
+    def made(self) -> dict[str, Any]:
+        """What must agree for a state of one task to be a state of another."""
+        text = json.dumps(self.network.to_dict(), sort_keys=True)
+        return {
+            "network": hashlib.sha256(text.encode()).hexdigest()[:16],
+            "control_step": self.options.control_step,
+            "observation": self.options.observation,
+            "preview": self.batch.points,
+            "reward": self._reference is not None,
+            "sensors": self.sensors.to_dict(),
+            "randomize": sorted(self.batch.drawn),
+            "longest delay of a rear wheel": self.batch.kept,
+        }
+
+    def get_state(self, i: int) -> dict[str, Any]:
+        """Return all that the future of a car depends on, except the actions and the generator of its next roads.
+
+        Args:
+            i: Index of the car.
+
+        Returns:
+            Plain data and arrays, for `set_state` of a task with equal cars.
+        """
+        return {
+            "made": self.made,
+            "car": self.batch.get_state(i),
+            "reference": None if self._reference is None else self._reference.get_state(i),
+            "sight": None if self._sight is None else self._sight.get_state(i),
+            "faults": {name: past[:, i].copy() for name, past in self._histories.items()},
+            "history": None if self._remembered is None else self._remembered.get_state(i),
+            "weight": float(self._weights[i]),
+        }
+
+    def set_state(self, i: int, state: Mapping[str, Any]) -> None:
+        """Put a car into a state of `get_state`.
+
+        Args:
+            i: Index of the car.
+            state: The state.
+
+        Raises:
+            InputError: The state is of another network, or of an environment with other options.
+        """
+        if not (isinstance(state, Mapping) and isinstance(state.get("made"), Mapping)):
+            raise InputError(f"a state comes from get_state(), it is not {shown(state)}")
+        other = [name for name, value in self.made.items() if state["made"].get(name) != value]
+        if other:
+            raise InputError(f"the state is of a car with another {', another '.join(other)}")
+        self.batch.set_state(i, state["car"])
+        if self._reference is not None:
+            self._reference.set_state(i, state["reference"])
+        if self._sight is not None:
+            self._sight.set_state(i, state["sight"])
+        for name, past in state["faults"].items():
+            self._histories.setdefault(name, np.zeros((len(past), self.batch.count)))[:, i] = past
+        if self._remembered is not None:
+            self._remembered.set_state(i, state["history"])
+        self._weights[i] = state["weight"]
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
         """Put a car, and its reference, at rest at the start of a new road.

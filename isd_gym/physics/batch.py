@@ -156,10 +156,14 @@ class Batch:
         ] or [0]
         head = np.zeros(place.TABLES, np.int64)
         head[[place.COUNT, place.SUBSTEPS, place.SHOWS]] = self.count, self.substeps, place.MEASURED
+        leaders = [
+            min((behind, i) for i, behind in enumerate(wheels.behind) if wheels.track[i] == t)[1]
+            for t in range(wheels.tracks)
+        ]
         late = [int(behind > 0.0) for behind in wheels.behind]
-        return np.concatenate(
-            [head, [*columns.values()], wheels.track, late, wheels.leaders, current_of]
-        ).astype(np.int64)
+        return np.concatenate([head, [*columns.values()], wheels.track, late, leaders, current_of]).astype(
+            np.int64
+        )
 
     def _set_drives(self) -> int:
         """Write the numbers of each motor's drive into the cars, and return how many past currents the drives need."""
@@ -381,11 +385,83 @@ class Batch:
         values = {k: nominal[k] * float(rng.uniform(*v)) for k, v in self._spread.items() if k in nominal}
         for name, value in values.items():
             self.drawn[name][i] = value
+        self._build(i, values)
+
+    def _build(self, i: int, values: Mapping[str, float]) -> None:
+        """Give car i these values of the drawn parameters."""
         from .network import assemble
 
         asm = assemble(self._bare.with_parameters(values), self.channels)
         part = discretise(asm, self.plant.step, self.plant.u_columns)
         self.plant.place(self._mats, i, part)
+
+    def get_state(self, i: int) -> dict[str, Any]:
+        """Return the state of a car and of the road that is drawn for it.
+
+        Args:
+            i: Index of the car.
+
+        Returns:
+            Arrays and numbers by name, for `set_state` of any batch with the same network and options.
+        """
+        (group, lane), of, tracks = divmod(i, WIDTH), self.of, self.of.tracks
+        slot = len(self.table) // (self.count * tracks)
+        ways = self._ways[:, i].copy()
+        begin = slot * (i * tracks + np.arange(tracks))
+        ends = ways[of.profile_end : of.profile_end + tracks]
+        profile = [self.table[a:b].copy() for a, b in zip(begin, ends, strict=True) if b > 0]
+        if profile:
+            ways[of.profile : of.profile_end] -= begin
+        now, kept = int(self._setup[place.NOW]), int(self._setup[place.KEPT_NOW])
+        return {
+            "states": self._states[group, :, lane].copy(),
+            "cars": self._cars[:, i].copy(),
+            "ways": ways,
+            "profile": np.array(profile) if profile else np.empty((tracks, 0)),
+            "past": self._past[:, :, i].copy(),
+            "rings": np.roll(self._rings[:, :, :, i], -now, axis=2),
+            "ahead": np.roll(self._ahead[i].reshape(tracks, self.points), -now, axis=1),
+            "history": np.roll(self._history[group, :, :, lane], -kept, axis=1),
+            "results": self._results[:, i].copy(),
+            "seen": self.seen[i].copy(),
+            "speed": float(self.speeds[i]),
+            "drawn": {name: values[i] for name, values in self.drawn.items()},
+        }
+
+    def set_state(self, i: int, state: Mapping[str, Any]) -> None:
+        """Put a car into a state of `get_state`.
+
+        Args:
+            i: Index of the car.
+            state: State of a car with the same network and options.
+        """
+        (group, lane), of, tracks = divmod(i, WIDTH), self.of, self.of.tracks
+        if self._spread:
+            self._build(i, {name: state["drawn"][name] for name in self._spread})
+        for name, value in state["drawn"].items():
+            self.drawn[name][i] = value
+        self._give(i, state["profile"])
+        begin = self._ways[of.profile : of.profile_end, i].copy()
+        ways = state["ways"].copy()
+        if state["profile"].shape[1]:
+            ways[of.profile : of.profile_end] += begin
+            ways[of.profile_end : of.profile_end + tracks] = self._ways[
+                of.profile_end : of.profile_end + tracks, i
+            ]
+        now, kept = int(self._setup[place.NOW]), int(self._setup[place.KEPT_NOW])
+        self._states[group, :, lane], self._cars[:, i], self._ways[:, i] = (
+            state["states"],
+            state["cars"],
+            ways,
+        )
+        self._past[:, :, i] = state["past"]
+        self._rings[:, :, :, i] = np.roll(state["rings"], now, axis=2)
+        self._ahead[i] = np.roll(state["ahead"], now, axis=1).ravel()
+        self._history[group, :, :, lane] = np.roll(state["history"], kept, axis=1)
+        results, seen = self._results.copy(), self.seen.copy()  # arrays that were handed out stay unchanged
+        results[:, i], seen[i] = state["results"], state["seen"]
+        self.speeds[i] = state["speed"]
+        self._write_to(results, seen)
 
     # ----------------------------------------------------------------------------------------- step
 
