@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from isd_gym.benchmark.driving import cost_of
-from isd_gym.benchmark.scoring import score
 from isd_gym.common.errors import InputError
 from isd_gym.common.seeds import generators, scoring_generator
 from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
@@ -129,7 +127,7 @@ def test_a_group_shares_a_road_and_its_rewards_have_no_sum():
             np.testing.assert_array_equal(obs[4], own)
             assert -cost == info["cost"][4]
         assert over.all() == over.any() == (k % 41 == 39)
-    assert len(np.unique(env.unwrapped.task.batch.road_heights[0])) == 2
+    assert len(np.unique(env.unwrapped.task.batch.road_height)) == 2
 
 
 def test_the_batch_equals_the_single_environment():
@@ -262,10 +260,25 @@ def test_a_state_of_another_car_is_refused():
         env.set_state({"states": 1})
 
 
-def test_the_cost_of_a_policy_for_learning_is_that_of_its_score():
-    idle = cost_of(lambda features: np.zeros((len(features), 1)), roads=2, duration=2.0)
-    found = score(["isd-passive"], episodes=2, duration=2.0)
-    assert idle == pytest.approx(found.policies[-1]["cost"]["value"], rel=1e-4)
+def test_a_batch_steps_into_arrays_of_the_caller():
+    torch = pytest.importorskip("torch")
+    for name in ("ISDSuspension-v0", "ISDSuspensionLearning-v0"):
+        own, other = (
+            gymnasium.make_vec(name, 16, autoreset_mode="same_step", max_episode_steps=7).unwrapped
+            for _ in range(2)
+        )
+        own.reset(seed=1), other.reset(seed=1)
+        tensors = [torch.zeros(16, own.single_observation_space.shape[0]), torch.zeros(16)]
+        tensors += [torch.zeros(16, dtype=torch.bool) for _ in range(2)]
+        rng = np.random.default_rng(0)
+        for _ in range(40):
+            actions = rng.uniform(-1, 1, (16, 1)).astype(np.float32)
+            *results, _ = own.step(actions)
+            other.step_into(actions, *(t.numpy() for t in tensors))
+            for expected, found in zip(results, tensors, strict=True):
+                np.testing.assert_allclose(expected, found.numpy(), rtol=1e-6, atol=1e-12)
+        with pytest.raises(InputError, match="observations must be a writable, contiguous array"):
+            other.step_into(actions, np.zeros((16, 99), np.float32), *(t.numpy() for t in tensors[1:]))
 
 
 def test_no_seed_reaches_a_scoring_road():
@@ -279,7 +292,7 @@ def test_no_seed_reaches_a_scoring_road():
         alone, together = one.step(actions[0])[0], many.step(actions)[0]
     np.testing.assert_array_equal(alone, together[3])
     heights = Road("paper", roughness=1e-4).heights(0.1, rng=generators(None, 3, 1)[0])
-    assert one.task.batch.road_heights[0, 0] == heights[-1]
+    assert one.task.batch.road_height[0] == heights[-1]
     with pytest.raises(InputError, match="scoring_road must be a whole number"):
         one.reset(options={"scoring_road": -1})
     with pytest.raises(InputError, match="not 'scoring'"):
