@@ -127,7 +127,7 @@ def test_a_group_shares_a_road_and_its_rewards_have_no_sum():
             np.testing.assert_array_equal(obs[4], own)
             assert -cost == info["cost"][4]
         assert over.all() == over.any() == (k % 41 == 39)
-    assert len(np.unique(env.unwrapped.task.batch.road_height)) == 2
+    assert len(np.unique(env.unwrapped.task.batch.road_heights[0])) == 2
 
 
 def test_the_batch_equals_the_single_environment():
@@ -292,7 +292,7 @@ def test_no_seed_reaches_a_scoring_road():
         alone, together = one.step(actions[0])[0], many.step(actions)[0]
     np.testing.assert_array_equal(alone, together[3])
     heights = Road("paper", roughness=1e-4).heights(0.1, rng=generators(None, 3, 1)[0])
-    assert one.task.batch.road_height[0] == heights[-1]
+    assert one.task.batch.road_heights[0, 0] == heights[-1]
     with pytest.raises(InputError, match="scoring_road must be a whole number"):
         one.reset(options={"scoring_road": -1})
     with pytest.raises(InputError, match="not 'scoring'"):
