@@ -25,7 +25,6 @@ INTERNAL = (
     "isd_gym/physics/kernel",
     *DIAGNOSIS,
     "isd_gym/records/formats",
-    "isd_gym/records/schemas/__main__.py",
 )
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef

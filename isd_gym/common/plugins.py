@@ -1,13 +1,12 @@
 """Entry points through which packages offer policies, commands and reference scores.
 
-Installed packages announce entry points as usual. In a source tree, a zip archive or a worker's folder the
-distribution is not installed; the table below, a copy of the one in pyproject.toml, then announces
-`baselines` and `agents`.
+Installed packages announce entry points as usual. The table below, a copy of the one in pyproject.toml, counts
+where the distribution is not installed (a source tree, a zip archive, a worker's folder), or is an older one.
 """
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
+from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import Any
 
@@ -25,6 +24,7 @@ OWN = {
         "train": "isd_gym.agents.cli:train",
         "convert": "isd_gym.agents.cli:convert",
         "export": "isd_gym.contrib.fmi.command:command",
+        "inspect": "isd_gym.contrib.inspection.command:command",
         "plan": "isd_gym.contrib.forecast.command:command",
         "record": "isd_gym.contrib.minari.command:command",
         "sweep": "isd_gym.contrib.sweep.command:command",
@@ -57,13 +57,13 @@ def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
     Returns:
         Entry points, possibly none.
     """
-    found = list(entry_points(group=group))
-    try:
-        distribution("isd-gym")
-    except PackageNotFoundError:
-        own = (EntryPoint(name, value, group) for name, value in OWN[group].items())
-        found += [p for p in own if find_spec(".".join(p.module.split(".")[:2])) is not None]
-    return sorted((p for p in found if name in (None, p.name)), key=lambda p: p.name)
+    found = {
+        p.name: p
+        for p in (EntryPoint(own, value, group) for own, value in OWN[group].items())
+        if find_spec(".".join(p.module.split(".")[:2])) is not None
+    }
+    found |= {p.name: p for p in entry_points(group=group) if p.name not in found}
+    return [found[key] for key in sorted(found) if name in (None, key)]
 
 
 def wing(name: str) -> Any:

@@ -28,7 +28,6 @@ from isd_gym.common.errors import InputError, ReportError, plain, shown
 from isd_gym.common.files import claim_folder, write_text
 from isd_gym.records import schemas
 from isd_gym.records.data.table import SUFFIXES, suffix_of
-from isd_gym.records.schemas.checking import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -244,6 +243,8 @@ def fleet(
 
 def _sound(task: Task, result: Any) -> bool:
     """Return whether a result has the parts of a diagnosis that the table and the page of a fleet show."""
+    from jsonschema import Draft202012Validator
+
     schema = schemas.load("isd-diagnosis/1")
     shown = {name: schema["properties"][name] for name in ("verdict", "summary", "effects")}
     clocks = {"type": "array", "items": {"type": "object"}}
@@ -253,7 +254,7 @@ def _sound(task: Task, result: Any) -> bool:
         "properties": shown | {"clocks": clocks},
     }
     part = {"type": "object", "required": ["diagnosis", "model"], "properties": {"diagnosis": diagnosis}}
-    return next(problems(result, part, schema), None) is None
+    return bool(Draft202012Validator(part | {"$defs": schema["$defs"]}).is_valid(result))
 
 
 def write_page(merged: Mapping[str, Any], out: str | Path) -> Path:
