@@ -4,11 +4,14 @@ import json
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
+from isd_gym.commands import FiniteCommand
 from isd_gym.common.errors import InputError
 from isd_gym.contrib.inspection import inspect, lines, page
+from isd_gym.contrib.inspection.command import command
 from isd_gym.contrib.inspection.facts import sparkline
 from isd_gym.diagnosis.records import read_record
 from isd_gym.physics.network import Network
@@ -300,7 +303,11 @@ def test_iso_stamps_are_seconds(tmp_path):
 
 @pytest.fixture(scope="module")
 def program():
-    return cli.app
+    """The program with the command of the wing."""
+    whole = typer.Typer()
+    whole.registered_commands = list(cli.app.registered_commands)
+    whole.command(name="inspect", cls=FiniteCommand)(command)
+    return whole
 
 
 def refused(program, *words):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import os
 import re
-import sys
 import tempfile
 import warnings
 import zlib
@@ -262,7 +261,6 @@ def _own_rasters(path: Path, kind: str) -> list[Columns]:
     """Return the rasters of a binary file, each with time stamps of its own; tables without stamps are rasters too."""
     from . import isolated
 
-    _check_library(kind)
     head, arrays = isolated.read(kind, path, None, TIME, "own")
     rasters: dict[str, Columns] = {}
     for (full, _), values in zip(head["columns"], arrays, strict=True):
@@ -406,7 +404,6 @@ def _isolated(kind: str) -> Reader:
         from . import isolated
 
         own = "mat73" if kind == "mat" and _is_hdf5(path) else kind
-        _check_library(own)
         given = None if callable(wanted) else wanted
         head, arrays = isolated.read(own, path, given, axis, resample)
         if "no_channel" in head:
@@ -434,14 +431,6 @@ def _isolated(kind: str) -> Reader:
     return read
 
 
-def _check_library(kind: str) -> None:
-    """Raise `InputError` for a library that this process treats as not installed."""
-    from .isolated import EXTRAS
-
-    if sys.modules.get(_LIBRARIES[kind], 0) is None:
-        raise InputError(f"reading needs {_LIBRARIES[kind]}: {how_to_install(EXTRAS[kind])}")
-
-
 def _is_hdf5(path: Path) -> bool:
     """Return whether a MATLAB file has version 7.3."""
     with path.open("rb") as stream:
@@ -452,7 +441,6 @@ def _workbook(path: Path) -> str:
     """Return the text of the first sheet with numbers of a workbook."""
     from . import isolated
 
-    _check_library("xlsx")
     return str(isolated.read("xlsx", path, None, TIME, False)[0]["text"])
 
 
@@ -463,15 +451,6 @@ def _read_workbook(
 
 
 _NO_NUMBERS = np.empty(0, object)
-_LIBRARIES = {
-    "parquet": "pyarrow",
-    "mat": "scipy.io",
-    "mat73": "h5py",
-    "mdf": "asammdf",
-    "tdms": "nptdms",
-    "uff": "pyuff",
-    "xlsx": "openpyxl",
-}
 #: kind of each suffix of a binary file (`isd_gym.records.formats`)
 _KINDS = {
     ".parquet": "parquet",

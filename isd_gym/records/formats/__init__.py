@@ -1,7 +1,7 @@
 """Readers of binary tables, one module per format. They run in a separate process (`host`).
 
 The libraries for these formats are large or written in C: a broken file can crash a library, and a small file can unpack to more than
-the memory. Each module has `LIBRARIES`, the names to import, and ``read(path, wanted, axis, resample, limit)``. The function returns the
+the memory. Each module has `LIBRARIES`, the names to import, `EXTRA`, the extra that installs them, and ``read(path, wanted, axis, resample, limit)``. The function returns the
 columns, their units and the names of other columns; or a text table (`xlsx`); or None with the available names and the missing name.
 """
 

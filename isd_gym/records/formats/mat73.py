@@ -6,6 +6,7 @@ from . import Refused, bearable
 from .mat import chosen
 
 LIBRARIES = ("h5py",)
+EXTRA = "files"
 
 
 def read(path, wanted, axis, resample, limit):

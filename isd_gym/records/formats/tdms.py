@@ -6,6 +6,7 @@ from . import Refused, bearable
 from .rasters import OWN, joined, own_stamps
 
 LIBRARIES = ("nptdms",)
+EXTRA = "files"
 
 
 def read(path, wanted, axis, resample, limit):

@@ -8,6 +8,7 @@ from . import Refused, bearable
 from .rasters import OWN, joined, own_stamps
 
 LIBRARIES = ("pyuff",)
+EXTRA = "files"
 #: texts that stand for nothing
 EMPTY = ("", "NONE", "NA")
 DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4: "+RX", -4: "-RX", 5: "+RY"}

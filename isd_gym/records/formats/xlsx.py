@@ -8,6 +8,7 @@ import zipfile
 from . import Refused, bearable
 
 LIBRARIES = ("openpyxl",)
+EXTRA = "files"
 #: memory of a workbook that is read, and of its text, as multiples of the text
 SHARE = 12
 
