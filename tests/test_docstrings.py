@@ -25,6 +25,11 @@ INTERNAL = (
     "isd_gym/physics/kernel",
     *DIAGNOSIS,
     "isd_gym/records/formats",
+    # parts of a picture, which `rendering` puts together
+    *(
+        f"isd_gym/view/rendering/{part}"
+        for part in ("canvas", "c", "panel", "quarter", "rigid", "road", "symbols", "wheel")
+    ),
 )
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef

@@ -13,6 +13,8 @@ from typing import Any
 from .errors import InputError
 
 POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gym.references"
+#: formats of tables by suffix
+READERS = "isd_gym.readers"
 #: parts of `isd_gym.contrib` that a command of the core reaches by name
 WINGS = "isd_gym.wings"
 OWN = {
@@ -37,6 +39,14 @@ OWN = {
         "wheelbase_bound": "isd_gym.contrib.ceilings.bounds:wheelbase_bound",
         "ceiling": "isd_gym.contrib.ceilings.ceiling:known",
     },
+    READERS: {
+        "lvm": "isd_gym.contrib.bench_files.entry:lvm",
+        "mat73": "isd_gym.contrib.bench_files.entry:mat73",
+        "tdms": "isd_gym.contrib.bench_files.entry:tdms",
+        "uff": "isd_gym.contrib.bench_files.entry:uff",
+        "unv": "isd_gym.contrib.bench_files.entry:uff",
+        "xlsx": "isd_gym.contrib.bench_files.entry:xlsx",
+    },
     WINGS: {
         "exports": "isd_gym.contrib.exports",
         "fleet": "isd_gym.contrib.fleet.command",
@@ -51,7 +61,7 @@ def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
     """Return the entry points of a group, sorted by name.
 
     Args:
-        group: `POLICIES`, `COMMANDS`, `REFERENCES` or `WINGS`.
+        group: `POLICIES`, `COMMANDS`, `REFERENCES`, `READERS` or `WINGS`.
         name: Name of one entry point; None for all.
 
     Returns:

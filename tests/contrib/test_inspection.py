@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 import typer
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
@@ -12,6 +14,7 @@ from isd_gym.commands import FiniteCommand
 from isd_gym.common.errors import InputError
 from isd_gym.contrib.inspection import inspect, lines, page
 from isd_gym.contrib.inspection.command import command
+from isd_gym.contrib.inspection.consistency import integral_consistency
 from isd_gym.contrib.inspection.facts import sparkline
 from isd_gym.diagnosis.records import read_record
 from isd_gym.physics.network import Network
@@ -601,3 +604,31 @@ def test_the_rate_is_that_of_the_mean_step_without_gaps():
     raster = Raster("a.csv", time, {"x": np.zeros(len(time))})
     assert raster.step == pytest.approx(0.002)
     assert "461.5" in head(raster)
+
+
+# ------------------------------------------------------------------------------------ two sensors of one motion
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.sampled_from([1, 2]), st.floats(0.5, 2), st.sampled_from([-1, 1]), st.floats(-0.04, 0.04))
+def test_consistency_tells_gain_sign_and_lag(order: int, gain: float, sign: int, lag: float) -> None:
+    rng = np.random.default_rng(4)
+    time = 0.002 * np.arange(8000)
+    omega = 2 * np.pi * rng.uniform(0.7, 15, 60)
+    size, phase = 1 / omega**2, rng.uniform(0, 2 * np.pi, 60)
+    x = np.sin(np.outer(time, omega) + phase) @ size
+    y = sign * gain * np.sin(np.outer(time - lag, omega) + phase + order * np.pi / 2) @ (size * omega**order)
+    x += 0.005 * x.std() * rng.standard_normal(len(x))
+    y += 0.02 * y.std() * rng.standard_normal(len(y)) + 3.0
+    found = integral_consistency(x, y, 0.002, order=order, band=(0.7, 15))
+    assert found.gain == pytest.approx(sign * gain, rel=0.03)
+    assert found.lag == pytest.approx(lag, abs=5e-4)
+    assert found.coherence > 0.8 and 0 < found.gain_std < 0.05 * gain
+
+
+def test_consistency_of_strangers_is_none() -> None:
+    rng = np.random.default_rng(8)
+    found = integral_consistency(rng.standard_normal(8000), rng.standard_normal(8000), 0.002)
+    assert found.coherence < 0.3
+    with pytest.raises(InputError, match="consistency"):
+        integral_consistency(np.zeros(50), np.zeros(50), 0.002)

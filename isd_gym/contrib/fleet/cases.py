@@ -27,7 +27,7 @@ from isd_gym.benchmark.engine import run as run_tasks
 from isd_gym.common.errors import InputError, ReportError, plain, shown
 from isd_gym.common.files import claim_folder, write_text
 from isd_gym.records import schemas
-from isd_gym.records.data.table import SUFFIXES, suffix_of
+from isd_gym.records.data.table import suffix_of, suffixes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -76,7 +76,7 @@ def cases_of(folder: str | Path, model: str | None = None) -> list[Case]:
     out = [case for place in places if (case := _case(place, model)) is not None]
     if not out:
         raise InputError(
-            f"{folder}: no folders of records in it (a case is a folder with tables: {' '.join(SUFFIXES)})"
+            f"{folder}: no folders of records in it (a case is a folder with tables: {' '.join(suffixes())})"
         )
     return sorted(out, key=lambda c: (c.vehicle, c.date, c.name))
 
@@ -121,9 +121,9 @@ def _case(place: Path, model: str | None) -> Case | None:
 def _run(path: Path) -> str:
     """Return a run in the notation of the command line; '' for other paths."""
     if path.is_dir():
-        files = sorted(p for p in path.iterdir() if suffix_of(p) in SUFFIXES)
+        files = sorted(p for p in path.iterdir() if suffix_of(p) in suffixes())
         return "+".join(map(str, files))
-    return str(path) if suffix_of(path) in SUFFIXES else ""
+    return str(path) if suffix_of(path) in suffixes() else ""
 
 
 def _task(case: Case, options: Mapping[str, Any]) -> Task:

@@ -15,9 +15,9 @@ from scipy.signal import correlate
 from isd_gym.common.errors import InputError, shown
 from isd_gym.common.units import TABLE, convert
 from isd_gym.physics.simulate import simulate
-from isd_gym.records.data.signals import integral_consistency
 from isd_gym.records.loggers.mapping import ChannelMap, Column, Logger
 
+from .consistency import integral_consistency
 from .facts import Facts, factor_hint, si_unit
 from .name_matching import alike
 

@@ -67,12 +67,12 @@ if hasattr(os, "register_at_fork"):
 
 
 def read(
-    kind: str, path: Path, wanted: list[str] | None, axis: str, resample: bool | str
+    reader: str, path: Path, wanted: list[str] | None, axis: str, resample: bool | str
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
     """Return the header and the columns of a binary table.
 
     Args:
-        kind: A kind of `isd_gym.records.formats`, such as 'parquet'.
+        reader: Module of the reader, such as 'isd_gym.records.formats.parquet'.
         path: The file.
         wanted: Names of the wanted columns; None for all.
         axis: Name of the time column.
@@ -85,15 +85,15 @@ def read(
         InputError: The file cannot be read, or needs too much memory or time.
     """
     global _helper
-    reader = import_module(f"isd_gym.records.formats.{kind}")
-    if sys.modules.get(reader.LIBRARIES[0], 0) is None:  # this process treats the library as not installed
+    module = import_module(reader)
+    if sys.modules.get(module.LIBRARIES[0], 0) is None:  # this process treats the library as not installed
         raise InputError(
-            f"{path}: reading {path.suffix} needs {reader.LIBRARIES[0]}: {how_to_install(reader.EXTRA)}"
+            f"{path}: reading {path.suffix} needs {module.LIBRARIES[0]}: {how_to_install(module.EXTRA)}"
         )
     size = plain_file(path) / 2**20
     seconds, limit = SECONDS + SECONDS_PER_MB * size, memory_limit()
     request = {
-        "kind": kind,
+        "reader": reader,
         "path": os.path.abspath(path),
         "wanted": wanted,
         "axis": axis,
@@ -114,7 +114,7 @@ def read(
     head, arrays = found
     if "lacks" in head:
         raise InputError(
-            f"{path}: reading {path.suffix} needs {head['lacks']}: {how_to_install(reader.EXTRA)}"
+            f"{path}: reading {path.suffix} needs {head['lacks']}: {how_to_install(module.EXTRA)}"
         )
     if "refused" in head:
         raise InputError(f"{path}: {head['refused']}")

@@ -9,9 +9,8 @@ import numpy as np
 from . import corner, wheel
 from .canvas import number
 from .corner import Suspension
-from .legend import rulers
 from .palette import MUTED, WHITE, Colour, mix
-from .road import Window, ground, reference_height
+from .road import Window, ground, reference_height, rulers
 
 if TYPE_CHECKING:
     from .canvas import Canvas
@@ -59,14 +58,7 @@ class QuarterCarScene:
         self.reference = reference_height(self.road, self.contact)
 
     def needed(self, reference: float) -> float:
-        """Return the largest motion as a share of its range without exaggeration.
-
-        Args:
-            reference: Mean height of the road [m].
-
-        Returns:
-            Share [-].
-        """
+        """Return the largest motion about the mean height of the road [m], as a share of its range without exaggeration."""
         shot = self.shot
         demands = [
             (float(np.abs(self.road - reference).max()), 30.0),
@@ -77,12 +69,7 @@ class QuarterCarScene:
         return max(motion * SCALE / room for motion, room in demands)
 
     def paint(self, reference: float, factor: float) -> None:
-        """Draw the car.
-
-        Args:
-            reference: Mean height of the road [m].
-            factor: Factor of the exaggerated motions.
-        """
+        """Draw the car about the mean height of the road [m], with motions exaggerated by a factor."""
         c, u, shot = self.canvas, self.u, self.shot
         scale = factor * wheel.RADIUS * u / wheel.METRES  # [px/m]
         floor = self.height - FLOOR * u

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...common.errors import InputError, MissingColumn, shown
-from ..formats import Refused
-from ..formats.rasters import joined
-from .columns import Choice, Columns, did_you_mean, distinct, split_header
-from .text import numbers_of, read_text, text_of
+from isd_gym.common.errors import InputError, MissingColumn, shown
+from isd_gym.records.data.columns import Choice, Columns, did_you_mean, distinct, split_header
+from isd_gym.records.data.text import number_in, read_text, text_of
+from isd_gym.records.formats import Refused
+from isd_gym.records.formats.rasters import joined
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,7 +101,7 @@ def _stamped(path: Path, head: dict[str, str], segment: _Segment) -> list[Column
         dimension = told[1][i] if i < len(told[1]) and told[1][i] else "Time"
         if dimension.lower() != "time":
             raise InputError(f"{path}: {shown(name)} is recorded over {shown(dimension)}, not over time")
-        values = numbers_of(path, segment.rows, k + shift, name, comma)
+        values = _numbers(path, segment.rows, k + shift, name, comma)
         axis = max((j for j, n in enumerate(names[:k]) if n == X), default=None)
         if head.get("X_Columns", "One").lower() == "no" or axis is None:
             begin, step = (
@@ -109,7 +109,7 @@ def _stamped(path: Path, head: dict[str, str], segment: _Segment) -> list[Column
             )
             time = begin + step * np.arange(len(values))
         else:
-            time = numbers_of(path, segment.rows, axis, X, comma)
+            time = _numbers(path, segment.rows, axis, X, comma)
         there = np.isfinite(time) & ~(np.isnan(values) & (np.cumsum(np.isfinite(values)[::-1])[::-1] == 0))
         time, values = time[there], values[there]
         if not len(time):
@@ -140,6 +140,20 @@ def _first(path: Path, key: str, row: list[str], channel: int, comma: bool) -> f
             f"{path}: the header has no {key} for channel {channel + 1}, and the channel has no time stamps"
         )
     return value
+
+
+def _numbers(path: Path, rows: list[tuple[int, list[str]]], place: int, name: str, comma: bool) -> np.ndarray:
+    """Return the numbers of a column, NaN for gaps and for rows that are too short."""
+    out = np.full(len(rows), math.nan)
+    for k, (line, cells) in enumerate(rows):
+        if place < len(cells):
+            value = number_in(cells[place], comma)
+            if value is None:
+                raise InputError(
+                    f"{path}: line {line}, column {shown(name)}: {shown(cells[place])} is not a number"
+                )
+            out[k] = value
+    return out
 
 
 def read_lvm_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
