@@ -20,8 +20,9 @@ from isd_gym.commands._options import (
     pairs,
     signs_of,
 )
-from isd_gym.commands.console import check_file, terminal_columns, write_json
+from isd_gym.commands.console import check_file, write_json
 from isd_gym.common.errors import InputError, shown
+from isd_gym.contrib.progress import terminal_columns
 
 FilesArgument = Annotated[
     list[Path],

@@ -12,18 +12,17 @@ of a logger's time stamps; an unknown delay is fitted. `sure` and `why` are for 
 
 from __future__ import annotations
 
-import difflib
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...common.errors import InputError, plain, shown
+from ...common.errors import InputError, hint, plain, shown
 from ...common.files import write_text
 from ...common.inputs import read_json
 from ...common.units import convert
 from ...physics.network import Channel, Network, without
-from ..data.columns import column_for
+from ..data.columns import column_for, did_you_mean
 from ..schemas import check
 from .recording import EPOCH, Raster, Recording, Signal, continuous, mended, rasters, spans
 
@@ -218,9 +217,9 @@ class ChannelMap:
         known = [c.name for c in (*network.inputs, *network.outputs)]
         for name in self.channels:
             if name not in known:
-                near = difflib.get_close_matches(name, known, 1)
-                hint = f"did you mean '{near[0]}'?" if near else f"it has: {', '.join(known)}"
-                raise InputError(f"{self.source}: the model has no channel {shown(name)}; {hint}")
+                raise InputError(
+                    f"{self.source}: the model has no channel {shown(name)}; {hint(name, known)}"
+                )
 
     def measured(self, network: Network) -> Network:
         """Return the model with only the outputs that the map has columns for.
@@ -497,19 +496,13 @@ def _find(
     if own or len(holders) == 1:
         return source.column, (own or holders)[0]
     names = [n for group in found for r in group for n in r.columns]
-    near = difflib.get_close_matches(source.column, names, 1, 0.5)
-    hint = (
-        f"; did you mean {shown(near[0])}?"
-        if near
-        else f"; it has: {', '.join(plain(n, 40) for n in names[:12])}"
-    )
-    told = JOIN.join(map(str, files))
+    told, helps = JOIN.join(map(str, files)), did_you_mean(source.column, names)
     if by.source == "by name":
         raise InputError(
-            f"{told}: no column {shown(source.column)}{hint} (name the column with --map FILE or --rename COLUMN={channel.name}; "
+            f"{told}: no column {shown(source.column)}; {helps} (name the column with --map FILE or --rename COLUMN={channel.name}; "
             f"isd-gym inspect suggests a map){without(network, channel.name)}"
         )
     raise InputError(
-        f"{told}: no column {shown(source.column)}, which {by.source} names for {channel.name}{hint} "
+        f"{told}: no column {shown(source.column)}, which {by.source} names for {channel.name}; {helps} "
         f"(isd-gym inspect makes a map){without(network, channel.name)}"
     )

@@ -64,7 +64,7 @@ class QuarterCarScene:
             (float(np.abs(self.road - reference).max()), 30.0),
             (abs(shot.body - reference), 28.0),
             (abs(shot.wheel - self.contact), 20.0),
-            *corner.demands(shot.corner),
+            *corner.demands(shot),
         ]
         return max(motion * SCALE / room for motion, room in demands)
 
@@ -81,7 +81,7 @@ class QuarterCarScene:
         seat = rest - (shot.body - reference) * scale  # underside of the body
 
         c.clip(self.left, 0, self.width, self.height)
-        wheel.tyre(c, self.x, hub, contact_y, u, lifted=shot.corner.has_lifted)
+        wheel.tyre(c, self.x, hub, contact_y, u, lifted=shot.has_lifted)
         ground(c, self.window, road_y, shot.speed * shot.time, u)
         # rolls with the drawn road
         wheel.side_rim(c, self.x, hub, u, shot.speed * shot.time * METRE / wheel.RADIUS)
@@ -92,7 +92,7 @@ class QuarterCarScene:
             size=9.5, colour=MUTED, face="Oblique", anchor="right",
         )  # fmt: skip
         words: Words = "all" if self.roomy else "nodes"
-        Suspension(c, shot.corner, self.x, unit=u, scale=scale, words=words).paint(seat, carrier)
+        Suspension(c, shot, self.x, unit=u, scale=scale, words=words).paint(seat, carrier)
         self._body(seat)
         c.clip()
         load = f"dynamic tyre load {number(shot.tyre_load / 1e3, 2)} kN"
