@@ -343,10 +343,13 @@ def test_a_map_drives_a_simulation(tmp_path, run, program):
         ({"channels": {"raod": {"column": "base"}}}, "no channel 'raod'; did you mean 'road'"),
         ({"channels": {"travel": {"column": "base"}}}, "no column for the input road"),
         ({"channels": {"road": {"column": "base", "unit": "furlong"}}}, "unknown unit 'furlong'"),
-        ({"channels": {"road": {"column": "base", "sign": 2}}}, "sign must be 1 or -1"),
-        ({"channels": {}}, "maps no channel"),
-        ({"schema": "isd-model/1"}, "schema is not 'isd-map/1'"),
-        ({"chanels": {}}, "no key 'chanels'"),
+        (
+            {"channels": {"road": {"column": "base", "sign": 2}}},
+            r"map.json: channels.road.sign: 2 is not one of \[1, -1\]",
+        ),
+        ({"channels": {}}, "channels: {} should be non-empty"),
+        ({"schema": "isd-model/1"}, "schema: 'isd-map/1' was expected"),
+        ({"chanels": {}}, "'chanels' was unexpected"),
     ],
 )
 def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, program, change, words):
