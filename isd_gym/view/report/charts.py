@@ -195,7 +195,6 @@ class Chart:
         choices: Panels by the name of a record. The page shows the first, and the others on request.
         columns: Number of columns of panels.
         size: Size of the picture [inch].
-        widths: Relative widths of the columns; empty for equal widths.
         align: Whether the panels of a column are aligned.
         still: Number of panels that are drawn; None for all.
         captions: Captions by choice, for choices with another caption than `caption`.
@@ -208,7 +207,6 @@ class Chart:
     choices: Mapping[str, Sequence[Panel]]
     columns: int = 1
     size: tuple[float, float] = (7.4, 3.0)
-    widths: tuple[float, ...] = ()
     align: bool = True
     still: int | None = None
     captions: Mapping[str, str] = field(default_factory=dict)
@@ -258,7 +256,7 @@ def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None
     rows = -(-len(panels) // columns)
     fig.set_size_inches(*chart.size)
     tall = [max(p.tall for p in panels[r * columns : (r + 1) * columns]) for r in range(rows)]
-    grid = fig.add_gridspec(rows, columns, height_ratios=tall, width_ratios=chart.widths or None)
+    grid = fig.add_gridspec(rows, columns, height_ratios=tall)
     first: dict[str, Axes] = {}
     beside: list[tuple[Axes, Panel]] = []
     for k, panel in enumerate(panels):

@@ -14,6 +14,8 @@ from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, pictur
 from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ...benchmark.scoring import Score
 
 SCORE_KIND = "score report"
@@ -252,7 +254,7 @@ class Shown:
 
 
 def histories(shown: Shown) -> Chart:
-    """Return the chart of four seconds around the reference's worst moment, in a median episode and in the hardest.
+    """Return the chart of four seconds around the reference's worst moment: the best policy in a median episode and in the hardest, then others.
 
     Args:
         shown: The prepared score.
@@ -274,7 +276,7 @@ def histories(shown: Shown) -> Chart:
     ]
     time = shown.step * np.arange(steps, dtype=np.float64)
 
-    def panels(episode: int) -> list[Panel]:
+    def panels(episode: int, names: Sequence[str]) -> list[Panel]:
         peak = int(np.argmax(np.max([np.abs(load[:, episode]) for load in base.of("tyre_load")], axis=0)))
         first = max(0, min(peak - width // 2, steps - width))
         begin, end = float(time[first]), float(time[first]) + width * shown.step
@@ -283,7 +285,7 @@ def histories(shown: Shown) -> Chart:
         for key in moved:
             head, unit, scale = signals[key]
             lines = []
-            for name in few:
+            for name in names:
                 own = shown.runs[name].signals.get(key)
                 if own is None or (key.startswith("current") and not np.any(own)):
                     continue
@@ -297,17 +299,19 @@ def histories(shown: Shown) -> Chart:
             )
         return out
 
+    median = f"the median by the cost of {shown.reference}"
+    pictures = [(middle, median, few), (hardest, f"the hardest for {shown.reference}", few)][
+        : 1 + (hardest != middle)
+    ]
+    pictures += [(middle, name, [shown.reference, name]) for name in shown.names if name not in few]
     choices, captions = {}, {}
-    for episode, words in (
-        (middle, f"the median by the cost of {shown.reference}"),
-        (hardest, f"the hardest for {shown.reference}"),
-    )[: 1 + (hardest != middle)]:
+    for episode, words, names in pictures:
         road = road_name(shown.score.seed, episode)
-        name = f"{road}: {words}"
-        choices[name] = panels(episode)
-        captions[name] = (
-            f"Episode on {road}, {words}: the {width * shown.step:g} s around the largest tyre load. Travel is "
-            f"positive in extension, tyre load in compression.{left_out}"
+        choices[f"{road}: {words}"] = panels(episode, names)
+        about = words if names is few else f"{median}, with {words}"
+        captions[f"{road}: {words}"] = (
+            f"Episode on {road}, {about}: the {width * shown.step:g} s around the largest tyre load. Travel is "
+            f"positive in extension, tyre load in compression.{left_out if names is few else ''}"
         )
     return Chart(
         "histories",
