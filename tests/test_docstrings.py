@@ -25,6 +25,7 @@ INTERNAL = (
     "isd_gym/physics/kernel",
     *DIAGNOSIS,
     "isd_gym/records/formats",
+    *(f"isd_gym/contrib/bench_files/{reader}" for reader in ("mat73", "tdms", "uff", "xlsx")),
     # parts of a picture, which `rendering` puts together
     *(
         f"isd_gym/view/rendering/{part}"

@@ -454,10 +454,11 @@ def _read_mat(
 ) -> Columns:
     """Read a MATLAB file; version 7.3 is another format."""
     with path.open("rb") as stream:
-        is_hdf5 = stream.read(10) == b"MATLAB 7.3"
-    for point in plugins(READERS, "mat73") if is_hdf5 else ():
-        found: Columns = point.load().read(path, wanted, axis, resample, columns)
-        return found
+        head = stream.read(10)
+    if head == b"MATLAB 7.3":
+        for point in plugins(READERS, "mat73"):
+            found: Columns = point.load().read(path, wanted, axis, resample, columns)
+            return found
     return _read_binary(f"{_PACKAGE}.mat", path, wanted, axis, resample)
 
 
