@@ -444,7 +444,7 @@ class _Sheet:
         line([(0, top - cy), (0, -half)])
         line([(0, half), (0, bottom - cy)])
         kind = e.type if isinstance(e, el.Element) else "lever"
-        symbol = SYMBOLS.get(kind, _box("f"))
+        symbol = SYMBOLS.get(kind, _BOX)
         for points, how in symbol:
             line(points, **how)
         if kind not in SYMBOLS or kind in LETTERED:
@@ -565,17 +565,16 @@ def _zigzag(reach: float = 8.0, turns: int = 6) -> list[tuple[float, float]]:
     return [(0.0, -half), (0.0, -half + 5), *inner, (0.0, half - 5), (0.0, half)]
 
 
-def _box(letter: str) -> Symbol:
-    half = SYMBOL / 2
-    corners = [(-11.0, -12.0), (11.0, -12.0), (11.0, 12.0), (-11.0, 12.0)]
-    return [([(0.0, -half), (0.0, -12.0)], {}), ([(0.0, 12.0), (0.0, half)], {}), (corners, {"closed": True})]
-
-
 def _circle(radius: float) -> list[tuple[float, float]]:
     return [(radius * math.cos(a), radius * math.sin(a)) for a in (2 * math.pi * k / 40 for k in range(40))]
 
 
 _HALF = SYMBOL / 2
+_BOX: Symbol = [
+    ([(0.0, -_HALF), (0.0, -12.0)], {}),
+    ([(0.0, 12.0), (0.0, _HALF)], {}),
+    ([(-11.0, -12.0), (11.0, -12.0), (11.0, 12.0), (-11.0, 12.0)], {"closed": True}),
+]
 _POT: Symbol = [
     ([(-9.0, -6.0), (-9.0, 12.0), (9.0, 12.0), (9.0, -6.0)], {}),
     ([(0.0, 12.0), (0.0, _HALF)], {}),
