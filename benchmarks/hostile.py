@@ -611,7 +611,7 @@ def roads(rng: Rng, folder: Path) -> None:
 
 def inspections(rng: Rng, folder: Path) -> None:
     """Loggers' files, with stamps of all sorts, gaps and repeats, looked at as `isd-gym inspect` does."""
-    from isd_gym.view.inspection import inspect, lines
+    from isd_gym.contrib.inspection import inspect, lines
 
     n = int(rng.integers(2, 80))
     way = int(rng.integers(4))

@@ -98,7 +98,7 @@ def reports() -> None:
             ("found", "time"),
             ("found", "plane"),
         ):
-            shutil.copy(Path(folder) / kind / f"{figure}.png", HERE / f"{kind}_{figure}.png")
+            shutil.copy(Path(folder) / kind / f"{figure}.svg", HERE / f"{kind}_{figure}.svg")
 
 
 # --------------------------------------------------------------------------------------------- force test
@@ -346,7 +346,7 @@ def measured() -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         write_report(found, Path(folder))
-        shutil.copy(Path(folder) / "plane.png", HERE / "measured_emps.png")
+        shutil.copy(Path(folder) / "plane.svg", HERE / "measured_emps.svg")
 
 
 def yardsticks() -> None:

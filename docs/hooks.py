@@ -7,6 +7,7 @@ or ``{{ commands }}`` in a page is replaced by the package's own list.
 from __future__ import annotations
 
 import html
+import json
 import re
 
 from latex2mathml.converter import convert
@@ -24,7 +25,7 @@ def on_files(files, config):
     from isd_gym.records import schemas
 
     for name in schemas.NAMES:
-        text = schemas.dumps(schemas.load(name))
+        text = json.dumps(schemas.load(name), indent=1, ensure_ascii=False) + "\n"
         files.append(File.generated(config, f"schemas/{name}.json", content=text))
     return files
 

@@ -70,13 +70,19 @@ def test_a_score_on_other_roads_or_without_episodes_is_refused(card, change, why
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda s: s["policies"].__setitem__(0, 2), r"policies\[0\] must be an object"),
-        (lambda s: s["policies"][0].update(preview=2), r"policies\[0\].preview must be an object"),
-        (lambda s: s["policies"][0]["cost"].pop("unit"), r"policies\[0\].cost has no 'unit'"),
+        (lambda s: s["policies"].__setitem__(0, 2), r"policies\[0\]: 2 is not of type 'object'"),
+        (lambda s: s["policies"][0].update(preview=2), r"policies\[0\].preview: 2 is not of type 'object'"),
+        (
+            lambda s: s["policies"][0]["cost"].pop("unit"),
+            r"policies\[0\].cost: 'unit' is a required property",
+        ),
         (lambda s: s.pop("speed"), "has no 'speed'"),
-        (lambda s: s["raw"].update(skyhook=3), "raw.skyhook must be an object"),
-        (lambda s: s["raw"]["add"].update(cost=[1e300] * 3), r"raw.add.cost\[0\] must be at most"),
-        (lambda s: s.update(roads=[["x"]]), r"roads\[0\]\[0\] must be a number"),
+        (lambda s: s["raw"].update(skyhook=3), "raw.skyhook: 3 is not of type 'object'"),
+        (
+            lambda s: s["raw"]["add"].update(cost=[1e300] * 3),
+            r"raw.add.cost\[\d\]: 1e\+300 is greater than the maximum",
+        ),
+        (lambda s: s.update(roads=[["x"]]), r"roads\[0\]\[0\]: 'x' is not of type 'number'"),
     ],
 )
 def test_a_garbled_score_is_one_line(change, says, tmp_path):
@@ -100,7 +106,7 @@ def test_a_garbled_card_with_a_right_digest_is_one_line(card, tmp_path):
         cards.load(path)
     del held["tracks"][0]["policies"]["passive"]
     path.write_text(json.dumps({**held, "digest": cards.digest(held)}))
-    with pytest.raises(InputError, match=r"tracks\[0\].policies has no 'passive'"):
+    with pytest.raises(InputError, match=r"tracks\[0\].policies: 'passive' is a required property"):
         cards.load(path)
 
 

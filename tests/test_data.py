@@ -1,4 +1,4 @@
-"""Tables in and out, the data gate, and the signal tools, on records whose truth is known."""
+"""Tables in and out, and the data gate, on records whose truth is known."""
 
 from __future__ import annotations
 
@@ -18,10 +18,7 @@ from isd_gym.records.data import (
     Finding,
     Table,
     check,
-    integral_consistency,
-    noise_level,
     read_table,
-    smooth_derivatives,
     write_table,
 )
 from isd_gym.records.data.quality import held_samples
@@ -848,94 +845,3 @@ def test_the_shared_records_pass() -> None:
         assert [str(f) for f in found if f.level == "error" or (f.level == "warning" and not real)] == [], (
             path
         )
-
-
-# ------------------------------------------------------------------------------------------------- signal tools
-@pytest.mark.parametrize("lag1", [0.0, 0.3, 0.5])
-@pytest.mark.parametrize("sigma", [1e-5, 1e-4])
-def test_noise_level_is_found_under_a_moving_signal(lag1: float, sigma: float) -> None:
-    clean = car(3, snr_db=400)["travel"]
-    estimates = []
-    for seed in range(5):
-        noise = sigma * ar1(np.random.default_rng(seed), len(clean), lag1)
-        estimates.append(noise_level(clean + noise, STEP))
-    assert np.mean(estimates, axis=0)[0] == pytest.approx(sigma, rel=0.1)
-    assert np.mean(estimates, axis=0)[1] == pytest.approx(lag1, abs=0.1)
-
-
-def test_noise_level_of_silence_and_of_bad_input() -> None:
-    assert noise_level(np.full(500, 3.0), STEP) == (0.0, 0.0)
-    sine = np.sin(2 * np.pi * 3 * STEP * np.arange(5000))
-    assert noise_level(sine, STEP)[0] < 1e-5
-    for bad in (np.zeros(10), np.r_[np.zeros(99), np.nan], np.zeros((99, 2))):
-        with pytest.raises(InputError, match="noise level"):
-            noise_level(bad, STEP)
-        with pytest.raises(InputError, match="smoothing"):
-            smooth_derivatives(bad, STEP, (1.0, 0.0))
-
-
-@pytest.mark.parametrize(
-    ("relative", "best_v", "best_a"), [(1e-1, 0.1, 0.2), (1e-2, 0.02, 0.05), (1e-3, 4e-3, 0.015)]
-)
-def test_derivatives_of_a_noisy_displacement(relative: float, best_v: float, best_a: float) -> None:
-    time = STEP * np.arange(6000)
-    omega = 2 * np.pi * np.array([1.0, 2.7, 4.1])
-    phase = np.outer(time, omega)
-    amplitude = np.array([5e-3, 3e-3, 1e-3])
-    x, v, a = (
-        np.sin(phase) @ amplitude,
-        np.cos(phase) @ (amplitude * omega),
-        -np.sin(phase) @ (amplitude * omega**2),
-    )
-    noisy = x + relative * x.std() * np.random.default_rng(2).standard_normal(len(x))
-    smooth = smooth_derivatives(noisy, STEP)
-    for got, true, bar in zip(smooth, (x, v, a), (0.5 * relative, best_v, best_a), strict=True):
-        inside = slice(100, -100)
-        assert np.std((got - true)[inside]) < bar * np.std(true)
-    raw = np.gradient(np.gradient(noisy, STEP), STEP)
-    assert np.std(smooth[2] - a) < 0.1 * np.std(raw - a)
-
-
-def test_derivatives_without_noise_are_exact_for_a_quartic() -> None:
-    time = 0.01 * np.arange(100)
-    for got, true in zip(
-        smooth_derivatives(time**4, 0.01, (0.0, 0.0)), (time**4, 4 * time**3, 12 * time**2), strict=True
-    ):
-        assert got == pytest.approx(true, abs=1e-8)
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.sampled_from([1, 2]), st.floats(0.5, 2), st.sampled_from([-1, 1]), st.floats(-0.04, 0.04))
-def test_consistency_tells_gain_sign_and_lag(order: int, gain: float, sign: int, lag: float) -> None:
-    rng = np.random.default_rng(4)
-    time = STEP * np.arange(8000)
-    omega = 2 * np.pi * rng.uniform(0.7, 15, 60)
-    size, phase = 1 / omega**2, rng.uniform(0, 2 * np.pi, 60)
-    x = np.sin(np.outer(time, omega) + phase) @ size
-    y = sign * gain * np.sin(np.outer(time - lag, omega) + phase + order * np.pi / 2) @ (size * omega**order)
-    x += 0.005 * x.std() * rng.standard_normal(len(x))
-    y += 0.02 * y.std() * rng.standard_normal(len(y)) + 3.0
-    found = integral_consistency(x, y, STEP, order=order, band=(0.7, 15))
-    assert found.gain == pytest.approx(sign * gain, rel=0.03)
-    assert found.lag == pytest.approx(lag, abs=5e-4)
-    assert found.coherence > 0.8 and 0 < found.gain_std < 0.05 * gain
-
-
-def test_consistency_of_strangers_is_none() -> None:
-    rng = np.random.default_rng(8)
-    found = integral_consistency(rng.standard_normal(8000), rng.standard_normal(8000), STEP)
-    assert found.coherence < 0.3
-    with pytest.raises(InputError, match="consistency"):
-        integral_consistency(np.zeros(50), np.zeros(50), STEP)
-
-
-@pytest.mark.skipif(not (SHARED / "real" / "emps").is_dir(), reason="the shared records are not here")
-def test_a_real_drive_gives_its_published_parameters() -> None:
-    """EMPS, published: 95.1 kg, 203.5 N s/m, Coulomb 20.4 N, by regression of force on smoothed motion."""
-    table = read_table(SHARED / "real" / "emps" / "estimation.csv")
-    _, v, a = smooth_derivatives(table["displacement"], table.step)
-    columns = np.column_stack([a, v, np.sign(v), np.ones_like(v)])
-    mass, viscous, coulomb, _ = np.linalg.lstsq(columns, table["force"], rcond=None)[0]
-    assert mass == pytest.approx(95.1, rel=0.005)
-    assert viscous == pytest.approx(203.5, rel=0.01)
-    assert coulomb == pytest.approx(20.4, rel=0.015)

@@ -25,7 +25,12 @@ INTERNAL = (
     "isd_gym/physics/kernel",
     *DIAGNOSIS,
     "isd_gym/records/formats",
-    "isd_gym/records/schemas/__main__.py",
+    *(f"isd_gym/contrib/bench_files/{reader}" for reader in ("mat73", "tdms", "uff", "xlsx")),
+    # parts of a picture, which `rendering` puts together
+    *(
+        f"isd_gym/view/rendering/{part}"
+        for part in ("canvas", "c", "panel", "quarter", "rigid", "road", "symbols", "wheel")
+    ),
 )
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef

@@ -163,7 +163,7 @@ def test_videos_of_50_pictures_per_second(tmp_path):
     pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
     import imageio.v3 as iio
 
-    from isd_gym.view.rendering import RecordVectorVideo, RecordVideo
+    from isd_gym.contrib.films import RecordVectorVideo, RecordVideo
 
     one, twin = (gym.make(NAME, render_mode="rgb_array", max_episode_steps=40) for _ in range(2))
     env = RecordVideo(one, str(tmp_path / "one"))

@@ -8,6 +8,7 @@ import pytest
 from test_inspection import CAR, drive
 
 from isd_gym.common.errors import InputError
+from isd_gym.contrib.inspection import inspect, lines
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.estimation.clock_lag import align_clocks
 from isd_gym.diagnosis.records import build_record, read_record
@@ -16,7 +17,6 @@ from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
 from isd_gym.records.loggers import ChannelMap, Recording, Signal
-from isd_gym.view.inspection import inspect, lines
 
 NETWORK = Network.load(CAR)
 CHANNELS = (*NETWORK.inputs, *NETWORK.outputs)

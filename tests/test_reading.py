@@ -9,12 +9,12 @@ from scipy.io import savemat
 
 from isd_gym.common.errors import InputError
 from isd_gym.common.units import convert
+from isd_gym.contrib.inspection import inspect
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table
 from isd_gym.records.data.table import read_rasters
 from isd_gym.records.loggers import ChannelMap, Recording
 from isd_gym.records.loggers.record_reading import records_of
-from isd_gym.view.inspection import inspect
 
 RIG = Network.load(
     {
@@ -99,7 +99,7 @@ def test_a_file_without_time_is_read_at_a_rate(tmp_path):
     found.map("rig.json").save(tmp_path / "map.json")  # the map remembers the rate
     (record,) = records_of(path, RIG, WANTED, by=ChannelMap.load(tmp_path / "map.json"))
     check(record)
-    from isd_gym.records.schemas.checking import check as of_schema
+    from isd_gym.records.schemas import check as of_schema
 
     of_schema(json.loads((tmp_path / "map.json").read_text()), "isd-map/1", "the map")
     for rate in (0.0, float("nan"), float("inf"), -3.0):

@@ -17,7 +17,7 @@ import numpy as np
 from ..common.errors import InputError, markdown, shown
 from ..common.inputs import read_json
 from ..common.seeds import named_roads
-from ..records.schemas.checking import check
+from ..records.schemas import check
 from .scoring import compare
 
 if TYPE_CHECKING:

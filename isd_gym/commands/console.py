@@ -7,8 +7,6 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from ..common import files
 
 if TYPE_CHECKING:
@@ -160,52 +158,6 @@ def progress() -> Iterator[Callable[[str, float], None]]:
         yield update
 
 
-@contextmanager
-def counted(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Give a function that updates a counting bar on stderr; without a terminal, a line is printed now and then.
-
-    Args:
-        what: Counted things, such as 'cases'.
-
-    Yields:
-        ``update(done, all)``.
-    """
-    import time
-
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    begun = told = time.monotonic()
-    if not sys.stderr.isatty():
-
-        def line(done: int, every: int) -> None:
-            nonlocal told
-            if time.monotonic() - told > SELDOM and done < every:
-                told = time.monotonic()
-                typer.echo(f"{told - begun:.0f} s: {done} of {every} {what}", err=True)
-
-        yield line
-        return
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, every: bar.update(task, completed=done, total=every)
-
-
-@contextmanager
-def resumable() -> Iterator[None]:
-    """Tell the user on Ctrl-C how to continue work that is stored item by item.
-
-    Yields:
-        Nothing.
-    """
-    try:
-        yield
-    except KeyboardInterrupt:
-        typer.echo("what is done is kept: the same line goes on", err=True)
-        raise
-
-
 def warm_up(update: Callable[[str, float], None]) -> None:
     """Compile or load the kernel, with a line of progress.
 
@@ -237,10 +189,3 @@ def print_names(rows: Mapping[str, str]) -> None:
     for name, text in rows.items():
         made.add_row(name, text)
     printer().print(made)
-
-
-def terminal_columns() -> int:
-    """Return the width of the terminal in characters; 80 where stdout is none."""
-    import shutil
-
-    return shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 80

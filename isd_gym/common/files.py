@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 import tempfile
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -213,30 +213,6 @@ def held(folder: Path, kind: str) -> Iterator[None]:
     finally:
         if handle is not None:
             os.close(handle)
-
-
-def reserve(folder: Path, size: int) -> None:
-    """Check that a number of bytes can be written, for libraries that crash on a full disk.
-
-    Args:
-        folder: Existing folder.
-        size: Number of bytes.
-
-    Raises:
-        InputError: The disk has no room.
-    """
-    path = folder / ".room"
-    try:
-        with path.open("wb") as stream:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(stream.fileno(), 0, size)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {size / 1e6:.3g} MB in '{folder.parent.parent}' ({error.strerror})"
-        ) from None
-    finally:
-        with suppress(OSError):
-            path.unlink()
 
 
 def check_file(path: str | Path, *read: str | Path | None) -> None:

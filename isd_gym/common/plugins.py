@@ -1,19 +1,20 @@
 """Entry points through which packages offer policies, commands and reference scores.
 
-Installed packages announce entry points as usual. In a source tree, a zip archive or a worker's folder the
-distribution is not installed; the table below, a copy of the one in pyproject.toml, then announces
-`baselines` and `agents`.
+Installed packages announce entry points as usual. The table below, a copy of the one in pyproject.toml, counts
+where the distribution is not installed (a source tree, a zip archive, a worker's folder), or is an older one.
 """
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
+from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import Any
 
 from .errors import InputError
 
 POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gym.references"
+#: formats of tables by suffix
+READERS = "isd_gym.readers"
 #: parts of `isd_gym.contrib` that a command of the core reaches by name
 WINGS = "isd_gym.wings"
 OWN = {
@@ -25,6 +26,7 @@ OWN = {
         "train": "isd_gym.agents.cli:train",
         "convert": "isd_gym.contrib.exports.command:command",
         "export": "isd_gym.contrib.fmi.command:command",
+        "inspect": "isd_gym.contrib.inspection.command:command",
         "plan": "isd_gym.contrib.forecast.command:command",
         "record": "isd_gym.contrib.minari.command:command",
         "sweep": "isd_gym.contrib.sweep.command:command",
@@ -36,6 +38,14 @@ OWN = {
         "lq_front": "isd_gym.contrib.ceilings.bounds:lq_front",
         "wheelbase_bound": "isd_gym.contrib.ceilings.bounds:wheelbase_bound",
         "ceiling": "isd_gym.contrib.ceilings.ceiling:known",
+    },
+    READERS: {
+        "lvm": "isd_gym.contrib.bench_files.entry:lvm",
+        "mat73": "isd_gym.contrib.bench_files.entry:mat73",
+        "tdms": "isd_gym.contrib.bench_files.entry:tdms",
+        "uff": "isd_gym.contrib.bench_files.entry:uff",
+        "unv": "isd_gym.contrib.bench_files.entry:uff",
+        "xlsx": "isd_gym.contrib.bench_files.entry:xlsx",
     },
     WINGS: {
         "fleet": "isd_gym.contrib.fleet.command",
@@ -50,19 +60,19 @@ def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
     """Return the entry points of a group, sorted by name.
 
     Args:
-        group: `POLICIES`, `COMMANDS`, `REFERENCES` or `WINGS`.
+        group: `POLICIES`, `COMMANDS`, `REFERENCES`, `READERS` or `WINGS`.
         name: Name of one entry point; None for all.
 
     Returns:
         Entry points, possibly none.
     """
-    found = list(entry_points(group=group))
-    try:
-        distribution("isd-gym")
-    except PackageNotFoundError:
-        own = (EntryPoint(name, value, group) for name, value in OWN[group].items())
-        found += [p for p in own if find_spec(".".join(p.module.split(".")[:2])) is not None]
-    return sorted((p for p in found if name in (None, p.name)), key=lambda p: p.name)
+    found = {
+        p.name: p
+        for p in (EntryPoint(own, value, group) for own, value in OWN[group].items())
+        if find_spec(".".join(p.module.split(".")[:2])) is not None
+    }
+    found |= {p.name: p for p in entry_points(group=group) if p.name not in found}
+    return [found[key] for key in sorted(found) if name in (None, key)]
 
 
 def wing(name: str) -> Any:

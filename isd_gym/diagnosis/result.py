@@ -39,7 +39,7 @@ Over = Literal["rate", "elongation", "both"]
 FOLDER = (
     "diagnosis",
     "diagnosis.json",
-    ("report.html", "diagnosis.json", "model.json", "parameters.ssv", "next_experiment.csv", "*.png"),
+    ("report.html", "diagnosis.json", "model.json", "parameters.ssv", "next_experiment.csv", "*.svg"),
 )
 
 

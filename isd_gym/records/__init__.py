@@ -1,4 +1,4 @@
-"""What was measured, and the files that hold it.
+"""Measurements, and the files that hold measurements.
 
 - `data`: tables and their files; `formats` reads binary ones in a process of their own.
 - `loggers`: files of several loggers, and which column is which channel.

@@ -2,5 +2,4 @@
 
 - `rendering`: frames and films of cars.
 - `report`: pages of a score and of a diagnosis.
-- `inspection`: the page of a file before a diagnosis.
 """

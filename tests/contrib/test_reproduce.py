@@ -70,8 +70,8 @@ def test_whole_page(tmp_path):
     tasks = set()
     result = page.reproduce(tmp_path / "out", quick=True, progress=lambda task, share: tasks.add(task))
     text = (tmp_path / "out" / "index.html").read_text()
-    names = {p.name for p in (tmp_path / "out").glob("*.png")}
-    assert text.count('src="data:image/png;base64,') == len(names) == 7
+    names = {p.name for p in (tmp_path / "out").glob("*.svg")}
+    assert text.count('<svg class="chart"') == len(names) == 7
     assert "http:" not in text.replace("http://www.w3.org", "") and "https:" not in text
     data = json.loads((tmp_path / "out" / "reproduction.json").read_text())
     assert data["schema"] == SCHEMA

@@ -27,8 +27,7 @@ from isd_gym.common.files import claim_folder, write_text
 from isd_gym.contrib.engine import Outcome, Task, stored
 from isd_gym.contrib.engine import run as run_tasks
 from isd_gym.records import schemas
-from isd_gym.records.data.table import SUFFIXES, suffix_of
-from isd_gym.records.schemas.checking import problems
+from isd_gym.records.data.table import suffix_of, suffixes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -77,7 +76,7 @@ def cases_of(folder: str | Path, model: str | None = None) -> list[Case]:
     out = [case for place in places if (case := _case(place, model)) is not None]
     if not out:
         raise InputError(
-            f"{folder}: no folders of records in it (a case is a folder with tables: {' '.join(SUFFIXES)})"
+            f"{folder}: no folders of records in it (a case is a folder with tables: {' '.join(suffixes())})"
         )
     return sorted(out, key=lambda c: (c.vehicle, c.date, c.name))
 
@@ -122,9 +121,9 @@ def _case(place: Path, model: str | None) -> Case | None:
 def _run(path: Path) -> str:
     """Return a run in the notation of the command line; '' for other paths."""
     if path.is_dir():
-        files = sorted(p for p in path.iterdir() if suffix_of(p) in SUFFIXES)
+        files = sorted(p for p in path.iterdir() if suffix_of(p) in suffixes())
         return "+".join(map(str, files))
-    return str(path) if suffix_of(path) in SUFFIXES else ""
+    return str(path) if suffix_of(path) in suffixes() else ""
 
 
 def _task(case: Case, options: Mapping[str, Any]) -> Task:
@@ -244,6 +243,8 @@ def fleet(
 
 def _sound(task: Task, result: Any) -> bool:
     """Return whether a result has the parts of a diagnosis that the table and the page of a fleet show."""
+    from jsonschema import Draft202012Validator
+
     schema = schemas.load("isd-diagnosis/1")
     shown = {name: schema["properties"][name] for name in ("verdict", "summary", "effects")}
     clocks = {"type": "array", "items": {"type": "object"}}
@@ -253,7 +254,7 @@ def _sound(task: Task, result: Any) -> bool:
         "properties": shown | {"clocks": clocks},
     }
     part = {"type": "object", "required": ["diagnosis", "model"], "properties": {"diagnosis": diagnosis}}
-    return next(problems(result, part, schema), None) is None
+    return bool(Draft202012Validator(part | {"$defs": schema["$defs"]}).is_valid(result))
 
 
 def write_page(merged: Mapping[str, Any], out: str | Path) -> Path:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.files import check_file, whole, write_text
+from isd_gym.common.files import check_file, write_text
 from isd_gym.view.report.plots import (
-    Picture,
+    as_picture,
     channel_text,
-    embedded,
     figure,
     page,
-    pixels,
-    save,
     style,
     unit_text,
 )
@@ -46,37 +42,20 @@ def write_plan(plan: Plan, path: str | Path) -> Path:
     from .result import STATUS
 
     check_file(path)
-    with style(), tempfile.TemporaryDirectory() as folder:
-        fig = matrix_figure(plan)
-        file = save(fig, Path(folder) / "matrix.png")
-        picture = Picture(
-            "matrix.png",
+    with style():
+        picture = as_picture(
+            matrix_figure(plan),
+            "matrix",
             "Distances between effects",
             "Matrix of distances between effects and refitted rivals",
             "Each row is an effect at its smallest nameable size (without one, at a twentieth of the typical force). Each "
             "column is a rival, refitted together with the model's parameters, linearised. The shade is the distance in "
             "standard deviations of the noise over the whole record; at 1 or less, effect and rival are indistinguishable. "
             "The diagonal shows the refitted model without any effect. An effect with more parameters is no rival.",
-            embedded(file),
-            pixels(fig),
         )
-    html = page("plan.html", p=plan, picture=picture, status=STATUS, size_of=size_of, pictures=[])
+    html = page("plan.html", p=plan, picture=picture, status=STATUS, size_of=size_of)
     write_text(Path(path), html)
     return Path(path)
-
-
-def save_matrix(plan: Plan, path: str | Path) -> None:
-    """Write the matrix of distances as a PNG file.
-
-    Args:
-        plan: The plan.
-        path: File to write.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
-    with style(), whole(path) as place:
-        save(matrix_figure(plan), place)
 
 
 def matrix_figure(plan: Plan) -> Figure:

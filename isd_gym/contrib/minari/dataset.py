@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isd_gym.common.errors import InputError, how_to_install
-from isd_gym.common.files import reserve, whole_folder
+from isd_gym.common.files import whole_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -117,7 +118,7 @@ def write_dataset(
     with whole_folder(folder, "data set") as temporary:
         # HDF5 crashes the process on a full disk
         size = observations.nbytes + actions.nbytes + rewards.nbytes + 2 * rewards.size
-        reserve(temporary, int(1.1 * size) + episodes * EPISODE_ROOM + DATASET_ROOM)
+        _reserve(temporary, int(1.1 * size) + episodes * EPISODE_ROOM + DATASET_ROOM)
         storage = MinariStorage.new(
             temporary / data.relative_to(folder),
             seen,
@@ -169,3 +170,19 @@ def _place(out: str, policy: str) -> tuple[Path, str]:
         raise InputError(f"cannot write '{out}': no folder '{folder.parent}'")
     # absolute: Minari's storage fails with a relative path
     return folder.absolute(), f"isd/{re.sub(r'[^-0-9A-Za-z_]', '-', policy)}-v0"
+
+
+def _reserve(folder: Path, size: int) -> None:
+    """Check that a number of bytes can be written, for libraries that crash on a full disk."""
+    path = folder / ".room"
+    try:
+        with path.open("wb") as stream:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(stream.fileno(), 0, size)
+    except OSError as error:
+        raise InputError(
+            f"cannot write {size / 1e6:.3g} MB in '{folder.parent.parent}' ({error.strerror})"
+        ) from None
+    finally:
+        with suppress(OSError):
+            path.unlink()

@@ -31,7 +31,7 @@ SECTIONS: tuple[Callable[[Study], Section], ...] = (
 
 
 def reproduce(out: Path, quick: bool = False, progress: Progress | None = None) -> dict[str, Any]:
-    """Reproduce and audit the paper: write ``index.html``, the figures as PNG and ``reproduction.json`` atomically.
+    """Reproduce and audit the paper: write ``index.html``, the figures as SVG and ``reproduction.json`` atomically.
 
     Args:
         out: Folder of the results.

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from isd_gym.view.report.plots import Picture as PagePicture
-from isd_gym.view.report.plots import embedded, pixels, save
+from isd_gym.view.report.plots import as_picture
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 SCHEMA = "isd-reproduction/1"
 KIND = "reproduction"
-PARTS = ("index.html", "reproduction.json", "*.png")
+PARTS = ("index.html", "reproduction.json", "*.svg")
 SERIES, PRINTED = "quarter-car-isd", "quarter-car-eq8"
 RIG, RIG_PRINTED = "force-rig", "force-rig-eq6"
 AMPLITUDE = 0.01  # m, Table 2
@@ -113,5 +113,6 @@ class Study:
         Returns:
             The picture.
         """
-        data = embedded(save(fig, self.folder / f"{name}.png"))
-        return PagePicture(f"{name}.png", title, alt, caption, data, pixels(fig))
+        made = as_picture(fig, name, title, alt, caption)
+        made.save(self.folder)
+        return made

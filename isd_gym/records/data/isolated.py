@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import atexit
 import os
+import sys
 import threading
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,20 +37,6 @@ ENVIRONMENT = {
     "HDF5_PLUGIN_PRELOAD": "::",
     "OPENPYXL_LXML": "False",
 }
-#: extra of the library for each kind of file
-EXTRAS = {
-    "parquet": "io",
-    "mat": "io",
-    "mdf": "io",
-    "mat73": "files",
-    "tdms": "files",
-    "uff": "files",
-    "xlsx": "files",
-}
-
-
-def _begin() -> Guarded:
-    return Guarded(PROGRAM, ENVIRONMENT)
 
 
 def _counts(head: dict[str, Any]) -> list[int]:
@@ -61,11 +49,9 @@ _lock = threading.Lock()
 
 def _forget() -> None:
     """Drop the helper in a forked process; the helper belongs to the parent."""
-    global _helper, _lock
+    global _lock
     _lock = threading.Lock()
-    if _helper is not None:
-        _helper.close()
-        _helper = None
+    _stop()
 
 
 def _stop() -> None:
@@ -81,12 +67,12 @@ if hasattr(os, "register_at_fork"):
 
 
 def read(
-    kind: str, path: Path, wanted: list[str] | None, axis: str, resample: bool | str
+    reader: str, path: Path, wanted: list[str] | None, axis: str, resample: bool | str
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
     """Return the header and the columns of a binary table.
 
     Args:
-        kind: A kind of `isd_gym.records.formats`, such as 'parquet'.
+        reader: Module of the reader, such as 'isd_gym.records.formats.parquet'.
         path: The file.
         wanted: Names of the wanted columns; None for all.
         axis: Name of the time column.
@@ -99,10 +85,15 @@ def read(
         InputError: The file cannot be read, or needs too much memory or time.
     """
     global _helper
+    module = import_module(reader)
+    if sys.modules.get(module.LIBRARIES[0], 0) is None:  # this process treats the library as not installed
+        raise InputError(
+            f"{path}: reading {path.suffix} needs {module.LIBRARIES[0]}: {how_to_install(module.EXTRA)}"
+        )
     size = plain_file(path) / 2**20
     seconds, limit = SECONDS + SECONDS_PER_MB * size, memory_limit()
     request = {
-        "kind": kind,
+        "reader": reader,
         "path": os.path.abspath(path),
         "wanted": wanted,
         "axis": axis,
@@ -112,7 +103,7 @@ def read(
     }
     with _lock:
         if _helper is None:
-            _helper = _begin()
+            _helper = Guarded(PROGRAM, ENVIRONMENT)
         found = _helper.ask(request, _counts, PATIENCE * seconds)
         if found is None or found[0]["last"]:
             _stop()
@@ -123,7 +114,7 @@ def read(
     head, arrays = found
     if "lacks" in head:
         raise InputError(
-            f"{path}: reading {path.suffix} needs {head['lacks']}: {how_to_install(EXTRAS[kind])}"
+            f"{path}: reading {path.suffix} needs {head['lacks']}: {how_to_install(module.EXTRA)}"
         )
     if "refused" in head:
         raise InputError(f"{path}: {head['refused']}")

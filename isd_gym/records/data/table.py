@@ -1,11 +1,11 @@
-"""Tables of measured channels: read from text, Parquet, MATLAB, MDF, TDMS, universal and Excel files, packed or not; written."""
+"""Tables of measured channels: read from text, Parquet, MATLAB and MDF files and from the formats of plugins, packed or not; written."""
 
 from __future__ import annotations
 
 import csv
+import functools
 import os
 import re
-import sys
 import tempfile
 import warnings
 import zlib
@@ -19,6 +19,7 @@ import numpy as np
 from ...common.errors import InputError, MissingColumn, how_to_install, shown
 from ...common.files import whole
 from ...common.inputs import memory_limit, plain_file, too_large
+from ...common.plugins import READERS, plugins
 from ...common.units import convert
 from .columns import (
     TIME,
@@ -31,7 +32,6 @@ from .columns import (
     stamps_of,
     time_unit,
 )
-from .lvm import read_lvm, read_lvm_rasters
 from .signals import even_stamps, stamp_rounding
 from .text import read_text, read_text_rasters
 
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
     Reader = Callable[[Path, Choice, str, bool, Sequence[str] | None], Columns]
 
-#: suffixes of files with possibly several rasters
-RASTERS = (".mf4", ".mdf", ".lvm", ".tdms", ".uff", ".unv")
 #: suffix of a packed file, such as test.csv.gz
 PACKED = ".gz"
 #: bytes unpacked at a time
@@ -155,19 +153,13 @@ def read_columns(
             more memory than `inputs.memory_limit`.
     """
     path = Path(path)
-    try:
-        reader = _READERS[suffix_of(path)]
-    except KeyError:
-        known = " ".join(_READERS)
-        raise InputError(
-            f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known}, or with {PACKED})"
-        ) from None
+    kind = format_of(path)
     if os.path.isdir(path):
         raise InputError(f"{path}: is a folder, not a table")
     plain_file(path)
     try:
         with unpacked(path) as file:
-            return reader(file, wanted, axis, resample, columns)
+            return kind.read(file, wanted, axis, resample, columns)
     except InputError:
         raise
     except ImportError as error:
@@ -195,19 +187,12 @@ def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list
         InputError: The file cannot be read (see `read_columns`).
     """
     path = Path(path)
-    suffix = suffix_of(path)
-    own = suffix in RASTERS or suffix == ".xlsx" or _READERS.get(suffix) is read_text
-    if not own:
+    kind = format_of(path)
+    if kind.read_rasters is None:
         return [read_columns(path, columns=columns)]
     plain_file(path)
     with unpacked(path) as file:
-        if suffix == ".lvm":
-            return read_lvm_rasters(file, columns)
-        if suffix == ".xlsx":
-            return read_text_rasters(file, columns, _workbook(file))
-        if suffix not in RASTERS:
-            return read_text_rasters(file, columns)
-        return _own_rasters(file, _KINDS[suffix])
+        return kind.read_rasters(file, columns)
 
 
 def suffix_of(path: Path) -> str:
@@ -256,25 +241,6 @@ def unpacked(path: Path) -> Iterator[Path]:
         except InputError as error:
             error.args = (str(error).replace(str(content), str(path)), *error.args[1:])
             raise
-
-
-def _own_rasters(path: Path, kind: str) -> list[Columns]:
-    """Return the rasters of a binary file, each with time stamps of its own; tables without stamps are rasters too."""
-    from . import isolated
-
-    _check_library(kind)
-    head, arrays = isolated.read(kind, path, None, TIME, "own")
-    rasters: dict[str, Columns] = {}
-    for (full, _), values in zip(head["columns"], arrays, strict=True):
-        number, _, name = full.partition(" ")
-        raster = rasters.setdefault(number, Columns({}, {}))
-        if not name:
-            raster.values[TIME], raster.units[TIME] = values, "s"
-            continue
-        raster.values[name] = values
-        if name in head["units"]:
-            rasters[number].units[name] = head["units"][name]
-    return list(rasters.values())
 
 
 def read_table(
@@ -397,102 +363,152 @@ def _one_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
 
 
-def _isolated(kind: str) -> Reader:
-    """Return the reader of a binary format, which runs in a separate process."""
+# ---------------------------------------------------------------------------------------------------- formats
+
+
+@dataclass(frozen=True)
+class Format:
+    """How files of a format are read.
+
+    Attributes:
+        read: Reader of wanted columns: path, wanted names, time column, whether to resample, names for a file without a header.
+        read_rasters: Reader of all rasters: path, names for a file without a header; None for a format with one raster.
+        has_own_stamps: Whether channels may have time stamps of their own.
+    """
+
+    read: Reader
+    read_rasters: Callable[[Path, Sequence[str] | None], list[Columns]] | None = None
+    has_own_stamps: bool = False
+
+
+def binary_format(reader: str, has_own_stamps: bool = False) -> Format:
+    """Return a format whose reader runs in a separate process.
+
+    Args:
+        reader: Module of the reader (see `isd_gym.records.formats`).
+        has_own_stamps: Whether channels may have time stamps of their own.
+
+    Returns:
+        The format.
+    """
 
     def read(
         path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
     ) -> Columns:
-        from . import isolated
+        return _read_binary(reader, path, wanted, axis, resample)
 
-        own = "mat73" if kind == "mat" and _is_hdf5(path) else kind
-        _check_library(own)
-        given = None if callable(wanted) else wanted
-        head, arrays = isolated.read(own, path, given, axis, resample)
-        if "no_channel" in head:
-            name = head["no_channel"]
-            raise InputError(f"{path}: no channel {shown(name)}; {did_you_mean(name, head['names'])}")
-        out: dict[str, Any] = {}
-        units = dict(head["units"])
-        told = [(name, values) for (name, _), values in zip(head["columns"], arrays, strict=True)]
-        told += [(name, _NO_NUMBERS) for name in head["other"]]
-        full = [name for name, _ in told]
-        pairs = [split_header(name) if kind == "parquet" else (name, "") for name in full]
-        names = distinct([n for n, _ in pairs], full, [units.get(n, "") for n in full])
-        for (header, values), name, (_, unit) in zip(told, names, pairs, strict=True):
-            if name in out and values is not _NO_NUMBERS:
-                raise InputError(f"{path}: names {shown(name)} twice")
-            out.setdefault(name, values)
-            if header in units:
-                units[name] = units[header]
-            elif unit:
-                units[name] = unit
-        if callable(wanted):
-            wanted(list(out))
-        return Columns(out, units)
+    def read_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
+        return _read_binary_rasters(reader, path)
 
-    return read
+    return Format(read, read_rasters if has_own_stamps else None, has_own_stamps)
 
 
-def _check_library(kind: str) -> None:
-    """Raise `InputError` for a library that this process treats as not installed."""
-    from .isolated import EXTRAS
-
-    if sys.modules.get(_LIBRARIES[kind], 0) is None:
-        raise InputError(f"reading needs {_LIBRARIES[kind]}: {how_to_install(EXTRAS[kind])}")
-
-
-def _is_hdf5(path: Path) -> bool:
-    """Return whether a MATLAB file has version 7.3."""
-    with path.open("rb") as stream:
-        return stream.read(10) == b"MATLAB 7.3"
-
-
-def _workbook(path: Path) -> str:
-    """Return the text of the first sheet with numbers of a workbook."""
+def _read_binary(reader: str, path: Path, wanted: Choice, axis: str, resample: bool) -> Columns:
     from . import isolated
 
-    _check_library("xlsx")
-    return str(isolated.read("xlsx", path, None, TIME, False)[0]["text"])
+    given = None if callable(wanted) else wanted
+    head, arrays = isolated.read(reader, path, given, axis, resample)
+    if "no_channel" in head:
+        name = head["no_channel"]
+        raise InputError(f"{path}: no channel {shown(name)}; {did_you_mean(name, head['names'])}")
+    out: dict[str, Any] = {}
+    units = dict(head["units"])
+    told = [(name, values) for (name, _), values in zip(head["columns"], arrays, strict=True)]
+    told += [(name, _NO_NUMBERS) for name in head["other"]]
+    full = [name for name, _ in told]
+    pairs = [split_header(name) if reader == _PARQUET else (name, "") for name in full]
+    names = distinct([n for n, _ in pairs], full, [units.get(n, "") for n in full])
+    for (header, values), name, (_, unit) in zip(told, names, pairs, strict=True):
+        if name in out and values is not _NO_NUMBERS:
+            raise InputError(f"{path}: names {shown(name)} twice")
+        out.setdefault(name, values)
+        if header in units:
+            units[name] = units[header]
+        elif unit:
+            units[name] = unit
+    if callable(wanted):
+        wanted(list(out))
+    return Columns(out, units)
 
 
-def _read_workbook(
+def _read_binary_rasters(reader: str, path: Path) -> list[Columns]:
+    """Return the rasters of a binary file, each with time stamps of its own; tables without stamps are rasters too."""
+    from . import isolated
+
+    head, arrays = isolated.read(reader, path, None, TIME, "own")
+    rasters: dict[str, Columns] = {}
+    for (full, _), values in zip(head["columns"], arrays, strict=True):
+        number, _, name = full.partition(" ")
+        raster = rasters.setdefault(number, Columns({}, {}))
+        if not name:
+            raster.values[TIME], raster.units[TIME] = values, "s"
+            continue
+        raster.values[name] = values
+        if name in head["units"]:
+            rasters[number].units[name] = head["units"][name]
+    return list(rasters.values())
+
+
+def _read_mat(
     path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
 ) -> Columns:
-    return read_text(path, wanted, axis, resample, columns, _workbook(path))
+    """Read a MATLAB file; version 7.3 is another format."""
+    with path.open("rb") as stream:
+        head = stream.read(10)
+    if head == b"MATLAB 7.3":
+        for point in plugins(READERS, "mat73"):
+            found: Columns = point.load().read(path, wanted, axis, resample, columns)
+            return found
+    return _read_binary(f"{_PACKAGE}.mat", path, wanted, axis, resample)
 
 
 _NO_NUMBERS = np.empty(0, object)
-_LIBRARIES = {
-    "parquet": "pyarrow",
-    "mat": "scipy.io",
-    "mat73": "h5py",
-    "mdf": "asammdf",
-    "tdms": "nptdms",
-    "uff": "pyuff",
-    "xlsx": "openpyxl",
+_PACKAGE = "isd_gym.records.formats"
+_PARQUET = f"{_PACKAGE}.parquet"
+_TEXT = Format(read_text, read_text_rasters)
+_MDF = binary_format(f"{_PACKAGE}.mdf", has_own_stamps=True)
+#: formats of the core by suffix; entry points `READERS` announce others
+_FORMATS = {
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat"), _TEXT),
+    ".parquet": binary_format(_PARQUET),
+    ".mat": Format(_read_mat),
+    ".mf4": _MDF,
+    ".mdf": _MDF,
 }
-#: kind of each suffix of a binary file (`isd_gym.records.formats`)
-_KINDS = {
-    ".parquet": "parquet",
-    ".mat": "mat",
-    ".mf4": "mdf",
-    ".mdf": "mdf",
-    ".tdms": "tdms",
-    ".uff": "uff",
-    ".unv": "uff",
-}
-_READERS: dict[str, Reader] = {
-    ".csv": read_text,
-    ".txt": read_text,
-    ".tsv": read_text,
-    ".dat": read_text,
-    ".lvm": read_lvm,
-    ".xlsx": _read_workbook,
-    **{suffix: _isolated(kind) for suffix, kind in _KINDS.items()},
-}
-#: suffixes of all files that can be read
-SUFFIXES = tuple(_READERS)
+
+
+@functools.cache
+def suffixes() -> tuple[str, ...]:
+    """Return the suffixes of all files that can be read.
+
+    Returns:
+        Suffixes in small letters, such as '.csv'.
+    """
+    return (*_FORMATS, *(f".{p.name}" for p in plugins(READERS) if p.name != "mat73"))
+
+
+def format_of(path: Path) -> Format:
+    """Return the format of a file by its suffix.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The format.
+
+    Raises:
+        InputError: The format is unknown.
+    """
+    suffix = suffix_of(path)
+    if suffix in _FORMATS:
+        return _FORMATS[suffix]
+    for point in plugins(READERS, suffix.removeprefix(".")):
+        found: Format = point.load()
+        return found
+    known = " ".join(suffixes())
+    raise InputError(
+        f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known}, or with {PACKED})"
+    )
 
 
 # ---------------------------------------------------------------------------------------------------- writing

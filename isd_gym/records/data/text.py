@@ -57,8 +57,13 @@ class SideBySide(InputError):
     """Error for a file with several tables side by side, where a single table is wanted."""
 
 
-def _number(text: str, comma: bool) -> float | None:
-    """Return the number in a cell, NaN for an empty cell, None for text."""
+def number_in(text: str, comma: bool) -> float | None:
+    """Return the number in a cell, NaN for an empty cell, None for text.
+
+    Args:
+        text: Text of the cell.
+        comma: Whether the decimal separator is a comma.
+    """
     text = text.strip()
     if len(text) > 400:
         return None
@@ -173,13 +178,13 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
     for delimiter, comma in [(d, False) for d in ",;\t"] + [(";", True), ("\t", True), (" ", False)]:
         split = [_cells(s, delimiter) for _, s in rows[-20:]]
         width = max((len(c) for c in split), key=[len(c) for c in split].count)
-        numbers = sum(_number(x, comma) is not None for c in split if len(c) == width for x in c)
+        numbers = sum(number_in(x, comma) is not None for c in split if len(c) == width for x in c)
         share = numbers / max(sum(map(len, split)), 1)
         if width > 1 and (share, numbers) > best[0]:
             best = ((share, numbers), delimiter, comma, width)
     (_, numbers), delimiter, comma, width = best
     if not numbers:
-        last = [_number(s.strip(), False) is not None for _, s in rows[-20:]]
+        last = [number_in(s.strip(), False) is not None for _, s in rows[-20:]]
         if sum(last) > 0.5 * len(last):  # a single column: the time of a rig without inputs and outputs
             return ",", False, 1
         tried = "separators tried: comma, semicolon, tab, blank"
@@ -189,7 +194,7 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
 
 def _is_numeric(cells: list[str], width: int, comma: bool) -> bool:
     """Return whether a row is data: most of its cells are finite numbers, or all its cells are numbers or gaps."""
-    found = [_number(x, comma) for x in cells]
+    found = [number_in(x, comma) for x in cells]
     finite = sum(x is not None and math.isfinite(x) for x in found)
     return finite > width / 2 or (finite > 0 and len(cells) == width and None not in found)
 
@@ -277,7 +282,7 @@ def _in_comments(comments: Sequence[str], like: Dialect) -> list[list[str]]:
         text = text.strip().lstrip("#%").strip()
         for mark in dict.fromkeys((delimiter, ",", ";", "\t", " ")):
             cells = [x.strip() for x in _cells(text, mark)]
-            if len(cells) == width and not any(_number(x, comma) is not None for x in cells):
+            if len(cells) == width and not any(number_in(x, comma) is not None for x in cells):
                 out.append(cells)
                 break
     return out
@@ -316,7 +321,7 @@ def _cell_by_cell(
         if len(row) != width:
             raise InputError(f"{path}: line {number} has {len(row)} fields, the header has {width}")
         for i in used:
-            value = _number(row[i], comma)
+            value = number_in(row[i], comma)
             if value is None and names[i] in needed:
                 raise InputError(
                     f"{path}: line {number}, column {shown(names[i])}: {shown(row[i].strip())} is not a number"
@@ -371,36 +376,6 @@ def _check_groups(
             raise _two_meanings(path, rows[doubt], names[i], i, delimiter)
 
 
-def numbers_of(
-    path: Path, rows: list[tuple[int, list[str]]], place: int, name: str, comma: bool
-) -> np.ndarray:
-    """Return the numbers of a column, NaN for gaps and for rows that are too short.
-
-    Args:
-        path: File, for messages.
-        rows: Line number and cells of each row.
-        place: Index of the column, from 0.
-        name: Name of the column, for messages.
-        comma: Whether the decimal separator is a comma.
-
-    Returns:
-        Numbers (n,).
-
-    Raises:
-        InputError: A cell holds text.
-    """
-    out = np.full(len(rows), math.nan)
-    for k, (line, cells) in enumerate(rows):
-        if place < len(cells):
-            value = _number(cells[place], comma)
-            if value is None:
-                raise InputError(
-                    f"{path}: line {line}, column {shown(name)}: {shown(cells[place])} is not a number"
-                )
-            out[k] = value
-    return out
-
-
 @dataclass(frozen=True)
 class _Text:
     """A text table: its columns by name, and the rows of numbers with their line numbers."""
@@ -416,7 +391,7 @@ class _Text:
         delimiter, comma, width = self.like
         first = [cells for _, s in self.rows[:50] if len(cells := _cells(s, delimiter)) == width]
         for places, _ in found:
-            stamps = [_number(cells[places[0]], comma) for cells in first]
+            stamps = [number_in(cells[places[0]], comma) for cells in first]
             time = [t for t in stamps if t is not None and math.isfinite(t)]
             if len(time) < 2 or any(b <= a for a, b in itertools.pairwise(time)):
                 return []

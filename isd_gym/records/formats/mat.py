@@ -9,6 +9,7 @@ import zlib
 from . import Refused, bearable
 
 LIBRARIES = ("scipy.io",)
+EXTRA = "io"
 HERE = 1 << 20  # bytes unpacked at a time
 
 

@@ -6,6 +6,7 @@ from . import Refused, bearable
 from .rasters import OWN, joined, own_stamps
 
 LIBRARIES = ("asammdf",)
+EXTRA = "io"
 #: arithmetic and tabular conversions; formulas in a file are not evaluated
 MDF_CONVERSIONS = {4: {0, 1, 2, 4, 5}, 3: {0, 1, 2, 6, 7, 8, 9, 65535}}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from . import Refused, bearable
 
 LIBRARIES = ("pyarrow", "pyarrow.parquet")
+EXTRA = "io"
 
 
 def read(path, wanted, axis, resample, limit):

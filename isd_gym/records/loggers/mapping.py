@@ -12,18 +12,18 @@ of a logger's time stamps; an unknown delay is fitted. `sure` and `why` are for 
 
 from __future__ import annotations
 
-import difflib
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...common.errors import InputError, plain, shown
+from ...common.errors import InputError, hint, plain, shown
 from ...common.files import write_text
-from ...common.inputs import number, read_json
+from ...common.inputs import read_json
 from ...common.units import convert
 from ...physics.network import Channel, Network, without
-from ..data.columns import column_for
+from ..data.columns import column_for, did_you_mean
+from ..schemas import check
 from .recording import EPOCH, Raster, Recording, Signal, continuous, mended, rasters, spans
 
 if TYPE_CHECKING:
@@ -148,55 +148,31 @@ class ChannelMap:
         Raises:
             InputError: An entry is invalid; the message names the entry.
         """
-        _keys(data, {"schema", "model", "loggers", "channels"}, source)
-        if data.get("schema") != SCHEMA:
-            raise InputError(f"{source}: its schema is not '{SCHEMA}'")
-        rows, given = data.get("loggers", []), data.get("channels", {})
-        if not isinstance(rows, list) or not isinstance(given, dict):
-            raise InputError(f"{source}: loggers must be a list and channels an object")
+        check(data, SCHEMA, source)
         loggers = []
-        for i, row in enumerate(rows, 1):
-            where = f"{source}: logger {i}"
-            _keys(row, {"file", "stamps", "lag", "columns"}, where)
-            stamps = row.get("stamps", {})
-            _keys(stamps, {"column", "unit", "rate"}, f"{where}, stamps")
-            own_rate = None if stamps.get("rate") is None else number(stamps["rate"], f"{where}: rate")
-            lag = None if row.get("lag") is None else number(row["lag"], f"{where}: lag")
-            names = row.get("columns", [])
-            if not isinstance(names, list):
-                raise InputError(f"{where}: columns must be a list of names, not {shown(names)}")
+        for row in data.get("loggers", ()):
+            stamps, lag = row.get("stamps", {}), row.get("lag")
             loggers.append(
                 Logger(
-                    _text(row.get("file", ""), f"{where}: file"),
-                    _text(stamps.get("column"), f"{where}: stamps"),
-                    _text(stamps.get("unit"), f"{where}: stamps"),
-                    lag,
-                    tuple(_text(n, f"{where}: columns") for n in names),
-                    own_rate,
+                    row.get("file", ""),
+                    stamps.get("column"),
+                    stamps.get("unit"),
+                    None if lag is None else float(lag),
+                    tuple(row.get("columns", ())),
+                    stamps.get("rate"),
                 )
             )
         channels = {}
-        for name, row in given.items():
-            where = f"{source}: channel {shown(name)}"
-            _keys(row, {"logger", "column", "unit", "sign", "sure", "why"}, where)
-            column, logger, sign = _text(row.get("column"), where), row.get("logger", 1), row.get("sign", 1)
-            if not column:
-                raise InputError(f"{where}: no column")
-            if isinstance(logger, bool) or not isinstance(logger, int) or logger < 1:
-                raise InputError(f"{where}: logger must be a whole number from 1 on, not {shown(logger)}")
-            if isinstance(sign, bool) or sign not in (1, -1):
-                raise InputError(f"{where}: sign must be 1 or -1, not {shown(sign)}")
-            unit = _text(row.get("unit"), f"{where}: unit")
+        for name, row in data["channels"].items():
+            unit = row.get("unit")
             if unit:
                 try:
                     convert(1.0, unit, unit)
                 except InputError as error:
-                    raise InputError(f"{where}: {error}") from None
-            sure = None if row.get("sure") is None else number(row["sure"], f"{where}: sure")
-            channels[name] = Column(column, logger, unit, int(sign), sure, str(row.get("why", ""))[:400])
-        if not channels:
-            raise InputError(f"{source}: it maps no channel")
-        return cls(channels, tuple(loggers), _text(data.get("model", ""), f"{source}: model") or "", source)
+                    raise InputError(f"{source}: channel {shown(name)}: {error}") from None
+            number, sign = int(row.get("logger", 1)), int(row.get("sign", 1))
+            channels[name] = Column(row["column"], number, unit, sign, row.get("sure"), row.get("why", ""))
+        return cls(channels, tuple(loggers), data.get("model", ""), source)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the map file (`isd-map/1`).
@@ -220,19 +196,13 @@ class ChannelMap:
         Raises:
             InputError: The file cannot be written.
         """
-        data = self.to_dict()
-        rows = {k: [json.dumps(v, ensure_ascii=False) for v in data[k]] for k in ("loggers",)}
-        channels = [
-            f"  {json.dumps(n, ensure_ascii=False)}: {json.dumps(c, ensure_ascii=False)}"
-            for n, c in data["channels"].items()
-        ]
-        text = (
-            f'{{"schema": "{SCHEMA}", "model": {json.dumps(self.model)},\n "loggers": [\n  '
-            + ",\n  ".join(rows["loggers"])
-            + '],\n "channels": {\n'
-            + ",\n".join(channels)
-            + "}}\n"
+        loggers = ",\n  ".join(json.dumps(x.to_dict(), ensure_ascii=False) for x in self.loggers)
+        channels = ",\n".join(
+            f"  {json.dumps(n, ensure_ascii=False)}: {json.dumps(c.to_dict(), ensure_ascii=False)}"
+            for n, c in self.channels.items()
         )
+        head = f'{{"schema": "{SCHEMA}", "model": {json.dumps(self.model)}'
+        text = f'{head},\n "loggers": [\n  {loggers}],\n "channels": {{\n{channels}}}}}\n'
         write_text(path, text)
 
     def check(self, network: Network) -> None:
@@ -247,9 +217,9 @@ class ChannelMap:
         known = [c.name for c in (*network.inputs, *network.outputs)]
         for name in self.channels:
             if name not in known:
-                near = difflib.get_close_matches(name, known, 1)
-                hint = f"did you mean '{near[0]}'?" if near else f"it has: {', '.join(known)}"
-                raise InputError(f"{self.source}: the model has no channel {shown(name)}; {hint}")
+                raise InputError(
+                    f"{self.source}: the model has no channel {shown(name)}; {hint(name, known)}"
+                )
 
     def measured(self, network: Network) -> Network:
         """Return the model with only the outputs that the map has columns for.
@@ -270,20 +240,6 @@ class ChannelMap:
                 f"{self.source}: no output of the model has a column ({', '.join(c.name for c in network.outputs)})"
             )
         return found
-
-
-def _keys(data: Any, known: set[str], where: str) -> None:
-    if not isinstance(data, dict):
-        raise InputError(f"{where}: must be an object, not {shown(data)}")
-    for key in data:
-        if key not in known:
-            raise InputError(f"{where}: no key {shown(key)} (there are {', '.join(sorted(known))})")
-
-
-def _text(value: Any, where: str) -> Any:
-    if value is not None and not isinstance(value, str):
-        raise InputError(f"{where} must be a text, not {shown(value)}")
-    return value
 
 
 # ------------------------------------------------------------------------------------------------ a run's files
@@ -540,19 +496,13 @@ def _find(
     if own or len(holders) == 1:
         return source.column, (own or holders)[0]
     names = [n for group in found for r in group for n in r.columns]
-    near = difflib.get_close_matches(source.column, names, 1, 0.5)
-    hint = (
-        f"; did you mean {shown(near[0])}?"
-        if near
-        else f"; it has: {', '.join(plain(n, 40) for n in names[:12])}"
-    )
-    told = JOIN.join(map(str, files))
+    told, helps = JOIN.join(map(str, files)), did_you_mean(source.column, names)
     if by.source == "by name":
         raise InputError(
-            f"{told}: no column {shown(source.column)}{hint} (name the column with --map FILE or --rename COLUMN={channel.name}; "
+            f"{told}: no column {shown(source.column)}; {helps} (name the column with --map FILE or --rename COLUMN={channel.name}; "
             f"isd-gym inspect suggests a map){without(network, channel.name)}"
         )
     raise InputError(
-        f"{told}: no column {shown(source.column)}, which {by.source} names for {channel.name}{hint} "
+        f"{told}: no column {shown(source.column)}, which {by.source} names for {channel.name}; {helps} "
         f"(isd-gym inspect makes a map){without(network, channel.name)}"
     )

@@ -13,7 +13,7 @@ from ...physics.network import Channel, Network, without
 from ...physics.road import Road, profiled
 from ..data import Table, read_table
 from ..data.columns import split_header
-from ..data.table import RASTERS, suffix_of
+from ..data.table import format_of
 from ..data.text import SideBySide
 from .mapping import ChannelMap, Column, files_of, runs
 from .recording import Raster, Recording, Signal, continuous, mended, rasters
@@ -58,7 +58,7 @@ def records_of(
     sources = {n: c for c, n in (rename or {}).items()}
     for option, given in (("--unit", units or {}), ("--sign", signs or {})):
         _check_used(option, given, files, network, sources, columns)
-    if by is None and rate is None and len(files) == 1 and suffix_of(files[0]) not in RASTERS:
+    if by is None and rate is None and len(files) == 1 and not format_of(files[0]).has_own_stamps:
         expected = {c.name: c.unit for c in wanted}
         try:
             table = read_table(

@@ -6,9 +6,8 @@ simulation; the displacements of the nodes suffice. `write_video` makes a film o
 
 From the bottom up: `palette` and `backend`, the drawing surface (`canvas`), the content (`snapshots`),
 symbols of elements (`symbols`), parts of a car (`wheel`, `corner`, `road`), whole cars (`quarter_car`,
-`rigid_car`), live curves (`curves`, `panel`), frames (`renderer`), films (`film`) and recorders of episodes
-(`recording`). Names for other modules
-are imported here.
+`rigid_car`), live curves (`curves`, `panel`), frames (`renderer`) and films (`film`). Names for other modules are imported here.
+Inside, positions and sizes are in pixels of the frame, motions and roads in metres; `u` is the unit of the layout [px].
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from __future__ import annotations
 from .backend import check_display
 from .film import write_video
 from .palette import BLUE, CAR_COLOURS, GREEN, ORANGE, PULL, PURPLE, PUSH, VERMILLION
-from .recording import RecordVectorVideo, RecordVideo
 from .renderer import Renderer
 from .snapshots import CarSnapshot, CornerSnapshot, Snapshot
 
@@ -31,8 +29,6 @@ __all__ = [
     "VERMILLION",
     "CarSnapshot",
     "CornerSnapshot",
-    "RecordVectorVideo",
-    "RecordVideo",
     "Renderer",
     "Snapshot",
     "check_display",

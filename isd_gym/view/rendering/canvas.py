@@ -43,13 +43,7 @@ class Canvas:
         pg.font.init()
 
     def row(self, y: int, width: float, colour: Colour) -> None:
-        """Draw a horizontal line of the backdrop.
-
-        Args:
-            y: Row on the large surface.
-            width: Width on the large surface.
-            colour: Colour.
-        """
+        """Draw a horizontal line of the backdrop, in rows and columns of the large surface."""
         self.pg.draw.line(self._large, colour, (0, y), (width, y))
 
     def keep_backdrop(self) -> None:
@@ -61,27 +55,13 @@ class Canvas:
         self._large.blit(self._backdrop, (0, 0))
 
     def clip(self, left: float = 0.0, top: float = 0.0, width: float = 0.0, height: float = 0.0) -> None:
-        """Restrict shapes to a box; without arguments, remove the restriction.
-
-        Args:
-            left: Left edge [px].
-            top: Upper edge [px].
-            width: Width [px].
-            height: Height [px].
-        """
+        """Restrict shapes to a box [px]; without arguments, remove the restriction."""
         box = None if width == 0.0 else (round(2 * left), round(2 * top), round(2 * width), round(2 * height))
         self._large.set_clip(box)
 
     @contextmanager
     def mirrored(self, axis: float) -> Iterator[None]:
-        """Exchange left and right of all shapes within the block; text is not mirrored.
-
-        Args:
-            axis: Horizontal position of the axis [px].
-
-        Yields:
-            Nothing.
-        """
+        """Exchange left and right of `axis` [px] for all shapes within the block; text is not mirrored."""
         self._axis = axis
         try:
             yield
@@ -102,26 +82,13 @@ class Canvas:
         self._texts.clear()
 
     def pixels(self) -> NDArray[np.uint8]:
-        """Return the frame.
-
-        Returns:
-            Frame (height, width, 3) uint8.
-        """
+        """Return the frame (height, width, 3) uint8."""
         width, height = self.frame.get_size()
         raw = self.pg.image.tobytes(self.frame, "RGB")
         return np.frombuffer(raw, np.uint8).reshape(height, width, 3).copy()
 
     def rect(self, colour: Colour, x: float, y: float, w: float, h: float, *, radius: float = 0.0) -> None:
-        """Draw a filled rectangle.
-
-        Args:
-            colour: Colour.
-            x: Left edge [px].
-            y: Upper edge [px].
-            w: Width [px].
-            h: Height [px].
-            radius: Radius of the corners [px].
-        """
+        """Draw a filled rectangle from its upper left corner, with rounded corners."""
         if self._axis is not None:
             x = 2 * self._axis - x - w
         left, top = round(2 * x), round(2 * y)
@@ -140,49 +107,20 @@ class Canvas:
         line: float,
         radius: float = 0.0,
     ) -> None:
-        """Draw a filled rectangle with a frame.
-
-        Args:
-            fill: Colour of the area.
-            edge: Colour of the frame.
-            x: Left edge [px].
-            y: Upper edge [px].
-            w: Width [px].
-            h: Height [px].
-            line: Width of the frame [px].
-            radius: Radius of the corners [px].
-        """
+        """Draw a filled rectangle with a frame of width `line`."""
         self.rect(edge, x, y, w, h, radius=radius)
         self.rect(fill, x + line, y + line, w - 2 * line, h - 2 * line, radius=max(0.0, radius - line))
 
     def circle(self, colour: Colour, x: float, y: float, r: float) -> None:
-        """Draw a disc.
-
-        Args:
-            colour: Colour.
-            x: Horizontal position of the centre [px].
-            y: Vertical position of the centre [px].
-            r: Radius [px].
-        """
+        """Draw a disc."""
         self.pg.draw.circle(self._large, colour, self._placed([(x, y)])[0], 2 * r)
 
     def polygon(self, colour: Colour, points: Sequence[Point] | NDArray[np.float64]) -> None:
-        """Draw a filled polygon.
-
-        Args:
-            colour: Colour.
-            points: Corners (n, 2) [px].
-        """
+        """Draw a filled polygon with corners (n, 2)."""
         self.pg.draw.polygon(self._large, colour, self._placed(points))
 
     def lines(self, colour: Colour, points: Sequence[Point] | NDArray[np.float64], width: float) -> None:
-        """Draw a polyline.
-
-        Args:
-            colour: Colour.
-            points: Points (n, 2) [px].
-            width: Width of the line [px].
-        """
+        """Draw a polyline through points (n, 2)."""
         self.pg.draw.lines(self._large, colour, False, self._placed(points), max(1, round(2 * width)))
 
     def text(
@@ -246,15 +184,6 @@ def _font_file(face: str) -> str:
 
 
 def number(value: float, digits: int, *, sign: bool = True) -> str:
-    """Return a number with a true minus sign, without a negative zero.
-
-    Args:
-        value: The number.
-        digits: Number of decimals.
-        sign: Whether a plus sign is written.
-
-    Returns:
-        Text.
-    """
+    """Return a number with a true minus sign, without a negative zero."""
     value = round(value, digits) + 0.0
     return f"{value:{'+' if sign else ''}.{digits}f}".replace("-", "−")

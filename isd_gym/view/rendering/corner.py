@@ -30,14 +30,7 @@ Setting = Literal["alone", "side", "rear"]
 
 
 def demands(corner: CornerSnapshot) -> list[tuple[float, float]]:
-    """Return the motions of a corner and the available ranges.
-
-    Args:
-        corner: Corner.
-
-    Returns:
-        Motion [m] and range in each direction [units of the layout].
-    """
+    """Return the motions of a corner [m] and their ranges in each direction [units of the layout]."""
     top = corner.body if corner.joint is None else corner.joint
     stroke = LONE_DAMPER_STROKE if corner.joint is None else DAMPER_STROKE
     return [
@@ -83,13 +76,7 @@ class Suspension:
         return 36.0 if self.setting == "rear" else 58.0
 
     def paint(self, seat: float, carrier: float, spring_seat: float | None = None) -> None:
-        """Draw the suspension.
-
-        Args:
-            seat: Height of the body's underside over the wheel [px].
-            carrier: Height of the plate over the wheel [px].
-            spring_seat: Height of the body's underside over the main spring [px], for a tilted body.
-        """
+        """Draw the suspension between the body's underside (over the wheel, over the spring) and the wheel's carrier."""
         spring_seat = seat if spring_seat is None else spring_seat
         c, u, corner = self.canvas, self.u, self.corner
         coil(c, self.x - self.spring_place * u, spring_seat, carrier, 15 * u, 8, 3.0 * u)

@@ -30,11 +30,7 @@ class History:
         self.rows: deque[tuple[float, ...]] = deque()
 
     def add(self, snapshot: AnySnapshot) -> None:
-        """Append the values of a snapshot and of its unknown earlier moments.
-
-        Args:
-            snapshot: Snapshot later than all before.
-        """
+        """Append the values of a snapshot and of its unknown earlier moments."""
         known = self.rows[-1][0] if self.rows else -math.inf
         factors = [trace.factor for trace, _ in snapshot.traces]
         between = [row for row in snapshot.past if known < row[0] < snapshot.time]
@@ -44,11 +40,7 @@ class History:
             self.rows.popleft()
 
     def array(self) -> NDArray[np.float64]:
-        """Return the stored values.
-
-        Returns:
-            Time [s] and values (n, 1 + traces).
-        """
+        """Return time [s] and values (n, 1 + traces)."""
         flat = itertools.chain.from_iterable(self.rows)
         width = len(self.rows[0])
         return np.fromiter(flat, np.float64, width * len(self.rows)).reshape(-1, width)
@@ -65,11 +57,7 @@ class Scale:
         self.unit = unit
 
     def hold(self, peak: float) -> None:
-        """Widen the range until it holds a value.
-
-        Args:
-            peak: Largest absolute value.
-        """
+        """Widen the range until it holds a value."""
         while peak > 3.0 * self.unit:
             decade = 10.0 ** math.floor(math.log10(self.unit) + 1e-9)
             step = round(self.unit / decade)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-import subprocess
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,32 +67,24 @@ def _checked(frames: Iterable[NDArray[np.uint8]], path: Path) -> Iterator[NDArra
 
 
 def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
-    encoder = extra("imageio_ffmpeg", "writing an MP4", "imageio-ffmpeg").get_ffmpeg_exe()
+    encoder = extra("imageio_ffmpeg", "writing an MP4", "imageio-ffmpeg")
     first = next(frames)
     height, width = (size + size % 2 for size in first.shape[:2])  # the codec requires even sides
-    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {fps:.6f} -i -"
-    target = "-an -c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart"
-    command = [encoder, "-y", "-loglevel", "error", *source.split(), *target.split(), str(path)]
-    # in a separate session, Ctrl-C reaches the encoder only through this process, and no partial film is
-    # completed
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
-    ) as process:
-        assert process.stdin is not None and process.stderr is not None
-        try:
+    film = encoder.write_frames(
+        str(path), (width, height), fps=fps, quality=None, macro_block_size=2, ffmpeg_log_level="error",
+        output_params=["-crf", "18", "-movflags", "+faststart"],
+    )  # fmt: skip
+    try:
+        with closing(film):
+            film.send(None)
             for frame in itertools.chain([first], frames):
                 edge = ((0, height - frame.shape[0]), (0, width - frame.shape[1]), (0, 0))
-                process.stdin.write(np.pad(frame, edge, mode="edge").tobytes())
-            process.stdin.close()
-            complaint = process.stderr.read()
-        except BrokenPipeError:
-            complaint = process.stderr.read() or b"it stopped early"
-        except BaseException:
-            process.kill()
-            raise
-    if process.returncode != 0 or not path.stat().st_size:
-        lines = complaint.decode(errors="replace").strip().splitlines()
-        raise InputError(f"the film could not be encoded: {lines[-1] if lines else 'the encoder failed'}")
+                film.send(np.ascontiguousarray(np.pad(frame, edge, mode="edge")))
+    except OSError as error:
+        lines = str(error).strip().splitlines()
+        raise InputError(
+            f"the film could not be encoded: {lines[-1] if lines else 'the encoder failed'}"
+        ) from None
 
 
 def _write_gif(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:

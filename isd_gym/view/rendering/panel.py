@@ -38,20 +38,12 @@ class Panel:
         self._scales: dict[str, Scale] = {}
 
     def add(self, shots: Sequence[AnySnapshot]) -> None:
-        """Append the values of the snapshots to the curves.
-
-        Args:
-            shots: Snapshot of each car.
-        """
+        """Append the values of the snapshots to the curves."""
         for history, shot in zip(self._histories, shots, strict=True):
             history.add(shot)
 
     def paint(self, shots: Sequence[AnySnapshot]) -> None:
-        """Draw the panel.
-
-        Args:
-            shots: Snapshot of each car.
-        """
+        """Draw the panel."""
         c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
         first = shots[0]
         c.text(f"{number(first.time, 2, sign=False)} s", x0, 18 * u, size=13, face="Bold")

@@ -9,9 +9,8 @@ import numpy as np
 from . import corner, wheel
 from .canvas import number
 from .corner import Suspension
-from .legend import rulers
 from .palette import MUTED, WHITE, Colour, mix
-from .road import Window, ground, reference_height
+from .road import Window, ground, reference_height, rulers
 
 if TYPE_CHECKING:
     from .canvas import Canvas
@@ -59,30 +58,18 @@ class QuarterCarScene:
         self.reference = reference_height(self.road, self.contact)
 
     def needed(self, reference: float) -> float:
-        """Return the largest motion as a share of its range without exaggeration.
-
-        Args:
-            reference: Mean height of the road [m].
-
-        Returns:
-            Share [-].
-        """
+        """Return the largest motion about the mean height of the road [m], as a share of its range without exaggeration."""
         shot = self.shot
         demands = [
             (float(np.abs(self.road - reference).max()), 30.0),
             (abs(shot.body - reference), 28.0),
             (abs(shot.wheel - self.contact), 20.0),
-            *corner.demands(shot.corner),
+            *corner.demands(shot),
         ]
         return max(motion * SCALE / room for motion, room in demands)
 
     def paint(self, reference: float, factor: float) -> None:
-        """Draw the car.
-
-        Args:
-            reference: Mean height of the road [m].
-            factor: Factor of the exaggerated motions.
-        """
+        """Draw the car about the mean height of the road [m], with motions exaggerated by a factor."""
         c, u, shot = self.canvas, self.u, self.shot
         scale = factor * wheel.RADIUS * u / wheel.METRES  # [px/m]
         floor = self.height - FLOOR * u
@@ -94,7 +81,7 @@ class QuarterCarScene:
         seat = rest - (shot.body - reference) * scale  # underside of the body
 
         c.clip(self.left, 0, self.width, self.height)
-        wheel.tyre(c, self.x, hub, contact_y, u, lifted=shot.corner.has_lifted)
+        wheel.tyre(c, self.x, hub, contact_y, u, lifted=shot.has_lifted)
         ground(c, self.window, road_y, shot.speed * shot.time, u)
         # rolls with the drawn road
         wheel.side_rim(c, self.x, hub, u, shot.speed * shot.time * METRE / wheel.RADIUS)
@@ -105,7 +92,7 @@ class QuarterCarScene:
             size=9.5, colour=MUTED, face="Oblique", anchor="right",
         )  # fmt: skip
         words: Words = "all" if self.roomy else "nodes"
-        Suspension(c, shot.corner, self.x, unit=u, scale=scale, words=words).paint(seat, carrier)
+        Suspension(c, shot, self.x, unit=u, scale=scale, words=words).paint(seat, carrier)
         self._body(seat)
         c.clip()
         load = f"dynamic tyre load {number(shot.tyre_load / 1e3, 2)} kN"

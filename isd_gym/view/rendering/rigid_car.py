@@ -17,9 +17,8 @@ from . import corner as suspension
 from . import wheel
 from .canvas import number
 from .corner import Suspension
-from .legend import rulers
 from .palette import INK, MUTED, PALE, WHITE, Colour, mix
-from .road import Window, ground, reference_height
+from .road import Window, ground, reference_height, rulers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,26 +55,11 @@ class View:
     window: Window
 
     def along(self, x: float, y: float) -> float:
-        """Return the distance of a point to the right of the centre of gravity in the picture.
-
-        Args:
-            x: Distance in front of the centre of gravity [m].
-            y: Distance to the left of the centre of gravity [m].
-
-        Returns:
-            Distance [m].
-        """
+        """Return the distance [m] of a point to the right of the centre of gravity in the picture."""
         return -y if self.is_rear else x
 
     def place(self, corner: CornerSnapshot) -> float:
-        """Return the position of a corner in the picture.
-
-        Args:
-            corner: The corner.
-
-        Returns:
-            Horizontal position [px].
-        """
+        """Return the horizontal position of a corner in the picture [px]."""
         return self.window.origin + self.along(corner.x, corner.y) * self.window.metre
 
     def _depth(self, corner: CornerSnapshot) -> float:
@@ -95,15 +79,7 @@ class View:
         return tuple(corner for corner in self.shot.corners if corner not in self.near)
 
     def body_heights(self, along: NDArray[np.float64], *, is_far: bool = False) -> NDArray[np.float64]:
-        """Return displacements of the body along its near or its far edge.
-
-        Args:
-            along: Distances to the right of the centre of gravity [m] (n,).
-            is_far: Whether the edge is the far one.
-
-        Returns:
-            Displacements (n,) [m].
-        """
+        """Return displacements [m] of the body along its near or its far edge, at distances (n,) [m] to the right."""
         depths = [self._depth(corner) for corner in self.shot.corners]
         depth = max(depths) if is_far else min(depths)
         places = [(depth, -a) if self.is_rear else (a, depth) for a in along.tolist()]
@@ -182,14 +158,7 @@ class RigidCarScene:
         return float(np.interp(place, np.arange(profile.size) * shot.road_step, profile))
 
     def needed(self, reference: float) -> float:
-        """Return the largest motion as a share of its range without exaggeration.
-
-        Args:
-            reference: Mean height of the road [m].
-
-        Returns:
-            Share [-].
-        """
+        """Return the largest motion about the mean height of the road [m], as a share of its range without exaggeration."""
         size = self.unit / self.u
         ends = [height for view in self.views for height in view.body_heights(self._ends(view))]
         demands = [(float(np.abs(road - reference).max()), 30.0) for road in self.roads]
@@ -206,12 +175,7 @@ class RigidCarScene:
         return np.array([min(along) - over, max(along) + over])
 
     def paint(self, reference: float, factor: float) -> None:
-        """Draw the car.
-
-        Args:
-            reference: Mean height of the road [m].
-            factor: Factor of the exaggerated motions.
-        """
+        """Draw the car about the mean height of the road [m], with motions exaggerated by a factor."""
         c, u = self.canvas, self.u
         self.lift, self.scale = reference, factor * self.metre
         self.floor = self.height - FLOOR * u

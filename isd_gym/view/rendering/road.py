@@ -1,4 +1,4 @@
-"""The road in a picture: heights over the width, and the ground below."""
+"""The road in a picture: heights over the width, the ground below, and rulers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .palette import GROUND, GROUND_FAR, GROUND_MARK, INK, STEEL_FAR
+from .palette import GROUND, GROUND_FAR, GROUND_MARK, INK, MUTED, STEEL_FAR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,11 +37,7 @@ class Window:
     metre: float
 
     def columns(self) -> NDArray[np.float64]:
-        """Return the positions at which the road is drawn, one every two pixels.
-
-        Returns:
-            Positions (n,) [px].
-        """
+        """Return the positions [px] at which the road is drawn, one every two pixels."""
         return np.linspace(self.left, self.right, int((self.right - self.left) / 2) + 1)
 
     def heights(self, profile: NDArray[np.float64], step: float, behind: float) -> NDArray[np.float64]:
@@ -119,3 +115,22 @@ def _marks(c: Canvas, window: Window, y: NDArray[np.float64], travelled: float, 
             GROUND_MARK,
             [(at, top), (at + 7 * u, top), (at - 1 * u, top + 11 * u), (at - 8 * u, top + 11 * u)],
         )
+
+
+def rulers(c: Canvas, window: Window, scale: float, factor: float) -> None:
+    """Draw a vertical ruler of motions with their exaggeration at the left, and a metre of road at the right."""
+    u = c.unit
+    margin, foot = 10 * u, window.foot - 11 * u
+    tall = next((mm for mm in (10, 20, 50, 100, 200, 500, 1000) if mm * 1e-3 * scale > 8 * u), 2000)
+    rise = tall * 1e-3 * scale
+    x, y = window.left + margin, window.foot - 6 * u
+    for a, b in ((y - rise, y - rise), (y, y)):
+        c.rect(MUTED, x - 2.5 * u, a - 0.5 * u, 5 * u, b - a + u)
+    c.rect(MUTED, x - 0.5 * u, y - rise, u, rise)
+    words = f"{tall} mm, vertical ×{factor:g}"
+    c.text(words, x + 6 * u, foot, size=9.5, colour=MUTED)
+    run, right = window.metre, window.right - margin
+    for edge in (right - run, right):
+        c.rect(MUTED, edge - 0.5 * u, foot - 2.5 * u + 4 * u, u, 5 * u)
+    c.rect(MUTED, right - run, foot + 3.5 * u, run, u)
+    c.text("1 m", right - run / 2, foot - 4 * u, size=9.5, colour=MUTED, anchor="center")

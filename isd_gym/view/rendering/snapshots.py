@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -114,8 +113,8 @@ class CornerSnapshot:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Snapshot:
-    """A quarter car in one frame. Displacements are absolute, upwards, about static equilibrium.
+class Snapshot(CornerSnapshot):
+    """A quarter car in one frame: its only corner, the road, and the values of the panel.
 
     Raises:
         InputError: A number is not finite, a length or limit is not positive, or a piston has no joint.
@@ -123,14 +122,6 @@ class Snapshot:
 
     # [s]
     time: float
-    # [m]
-    body: float
-    # [m]
-    wheel: float
-    # node between oil spring and inerter [m]; None: the model has none
-    piston: float | None = None
-    # node between inerter and damper [m]; None without a device
-    joint: float | None = None
     # height of the road from behind the wheel to ahead [m], shape (n,)
     road_profile: NDArray[np.float64]
     # distance of two samples of the profile [m]
@@ -139,20 +130,10 @@ class Snapshot:
     road_behind: float | None = None
     # [m/s]
     speed: float
-    # [A]
-    current: float = 0.0
-    # [A]; None without a motor
-    current_limit: float | None = None
     # [m/s^2]
     body_acceleration: float
     # [m]
     suspension_travel: float
-    # dynamic tyre load [N], in addition to the static load
-    tyre_load: float
-    # [N]; if given, an unloaded tyre is drawn above the road
-    static_tyre_load: float | None = None
-    # end stop of the device [m]; None without end stop
-    device_travel_limit: float | None = None
     # mean cost so far
     cost: float | None = None
     # name above the picture
@@ -162,26 +143,14 @@ class Snapshot:
     past: Sequence[tuple[float, ...]] = ()
 
     def __post_init__(self) -> None:
-        _check_finite(self, "snapshot")
+        super().__post_init__()
         object.__setattr__(self, "road_profile", _checked_road(self.road_profile, 1))
         _check_positive(self, "snapshot", "road_step")
-        _ = self.corner  # raises an error for an invalid corner
-
-    @cached_property
-    def corner(self) -> CornerSnapshot:
-        """The only corner."""
-        names = {each.name for each in fields(CornerSnapshot)}
-        return CornerSnapshot(**{name: value for name, value in vars(self).items() if name in names})
 
     @property
     def corners(self) -> tuple[CornerSnapshot, ...]:
         """The only corner."""
-        return (self.corner,)
-
-    @property
-    def device_travel(self) -> float | None:
-        """Extension of the device [m]; None without a device."""
-        return self.corner.device_travel
+        return (self,)
 
     @property
     def traces(self) -> tuple[tuple[Trace, float], ...]:

@@ -24,19 +24,7 @@ def coil(
     stub: float | None = None,
     colours: tuple[Colour, Colour] = (STEEL, STEEL_FAR),
 ) -> None:
-    """Draw a helix from the side.
-
-    Args:
-        c: Canvas.
-        x: Position of the axis [px].
-        top: Upper end [px].
-        bottom: Lower end [px].
-        radius: Radius [px].
-        turns: Number of turns.
-        line: Width of the wire [px].
-        stub: Length of the straight ends [px].
-        colours: Colours of the wire in front and behind.
-    """
+    """Draw a helix around the axis `x`; `line` is the width of the wire, `stub` the length of the straight ends."""
     near, far = colours
     stub = 2 * line if stub is None else stub
     c.rect(near, x - line / 2, top, line, stub + line / 2)
@@ -59,17 +47,7 @@ def coil(
 
 
 def dashpot(c: Canvas, x: float, top: float, bottom: float, length: float, stroke: float, u: float) -> None:
-    """Draw cup and plunger.
-
-    Args:
-        c: Canvas.
-        x: Position of the axis [px].
-        top: Upper end [px].
-        bottom: Lower end [px].
-        length: Length at rest [px].
-        stroke: Range of motion in each direction [px].
-        u: Unit of the layout [px].
-    """
+    """Draw cup and plunger of `length` at rest, with a range of `stroke` in each direction."""
     foot, cup, half = 5 * u, 2 * stroke + 4 * u, 12 * u
     rim = bottom - foot - cup
     plate = top + length - foot - cup / 2
@@ -83,16 +61,7 @@ def dashpot(c: Canvas, x: float, top: float, bottom: float, length: float, strok
 
 
 def arrow(c: Canvas, colour: Colour, x: float, tail: float, head: float, width: float) -> None:
-    """Draw a vertical arrow.
-
-    Args:
-        c: Canvas.
-        colour: Colour.
-        x: Horizontal position [px].
-        tail: Height of the tail [px].
-        head: Height of the head [px].
-        width: Width of the shaft [px].
-    """
+    """Draw a vertical arrow from the height `tail` to the height `head`."""
     way = 1.0 if head > tail else -1.0
     tip = min(abs(head - tail), 2.2 * width)
     neck = head - way * tip

@@ -72,15 +72,7 @@ def tyre(
 
 
 def side_rim(c: Canvas, x: float, hub: float, u: float, turn: float) -> None:
-    """Draw the rim of a wheel from the side.
-
-    Args:
-        c: Canvas.
-        x: Place of the hub [px].
-        hub: Height of the hub [px].
-        u: Unit of the layout [px].
-        turn: Angle by which the wheel has rolled [rad].
-    """
+    """Draw the rim of a wheel from the side, rolled by the angle `turn` [rad]."""
     c.circle(STEEL_FAR, x, hub, 24 * u)
     c.circle((238, 240, 242), x, hub, 21.5 * u)
     for k in range(5):
@@ -91,17 +83,7 @@ def side_rim(c: Canvas, x: float, hub: float, u: float, turn: float) -> None:
 
 
 def carrier(c: Canvas, x: float, hub: float, top: float, reach: float, u: float, pin: float) -> None:
-    """Draw hub, upright and the plate over the tyre that carries the suspension.
-
-    Args:
-        c: Canvas.
-        x: Position of the hub [px].
-        hub: Height of the hub [px].
-        top: Height of the plate [px].
-        reach: Half the width of the plate [px].
-        u: Unit of the plate [px].
-        pin: Unit of hub and upright [px].
-    """
+    """Draw hub, upright and the plate over the tyre that carries the suspension."""
     c.rect(STEEL, x - 3 * pin, top, 6 * pin, hub - top, radius=3 * pin)
     c.circle(INK, x, hub, 5 * pin)
     c.circle(WHITE, x, hub, 2 * pin)

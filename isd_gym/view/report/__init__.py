@@ -1,7 +1,6 @@
 """Self-contained pages of a diagnosis and a score.
 
-`plots` sets the style and assembles pages. `charts` describes a chart once, for the picture and for the live
-page.
+`plots` sets the style and assembles pages. `charts` draws charts that are described as data.
 """
 
 from __future__ import annotations

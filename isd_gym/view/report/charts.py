@@ -1,20 +1,14 @@
-"""Charts that are described once and drawn twice: as a picture (matplotlib) and live in a page (``templates/page.js``).
-
-A `Chart` consists of panels; a `Panel` has two axes and items. `draw` makes the picture for print and for
-pages without scripts. `live` gives the same chart as JSON; the page's script adds values under the pointer,
-zoom, and series that can be hidden. Long signals are stored as 16-bit numbers, to keep pages small.
-"""
+"""Charts as data: a `Chart` consists of panels, and a `Panel` has two axes and items. `picture` draws a chart for a page."""
 
 from __future__ import annotations
 
-import base64
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .plots import MUTED, PALE, Look, Picture, embedded, figure, label_points, number, pixels, save
+from .plots import MUTED, PALE, Look, Picture, as_picture, figure, label_points, number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,6 +22,8 @@ if TYPE_CHECKING:
 Ticks = tuple[tuple[float, str], ...]
 
 QUIET = Look(MUTED, "-", "", 0.9)
+COLUMNS = 500  # columns in which a long curve is reduced to its extremes: about a pixel each
+MOST_DOTS = 300  # largest cloud of separate shapes; a larger cloud is one image
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,7 @@ class Axis:
         label: Label of its values.
         unit: Unit; '' without a unit.
         log: Whether the axis is logarithmic.
-        low: Lower end of the picture and of the first live view; None to fit the values.
+        low: Lower end; None to fit the values.
         high: Upper end; None to fit the values.
         ticks: Positions and texts of the ticks; empty for automatic ticks.
         rows: Names of the integers from the top down, instead of numbers.
@@ -69,8 +65,6 @@ class Line:
         look: Style.
         band: Lower and upper ordinates (n,) of the band; None without a band.
         fill: Whether the area down to the axis is filled.
-        still: Whether the curve is in the picture.
-        on: Whether the curve is visible at the start of a live chart.
     """
 
     name: str
@@ -79,8 +73,6 @@ class Line:
     look: Look
     band: tuple[Array, Array] | None = None
     fill: bool = False
-    still: bool = True
-    on: bool = True
 
 
 @dataclass(frozen=True)
@@ -116,7 +108,7 @@ class Marks:
         x_interval: Lower and upper abscissae; None without intervals.
         y_interval: Lower and upper ordinates; None without intervals.
         texts: Labels beside the points.
-        notes: Texts under the pointer.
+        notes: Texts that the page shows where the pointer rests on a point.
         open: Whether markers are hollow.
         size: Size of a marker [pt].
         bar: Width of the interval lines [pt].
@@ -179,7 +171,7 @@ class Panel:
         y: Vertical axis.
         items: Items in the order of drawing.
         title: Title; '' without a title.
-        link: Panels with the same link share zoom and pointer along x.
+        link: Panels with the same link share their horizontal axis.
         tall: Height relative to the other panels of the chart.
     """
 
@@ -200,13 +192,11 @@ class Chart:
         title: Title.
         alt: Text for readers who cannot see the figure.
         caption: Caption.
-        choices: Panels by the name of a record; the picture shows the first.
+        choices: Panels by the name of a record. The page shows the first, and the others on request.
         columns: Number of columns of panels.
         size: Size of the picture [inch].
-        walk: Whether a live chart has buttons for moving along x.
-        widths: Relative widths of the columns; empty for equal widths.
         align: Whether the panels of a column are aligned.
-        still: Number of panels in the picture; None for all.
+        still: Number of panels that are drawn; None for all.
         captions: Captions by choice, for choices with another caption than `caption`.
     """
 
@@ -217,8 +207,6 @@ class Chart:
     choices: Mapping[str, Sequence[Panel]]
     columns: int = 1
     size: tuple[float, float] = (7.4, 3.0)
-    walk: bool = False
-    widths: tuple[float, ...] = ()
     align: bool = True
     still: int | None = None
     captions: Mapping[str, str] = field(default_factory=dict)
@@ -234,33 +222,41 @@ def picture(chart: Chart, folder: Path) -> Picture:
 
     Args:
         chart: The chart.
-        folder: Folder of the PNG file.
+        folder: Folder of the SVG file, which shows the first choice.
 
     Returns:
-        Figure with picture and live form.
+        The figure, with one picture per choice.
     """
-    fig = figure(*chart.size)
-    draw(fig, chart)
-    path = save(fig, folder / f"{chart.name}.png")
-    return Picture(path.name, chart.title, chart.alt, chart.caption, embedded(path), pixels(fig), live(chart))
+    drawn = []
+    for name, panels in chart.choices.items():
+        one = replace(chart, choices={name: panels})
+        fig = figure(*chart.size)
+        notes: dict[str, str] = {}
+        draw(fig, one, notes)
+        caption = chart.captions.get(name, chart.caption)
+        drawn.append(as_picture(fig, chart.name, chart.title, chart.alt, caption, notes))
+    drawn[0].save(folder)
+    return replace(drawn[0], others=dict(zip(list(chart.choices)[1:], drawn[1:], strict=True)))
 
 
 # ------------------------------------------------------------------------------------------------- the picture
 
 
-def draw(fig: Figure, chart: Chart) -> None:
+def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None:
     """Draw the first choice of a chart on an empty figure.
 
     Args:
         fig: The figure.
         chart: The chart.
+        notes: Text by identifier of a point; extended by the points with notes.
     """
+    notes = {} if notes is None else notes
     panels = chart.panels
     columns = min(chart.columns, len(panels))
     rows = -(-len(panels) // columns)
     fig.set_size_inches(*chart.size)
     tall = [max(p.tall for p in panels[r * columns : (r + 1) * columns]) for r in range(rows)]
-    grid = fig.add_gridspec(rows, columns, height_ratios=tall, width_ratios=chart.widths or None)
+    grid = fig.add_gridspec(rows, columns, height_ratios=tall)
     first: dict[str, Axes] = {}
     beside: list[tuple[Axes, Panel]] = []
     for k, panel in enumerate(panels):
@@ -270,7 +266,7 @@ def draw(fig: Figure, chart: Chart) -> None:
         ax = fig.add_subplot(grid[row, column], sharex=share, sharey=left)
         first.setdefault(panel.link, ax)
         beside.append((ax, panel))
-        _draw_panel(ax, panel)
+        _draw_panel(ax, panel, notes)
         below = panels[k + columns] if k + columns < len(panels) else None
         if below is not None and below.x.text == panel.x.text:
             ax.set_xlabel("")
@@ -298,21 +294,21 @@ def draw(fig: Figure, chart: Chart) -> None:
         _label(fig, ax, panel)
 
 
-def _draw_panel(ax: Axes, panel: Panel) -> None:
+def _draw_panel(ax: Axes, panel: Panel, notes: dict[str, str]) -> None:
     if panel.x.log:
         ax.set_xscale("log")
     if panel.y.log:
         ax.set_yscale("log")
     for item in panel.items:
         if isinstance(item, Line):
-            _draw_line(ax, item)
+            _draw_line(ax, item, panel.x)
         elif isinstance(item, Dots):
             ax.plot(
                 item.x, item.y, item.look.marker or ".", color=item.look.colour, ms=item.size, mew=0,
-                alpha=item.alpha, label=item.name or None,
+                alpha=item.alpha, label=item.name or None, rasterized=len(item.x) > MOST_DOTS,
             )  # fmt: skip
         elif isinstance(item, Marks):
-            _draw_marks(ax, item)
+            _draw_marks(ax, item, notes)
         elif isinstance(item, Rule):
             line = ax.axvline if item.axis == "x" else ax.axhline
             line(
@@ -333,17 +329,14 @@ def _draw_panel(ax: Axes, panel: Panel) -> None:
     _axis(ax, "y", panel.y)
 
 
-def _draw_line(ax: Axes, item: Line) -> None:
-    if not item.still:
-        return
+def _draw_line(ax: Axes, item: Line, axis: Axis) -> None:
     if item.band is not None:
         ax.fill_between(item.x, *item.band, color=item.look.colour, alpha=0.25, lw=0, label="95 % interval")
     if item.fill:
         ax.fill_between(item.x, item.y, ax.get_ylim()[0], color=PALE, lw=0, label=item.name, zorder=0)
         return
     ax.plot(
-        item.x,
-        item.y,
+        *_thinned(item, axis),
         color=item.look.colour,
         ls=item.look.line,
         lw=item.look.width,
@@ -354,7 +347,27 @@ def _draw_line(ax: Axes, item: Line) -> None:
     )
 
 
-def _draw_marks(ax: Axes, item: Marks) -> None:
+def _thinned(line: Line, axis: Axis) -> tuple[Array, Array]:
+    """Return the visible part of a curve; a curve of many samples is reduced to its extremes in `COLUMNS` columns."""
+    x, y = np.asarray(line.x, float), np.asarray(line.y, float)
+    if len(x) < 2 or not (np.diff(x) > 0).all():  # a loop
+        return x, y
+    low = x[0] if axis.low is None else axis.low
+    high = x[-1] if axis.high is None else axis.high
+    first, last = np.searchsorted(x, low), np.searchsorted(x, high, side="right")
+    x, y = x[max(first - 1, 0) : last + 1], y[max(first - 1, 0) : last + 1]
+    each = len(x) // COLUMNS
+    if each < 3:
+        return x, y
+    whole = len(x) // each * each
+    columns = y[:whole].reshape(-1, each)
+    starts = np.arange(0, whole, each)
+    kept = np.r_[starts + columns.argmin(axis=1), starts + columns.argmax(axis=1), np.arange(whole, len(x))]
+    kept = np.unique(kept)
+    return x[kept], y[kept]
+
+
+def _draw_marks(ax: Axes, item: Marks, notes: dict[str, str]) -> None:
     x, y = np.asarray(item.x, float), np.asarray(item.y, float)
     for spans, other, flat in ((item.x_interval, y, True), (item.y_interval, x, False)):
         if spans is None:
@@ -363,10 +376,17 @@ def _draw_marks(ax: Axes, item: Marks) -> None:
             ends = ([a, b], [at, at]) if flat else ([at, at], [a, b])
             ax.plot(*ends, color=item.look.colour, lw=item.bar, solid_capstyle="butt", zorder=3)
     if item.look.marker:
-        ax.plot(
-            x, y, item.look.marker, color=item.look.colour, mfc="white" if item.open else item.look.colour,
-            mew=1.4, ms=item.size, ls="none", zorder=5, label=None if item.quiet else item.name or None,
-        )  # fmt: skip
+        style: dict[str, Any] = {
+            "marker": item.look.marker, "color": item.look.colour, "mfc": "white" if item.open else item.look.colour,
+            "mew": 1.4, "ms": item.size, "ls": "none", "zorder": 5,
+        }  # fmt: skip
+        label = None if item.quiet else item.name or None
+        if not item.notes:
+            ax.plot(x, y, label=label, **style)
+        for k, note in enumerate(item.notes):  # each point is an element of the page, with its note
+            name = f"note-{len(notes)}"
+            notes[name] = note
+            ax.plot(x[k : k + 1], y[k : k + 1], label=label if k == 0 else None, gid=name, **style)
     elif item.name:
         ax.plot([], [], color=item.look.colour, lw=item.bar, solid_capstyle="butt", label=item.name)
 
@@ -445,132 +465,3 @@ def decades(low: float, high: float) -> Ticks:
         return log_ticks(low, high)
     ticks = ticks[:: -(-len(ticks) // 6)]
     return tuple((t, number(t, 1)) for t in ticks)
-
-
-# ----------------------------------------------------------------------------------------------- for the script
-
-
-def packed(values: Array, few: int = 64) -> Any:
-    """Return numbers in a compact form for the script.
-
-    Args:
-        values: Numbers (n,).
-        few: Largest length of a plain list.
-
-    Returns:
-        A list for few numbers, three numbers for a uniform grid, otherwise 16-bit integers on a scale.
-    """
-    values = np.asarray(values, float)
-    if len(values) > 2 and np.ptp(steps := np.diff(values)) < 1e-6 * abs(steps[0]):
-        return {"from": float(values[0]), "to": float(values[-1]), "n": len(values)}
-    finite = np.isfinite(values)
-    if len(values) <= few:
-        return [float(f"{v:.6g}") if ok else None for v, ok in zip(values, finite, strict=True)]
-    low = float(values[finite].min(initial=0.0 if not finite.any() else np.inf))
-    high = float(values[finite].max(initial=0.0 if not finite.any() else -np.inf))
-    step = (high - low) / 65534 or 1.0
-    whole = np.full(len(values), 65535, "<u2")
-    whole[finite] = np.round((values[finite] - low) / step)
-    return {"low": low, "step": step, "data": base64.b64encode(whole.tobytes()).decode("ascii")}
-
-
-def packed_log(values: Array) -> Any:
-    """Return positive numbers over many decades as 16-bit integers of their logarithms.
-
-    Args:
-        values: Numbers (n,).
-
-    Returns:
-        The compact form of the logarithms.
-    """
-    values = np.asarray(values, float)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inner = packed(np.where(values > 0, np.log(values), np.nan))
-    return {"exp": inner}
-
-
-def live(chart: Chart) -> dict[str, Any]:
-    """Return a chart in the form of the page's script.
-
-    Args:
-        chart: The chart.
-
-    Returns:
-        Plain data.
-    """
-    return {
-        "columns": chart.columns,
-        "walk": chart.walk,
-        "choices": [
-            {
-                "name": name,
-                "caption": chart.captions.get(name, chart.caption),
-                "panels": [_panel(p) for p in panels],
-            }
-            for name, panels in chart.choices.items()
-        ],
-    }
-
-
-def _panel(p: Panel) -> dict[str, Any]:
-    def axis(a: Axis) -> dict[str, Any]:
-        out: dict[str, Any] = {"label": a.label, "unit": a.unit, "log": a.log, "low": a.low, "high": a.high}
-        if a.ticks:
-            out["ticks"] = [[t, s] for t, s in a.ticks]
-        if a.rows:
-            out["rows"] = list(a.rows)
-        return out
-
-    items = [i for i in p.items if isinstance(i, Line)]
-    grid = items and all(len(i.x) == len(items[0].x) and np.array_equal(i.x, items[0].x) for i in items)
-    rising = bool(grid) and bool(np.all(np.diff(items[0].x) > 0))  # a loop is no function of x
-    lines = rising and not any(isinstance(i, Dots | Marks) for i in p.items)
-    return {
-        "kind": "lines" if lines else "points",
-        "title": p.title,
-        "link": p.link,
-        "tall": p.tall,
-        "x": axis(p.x),
-        "y": axis(p.y),
-        "items": [_item(i, p, lines and k > 0) for k, i in enumerate(sorted(p.items, key=_order))],
-    }
-
-
-def _order(item: Item) -> int:
-    return 0 if isinstance(item, Line) else 1  # the first line holds the x values of all lines
-
-
-def _item(item: Item, panel: Panel, shared: bool) -> dict[str, Any]:
-    def numbers(values: Sequence[float] | Array, axis: Axis) -> Any:
-        values = np.asarray(values, float)
-        return packed_log(values) if axis.log and len(values) > 64 else packed(values)
-
-    def plain(values: Sequence[float]) -> list[float | None]:
-        return [float(f"{v:.6g}") if math.isfinite(v) else None for v in values]
-
-    kind = type(item).__name__.lower()
-    if isinstance(item, Span):
-        return {"kind": kind, "low": item.low, "high": item.high}
-    if isinstance(item, Rule):
-        return {"kind": kind, "axis": item.axis, "at": item.at, "text": item.text, "look": _look(item.look)}
-    out: dict[str, Any] = {"kind": kind, "name": item.name, "look": _look(item.look)}
-    if isinstance(item, Marks):
-        out |= {"x": plain(item.x), "y": plain(item.y), "open": item.open, "bar": item.bar, "size": item.size}
-        out |= {"texts": list(item.texts), "notes": list(item.notes)}
-        for key, spans in (("xs", item.x_interval), ("ys", item.y_interval)):
-            if spans is not None:
-                out[key] = [plain(spans[0]), plain(spans[1])]
-        return out
-    out["y"] = numbers(item.y, panel.y)
-    if not (shared and isinstance(item, Line)):
-        out["x"] = numbers(item.x, panel.x)
-    if isinstance(item, Line):
-        out |= {"on": item.on, "fill": item.fill}
-        if item.band is not None:
-            out["band"] = [numbers(b, panel.y) for b in item.band]
-    return out
-
-
-def _look(look: Look) -> dict[str, Any]:
-    dash = list(look.line[1]) if isinstance(look.line, tuple) else []
-    return {"colour": look.colour, "dash": dash, "width": look.width, "marker": look.marker}

@@ -70,7 +70,7 @@ OVER = {"rate": "rate", "elongation": "travel", "both": "travel and rate"}
 
 
 def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str, str] | None = None) -> Path:
-    """Write ``diagnosis.json`` and ``model.json`` into a folder, then ``report.html`` and its figures as PNG.
+    """Write ``diagnosis.json`` and ``model.json`` into a folder, then ``report.html`` and its figures as SVG.
 
     The results replace an earlier diagnosis in one step; the folder with the report replaces the results in
     one step.
@@ -769,7 +769,6 @@ def draw_time(view: View) -> Chart | None:
         choices,
         columns=2,
         size=(7.6, 1.65 * len(few) + 0.7),
-        walk=True,
         still=2 * len(few),
         captions=captions,
     )
@@ -816,7 +815,6 @@ def draw_residuals(view: View) -> Chart | None:
         next(iter(captions.values())),
         choices,
         size=(7.6, 1.1 * len(few) + 0.7),
-        walk=True,
         still=len(few),
         captions=captions,
     )

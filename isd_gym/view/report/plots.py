@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
+import io
 import math
 import platform
 import re
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from html import escape
 from importlib import metadata, resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,8 @@ import numpy as np
 from ...common.units import TABLE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -34,6 +35,12 @@ BLACK, BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, OLIVE = (
     "#262b30", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7A4B2A", "#8A8A00",
 )  # fmt: skip
 DPI = 160
+#: colours of the figures in print, and on a dark page
+THEMED = {
+    "#262b30": "#e4e8ec", "#606870": "#a0a8b0", "#dfe3e7": "#3c444c", "#ffffff": "#14181c", "#0072b2": "#56aef0",
+    "#d55e00": "#ff8a3d", "#009e73": "#2fcf9f", "#cc79a7": "#e79bc6", "#e69f00": "#ffbf3a", "#56b4e9": "#8fd3ff",
+    "#7a4b2a": "#c9946b", "#8a8a00": "#c8c83c",
+}  # fmt: skip
 
 STYLE: dict[str, Any] = {
     "figure.facecolor": "white",
@@ -63,7 +70,8 @@ STYLE: dict[str, Any] = {
     "legend.frameon": False,
     "legend.handlelength": 2.8,
     "legend.fontsize": 9.0,
-    "savefig.dpi": DPI,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "isd_gym",
 }
 
 
@@ -149,77 +157,80 @@ def figure(width: float = 7.2, height: float = 4.0) -> Figure:
     return fig
 
 
-def save(fig: Figure, path: Path) -> Path:
-    """Write a figure as PNG with 256 colours, a third of the usual size; equal figures give equal bytes.
-
-    Args:
-        fig: The figure.
-        path: File to write.
-
-    Returns:
-        The path.
-    """
-    import io
-
-    from PIL import Image
-
-    whole = io.BytesIO()
-    fig.savefig(whole, format="png", dpi=DPI, metadata={"Software": None})
-    with Image.open(whole) as picture:
-        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
-    return path
-
-
-def pixels(fig: Figure) -> int:
-    """Return the width of a figure on a page.
-
-    Args:
-        fig: The figure.
-
-    Returns:
-        Width [CSS pixel].
-    """
-    return round(122 * fig.get_size_inches()[0])
-
-
-def embedded(path: Path) -> str:
-    """Return a PNG file as a data URI, for a self-contained page.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Data URI.
-    """
-    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
-
-
 @dataclass(frozen=True)
 class Picture:
     """A figure on a page.
 
     Attributes:
-        name: File in the folder of the page.
+        stem: Stem of the file name.
         title: Title.
         alt: Text for readers who cannot see the figure.
-        caption: Caption (HTML).
-        data: Data URI of the picture.
+        caption: Caption.
+        drawing: SVG text.
         width: Width at which the text has the size of the page's small print [CSS pixel].
-        live: Live form for the page's script; None without a live form.
+        notes: Text that the page shows where the pointer rests on an element, by the element's identifier.
+        others: Further pictures of the figure by name, such as those of other records.
     """
 
-    name: str
+    stem: str
     title: str
     alt: str
     caption: str
-    data: str
+    drawing: str
     width: int
-    live: dict[str, Any] | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+    others: Mapping[str, Picture] = field(default_factory=dict)
 
     @property
-    def stem(self) -> str:
-        """Stem of the file name."""
-        return Path(self.name).stem
+    def data(self) -> str:
+        """Data URI of the picture, for an image element."""
+        return "data:image/svg+xml;base64," + base64.b64encode(self.drawing.encode()).decode("ascii")
+
+    @property
+    def inline(self) -> str:
+        """The picture as an element of a page, in the colours of the page."""
+        text = self.drawing
+        for colour in THEMED:
+            text = text.replace(colour, f"var(--c{colour[1:]}, {colour})")
+        for name, note in self.notes.items():
+            text = text.replace(f'<g id="{name}">', f"<g><title>{escape(note)}</title>")
+        head = f'<svg class="chart" style="width:{self.width}px" role="img" aria-label="{escape(self.alt)}"'
+        return text.replace("<svg", head, 1)
+
+    def save(self, folder: Path) -> None:
+        """Write the picture as an SVG file.
+
+        Args:
+            folder: Folder of the file.
+        """
+        (folder / f"{self.stem}.svg").write_text(self.drawing + "\n", encoding="utf-8")
+
+
+def as_picture(
+    fig: Figure, stem: str, title: str, alt: str, caption: str, notes: Mapping[str, str] | None = None
+) -> Picture:
+    """Return a figure as a picture of a page; equal figures give equal texts. To be called within `style`.
+
+    Args:
+        fig: The figure.
+        stem: Stem of the file name.
+        title: Title.
+        alt: Text for readers who cannot see the figure.
+        caption: Caption.
+        notes: Text by identifier of an element of the figure.
+
+    Returns:
+        The picture.
+    """
+    whole = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    fig.savefig(whole, format="svg", dpi=DPI, metadata=nothing)
+    text = whole.getvalue()
+    text = text[text.index("<svg") :].strip()
+    text = re.sub(r'<g id="[\w.]+">', "<g>", text)  # names that matplotlib gives in every figure
+    text = re.sub(r'\b(d|x|y|transform)="[^"]*"', lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]), text)
+    width = round(122 * fig.get_size_inches()[0])
+    return Picture(stem, title, alt, caption, text, width, notes or {})
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -330,53 +341,26 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-@dataclass(frozen=True)
-class Script:
-    """A script in a page; the page's policy allows only scripts with a listed digest.
-
-    Attributes:
-        text: The script.
-    """
-
-    text: str
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 digest of the script in base64."""
-        return base64.b64encode(hashlib.sha256(self.text.encode("utf-8")).digest()).decode("ascii")
-
-
-def page(template: str, *, pictures: Iterable[Picture] = (), **context: Any) -> str:
-    """Return the HTML of one of the package's templates; all values are escaped.
-
-    If a picture has a live form, the page includes the plotting scripts and their data, and fetches nothing.
+def page(template: str, **context: Any) -> str:
+    """Return the HTML of one of the package's templates; all values are escaped. The page fetches nothing.
 
     Args:
         template: File name of the template.
-        pictures: Figures of the page.
         context: Values of the template.
 
     Returns:
         HTML.
     """
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    folder = resources.files(__package__) / "templates"
-    pictures = list(pictures)
-    charts = [
-        {"name": p.stem, "data": json.dumps(p.live, separators=(",", ":")).replace("<", "\\u003c")}
-        for p in pictures
-        if p.live is not None
-    ]
-    files = ("uplot/uPlot.iife.min.js", "page.js") if charts else ("page.js",)
-    scripts = [Script((folder / name).read_text(encoding="utf-8")) for name in files]
     env = Environment(
-        loader=FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
+        loader=PackageLoader(__package__),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    script = (resources.files(__package__) / "templates" / "page.js").read_text(encoding="utf-8")
     env.globals.update(
         number=number,
         sentence=sentence,
@@ -385,11 +369,12 @@ def page(template: str, *, pictures: Iterable[Picture] = (), **context: Any) -> 
         channel=channel_text,
         versions=versions(),
         zip=zip,
+        script=script,
+        # the page's policy allows this script alone
+        digest=base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii"),
+        themed=THEMED,
     )
-    sheet = (folder / "uplot" / "uPlot.min.css").read_text(encoding="utf-8") if charts else ""
-    return env.get_template(template).render(
-        pictures=pictures, charts=charts, scripts=scripts, uplot_style=sheet, **context
-    )
+    return env.get_template(template).render(**context)
 
 
 def versions() -> list[tuple[str, str]]:
@@ -419,18 +404,6 @@ def halo() -> list[Any]:
     from matplotlib.patheffects import withStroke
 
     return [withStroke(linewidth=2.5, foreground="white")]
-
-
-def legend(fig: Figure, ax: Axes, columns: int = 6) -> None:
-    """Draw one legend above all axes.
-
-    Args:
-        fig: The figure.
-        ax: Axes with the series.
-        columns: Largest number of columns.
-    """
-    handles, labels = ax.get_legend_handles_labels()
-    fig.legend(handles, labels, loc="outside upper left", ncols=min(columns, max(1, len(labels))))
 
 
 def density(signal: np.ndarray, step: float, window: float = 8.0) -> tuple[np.ndarray, np.ndarray]:

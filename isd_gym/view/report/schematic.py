@@ -38,18 +38,8 @@ PLAIN = {"ink": "#262b30", "muted": "#606870", "found": "#D55E00", "signal": "#0
 
 
 @dataclass
-class Stroke:
-    """A polyline.
-
-    Attributes:
-        points: Corners (x, y) [px].
-        part: Part of the network to which the stroke belongs.
-        colour: Name of the colour.
-        width: Line width [px].
-        closed: Whether the polyline is closed.
-        filled: Whether the area is filled.
-        dashed: Whether the line is dashed.
-    """
+class _Stroke:
+    """A polyline through points (x, y) [px], of a part of the network; colours have names."""
 
     points: list[tuple[float, float]]
     part: str = ""
@@ -61,19 +51,8 @@ class Stroke:
 
 
 @dataclass
-class Word:
-    """A text.
-
-    Attributes:
-        x: Horizontal position [px].
-        y: Vertical position [px].
-        text: The text.
-        part: Part of the network to which the text belongs.
-        colour: Name of the colour.
-        anchor: 'start', 'middle' or 'end'.
-        bold: Whether the text is bold.
-        size: Font size [px].
-    """
+class _Word:
+    """A text at a position [px], of a part of the network; anchored at its 'start', 'middle' or 'end'."""
 
     x: float
     y: float
@@ -99,8 +78,8 @@ class Drawing:
 
     width: float = 0.0
     height: float = 0.0
-    strokes: list[Stroke] = field(default_factory=list)
-    words: list[Word] = field(default_factory=list)
+    strokes: list[_Stroke] = field(default_factory=list)
+    words: list[_Word] = field(default_factory=list)
     title: str = ""
 
     def svg(self, *, inline: bool = False) -> str:
@@ -215,21 +194,13 @@ def check_suffix(path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """An element, a series group from the top down, or a parallel group.
-
-    Attributes:
-        top: Upper node.
-        bottom: Lower node.
-        element: The element; None for a group.
-        parts: Pieces of a group.
-        inner: Nodes between the pieces of a series group.
-    """
+class _Piece:
+    """An element, a series group from the top down (with the nodes between its parts), or a parallel group."""
 
     top: str
     bottom: str
     element: el.Element | Lever | None = None
-    parts: tuple[Piece, ...] = ()
+    parts: tuple[_Piece, ...] = ()
     inner: tuple[str, ...] = ()
 
     @property
@@ -237,42 +208,23 @@ class Piece:
         """Whether the piece is a series group."""
         return bool(self.inner)
 
-    def flipped(self) -> Piece:
-        """Return the piece upside down.
-
-        Returns:
-            The piece.
-        """
+    def flipped(self) -> _Piece:
+        """Return the piece upside down."""
         parts = tuple(p.flipped() for p in self.parts)
         if self.series:
             parts = parts[::-1]
-        return Piece(self.bottom, self.top, self.element, parts, self.inner[::-1])
+        return _Piece(self.bottom, self.top, self.element, parts, self.inner[::-1])
 
-    def reads(self, top: str) -> Piece:
-        """Return the piece with a given upper node.
-
-        Args:
-            top: Upper node.
-
-        Returns:
-            The piece.
-        """
+    def reads(self, top: str) -> _Piece:
+        """Return the piece with a given upper node."""
         return self if self.top == top else self.flipped()
 
 
-def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
-    """Merge pieces in parallel and in series as far as possible.
-
-    Args:
-        pieces: Elements between nodes.
-        keep: Nodes that stay.
-
-    Returns:
-        Merged pieces.
-    """
+def _reduced(pieces: Sequence[_Piece], keep: Iterable[str]) -> list[_Piece]:
+    """Merge pieces in parallel and in series as far as possible; the nodes to `keep` stay."""
     pieces, keep = list(pieces), set(keep)
     while True:
-        by_pair: dict[frozenset[str], list[Piece]] = {}
+        by_pair: dict[frozenset[str], list[_Piece]] = {}
         for p in pieces:
             by_pair.setdefault(frozenset((p.top, p.bottom)), []).append(p)
         merged = []
@@ -281,12 +233,12 @@ def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
                 merged.append(group[0])
                 continue
             top, bottom = group[0].top, group[0].bottom
-            flat: list[Piece] = []
+            flat: list[_Piece] = []
             for p in (g.reads(top) for g in group):
                 flat += p.parts if p.parts and not p.series else (p,)
-            merged.append(Piece(top, bottom, parts=tuple(flat)))
+            merged.append(_Piece(top, bottom, parts=tuple(flat)))
         pieces = merged
-        ends: dict[str, list[Piece]] = {}
+        ends: dict[str, list[_Piece]] = {}
         for p in pieces:
             for n in (p.top, p.bottom):
                 ends.setdefault(n, []).append(p)
@@ -297,7 +249,7 @@ def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
         upper = first if first.bottom == node else first.flipped()
         lower = second.reads(node)
         parts = (upper.parts if upper.series else (upper,)) + (lower.parts if lower.series else (lower,))
-        joined = Piece(upper.top, lower.bottom, parts=parts, inner=(*upper.inner, node, *lower.inner))
+        joined = _Piece(upper.top, lower.bottom, parts=parts, inner=(*upper.inner, node, *lower.inner))
         at = min(pieces.index(first), pieces.index(second))
         pieces = [p for p in pieces if p is not first and p is not second]
         pieces.insert(at, joined)
@@ -306,16 +258,8 @@ def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
 # --------------------------------------------------------------------------------------------------- words
 
 
-def values_text(e: el.Element | Lever, network: Network) -> list[str]:
-    """Return the parameters of an element or lever with their units.
-
-    Args:
-        e: The element or lever.
-        network: The model.
-
-    Returns:
-        Lines.
-    """
+def _values_text(e: el.Element | Lever, network: Network) -> list[str]:
+    """Return the parameters of an element or lever with their units, one a line."""
     if not isinstance(e, el.Element):
         return [
             f"ratio {number(e.ratio, _digits(e.ratio))} {e.unit}".removesuffix(" m/m").removesuffix(
@@ -340,7 +284,7 @@ def values_text(e: el.Element | Lever, network: Network) -> list[str]:
 def _briefly(e: el.Element, network: Network) -> str:
     """Return an element without terminals and its parameters in words, such as ``sensor gain 1.13``."""
     name = el.spoken(e.type)
-    values = (v.removeprefix(f"{name.split()[-1]} ") for v in values_text(e, network))
+    values = (v.removeprefix(f"{name.split()[-1]} ") for v in _values_text(e, network))
     return " ".join([name, *values])
 
 
@@ -403,7 +347,7 @@ class _Sheet:
     def words(self, e: el.Element | Lever) -> list[tuple[str, str, bool]]:
         colour = "found" if e.name in self.found else "ink"
         lines = [(channel_text(e.name), colour, True)]
-        lines += [(t, "found" if colour == "found" else "muted", False) for t in values_text(e, self.net)]
+        lines += [(t, "found" if colour == "found" else "muted", False) for t in _values_text(e, self.net)]
         for t in self.beside.get(e.name, []):
             hit = any(
                 o.name in self.found
@@ -413,7 +357,7 @@ class _Sheet:
             lines.append((t, "found" if hit else "muted", False))
         return lines + [(t, ink, False) for t, ink in self.signal.get(e.name, [])]
 
-    def width(self, p: Piece) -> float:
+    def width(self, p: _Piece) -> float:
         if p.element is not None:
             return 44.0 + LETTER * max(len(t) for t, _, _ in self.words(p.element))
         if p.series:
@@ -422,7 +366,7 @@ class _Sheet:
             )
         return sum(self.width(q) for q in p.parts)
 
-    def margin(self, p: Piece) -> float:
+    def margin(self, p: _Piece) -> float:
         """Return the width at the left for the names of nodes without mass."""
         return max([LETTER * len(n) + 8.0 for n in p.inner if n not in self.carried], default=0.0)
 
@@ -440,7 +384,7 @@ class _Sheet:
         inertias = next((b.inertias for b in self.net.bodies if b.name == n), {})
         return ", ".join([text, *(f"{axis} {number(i, _digits(i))} kg m²" for axis, i in inertias.items())])
 
-    def height(self, p: Piece) -> float:
+    def height(self, p: _Piece) -> float:
         if p.element is not None:
             return max(TALL, 30.0 + 13.0 * len(self.words(p.element)))
         if p.series:
@@ -449,7 +393,7 @@ class _Sheet:
 
     # placing
 
-    def place(self, p: Piece, x: float, top: float, bottom: float, wide: float) -> None:
+    def place(self, p: _Piece, x: float, top: float, bottom: float, wide: float) -> None:
         """Draw a piece in the strip of width `wide` from x, between two heights."""
         if p.element is not None:
             self.draw_element(p, x, top, bottom, wide)
@@ -472,14 +416,14 @@ class _Sheet:
                 self.place(q, x, top, bottom, own)
                 x += own
 
-    def ends(self, p: Piece) -> tuple[str, str]:
+    def ends(self, p: _Piece) -> tuple[str, str]:
         """Return the upper and lower node of an element's piece in the network; points of bodies keep their names."""
         assert p.element is not None
         where = p.element.between
         first, second = where
         return (first, second) if self.home.get(first, first) == p.top else (second, first)
 
-    def draw_element(self, p: Piece, x: float, top: float, bottom: float, wide: float) -> None:
+    def draw_element(self, p: _Piece, x: float, top: float, bottom: float, wide: float) -> None:
         e = p.element
         assert e is not None
         words = self.words(e)
@@ -495,21 +439,21 @@ class _Sheet:
 
         def line(points: Sequence[tuple[float, float]], **how: Any) -> None:
             shifted = [(cx + a, cy + b) for a, b in points]
-            self.out.strokes.append(Stroke(shifted, part, colour, **how))
+            self.out.strokes.append(_Stroke(shifted, part, colour, **how))
 
         line([(0, top - cy), (0, -half)])
         line([(0, half), (0, bottom - cy)])
         kind = e.type if isinstance(e, el.Element) else "lever"
-        symbol = SYMBOLS.get(kind, _box("f"))
+        symbol = SYMBOLS.get(kind, _BOX)
         for points, how in symbol:
             line(points, **how)
         if kind not in SYMBOLS or kind in LETTERED:
             self.out.words.append(
-                Word(cx, cy + 4, LETTERED.get(kind, "f"), part, colour, "middle", True, 12.0)
+                _Word(cx, cy + 4, LETTERED.get(kind, "f"), part, colour, "middle", True, 12.0)
             )
         at = cy - 6.5 * (len(words) - 1) + 4
         for text, ink, bold in words:
-            self.out.words.append(Word(cx + 18.0, at, text, part, ink, bold=bold))
+            self.out.words.append(_Word(cx + 18.0, at, text, part, ink, bold=bold))
             at += 13.0
 
     def draw_nodes(self) -> None:
@@ -524,9 +468,9 @@ class _Sheet:
                 if any(b.name == n for b in net.bodies):
                     right = max(right, self.right)
                 corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
-                self.out.strokes.append(Stroke(corners, part, width=1.6, closed=True))
+                self.out.strokes.append(_Stroke(corners, part, width=1.6, closed=True))
                 self.out.words.append(
-                    Word(
+                    _Word(
                         0.5 * (left + right),
                         0.5 * (top + bottom) + 4,
                         self.mass_text(n),
@@ -543,15 +487,15 @@ class _Sheet:
                 fixed = n == GROUND or n in moved
                 if n == GROUND or fixed:
                     left, right = left - 16.0, right + 16.0
-                self.out.strokes.append(Stroke([(left, at), (right, at)], part, width=2.6 if fixed else 1.8))
+                self.out.strokes.append(_Stroke([(left, at), (right, at)], part, width=2.6 if fixed else 1.8))
                 if n == GROUND:
                     for k in range(int((right - left) // 9)):
                         self.out.strokes.append(
-                            Stroke([(left + 9 * k + 9, at), (left + 9 * k, at + 9)], part, "muted", 1.0)
+                            _Stroke([(left + 9 * k + 9, at), (left + 9 * k, at + 9)], part, "muted", 1.0)
                         )
                 else:
                     # a name inside the drawing, left of its bar, if the space is free
-                    self.out.words.append(Word(left - 5, at + 4, channel_text(n), part, "muted", "end"))
+                    self.out.words.append(_Word(left - 5, at + 4, channel_text(n), part, "muted", "end"))
             self.edge[n] = (left, right, 0.5 * (top + bottom))
         for body in net.bodies:
             if body.name in self.y:
@@ -568,15 +512,15 @@ class _Sheet:
             if node in self.attached:
                 xs = self.attached[node]
                 self.out.strokes.append(
-                    Stroke([(min(xs) - 8, bottom), (max(xs) + 8, bottom)], part, width=4.0)
+                    _Stroke([(min(xs) - 8, bottom), (max(xs) + 8, bottom)], part, width=4.0)
                 )
                 self.y[node] = (bottom, bottom)
             else:
                 at = left + (right - left) * (free.index(node) + 1) / (len(free) + 1)
                 self.out.strokes.append(
-                    Stroke([(at - 5, top - 7), (at + 5, top - 7), (at, top)], part, closed=True, filled=True)
+                    _Stroke([(at - 5, top - 7), (at + 5, top - 7), (at, top)], part, closed=True, filled=True)
                 )
-                self.out.words.append(Word(at + 9, top - 4, channel_text(node), part, "muted"))
+                self.out.words.append(_Word(at + 9, top - 4, channel_text(node), part, "muted"))
             self.edge[node] = self.edge[body.name]
         for k, (axis, node) in enumerate(body.angles.items()):
             part, cx, cy = f"node:{node}", right - 14.0 - 24.0 * k, 0.5 * (top + bottom)
@@ -584,17 +528,17 @@ class _Sheet:
                 (cx + 8 * math.cos(a), cy + 8 * math.sin(a))
                 for a in (0.25 * math.pi * i for i in range(-2, 5))
             ]
-            self.out.strokes.append(Stroke(turn, part, width=1.2))
+            self.out.strokes.append(_Stroke(turn, part, width=1.2))
             x, y = turn[-1]
-            self.out.strokes.append(Stroke([(x + 1, y - 5), (x, y), (x + 5, y + 1)], part, width=1.2))
-            self.out.words.append(Word(cx, cy + 3.5, axis[0], part, "muted", "middle", size=9.0))
+            self.out.strokes.append(_Stroke([(x + 1, y - 5), (x, y), (x + 5, y + 1)], part, width=1.2))
+            self.out.words.append(_Word(cx, cy + 3.5, axis[0], part, "muted", "middle", size=9.0))
             self.edge[node] = self.edge[body.name]
 
     def height_of(self, n: str) -> float:
         """Return the height of the arrow for a node's motion; for a point with elements, the lower edge of its body."""
         return self.y[n][1] if n in self.attached else self.edge[n][2]
 
-    def keep_column(self, p: Piece, x: float) -> float:
+    def keep_column(self, p: _Piece, x: float) -> float:
         """Reserve space at the right of a corner for measured distances, and return the end of the space."""
         nodes: set[str] = set()
         todo = [p]
@@ -621,17 +565,16 @@ def _zigzag(reach: float = 8.0, turns: int = 6) -> list[tuple[float, float]]:
     return [(0.0, -half), (0.0, -half + 5), *inner, (0.0, half - 5), (0.0, half)]
 
 
-def _box(letter: str) -> Symbol:
-    half = SYMBOL / 2
-    corners = [(-11.0, -12.0), (11.0, -12.0), (11.0, 12.0), (-11.0, 12.0)]
-    return [([(0.0, -half), (0.0, -12.0)], {}), ([(0.0, 12.0), (0.0, half)], {}), (corners, {"closed": True})]
-
-
 def _circle(radius: float) -> list[tuple[float, float]]:
     return [(radius * math.cos(a), radius * math.sin(a)) for a in (2 * math.pi * k / 40 for k in range(40))]
 
 
 _HALF = SYMBOL / 2
+_BOX: Symbol = [
+    ([(0.0, -_HALF), (0.0, -12.0)], {}),
+    ([(0.0, 12.0), (0.0, _HALF)], {}),
+    ([(-11.0, -12.0), (11.0, -12.0), (11.0, 12.0), (-11.0, 12.0)], {"closed": True}),
+]
 _POT: Symbol = [
     ([(-9.0, -6.0), (-9.0, 12.0), (9.0, 12.0), (9.0, -6.0)], {}),
     ([(0.0, 12.0), (0.0, _HALF)], {}),
@@ -700,18 +643,18 @@ LETTERED = {
 }
 
 
-def _pieces(sheet: _Sheet) -> list[Piece]:
+def _pieces(sheet: _Sheet) -> list[_Piece]:
     """Return elements and levers as pieces between drawn nodes; a point of a body is drawn at the body."""
     out = []
     between: list[el.Element | Lever] = [e for e in sheet.net.elements if e.place == "between"]
     for e in (*between, *sheet.net.levers):
         first, second = e.between
         top, bottom = (sheet.home.get(n, n) for n in (first, second))
-        out.append(Piece(top, bottom if bottom != top else second, element=e))
+        out.append(_Piece(top, bottom if bottom != top else second, element=e))
     return out
 
 
-def _poles(sheet: _Sheet, pieces: Sequence[Piece]) -> tuple[str, list[str]]:
+def _poles(sheet: _Sheet, pieces: Sequence[_Piece]) -> tuple[str, list[str]]:
     """Return the top node, and the bottom nodes: the ground or the moved node; for a car with bodies, all moved nodes.
 
     Found elements are ignored, so that the arrangement of the model stays the same.
@@ -760,7 +703,7 @@ def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
     sheet.edge = {}
     pieces = _pieces(sheet)
     top, bottoms = _poles(sheet, pieces)
-    rest = reduced(pieces, {top, *bottoms})
+    rest = _reduced(pieces, {top, *bottoms})
     main = [p for p in rest if top in (p.top, p.bottom) and {p.top, p.bottom} & set(bottoms)]
     others = [p for p in rest if p not in main]
     margin, head = 90.0, 46.0
@@ -784,7 +727,7 @@ def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
     return sheet.out
 
 
-def _depths(pieces: Sequence[Piece], top: str, bottoms: Collection[str]) -> dict[str, int]:
+def _depths(pieces: Sequence[_Piece], top: str, bottoms: Collection[str]) -> dict[str, int]:
     """Return the rows of the nodes outside of series and parallel groups, from the top down."""
     near: dict[str, set[str]] = {}
     for p in pieces:
@@ -800,7 +743,7 @@ def _depths(pieces: Sequence[Piece], top: str, bottoms: Collection[str]) -> dict
     return {n: k + 1 for k, n in enumerate(order)}
 
 
-def _levels_height(sheet: _Sheet, pieces: Sequence[Piece], top: str, bottoms: Collection[str]) -> float:
+def _levels_height(sheet: _Sheet, pieces: Sequence[_Piece], top: str, bottoms: Collection[str]) -> float:
     if not pieces:
         return 0.0
     rows = len(_depths(pieces, top, bottoms)) + 1
@@ -809,7 +752,7 @@ def _levels_height(sheet: _Sheet, pieces: Sequence[Piece], top: str, bottoms: Co
 
 def _place_others(
     sheet: _Sheet,
-    pieces: Sequence[Piece],
+    pieces: Sequence[_Piece],
     top: str,
     bottoms: Collection[str],
     x: float,
@@ -833,10 +776,12 @@ def _place_others(
 def _arrow(sheet: _Sheet, x: float, y0: float, y1: float, part: str, both: bool = False) -> None:
     """Draw a vertical arrow from y0 to y1."""
     s = math.copysign(5.0, y1 - y0)
-    sheet.out.strokes.append(Stroke([(x, y0), (x, y1)], part, "signal", 1.2))
-    sheet.out.strokes.append(Stroke([(x - 3.5, y1 - s), (x, y1), (x + 3.5, y1 - s)], part, "signal", 1.2))
+    sheet.out.strokes.append(_Stroke([(x, y0), (x, y1)], part, "signal", 1.2))
+    sheet.out.strokes.append(_Stroke([(x - 3.5, y1 - s), (x, y1), (x + 3.5, y1 - s)], part, "signal", 1.2))
     if both:
-        sheet.out.strokes.append(Stroke([(x - 3.5, y0 + s), (x, y0), (x + 3.5, y0 + s)], part, "signal", 1.2))
+        sheet.out.strokes.append(
+            _Stroke([(x - 3.5, y0 + s), (x, y0), (x + 3.5, y0 + s)], part, "signal", 1.2)
+        )
 
 
 def _signals(sheet: _Sheet, x: float) -> None:
@@ -859,7 +804,7 @@ def _signals(sheet: _Sheet, x: float) -> None:
         ax, ay = end + 14.0, at + 17.0 * k
         # positive values point up; moved nodes have arrows in both directions
         _arrow(sheet, ax, ay + 7, ay - 8, part, both=both)
-        out.words.append(Word(ax + 9, ay + 4, words, part, ink))
+        out.words.append(_Word(ax + 9, ay + 4, words, part, ink))
         taken[node] = max(taken.get(node, 0.0), ax + 12 + LETTER * 1.03 * len(words))
         widest = max(widest, taken[node])
     beside = widest + 16.0
@@ -874,12 +819,12 @@ def _signals(sheet: _Sheet, x: float) -> None:
             if n in sheet.attached:  # the arrow reaches the body
                 continue
             start = max(sheet.edge[n][1], taken.get(n, 0.0)) + 4
-            out.strokes.append(Stroke([(start, y), (column + 6, y)], part, "muted", 0.6, dashed=True))
+            out.strokes.append(_Stroke([(start, y), (column + 6, y)], part, "muted", 0.6, dashed=True))
         _arrow(sheet, column, max(ys), min(ys), part, both=True)
         text, ink = sheet.output(c)
         # beside the arrow, away from the height of a node
         place = min(ys) + 0.5 * (max(ys) - min(ys))
-        out.words.append(Word(column + 7, place, text, part, ink))
+        out.words.append(_Word(column + 7, place, text, part, ink))
         if own is None:
             beside += 26.0 + LETTER * len(text)
             widest = max(widest, beside)
@@ -894,7 +839,7 @@ def _signals(sheet: _Sheet, x: float) -> None:
         w.x -= shift
     out.width = widest - shift + 14.0
     out.height = max([b for s in out.strokes for _, b in s.points] + [w.y for w in out.words]) + 18.0
-    out.words.insert(0, Word(10.0, 20.0, net.name, "", "ink", bold=True, size=14.0))
+    out.words.insert(0, _Word(10.0, 20.0, net.name, "", "ink", bold=True, size=14.0))
     out.width = max(out.width, 40.0 + 8.0 * len(net.name))
 
 
@@ -914,4 +859,4 @@ def place_parts(network: Network, where: Sequence[str]) -> list[str]:
     return [f"el:{where[0]}", f"ch:{where[0]}"]
 
 
-__all__ = ["Drawing", "check_suffix", "draw", "place_parts", "reduced"]
+__all__ = ["Drawing", "check_suffix", "draw", "place_parts"]

@@ -14,10 +14,12 @@ from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, pictur
 from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ...benchmark.scoring import Score
 
 SCORE_KIND = "score report"
-SCORE_PARTS = ("index.html", "score.json", "*.png")
+SCORE_PARTS = ("index.html", "score.json", "*.svg")
 #: column of the table -> heading, unit, scale, decimals
 COLUMNS = {
     "cost": ("cost J", "", 1.0, 3),
@@ -35,11 +37,10 @@ SIGNALS = {
     "current": ("motor current", "A", 1.0),
 }
 WELCH = 8.0  # window of the spectra [s]
-MOST_SAMPLES = 400_000  # largest number of samples of time histories in a page (about 1 MB)
 
 
 def score_report(score: Score, folder: str | Path) -> Path:
-    """Write the page of a score: ``index.html`` (self-contained), its figures as PNG, and ``score.json``.
+    """Write the page of a score: ``index.html`` (self-contained), its figures as SVG, and ``score.json``.
 
     The folder is written atomically; an earlier report is replaced.
 
@@ -168,7 +169,7 @@ class Shown:
         others = sorted((n for n in self.names if n != self.reference), key=lambda n: self.costs[n].mean())
         kept = [n for n in self.names if n == self.reference or n in others[:count]]
         gone = [n for n in self.names if n not in kept]
-        return kept, f" Not in the picture, but in the live chart: {', '.join(gone)}." if gone else ""
+        return kept, f" Not in the picture: {', '.join(gone)}." if gone else ""
 
     @property
     def level(self) -> list[str]:
@@ -253,7 +254,7 @@ class Shown:
 
 
 def histories(shown: Shown) -> Chart:
-    """Return the chart of all episodes; the picture shows four seconds of a median episode around the reference's worst moment.
+    """Return the chart of four seconds around the reference's worst moment: the best policy in a median episode and in the hardest, then others.
 
     Args:
         shown: The prepared score.
@@ -273,10 +274,9 @@ def histories(shown: Shown) -> Chart:
         for k in signals
         if not k.startswith("current") or any(np.any(r.signals.get(k, 0)) for r in shown.runs.values())
     ]
-    every = max(1, -(-2 * len(moved) * len(shown.names) * steps // MOST_SAMPLES))
     time = shown.step * np.arange(steps, dtype=np.float64)
 
-    def panels(episode: int) -> list[Panel]:
+    def panels(episode: int, names: Sequence[str]) -> list[Panel]:
         peak = int(np.argmax(np.max([np.abs(load[:, episode]) for load in base.of("tyre_load")], axis=0)))
         first = max(0, min(peak - width // 2, steps - width))
         begin, end = float(time[first]), float(time[first]) + width * shown.step
@@ -285,22 +285,13 @@ def histories(shown: Shown) -> Chart:
         for key in moved:
             head, unit, scale = signals[key]
             lines = []
-            for name in shown.names:
+            for name in names:
                 own = shown.runs[name].signals.get(key)
                 if own is None or (key.startswith("current") and not np.any(own)):
                     continue
-                values = own[:, episode] * scale
-                lines.append(
-                    Line(
-                        name,
-                        time[::every],
-                        values[::every],
-                        shown.looks[name],
-                        still=name in few,
-                        on=name in few,
-                    )
-                )
-            inside = [np.abs(i.y[(i.x >= begin) & (i.x <= end)]).max() for i in lines if i.on]
+                values = own[first : first + width, episode] * scale
+                lines.append(Line(name, time[first : first + width], values, shown.looks[name]))
+            inside = [np.abs(i.y).max() for i in lines]
             top = 1.08 * max([*inside, 1e-9])
             words = head.replace(" ", "\n", 1)
             out.append(
@@ -308,18 +299,19 @@ def histories(shown: Shown) -> Chart:
             )
         return out
 
-    stride = f" One sample in {every} is drawn." if every > 1 else ""
+    median = f"the median by the cost of {shown.reference}"
+    pictures = [(middle, median, few), (hardest, f"the hardest for {shown.reference}", few)][
+        : 1 + (hardest != middle)
+    ]
+    pictures += [(middle, name, [shown.reference, name]) for name in shown.names if name not in few]
     choices, captions = {}, {}
-    for episode, words in (
-        (middle, f"the median by the cost of {shown.reference}"),
-        (hardest, f"the hardest for {shown.reference}"),
-    )[: 1 + (hardest != middle)]:
+    for episode, words, names in pictures:
         road = road_name(shown.score.seed, episode)
-        name = f"{road}: {words}"
-        choices[name] = panels(episode)
-        captions[name] = (
-            f"Episode on {road}, {words}: the {width * shown.step:g} s around the largest tyre load. Travel is "
-            f"positive in extension, tyre load in compression.{stride}{left_out}"
+        choices[f"{road}: {words}"] = panels(episode, names)
+        about = words if names is few else f"{median}, with {words}"
+        captions[f"{road}: {words}"] = (
+            f"Episode on {road}, {about}: the {width * shown.step:g} s around the largest tyre load. Travel is "
+            f"positive in extension, tyre load in compression.{left_out if names is few else ''}"
         )
     return Chart(
         "histories",
@@ -328,7 +320,6 @@ def histories(shown: Shown) -> Chart:
         next(iter(captions.values())),
         choices,
         size=(7.2, 1.35 * len(moved) + 0.5),
-        walk=True,
         captions=captions,
     )
 
@@ -357,19 +348,18 @@ def spectra(shown: Shown) -> Chart | None:
     top, below = [], []
     for key, unit in units.items():
         density_of = {
-            n: density(scales[key] * np.hstack(shown.runs[n].of(key)), shown.step, WELCH) for n in shown.names
+            n: density(scales[key] * np.hstack(shown.runs[n].of(key)), shown.step, WELCH) for n in few
         }
         f, base = density_of[shown.reference]
         keep = (f >= 0.4) & (f <= 50.0)
         if not keep.any():
             return None  # too short for a spectrum
         lines, ratios = [], []
-        for name in shown.names:
+        for name in few:
             p = density_of[name][1]
-            how: dict[str, Any] = {"still": name in few, "on": name in few}
-            lines.append(Line(name, f[keep], p[keep], shown.looks[name], **how))
-            ratios.append(Line(name, f[keep], (p / base)[keep], shown.looks[name], **how))
-        seen = np.concatenate([i.y for i in lines if i.on])
+            lines.append(Line(name, f[keep], p[keep], shown.looks[name]))
+            ratios.append(Line(name, f[keep], (p / base)[keep], shown.looks[name]))
+        seen = np.concatenate([i.y for i in lines])
         least, most = base[keep & (f < 25.0)].min(), seen.max()
         low, high = max(0.5 * least, 1e-6 * most), 2 * most
         title = SIGNALS[key][0]
@@ -606,13 +596,13 @@ def limits(shown: Shown) -> Chart:
         )
         x = np.linspace(0.0, reach, 400)
         items: list[Item] = []
-        for name in shown.names:
+        for name in few:
             values = np.sort(np.abs(getattr(shown.runs[name], key)).ravel()) * scale
             if not values.any():
                 continue
             share = 1.0 - np.searchsorted(values, x, side="right") / len(values)
             keep = np.where(share > 0, share, np.nan)
-            items.append(Line(name, x, keep, shown.looks[name], still=name in few, on=name in few))
+            items.append(Line(name, x, keep, shown.looks[name]))
         items.append(Rule("x", limit, "limit", Look(INK, "-", "", 1.0)))
         y = Axis("share of time above", log=True, low=least, high=1.0, ticks=decades(least, 1.0))
         panels.append(Panel(Axis("|value|", unit, low=0.0, high=reach), y, tuple(items), title=head))

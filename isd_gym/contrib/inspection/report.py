@@ -1,4 +1,4 @@
-"""The command `isd-gym inspect`: content and oddities of loggers' files, and the columns of a model's channels."""
+"""Content and oddities of loggers' files, and the columns of a model's channels: as data, as lines and as a page."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.errors import InputError, plain, shown
-from ..records.data.columns import did_you_mean
-from ..records.loggers.facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
-from ..records.loggers.mapping import Logger
-from ..records.loggers.recording import EPOCH, Raster, continuous, rasters
+from isd_gym.common.errors import InputError, plain, shown
+from isd_gym.records.data.columns import did_you_mean
+from isd_gym.records.loggers.mapping import Logger
+from isd_gym.records.loggers.recording import EPOCH, Raster, continuous, rasters
+
+from .facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from ..physics.network import Network
-    from ..records.loggers.mapping import ChannelMap
-    from ..records.loggers.match import Suggestion
+    from isd_gym.physics.network import Network
+    from isd_gym.records.loggers.mapping import ChannelMap
+
+    from .match import Suggestion
 
 LAST_STAMP = 253402300799.0  # end of the year 9999 [s since 1970]; later stamps are no dates
 
@@ -155,7 +157,7 @@ def inspect(
     odd += _twins(groups, facts)
     found = None
     if network is not None:
-        from ..records.loggers.match import suggest
+        from .match import suggest
 
         found = suggest(groups, facts, network, known_columns, signs)
     return Inspection(groups, facts, odd, network, found, tuple(columns or ()), rate)
@@ -322,7 +324,7 @@ def page(found: Inspection) -> str:
     Returns:
         HTML.
     """
-    from .report.plots import page as fill
+    from isd_gym.view.report.plots import page as fill
 
     rows = []
     for f in found.facts:

@@ -12,19 +12,20 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
-from ...common.errors import InputError, shown
-from ...common.units import TABLE, convert
-from ...physics.simulate import simulate
-from ..data.signals import integral_consistency
+from isd_gym.common.errors import InputError, shown
+from isd_gym.common.units import TABLE, convert
+from isd_gym.physics.simulate import simulate
+from isd_gym.records.loggers.mapping import ChannelMap, Column, Logger
+
+from .consistency import integral_consistency
 from .facts import Facts, factor_hint, si_unit
-from .mapping import ChannelMap, Column, Logger
 from .name_matching import alike
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ...physics.network import Channel, Network
-    from .recording import Raster
+    from isd_gym.physics.network import Channel, Network
+    from isd_gym.records.loggers.recording import Raster
 
 COLUMNS = 60  # largest number of columns; with more columns, the best by name and unit
 DRIVES = 40  # largest number of simulated choices of input columns
@@ -326,7 +327,7 @@ def _units(f: Facts, c: Channel) -> list[tuple[str, float]]:
     """Return candidate units of a column as a channel, with the penalty of each unit."""
     if si_unit(f.unit):
         return [(f.unit, 0.0)]
-    from ..data.quality import QUANTITIES
+    from isd_gym.records.data.quality import QUANTITIES
 
     si = c.si
     _, doubtful, _, least = QUANTITIES[c.spoken if c.quantity == "condition" else c.quantity]

@@ -4,19 +4,25 @@ import json
 
 import numpy as np
 import pytest
+import typer
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
+from isd_gym.commands import FiniteCommand
 from isd_gym.common.errors import InputError
+from isd_gym.contrib.inspection import inspect, lines, page
+from isd_gym.contrib.inspection.command import command
+from isd_gym.contrib.inspection.consistency import integral_consistency
+from isd_gym.contrib.inspection.facts import sparkline
 from isd_gym.diagnosis.records import read_record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, write_table
 from isd_gym.records.loggers import ChannelMap, Column, Logger, mended, rasters, runs
-from isd_gym.records.loggers.facts import sparkline
 from isd_gym.records.loggers.record_reading import records_of, road_of
 from isd_gym.records.schemas import load
-from isd_gym.view.inspection import inspect, lines, page
 
 CAR = {
     "schema": "isd-model/1",
@@ -300,7 +306,11 @@ def test_iso_stamps_are_seconds(tmp_path):
 
 @pytest.fixture(scope="module")
 def program():
-    return cli.app
+    """The program with the command of the wing."""
+    whole = typer.Typer()
+    whole.registered_commands = list(cli.app.registered_commands)
+    whole.command(name="inspect", cls=FiniteCommand)(command)
+    return whole
 
 
 def refused(program, *words):
@@ -333,10 +343,13 @@ def test_a_map_drives_a_simulation(tmp_path, run, program):
         ({"channels": {"raod": {"column": "base"}}}, "no channel 'raod'; did you mean 'road'"),
         ({"channels": {"travel": {"column": "base"}}}, "no column for the input road"),
         ({"channels": {"road": {"column": "base", "unit": "furlong"}}}, "unknown unit 'furlong'"),
-        ({"channels": {"road": {"column": "base", "sign": 2}}}, "sign must be 1 or -1"),
-        ({"channels": {}}, "maps no channel"),
-        ({"schema": "isd-model/1"}, "schema is not 'isd-map/1'"),
-        ({"chanels": {}}, "no key 'chanels'"),
+        (
+            {"channels": {"road": {"column": "base", "sign": 2}}},
+            r"map.json: channels.road.sign: 2 is not one of \[1, -1\]",
+        ),
+        ({"channels": {}}, "channels: {} should be non-empty"),
+        ({"schema": "isd-model/1"}, "schema: 'isd-map/1' was expected"),
+        ({"chanels": {}}, "'chanels' was unexpected"),
     ],
 )
 def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, program, change, words):
@@ -585,8 +598,8 @@ def test_a_diagnosis_refuses_a_dead_output_in_one_line(tmp_path, run, program):
 
 def test_the_rate_is_that_of_the_mean_step_without_gaps():
     """Stamps that jitter between 2 and 3 ms, twice as often 2 ms, with a gap: the median step would give 500 Hz."""
+    from isd_gym.contrib.inspection import head
     from isd_gym.records.loggers.recording import Raster
-    from isd_gym.view.inspection import head
 
     steps = np.tile([0.002, 0.002, 0.0025], 400)
     steps[600] = 0.5
@@ -594,3 +607,31 @@ def test_the_rate_is_that_of_the_mean_step_without_gaps():
     raster = Raster("a.csv", time, {"x": np.zeros(len(time))})
     assert raster.step == pytest.approx(0.002)
     assert "461.5" in head(raster)
+
+
+# ------------------------------------------------------------------------------------ two sensors of one motion
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.sampled_from([1, 2]), st.floats(0.5, 2), st.sampled_from([-1, 1]), st.floats(-0.04, 0.04))
+def test_consistency_tells_gain_sign_and_lag(order: int, gain: float, sign: int, lag: float) -> None:
+    rng = np.random.default_rng(4)
+    time = 0.002 * np.arange(8000)
+    omega = 2 * np.pi * rng.uniform(0.7, 15, 60)
+    size, phase = 1 / omega**2, rng.uniform(0, 2 * np.pi, 60)
+    x = np.sin(np.outer(time, omega) + phase) @ size
+    y = sign * gain * np.sin(np.outer(time - lag, omega) + phase + order * np.pi / 2) @ (size * omega**order)
+    x += 0.005 * x.std() * rng.standard_normal(len(x))
+    y += 0.02 * y.std() * rng.standard_normal(len(y)) + 3.0
+    found = integral_consistency(x, y, 0.002, order=order, band=(0.7, 15))
+    assert found.gain == pytest.approx(sign * gain, rel=0.03)
+    assert found.lag == pytest.approx(lag, abs=5e-4)
+    assert found.coherence > 0.8 and 0 < found.gain_std < 0.05 * gain
+
+
+def test_consistency_of_strangers_is_none() -> None:
+    rng = np.random.default_rng(8)
+    found = integral_consistency(rng.standard_normal(8000), rng.standard_normal(8000), 0.002)
+    assert found.coherence < 0.3
+    with pytest.raises(InputError, match="consistency"):
+        integral_consistency(np.zeros(50), np.zeros(50), 0.002)

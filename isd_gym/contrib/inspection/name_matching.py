@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ...physics.network import Channel, Network
+    from isd_gym.physics.network import Channel, Network
 
 #: synonyms by their common word
 _SAME = {

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from . import Refused, bearable
-from .mat import chosen
+from isd_gym.records.formats import Refused, bearable
+from isd_gym.records.formats.mat import chosen
 
 LIBRARIES = ("h5py",)
+EXTRA = "files"
 
 
 def read(path, wanted, axis, resample, limit):

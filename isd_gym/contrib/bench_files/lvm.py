@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...common.errors import InputError, MissingColumn, shown
-from .columns import Choice, Columns, did_you_mean, distinct, split_header
-from .text import numbers_of, read_text, text_of
+from isd_gym.common.errors import InputError, MissingColumn, shown
+from isd_gym.records.data.columns import Choice, Columns, did_you_mean, distinct, split_header
+from isd_gym.records.data.text import number_in, read_text, text_of
+from isd_gym.records.formats import Refused
+from isd_gym.records.formats.rasters import joined
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -99,7 +101,7 @@ def _stamped(path: Path, head: dict[str, str], segment: _Segment) -> list[Column
         dimension = told[1][i] if i < len(told[1]) and told[1][i] else "Time"
         if dimension.lower() != "time":
             raise InputError(f"{path}: {shown(name)} is recorded over {shown(dimension)}, not over time")
-        values = numbers_of(path, segment.rows, k + shift, name, comma)
+        values = _numbers(path, segment.rows, k + shift, name, comma)
         axis = max((j for j, n in enumerate(names[:k]) if n == X), default=None)
         if head.get("X_Columns", "One").lower() == "no" or axis is None:
             begin, step = (
@@ -107,7 +109,7 @@ def _stamped(path: Path, head: dict[str, str], segment: _Segment) -> list[Column
             )
             time = begin + step * np.arange(len(values))
         else:
-            time = numbers_of(path, segment.rows, axis, X, comma)
+            time = _numbers(path, segment.rows, axis, X, comma)
         there = np.isfinite(time) & ~(np.isnan(values) & (np.cumsum(np.isfinite(values)[::-1])[::-1] == 0))
         time, values = time[there], values[there]
         if not len(time):
@@ -138,6 +140,20 @@ def _first(path: Path, key: str, row: list[str], channel: int, comma: bool) -> f
             f"{path}: the header has no {key} for channel {channel + 1}, and the channel has no time stamps"
         )
     return value
+
+
+def _numbers(path: Path, rows: list[tuple[int, list[str]]], place: int, name: str, comma: bool) -> np.ndarray:
+    """Return the numbers of a column, NaN for gaps and for rows that are too short."""
+    out = np.full(len(rows), math.nan)
+    for k, (line, cells) in enumerate(rows):
+        if place < len(cells):
+            value = number_in(cells[place], comma)
+            if value is None:
+                raise InputError(
+                    f"{path}: line {line}, column {shown(name)}: {shown(cells[place])} is not a number"
+                )
+            out[k] = value
+    return out
 
 
 def read_lvm_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
@@ -202,30 +218,20 @@ def read_lvm(
         InputError: The file cannot be read, or has several rasters.
         MissingColumn: A wanted column is missing.
     """
+    if not text_of(path).lstrip().startswith(TITLE):
+        return read_text(path, wanted, time, resample, columns)
     rasters = read_lvm_rasters(path, columns)
-    names = [n for r in rasters for n in r.values if n != TIME]
-    chosen = wanted(names) if callable(wanted) else wanted
-    bases = {split_header(n)[0] for n in names}
+    found = {n: (r.values[TIME], x) for r in rasters for n, x in r.values.items() if n != TIME}
+    chosen = wanted(list(found)) if callable(wanted) else wanted
+    known = {*found, *(split_header(n)[0] for n in found), time, TIME}
     for name in chosen or ():
-        if name not in (*names, *bases, time, TIME):
-            raise MissingColumn(f"{path}: no column {shown(name)}; {did_you_mean(name, names)}", name)
-    used = [
-        r
-        for r in rasters
-        if chosen is None or any(n in chosen or split_header(n)[0] in chosen for n in r.values if n != TIME)
-    ] or rasters[:1]
-    if len(used) > 1 and not resample:
-        told = ", ".join(
-            f"{next(n for n in r.values if n != TIME)} x {len(r.values[TIME])}" for r in used[:8]
-        )
-        raise InputError(f"{path}: channels are on different rasters ({told}); ask to resample them")
-    base = min(used, key=lambda r: np.ptp(r.values[TIME]) / max(len(r.values[TIME]) - 1, 1)).values[TIME]
-    if len(used) > 1:
-        begin, stop = max(r.values[TIME][0] for r in used), min(r.values[TIME][-1] for r in used)
-        base = base[(base >= begin) & (base <= stop)]
-    values = {TIME: base}
-    for r in used:
-        for name, x in r.values.items():
-            if name != TIME:
-                values[name] = x if len(used) == 1 else np.interp(base, r.values[TIME], x)
-    return Columns(values, {n: u for r in used for n, u in r.units.items()})
+        if name not in known:
+            raise MissingColumn(f"{path}: no column {shown(name)}; {did_you_mean(name, found)}", name)
+    if chosen is not None:
+        some = {n: x for n, x in found.items() if n in chosen or split_header(n)[0] in chosen}
+        found = some or dict(list(found.items())[:1])
+    try:
+        values = dict(joined(found, TIME, resample))  # type: ignore[no-untyped-call]
+    except Refused as error:
+        raise InputError(f"{path}: {error}") from None
+    return Columns(values, {n: u for r in rasters for n, u in r.units.items() if n in values})

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 
-from . import Refused, bearable
-from .rasters import OWN, joined, own_stamps
+from isd_gym.records.formats import Refused, bearable
+from isd_gym.records.formats.rasters import OWN, joined, own_stamps
 
 LIBRARIES = ("pyuff",)
+EXTRA = "files"
 #: texts that stand for nothing
 EMPTY = ("", "NONE", "NA")
 DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4: "+RX", -4: "-RX", 5: "+RY"}

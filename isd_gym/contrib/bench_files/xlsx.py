@@ -5,9 +5,10 @@ from __future__ import annotations
 import datetime
 import zipfile
 
-from . import Refused, bearable
+from isd_gym.records.formats import Refused, bearable
 
 LIBRARIES = ("openpyxl",)
+EXTRA = "files"
 #: memory of a workbook that is read, and of its text, as multiples of the text
 SHARE = 12
 

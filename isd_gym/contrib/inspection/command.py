@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..common.errors import InputError, shown
-from ._options import (
+from isd_gym.commands._options import (
     ColumnsOption,
     FileRateOption,
     JsonOption,
@@ -21,7 +20,9 @@ from ._options import (
     pairs,
     signs_of,
 )
-from .console import check_file, terminal_columns, write_json
+from isd_gym.commands.console import check_file, write_json
+from isd_gym.common.errors import InputError, shown
+from isd_gym.contrib.progress import terminal_columns
 
 FilesArgument = Annotated[
     list[Path],
@@ -61,11 +62,12 @@ def command(
 
     Example: isd-gym inspect body.csv wheel.mf4 --model car.json --out map.json
     """
-    from ..common.files import write_text
-    from ..physics.network import Network
-    from ..records.loggers import ChannelMap, Column
-    from ..records.loggers.mapping import files_of
-    from ..view.inspection import inspect, lines, page
+    from isd_gym.common.files import write_text
+    from isd_gym.physics.network import Network
+    from isd_gym.records.loggers import ChannelMap, Column
+    from isd_gym.records.loggers.mapping import files_of
+
+    from .report import inspect, lines, page
 
     files = [file for word in data for file in files_of(word)]
     for target in (out, html, json_file):
@@ -77,7 +79,7 @@ def command(
         name, joined, value = word.rpartition("=")
         if not (name and joined and value):
             raise InputError(f"--unit wants COLUMN=UNIT, not {shown(word)}")
-        from ..common.units import convert
+        from isd_gym.common.units import convert
 
         convert(1.0, value, value)
         given[name] = value

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from . import Refused, bearable
-from .rasters import OWN, joined, own_stamps
+from isd_gym.records.formats import Refused, bearable
+from isd_gym.records.formats.rasters import OWN, joined, own_stamps
 
 LIBRARIES = ("nptdms",)
+EXTRA = "files"
 
 
 def read(path, wanted, axis, resample, limit):
