@@ -257,7 +257,7 @@ def test_the_command_writes_the_plan_its_page_and_a_test_that_a_rig_can_play(tmp
     pytest.importorskip("jsonschema").validate(said, load("isd-plan/1"))
     assert {e["status"] for e in said["effects"]} == {"named"}
     assert len(said["matrix"]) == len(said["effects"])
-    assert "<img" in html.read_text()
+    assert "<svg" in html.read_text()
     assert test.read_text().startswith("time,stroke [mm]\n")
     table = read_table(test, expected={"stroke": "mm"})
     assert np.abs(table["stroke"]).max() <= 10.0 + 1e-9
