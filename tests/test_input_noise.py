@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from builders import channel, damper, element, model, spring
 from numpy.typing import NDArray
 
 from isd_gym.diagnosis import diagnose
@@ -27,22 +28,13 @@ def rig(stiffness: float = STIFFNESS) -> Network:
     """A carriage whose measured motion is the input, with the force at it as output."""
     ground = ["carriage", "ground"]
     elements: list[dict[str, object]] = [
-        {"name": "inertia", "type": "inertance", "between": ground, "inertance": MASS},
-        {"name": "guide", "type": "linear_damping", "between": ground, "damping": DAMPING},
+        element("inertia", "inertance", *ground, inertance=MASS),
+        damper(*ground, damping=DAMPING, name="guide"),
     ]
     if stiffness:
-        elements.append(
-            {"name": "spring", "type": "linear_stiffness", "between": ground, "stiffness": stiffness}
-        )
+        elements.append(spring(*ground, stiffness=stiffness))
     return Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "carriage",
-            "elements": elements,
-            "inputs": [{"name": "position", "quantity": "displacement", "at": "carriage", "unit": "mm"}],
-            "outputs": [{"name": "force", "quantity": "force", "at": "carriage", "unit": "N"}],
-            "uncertainty": {"inertia.inertance": 0.1, "guide.damping": 0.5},
-        }
+        model("carriage", elements, [channel("position", "displacement", "carriage", unit="mm")], [channel("force", "force", "carriage")], uncertainty={"inertia.inertance": 0.1, "guide.damping": 0.5})
     )  # fmt: skip
 
 

@@ -398,9 +398,8 @@ def test_a_bad_snapshot_names_its_field() -> None:
         (lambda: corner("front", 1.0, 0.0, wheel=np.inf), "corner 'front': wheel is inf"),
         (lambda: corner("front", 1.0, 0.0, joint=None), "corner 'front': piston without joint"),
     ):
-        with pytest.raises(InputError, match=words) as caught:
+        with pytest.raises(InputError, match=words):
             make()
-        assert "\n" not in str(caught.value)
 
 
 def test_cars_of_different_kinds_are_not_compared() -> None:
@@ -473,6 +472,6 @@ def test_show_refuses_a_road_with_sides_for_a_half_car(tmp_path: Path) -> None:
         "--out",
         str(tmp_path / "a.gif"),
     ]
-    with pytest.raises(InputError, match="choose a road without sides, or a full car") as caught:
+    with pytest.raises(InputError, match="choose a road without sides, or a full car"):
         CliRunner().invoke(cli.app, args, catch_exceptions=False)
-    assert "\n" not in str(caught.value) and list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == []

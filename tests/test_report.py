@@ -428,9 +428,8 @@ def test_a_report_that_cannot_be_drawn_leaves_the_results(diagnosis, tmp_path, m
 
     monkeypatch.setattr(report, "FIGURES", (report.draw_gap, fail))
     d = of_kind(diagnosis, "unknown_effect with a table")
-    with pytest.raises(ReportError, match=r"NameError: name 'Effect'.*the results are in") as caught:
+    with pytest.raises(ReportError, match=r"NameError: name 'Effect'.*the results are in"):
         report.write_report(d, tmp_path / "found")
-    assert "\n" not in str(caught.value)
     names = {p.name for p in (tmp_path / "found").iterdir()}
     assert names == {"diagnosis.json", "model.json"}  # and not the page of the earlier result
     said = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
@@ -903,9 +902,8 @@ def test_diagnose_refuses_bad_input_before_the_work(told, tmp_path, monkeypatch,
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "notes.txt").write_text("mine")
     args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found", *more]
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message):
         CliRunner().invoke(cli.app, args, catch_exceptions=False)
-    assert "\n" not in str(caught.value)
     assert told == [] and not Path("found").exists()
 
 

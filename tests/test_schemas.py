@@ -214,9 +214,8 @@ def test_the_own_check_accepts_what_jsonschema_accepts(name):
             try:
                 check(changed, name, "it")
                 good = True
-            except InputError as error:
+            except InputError:
                 good = False
-                assert "\n" not in str(error)
             assert good == validator.is_valid(changed), (path, value)
             verdicts.add(good)
     assert verdicts == {True, False}
