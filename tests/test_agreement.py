@@ -5,7 +5,7 @@ from pathlib import Path
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, spring
+from builders import channel, damper, friction, spring
 
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import diagnose, workflow
@@ -44,13 +44,13 @@ def road(seed=0):
     return (np.sin(2 * np.pi * np.outer(TIME, f) + phases) / f).sum(axis=1) * np.minimum(TIME, 1.0)
 
 
-def true_rig(**friction):
+def true_rig(level=65.0):
     """Return a rig with other parameters than the model, and friction."""
     rig = Network.load(CAR).to_dict()
     rig["masses"] = {"body": 357.0, "wheel": 40.0}
     rig["elements"][0]["stiffness"] = 21.4e3
     rig["elements"][1]["damping"] = 1300.0
-    rig["elements"].append(friction("body", "wheel", friction.get("level", 65.0), "seal"))
+    rig["elements"].append(friction("body", "wheel", level, "seal"))
     return Network.load(rig)
 
 

@@ -387,100 +387,89 @@ def test_a_half_car_is_cut_at_one_wheel_and_at_both(drive):
         cut(whole, "body_front")
 
 
-def _change(*path, value):
-    def change(data):
-        place = data
-        for key in path[:-1]:
-            place = place[key]
-        if value is None:
-            del place[path[-1]]
-        else:
-            place[path[-1]] = value
-
-    return change
+def _change(data, path, value):
+    """Set the value at a path such as 'bodies.body.mass'; None deletes the key."""
+    *outer, last = (int(key) if key.isdigit() else key for key in path.split("."))
+    for key in outer:
+        data = data[key]
+    if value is None:
+        del data[last]
+    else:
+        data[last] = value
 
 
-BODY = ("bodies", "body")
-BAD = {
-    "a body without mass": (_change(*BODY, "mass", value=None), r"body 'body': 'mass' is missing"),
-    "a mass of zero": (
-        _change(*BODY, "mass", value=0.0),
-        r"body 'body': the mass must be a positive number of kg",
+def _more_inputs(data):
+    data["inputs"] += [builders.channel(n, "displacement", n) for n in ("body_front", "body_rear", "driver")]
+
+
+BAD = [
+    ("bodies.body.mass", None, r"body 'body': 'mass' is missing"),
+    ("bodies.body.mass", 0.0, r"body 'body': the mass must be a positive number of kg"),
+    (
+        "bodies.body.inertia.pitch",
+        0.0,
+        r"the inertia 'pitch' must be a positive number of kg m\^2.*leave it out",
     ),
-    "an inertia of zero with two points": (
-        _change(*BODY, "inertia", "pitch", value=0.0),
-        r"body 'body': the inertia 'pitch' must be a positive number of kg m\^2.*leave it out",
+    ("bodies.body.inertia.yaw", 1.0, r"body 'body': \"inertia\": unknown key 'yaw'"),
+    ("bodies.body.inertia", {"pitch": None}, r"not null; leave it out"),
+    ("bodies.body.inertia.pitch", 10**400, r"must be a positive number of kg m\^2"),
+    ("outputs.1.body", "chassis", r"output 'pitch_acceleration': no body 'chassis' \(bodies: body\)"),
+    ("outputs.1.axis", "roll", r"body 'body' does not turn about its roll axis: give it an inertia"),
+    ("outputs.1.axis", "yaw", r"\"axis\": pitch or roll"),
+    ("outputs.1.at", "body", r"leave out \"at\""),
+    (
+        "bodies.body.points.wheel_front",
+        {"x": 1.0},
+        r"point 'wheel_front' of body 'body' has the name of a mass",
     ),
-    "an unknown axis": (
-        _change(*BODY, "inertia", "yaw", value=1.0),
-        r"body 'body': \"inertia\": unknown key 'yaw'",
+    (
+        "bodies.body.points.body",
+        {"x": 1.0},
+        r"point 'body' of body 'body' has the name of a node of body 'body'",
     ),
-    "a point on an unknown body": (
-        _change("outputs", 1, "body", value="chassis"),
-        r"output 'pitch_acceleration': no body 'chassis' \(bodies: body\)",
-    ),
-    "an axis without inertia": (
-        _change("outputs", 1, "axis", value="roll"),
-        r"output 'pitch_acceleration': body 'body' does not turn about its roll axis: give it an inertia",
-    ),
-    "an axis that is none": (_change("outputs", 1, "axis", value="yaw"), r"\"axis\": pitch or roll"),
-    "an axis and a node": (_change("outputs", 1, "at", value="body"), r"leave out \"at\""),
-    "a length about an axis": (
-        lambda d: d["outputs"][1].update(quantity="acceleration", unit="m/s^2"),
-        r"output 'pitch_acceleration': \"acceleration\" is no motion about an axis.*\"at\": \"body\"",
-    ),
-    "a point named like a node": (
-        _change(*BODY, "points", "wheel_front", value={"x": 1.0}),
-        r"bodies: point 'wheel_front' of body 'body' has the name of a mass",
-    ),
-    "a point named like its body": (
-        _change(*BODY, "points", "body", value={"x": 1.0}),
-        r"bodies: point 'body' of body 'body' has the name of a node of body 'body'",
-    ),
-    "a point called ground": (_change(*BODY, "points", "ground", value={}), r"has the name of the ground"),
-    "a point with a height": (
-        _change(*BODY, "points", "driver", value={"z": 1.0}),
-        r"body 'body': point 'driver': unknown key 'z'",
-    ),
-    "a point nowhere": (
-        _change(*BODY, "points", "driver", "x", value="front"),
-        r"body 'body': x of point 'driver' must be a number of m",
-    ),
-    "bodies as a list": (_change("bodies", value=[]), r"bodies must be an object of body by name"),
-    "points as a list": (
-        _change(*BODY, "points", value=[]),
-        r"body 'body': \"points\" must be an object of point by name",
-    ),
-    "an inertia of null": (_change(*BODY, "inertia", value={"pitch": None}), r"not null; leave it out"),
-    "an endless inertia": (
-        _change(*BODY, "inertia", "pitch", value=10**400),
-        r"must be a positive number of kg m\^2",
-    ),
-    "a mass twice": (
-        _change("masses", "body", value=690.0),
-        r"bodies: body 'body' has the name of a mass: give it another",
-    ),
-    "an unknown key": (_change(*BODY, "weight", value=1.0), r"body 'body': unknown key 'weight'"),
-    "an unknown parameter": (
-        _change("uncertainty", "body.inertia.roll", value=0.1),
-        r"uncertainty: no parameter 'body.inertia.roll'",
-    ),
-    "more inputs than motions": (
-        lambda d: d["inputs"].extend(
-            builders.channel(n, "displacement", n) for n in ("body_front", "body_rear", "driver")
+    ("bodies.body.points.ground", {}, r"has the name of the ground"),
+    ("bodies.body.points.driver", {"z": 1.0}, r"body 'body': point 'driver': unknown key 'z'"),
+    ("bodies.body.points.driver.x", "front", r"body 'body': x of point 'driver' must be a number of m"),
+    ("bodies", [], r"bodies must be an object of body by name"),
+    ("bodies.body.points", [], r"body 'body': \"points\" must be an object of point by name"),
+    ("masses.body", 690.0, r"bodies: body 'body' has the name of a mass: give it another"),
+    ("bodies.body.weight", 1.0, r"body 'body': unknown key 'weight'"),
+    ("uncertainty.body.inertia.roll", 0.1, r"uncertainty: no parameter 'body.inertia.roll'"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "message"), BAD)
+def test_bad_bodies_are_refused_in_a_line(path, value, message):
+    data = copy.deepcopy(Network.load("half-car-isd").to_dict())
+    if path.startswith("uncertainty."):
+        data["uncertainty"][path.removeprefix("uncertainty.")] = value
+    else:
+        _change(data, path, value)
+    with pytest.raises(InputError, match=message):
+        Network.from_dict(data)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        # a length about an axis
+        (
+            lambda d: d["outputs"][1].update(quantity="acceleration", unit="m/s^2"),
+            r"output 'pitch_acceleration': \"acceleration\" is no motion about an axis.*\"at\": \"body\"",
         ),
-        r"body 'body': inputs move 'body_front', 'body_rear', 'driver', which it ties together: let one of them move",
-    ),
-    "a body that turns with a shaft": (
-        lambda d: d["inputs"].append(builders.channel("spin", "angle", "driver")),
-        r"bodies: 'body' of body 'body' moves along a line, and is tied to what turns",
-    ),
-}
-
-
-@pytest.mark.parametrize("what", BAD)
-def test_bad_bodies_are_refused_in_a_line(what):
-    change, message = BAD[what]
+        # more inputs than motions
+        (
+            _more_inputs,
+            r"body 'body': inputs move 'body_front', 'body_rear', 'driver', which it ties together: let one of them move",
+        ),
+        # a body that turns with a shaft
+        (
+            lambda d: d["inputs"].append(builders.channel("spin", "angle", "driver")),
+            r"bodies: 'body' of body 'body' moves along a line, and is tied to what turns",
+        ),
+    ],
+)
+def test_bad_uses_of_a_body_are_refused_in_a_line(change, message):
     data = copy.deepcopy(Network.load("half-car-isd").to_dict())
     change(data)
     with pytest.raises(InputError, match=message):

@@ -222,6 +222,7 @@ def test_the_card_of_a_score_is_the_card_of_its_car(tmp_path):
     assert not (tmp_path / "both.json").exists()
 
 
+@pytest.mark.tools
 def test_the_page_carries_the_cards_figures():
     spec = importlib.util.spec_from_file_location("table", Path(__file__).parents[1] / "docs" / "table.py")
     script = importlib.util.module_from_spec(spec)

@@ -13,13 +13,6 @@ from isd_gym.physics.network import Network
 from isd_gym.records.data import read_table
 
 
-def test_help_names_the_commands():
-    done = run("--help")
-    assert done.returncode == 0
-    for command in ("score", "simulate", "diagnose", "train", "reproduce", "show"):
-        assert command in done.stdout
-
-
 def test_importing_the_package_stays_light():
     code = "import isd_gym, sys; print([m for m in ('numpy','numba','torch','gymnasium','matplotlib') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -88,16 +81,6 @@ def test_a_short_score_says_nothing_of_bounds(tmp_path):
     assert data["references"]["left_out"] in text and "2 x 4 s is too small a sample" in text
     for row in data["policies"]:
         assert row["share_of_reachable_gain"] is None and row["share_of_causal_gain"] is None
-
-
-def test_score_prints_the_table_and_writes_json(tmp_path):
-    done = run(
-        "score", "passive", "isd-passive", "--episodes", 2, "--duration", 2, "--json", tmp_path / "s.json"
-    )
-    assert done.returncode == 0, done.stderr
-    assert "isd-passive" in done.stdout and max(map(len, done.stdout.splitlines())) <= 80
-    data = json.loads((tmp_path / "s.json").read_text())
-    assert [p["policy"] for p in data["policies"]] == ["passive", "isd-passive"]
 
 
 def test_simulate_writes_the_models_channels(tmp_path):

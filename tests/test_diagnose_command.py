@@ -236,6 +236,7 @@ def test_no_discrepancy(files: Path, library: None, tmp_path: Path) -> None:
     assert o.document["reason"] == "immaterial"
 
 
+@pytest.mark.slow
 def test_parameters_only_from_a_single_record(files: Path, library: None, tmp_path: Path) -> None:
     o = diagnosed(tmp_path / "out", files / "stiffer1.csv", "--model", files / "model.json")
     assert o.document["verdict"] == "parameters_only"
@@ -245,7 +246,7 @@ def test_parameters_only_from_a_single_record(files: Path, library: None, tmp_pa
     assert re.search(r"Record “stiffer1” \(fitted up to \d[\d.]* s, then held out\)", o.page.text)
 
 
-@pytest.mark.parametrize("validate", [True, False])
+@pytest.mark.parametrize("validate", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_missing_effect(files: Path, library: None, tmp_path: Path, validate: bool) -> None:
     o = run(files, tmp_path, "friction", validate=validate)
     assert o.document["verdict"] == "missing_effect"

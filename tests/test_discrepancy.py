@@ -168,6 +168,7 @@ def test_sums_do_not_depend_on_the_number_of_cores() -> None:
     assert threads and set(threads) == {1}
 
 
+@pytest.mark.slow
 def test_friction_of_a_sliding_mass_is_named_with_its_level(tmp_path: Path) -> None:
     d, case = run("mass_friction", 3, duration=10.0)
     (what, where), *_ = case.answer
@@ -186,6 +187,7 @@ def test_friction_of_a_sliding_mass_is_named_with_its_level(tmp_path: Path) -> N
     assert again.parameters[f"{d.effects[0].element}.level"] == pytest.approx(q.value)
 
 
+@pytest.mark.slow
 def test_a_clean_rig_is_left_alone() -> None:
     d, _ = run("mass_none", 1, duration=10.0)
     assert d.verdict in ("no_discrepancy", "parameters_only")

@@ -279,6 +279,7 @@ def test_model_file_with_found_effects_runs_as_env(tmp_path):
     assert abs(obs[0]) == pytest.approx(1.5 * true, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_ppo_learns_on_it_in_three_lines():
     sb3 = pytest.importorskip("stable_baselines3")
     env = gym.make("ISDSuspension-v0")

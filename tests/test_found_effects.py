@@ -92,6 +92,7 @@ def test_records_are_not_thinned_where_that_would_lose_the_residual():
     assert not lost(pulled(1, amplitude=0.0))
 
 
+@pytest.mark.slow
 def test_a_force_of_a_hundred_periods_over_the_travel_is_named_with_its_pitch():
     found = diagnose([pulled(1)], PULLED, validate=[pulled(2)])
     assert named(found) == {("cogging_force", ("ground", "rod"))}
@@ -273,6 +274,7 @@ def test_friction_that_falls_with_a_logged_temperature_is_named_with_its_slope()
     assert values(found)["slope"] == pytest.approx(-0.05, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_logged_temperature_that_changes_nothing_is_not_blamed():
     found = diagnose([warmed(1, "nothing")], WARM, validate=[warmed(2, "nothing")])
     assert not found.effects and found.verdict in ("no_discrepancy", "parameters_only")

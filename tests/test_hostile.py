@@ -389,12 +389,6 @@ def test_broken_archives_are_one_line(tmp_path):
     refused(lambda: convert(path), "would take 0.586 GB")
 
 
-def test_a_zip_of_a_stranger_is_scored_without_running_it(tmp_path):
-    archive(tmp_path / "m.zip")
-    done = run("score", "m.zip", "--episodes", "1", "--duration", "0.1", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-
-
 # ------------------------------------------------------------------------------------------- policy folders
 
 

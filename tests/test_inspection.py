@@ -307,6 +307,14 @@ def refused(program, *words):
     return str(done.exception)
 
 
+def simulated(program, folder, model, *more, data="rec.csv"):
+    """The message of a simulation that is refused, and writes nothing."""
+    data = "+".join(f"{folder / name}" for name in data.split("+"))
+    message = refused(program, "simulate", folder / model, data, *more, "--out", folder / "o.csv")
+    assert not (folder / "o.csv").exists()
+    return message
+
+
 def test_a_map_drives_a_simulation(tmp_path, run, program):
     time, columns = run
     write_table(tmp_path / "rec.csv", Table(time, {"base": 1e3 * columns["road"]}))
@@ -345,18 +353,7 @@ def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, program, 
     (tmp_path / "car.json").write_text(json.dumps(CAR))
     good = {"schema": "isd-map/1", "channels": {"road": {"column": "base"}}}
     (tmp_path / "map.json").write_text(json.dumps(good | change))
-    said = refused(
-        program,
-        "simulate",
-        tmp_path / "car.json",
-        tmp_path / "rec.csv",
-        "--map",
-        tmp_path / "map.json",
-        "--out",
-        tmp_path / "o.csv",
-    )
-    assert re.search(words, said)
-    assert not (tmp_path / "o.csv").exists()
+    assert re.search(words, simulated(program, tmp_path, "car.json", "--map", tmp_path / "map.json"))
 
 
 def test_a_missing_column_names_what_helps(tmp_path, run, program):
@@ -364,14 +361,7 @@ def test_a_missing_column_names_what_helps(tmp_path, run, program):
     write_table(tmp_path / "a.csv", Table(time, {"base": columns["road"]}))
     write_table(tmp_path / "b.csv", Table(time, {"travel": columns["travel"]}))
     (tmp_path / "car.json").write_text(json.dumps(CAR))
-    said = refused(
-        program,
-        "simulate",
-        tmp_path / "car.json",
-        f"{tmp_path}/a.csv+{tmp_path}/b.csv",
-        "--out",
-        tmp_path / "o.csv",
-    )
+    said = simulated(program, tmp_path, "car.json", data="a.csv+b.csv")
     assert "--map FILE" in said and "isd-gym inspect" in said
 
 
@@ -391,21 +381,8 @@ def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
     (tmp_path / "swing.json").write_text(json.dumps(SWING))
     (tmp_path / "start.json").write_text(json.dumps({"mass": {"displacement": 0.01, "velocity": 0.1}}))
     words = [tmp_path / "start.json"] if as_file else ["mass=0.01", "--initial", "mass.velocity=0.1"]
-    done = CliRunner().invoke(
-        program,
-        [
-            str(w)
-            for w in (
-                "simulate",
-                tmp_path / "swing.json",
-                tmp_path / "rec.csv",
-                "--initial",
-                *words,
-                "--out",
-                tmp_path / "o.csv",
-            )
-        ],
-    )
+    words = ["simulate", tmp_path / "swing.json", tmp_path / "rec.csv", "--initial", *words]
+    done = CliRunner().invoke(program, [*map(str, words), "--out", str(tmp_path / "o.csv")])
     assert done.exit_code == 0, done.output
     said = np.loadtxt(tmp_path / "o.csv", delimiter=",", skiprows=1)[:, 1]
     truth = 0.003 + 0.007 * np.cos(20 * time) + 0.1 / 20 * np.sin(20 * time)  # about the base, at 20 rad/s
@@ -425,17 +402,7 @@ def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
 def test_a_wrong_start_is_one_line(tmp_path, program, word, words):
     write_table(tmp_path / "rec.csv", Table(0.01 * np.arange(200), {"base": np.zeros(200)}))
     (tmp_path / "swing.json").write_text(json.dumps(SWING))
-    said = refused(
-        program,
-        "simulate",
-        tmp_path / "swing.json",
-        tmp_path / "rec.csv",
-        "--initial",
-        word,
-        "--out",
-        tmp_path / "o.csv",
-    )
-    assert words in said and not (tmp_path / "o.csv").exists()
+    assert words in simulated(program, tmp_path, "swing.json", "--initial", word)
 
 
 # -------------------------------------------------------------------------------------- columns, stamps, angles

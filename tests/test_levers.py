@@ -253,56 +253,47 @@ def _with(*levers, **more):
     return data | more
 
 
-BAD = {
-    "no unit": (
-        _with({"name": "x", "between": ["mass", "b"], "ratio": 1.0}),
-        r"lever 'x': 'unit' is missing",
-    ),
-    "another unit": (
-        _with(lever("x", "mass", "b", 1.0, "mm/rad")),
-        r"lever 'x': unit 'mm/rad' is not that of a ratio",
-    ),
-    "no ratio": (
-        _with({"name": "x", "between": ["mass", "b"], "unit": "m/m"}),
-        r"lever 'x': 'ratio' is missing",
-    ),
-    "a ratio of zero": (
-        _with(lever("x", "mass", "b", 0.0)),
-        r"lever 'x': the ratio must be a number other than zero",
-    ),
-    "a word": (_with(lever("x", "mass", "b", "two")), r"lever 'x': the ratio must be a number"),
-    "the ground": (_with(lever("x", "mass", "ground", 1.0)), r"lever 'x': the ground does not move"),
-    "itself": (_with(lever("x", "mass", "mass", 1.0)), r"lever 'x': it couples 'mass' to itself"),
-    "one node": (_with({"name": "x", "between": ["mass"], "ratio": 1.0, "unit": "m/m"}), r"two node names"),
-    "an unknown key": (_with(lever("x", "mass", "b", 1.0) | {"play": 1.0}), r"lever 'x': unknown key 'play'"),
-    "one name twice": (_with(lever("spring", "mass", "b", 1.0)), r"two elements are called 'spring'"),
-    "no list": (_with(levers={}), r"levers must be a list"),
-    "a loop": (
+def _bare(**more):
+    return {"name": "x", "between": ["mass", "b"], **more}
+
+
+ENDS = [channel(n, "displacement", n) for n in ("one", "other")]
+BAD = [
+    (_with(_bare(ratio=1.0)), r"lever 'x': 'unit' is missing"),
+    (_with(_bare(unit="m/m")), r"lever 'x': 'ratio' is missing"),
+    (_with(_bare(between=["mass"], ratio=1.0, unit="m/m")), r"two node names"),
+    (_with(lever("x", "mass", "b", 1.0, "mm/rad")), r"lever 'x': unit 'mm/rad' is not that of a ratio"),
+    (_with(lever("x", "mass", "b", 0.0)), r"lever 'x': the ratio must be a number other than zero"),
+    (_with(lever("x", "mass", "b", "two")), r"lever 'x': the ratio must be a number"),
+    (_with(lever("x", "mass", "ground", 1.0)), r"lever 'x': the ground does not move"),
+    (_with(lever("x", "mass", "mass", 1.0)), r"lever 'x': it couples 'mass' to itself"),
+    (_with(lever("x", "mass", "b", 1.0) | {"play": 1.0}), r"lever 'x': unknown key 'play'"),
+    (_with(lever("spring", "mass", "b", 1.0)), r"two elements are called 'spring'"),
+    (_with(levers={}), r"levers must be a list"),
+    # a loop, and a contradiction
+    (
         _with(lever("x", "b", "mass", 2.0), lever("y", "mass", "b", 0.5)),
         r"lever 'y' closes a loop: other levers and bodies say the same; leave it out",
     ),
-    "a contradiction": (
+    (
         _with(lever("x", "b", "mass", 2.0), lever("y", "mass", "b", 0.6)),
         r"lever 'y' contradicts the other levers and bodies: together they hold 'mass' still",
     ),
-    "both ends moved": (
-        _with(
-            lever("x", "one", "other", 2.0),
-            inputs=[PUSH, *(channel(n, "displacement", n) for n in ("one", "other"))],
-        ),
+    (
+        _with(lever("x", "one", "other", 2.0), inputs=[PUSH, *ENDS]),
         r"lever 'x': inputs move 'one', 'other', which it ties together",
     ),
-    "a turning node as a line": (
+    # a turning node as a line
+    (
         _with(lever("x", "mass", "shaft", 1.0)),
         r"lever 'x': 'shaft' turns, and the unit 'm/m' of the ratio has it move along a line",
     ),
-    "floating": (_with(lever("x", "b", "c", 1.0)), r"node 'b' floats"),
-}
+    (_with(lever("x", "b", "c", 1.0)), r"node 'b' floats"),
+]
 
 
-@pytest.mark.parametrize("what", BAD)
-def test_bad_levers_are_refused_in_a_line(what):
-    data, message = BAD[what]
+@pytest.mark.parametrize(("data", "message"), BAD)
+def test_bad_levers_are_refused_in_a_line(data, message):
     with pytest.raises(InputError, match=message):
         Network.from_dict(data)
 

@@ -334,16 +334,6 @@ def test_the_vector_environment_draws_the_single_one_of_each_seed(name: str) -> 
     many.close()
 
 
-@both
-def test_a_window_shows_the_car(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = gym.make(name, render_mode="human")
-    env.reset(seed=0)
-    for _ in range(5):
-        env.step(np.zeros(env.action_space.shape, np.float32))
-    env.close()
-
-
 def test_a_snapshot_without_a_picture_is_refused_in_one_line() -> None:
     env = ISDSuspensionEnv("half-car-isd")
     env.reset(seed=0)

@@ -22,7 +22,7 @@ from isd_gym.benchmark import show
 from isd_gym.benchmark.comparability import Comparable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
-from isd_gym.common.errors import InputError, ReportError
+from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -33,7 +33,6 @@ from isd_gym.diagnosis.selection.criteria import CRITERIA
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis.verdict.explanation import draw_law as series_law
-from isd_gym.diagnosis.verdict.findings import Finding, LawProbability
 from isd_gym.diagnosis.verdict.gates import gates_of
 from isd_gym.physics.elements import TYPES, CoulombFriction
 from isd_gym.physics.network import Network
@@ -402,39 +401,11 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     assert unpacked(law["y"]) == pytest.approx(d.tabulated.force)
 
 
-def test_the_title_tells_a_certain_kind_from_several_explanations(diagnosis):
-    d = of_kind(diagnosis, "ambiguous")
-    assert report.View(d).title == "An effect is missing; these data leave 2 candidates"
-    law = LawProbability("coulomb_friction", 0.5, {})
-    dry = Finding(("piston", "joint"), 1.0, "dry_friction", 0.97, (law,))
-    certain = report.View(replace(d, reason="kind_certain", findings=(dry,)))
-    assert certain.title == "Missing: dry friction between piston and joint; its law is open"
-    assert report.View(d).tied and not certain.tied
-
-
 def test_parameters_are_marked_as_biased_where_nothing_is_named(diagnosis):
     for kind in KINDS:
         view = report.View(of_kind(diagnosis, kind))
         is_undecided = kind.startswith(("unknown", "ambiguous"))
         assert ("biased by what is missing" in view.bias_text + view.refit_text) == is_undecided
-
-
-def test_a_report_that_cannot_be_drawn_leaves_the_results(diagnosis, tmp_path, monkeypatch, quick):
-    path = report.write_report(diagnosis, tmp_path / "found")
-    assert path.exists()
-
-    def fail(view):
-        raise NameError("name 'Effect' is not defined")
-
-    monkeypatch.setattr(report, "FIGURES", (report.draw_gap, fail))
-    d = of_kind(diagnosis, "unknown_effect with a table")
-    with pytest.raises(ReportError, match=r"NameError: name 'Effect'.*the results are in"):
-        report.write_report(d, tmp_path / "found")
-    names = {p.name for p in (tmp_path / "found").iterdir()}
-    assert names == {"diagnosis.json", "model.json"}  # and not the page of the earlier result
-    said = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
-    assert said["verdict"] == "unknown_effect" and said["tabulated"]["element"] == "missing_force"
-    assert Network.load(tmp_path / "found" / "model.json").element("missing_force").type == "tabulated_force"
 
 
 def test_a_diagnosis_is_short_in_a_prompt_and_a_table_in_a_notebook(diagnosis):
@@ -587,17 +558,6 @@ def test_a_folder_is_replaced_whole_or_left_alone(diagnosis, tmp_path, monkeypat
     assert {p.name for p in path.parent.iterdir()} == {"diagnosis.json", "model.json"}
     assert json.loads((path.parent / "diagnosis.json").read_text())["summary"] == "new"
     assert [p.name for p in tmp_path.iterdir()] == ["found"]
-
-
-@pytest.mark.parametrize("there", ["notes.txt", "both"])
-def test_a_folder_with_something_else_in_it_is_refused(tmp_path, there):
-    (tmp_path / "d").mkdir()
-    (tmp_path / "d" / "notes.txt").write_text("mine")
-    if there == "both":
-        (tmp_path / "d" / "diagnosis.json").write_text("{}")
-    with pytest.raises(InputError, match=r"notes\.txt"):
-        report.check_target(tmp_path / "d")
-    assert (tmp_path / "d" / "notes.txt").read_text() == "mine"
 
 
 def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):

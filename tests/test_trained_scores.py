@@ -87,13 +87,18 @@ def assert_drives_as_predicted(policy, model, network, *, steps=400):
     [
         ("PPO", CAR, True, False),
         ("PPO", CAR, False, True),
-        ("SAC", CAR, False, False),
         ("SAC", CAR, True, True),
         ("PPO", "half-car-isd", False, False),
-        ("A2C", CAR, True, False),
-        ("TD3", CAR, True, False),
-        ("DDPG", CAR, False, False),
-        ("TQC", CAR, False, True),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in (
+                ("SAC", CAR, False, False),
+                ("A2C", CAR, True, False),
+                ("TD3", CAR, True, False),
+                ("DDPG", CAR, False, False),
+                ("TQC", CAR, False, True),
+            )
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
