@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from isd_gym.physics.network import Network
+
 #: unit of a channel unless another one is given
 UNITS = {
     "displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", "current": "A",
@@ -42,3 +44,14 @@ def model(name: str, elements: Any, inputs: Any = (), outputs: Any = (), **more:
     named = {"name": name} if name else {}
     channels = {"inputs": [*inputs], "outputs": [*outputs]}
     return {"schema": "isd-model/1", **named, **more, "elements": [*elements], **channels}
+
+
+def network(*given: Any, **more: Any) -> Network:
+    """Return the network of a model; arguments as for `model`."""
+    return Network.load(model(*given, **more))
+
+
+def pushed_mass(name: str, outputs: list[dict[str, Any]], **more: Any) -> Network:
+    """Return a mass of 5 kg on a spring of 2000 N/m and a damper of 30 N s/m, pushed by a force."""
+    parts = [spring("mass", "ground", 2000.0), damper("mass", "ground", 30.0)]
+    return network(name, parts, [channel("push", "force", "mass")], outputs, masses={"mass": 5.0}, **more)

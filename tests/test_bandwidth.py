@@ -18,12 +18,13 @@ OUTPUT_NOISE = 0.01  # RMS of a sensor's noise, relative to the deviation of its
 def shaken(natural, quantity="displacement", damping_ratio=0.03):
     """A mass of 1 kg on a spring and a damper whose base is moved."""
     stiffness = (2 * np.pi * natural) ** 2
-    return Network.load(
-        builders.model("shaken", [
-                spring("mass", "base", stiffness),
-                damper("mass", "base", 2 * damping_ratio * np.sqrt(stiffness)),
-            ], [channel("base", "displacement", "base")], [channel("y", quantity, "mass", unit={"displacement": "mm", "acceleration": "g"}[quantity])], masses={"mass": 1.0})
-    )  # fmt: skip
+    return builders.network(
+        "shaken",
+        [spring("mass", "base", stiffness), damper("mass", "base", 2 * damping_ratio * np.sqrt(stiffness))],
+        [channel("base", "displacement", "base")],
+        [channel("y", quantity, "mass", unit={"displacement": "mm", "acceleration": "g"}[quantity])],
+        masses={"mass": 1.0},
+    )
 
 
 def base_motion(kind, natural, rate, rng):

@@ -11,8 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from builders import channel, friction
-from rigs import pushed_mass
+from builders import channel, friction, pushed_mass
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli

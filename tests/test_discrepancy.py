@@ -11,7 +11,7 @@ import builders
 import families
 import numpy as np
 import pytest
-from builders import damper, element
+from builders import damper, element, network
 from hidden import make_case
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
@@ -506,18 +506,16 @@ def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() 
     # along lines every sample of the base was a knock: an inertance came out with twice the acceleration, and a compliance beside it
     from isd_gym.diagnosis.simulation.problem import Problem, Record
 
-    net = Network.from_dict(
-        builders.model(
-            "shaken",
-            [
-                builders.spring("mass", "base", 2000.0, "k"),
-                damper("mass", "base", 40.0, "c"),
-                element("b", "inertance", "mass", "base", inertance=6.0),
-            ],
-            [builders.channel("base", "displacement", "base")],
-            [builders.channel("a", "acceleration", "mass")],
-            masses={"mass": 20.0},
-        )
+    net = network(
+        "shaken",
+        [
+            builders.spring("mass", "base", 2000.0, "k"),
+            damper("mass", "base", 40.0, "c"),
+            element("b", "inertance", "mass", "base", inertance=6.0),
+        ],
+        [builders.channel("base", "displacement", "base")],
+        [builders.channel("a", "acceleration", "mass")],
+        masses={"mass": 20.0},
     )
     time = np.arange(0.0, 25.0, 0.016)  # what it began with has died out by the thousandth sample
     w = 2.0 * math.pi * 4.5
@@ -675,15 +673,13 @@ def test_a_damper_that_differs_by_direction_is_named_beside_one_that_is_hardly_k
         force = [_valve(t, y, spline)[1] for t, y in zip(time, a.T, strict=True)]
         noise = 0.01 * np.std(force) * rng.standard_normal(len(time))
         records.append(Table(time, {"base": base, "acceleration": np.array(force) + noise}, name))
-    model = Network.load(
-        builders.model(
-            "shaken",
-            [builders.spring("mass", "base", 2000.0), damper("mass", "base", 23.0)],
-            [builders.channel("base", "displacement", "base")],
-            [builders.channel("acceleration", "acceleration", "mass")],
-            masses={"mass": 2.0},
-            uncertainty={"damper.damping": 0.3},
-        )
+    model = network(
+        "shaken",
+        [builders.spring("mass", "base", 2000.0), damper("mass", "base", 23.0)],
+        [builders.channel("base", "displacement", "base")],
+        [builders.channel("acceleration", "acceleration", "mass")],
+        masses={"mass": 2.0},
+        uncertainty={"damper.damping": 0.3},
     )
     d = diagnose(records[:1], model, validate=records[1:])
     assert named(d) == {("asymmetric_damping", frozenset({"mass", "base"}))}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import builders
 import numpy as np
 import pytest
-from builders import channel, model
+from builders import channel
 
 from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -14,7 +14,6 @@ from isd_gym.diagnosis.hypotheses.forces import dissipated_work
 from isd_gym.diagnosis.selection.held_out import effect_size
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network
 
 STIFFNESS = 250e3  # [N/m]; the mass is 1 kg, so that a period takes 12.6 ms
 LEVEL = 0.8  # [N] of friction, beside 250 N of elastic force at the beginning
@@ -25,15 +24,13 @@ def ring_down(damping: float, effect: str, values: dict[str, float]) -> tuple[Pr
     between = ["beam", "ground"]
     spring = builders.spring(*between, stiffness=STIFFNESS, name="bending")
     damper = builders.damper(*between, damping=damping, name="loss")
-    network = Network.load(
-        model(
-            "beam",
-            [spring, damper],
-            [],
-            [channel("rate", "velocity", "beam")],
-            masses={"beam": 1.0},
-            uncertainty={"loss.damping": 1.0},
-        )
+    network = builders.network(
+        "beam",
+        [spring, damper],
+        [],
+        [channel("rate", "velocity", "beam")],
+        masses={"beam": 1.0},
+        uncertainty={"loss.damping": 1.0},
     )
     time = np.arange(0.0, 0.5, 2e-4)
     omega = np.sqrt(STIFFNESS)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, model
+from builders import channel, damper, element
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
@@ -31,15 +32,13 @@ def cart(stiffness: float = 0.0) -> Network:
     if stiffness:
         spring = element("spring", "linear_stiffness", "cart", "ground")
         elements.append({**spring, "stiffness": stiffness})
-    return Network.load(
-        model(
-            "cart",
-            elements,
-            [channel("push", "force", "cart")],
-            [channel("position", "displacement", "cart", offset="free")],
-            masses={"cart": 1.0},
-            uncertainty={"cart.mass": 0.1, "guide.damping": 1.0},
-        )
+    return builders.network(
+        "cart",
+        elements,
+        [channel("push", "force", "cart")],
+        [channel("position", "displacement", "cart", offset="free")],
+        masses={"cart": 1.0},
+        uncertainty={"cart.mass": 0.1, "guide.damping": 1.0},
     )
 
 
@@ -147,13 +146,11 @@ def test_feedback_is_found(law: str, stiffness: float) -> None:
 
 def test_a_measured_motion_is_no_feedback() -> None:
     """The displacement of a shaken node is measured where it acts, whatever its controller does."""
-    network = Network.load(
-        model(
-            "slide",
-            [element("b", "inertance", "rod", "ground", inertance=3.0)],
-            [channel("x", "displacement", "rod")],
-            [channel("force", "force", "rod")],
-        )
+    network = builders.network(
+        "slide",
+        [element("b", "inertance", "rod", "ground", inertance=3.0)],
+        [channel("x", "displacement", "rod")],
+        [channel("force", "force", "rod")],
     )
     rng = np.random.default_rng(1)
     force = lfilter([1.0], [1.0, -0.7], rng.standard_normal(SAMPLES))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import builders
 import numpy as np
 import pytest
-from builders import channel, damper, friction, model, spring
+from builders import channel, damper, friction, spring
 
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
@@ -22,13 +23,15 @@ STEP = 2e-3
 
 
 def shaken(stiffness: float = 4000.0, **more: object) -> Network:
-    return Network.load(
-        model("shaken", [
-                spring("mass", "base", stiffness),
-                damper("mass", "base", 12.0),
-                friction("mass", "base", 2.0),
-            ], [channel("base", "displacement", "base")], [channel("mass", "displacement", "mass")], masses={"mass": 2.0}, uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.1}, **more)
-    )  # fmt: skip
+    return builders.network(
+        "shaken",
+        [spring("mass", "base", stiffness), damper("mass", "base", 12.0), friction("mass", "base", 2.0)],
+        [channel("base", "displacement", "base")],
+        [channel("mass", "displacement", "mass")],
+        masses={"mass": 2.0},
+        uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.1},
+        **more,
+    )
 
 
 def record(network: Network, samples: int = 2400, seed: int = 3) -> Record:

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import channel
-from rigs import pushed_mass
+from builders import channel, pushed_mass
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli

@@ -370,12 +370,7 @@ class Killed(Exception):
 @pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn of themselves
 @pytest.mark.parametrize(
     ("algorithm", "network"),
-    [
-        ("ppo", "half-car-isd"),
-        ("sac", "half-car-isd"),
-        ("ppo", "full-car-isd"),
-        ("sac", "full-car-isd"),
-    ],
+    [("ppo", "half-car-isd"), ("sac", "half-car-isd"), ("ppo", "full-car-isd"), ("sac", "full-car-isd")],
 )
 def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_path):
     """Killed half-way, a run goes on from its checkpoint, twice to the same result; its policy drives and is scored."""

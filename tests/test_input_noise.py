@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, model, spring
+from builders import channel, damper, element, spring
 from numpy.typing import NDArray
 
 from isd_gym.diagnosis import diagnose
@@ -15,8 +18,10 @@ from isd_gym.diagnosis.records import estimate_white_noise
 from isd_gym.diagnosis.records.filtering import find_noise_band
 from isd_gym.diagnosis.selection.settings import SearchSettings
 from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
+
+if TYPE_CHECKING:
+    from isd_gym.physics.network import Network
 
 Array = NDArray[np.float64]
 STEP, SAMPLES = 0.01, 3000
@@ -33,9 +38,13 @@ def rig(stiffness: float = STIFFNESS) -> Network:
     ]
     if stiffness:
         elements.append(spring(*ground, stiffness=stiffness))
-    return Network.load(
-        model("carriage", elements, [channel("position", "displacement", "carriage", unit="mm")], [channel("force", "force", "carriage")], uncertainty={"inertia.inertance": 0.1, "guide.damping": 0.5})
-    )  # fmt: skip
+    return builders.network(
+        "carriage",
+        elements,
+        [channel("position", "displacement", "carriage", unit="mm")],
+        [channel("force", "force", "carriage")],
+        uncertainty={"inertia.inertance": 0.1, "guide.damping": 0.5},
+    )
 
 
 def moved(seed: int, friction: float = 0.0) -> tuple[Array, Array]:

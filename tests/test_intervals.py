@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, friction, spring
+from builders import channel, damper, friction, pushed_mass, spring
 from reference import simulate
-from rigs import pushed_mass
 
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis.estimation.sensitivities import deviations
@@ -92,11 +91,13 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
 
 def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
     """The motion of a shaken mass depends on ratios of mass, stiffness, damping and friction alone."""
-    model = builders.model("shaken", [
-            spring("mass", "base", 800.0),
-            damper("mass", "base", 8.0),
-            friction("mass", "ground", 0.8),
-        ], [channel("moved", "displacement", "base")], [channel("position", "displacement", "mass")], masses={"mass": 2.0})  # fmt: skip
+    model = builders.model(
+        "shaken",
+        [spring("mass", "base", 800.0), damper("mass", "base", 8.0), friction("mass", "ground", 0.8)],
+        [channel("moved", "displacement", "base")],
+        [channel("position", "displacement", "mass")],
+        masses={"mass": 2.0},
+    )
     t, rng, tables = np.arange(3000) * 5e-3, np.random.default_rng(1), []
     for run in range(2):
         base = _smooth(np.random.default_rng(run), t, 5.0, 0.003)

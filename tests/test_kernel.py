@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import reference
-from builders import channel, element, friction, model, spring
+from builders import channel, element, friction, network, spring
 from scipy.signal import lsim, sawtooth
 
 from isd_gym.physics.kernel import compiled
@@ -118,13 +118,11 @@ def test_triangle_test_shows_figure_6():
 
 def test_coulomb_decay_loses_4f_over_k_each_cycle():
     k, f, m = 1e4, 20.0, 100.0
-    net = Network.from_dict(
-        model(
-            "slider",
-            [spring("mass", "ground", k), friction("mass", "ground", f)],
-            outputs=[channel("x", "displacement", "mass")],
-            masses={"mass": m},
-        )
+    net = network(
+        "slider",
+        [spring("mass", "ground", k), friction("mass", "ground", f)],
+        outputs=[channel("x", "displacement", "mass")],
+        masses={"mass": m},
     )
     period = 2 * np.pi * np.sqrt(m / k)
     time = np.arange(0, 4.25 * period, STEP)

@@ -3,10 +3,9 @@
 import copy
 import pickle
 
-import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, friction, spring
+from builders import channel, damper, element, friction, network, spring
 
 from isd_gym.physics.batch import Batch
 from isd_gym.physics.network import Channel, Network
@@ -58,18 +57,19 @@ def car(laws) -> Network:
 
 def in_series() -> Network:
     """A mass that hangs on backlash and compliance in series: a node whose velocity is only a difference."""
-    return Network.from_dict(
-        builders.model("in series", [
-                spring("mass", "ground", 2e4),
-                damper("mass", "ground", 80.0),
-                element("play", "backlash", "mass", "middle", gap=2e-3, stiffness=5e5),
-                friction("mass", "middle", 20.0),
-                element("rod", "series_compliance", "middle", "road", stiffness=3e5),
-            ], [channel("road", "displacement", "road")], [
-                channel("a", "acceleration", "mass"),
-                channel("force", "force", element="rod"),
-            ], masses={"mass": 50.0})
-    )  # fmt: skip
+    return network(
+        "in series",
+        [
+            spring("mass", "ground", 2e4),
+            damper("mass", "ground", 80.0),
+            element("play", "backlash", "mass", "middle", gap=2e-3, stiffness=5e5),
+            friction("mass", "middle", 20.0),
+            element("rod", "series_compliance", "middle", "road", stiffness=3e5),
+        ],
+        [channel("road", "displacement", "road")],
+        [channel("a", "acceleration", "mass"), channel("force", "force", element="rod")],
+        masses={"mass": 50.0},
+    )
 
 
 def drives(steps: int) -> dict[str, np.ndarray]:

@@ -83,16 +83,17 @@ def test_under_a_constant_load_it_is_coulomb_friction_of_that_level(squeeze):
     """A brake whose pad a moved node presses with a known force."""
 
     def cart(rub):
-        return Network.load(
-            builders.model("brake", [
-                    damper("cart", "ground", 3.0, "guide"),
-                    builders.spring("screw", "ground", 500.0, "clip"),
-                    {"name": "rub", "between": ["cart", "ground"], **rub},
-                ], [
-                    channel("push", "force", "cart"),
-                    channel("screw", "displacement", "screw"),
-                ], [channel("speed", "velocity", "cart")], masses={"cart": 2.0})
-        )  # fmt: skip
+        return builders.network(
+            "brake",
+            [
+                damper("cart", "ground", 3.0, "guide"),
+                builders.spring("screw", "ground", 500.0, "clip"),
+                {"name": "rub", "between": ["cart", "ground"], **rub},
+            ],
+            [channel("push", "force", "cart"), channel("screw", "displacement", "screw")],
+            [channel("speed", "velocity", "cart")],
+            masses={"cart": 2.0},
+        )
 
     time = np.arange(0.0, 4.0, 1e-3)
     inputs = {"push": 12.0 * np.sin(5.0 * time), "screw": np.full(len(time), squeeze)}
@@ -186,18 +187,16 @@ def test_halving_the_step_halves_the_error():
 
 def test_the_force_of_a_motor_is_a_load():
     def net(rub):
-        return Network.load(
-            builders.model(
-                "spindle",
-                [
-                    element("motor", "motor", "nut", "ground", thrust_constant=5.0),
-                    damper("nut", "ground", 4.0, "guide"),
-                    {"name": "rub", "between": ["nut", "ground"], **rub},
-                ],
-                [channel("current", "current", element="motor")],
-                [channel("speed", "velocity", "nut")],
-                masses={"nut": 2.0},
-            )
+        return builders.network(
+            "spindle",
+            [
+                element("motor", "motor", "nut", "ground", thrust_constant=5.0),
+                damper("nut", "ground", 4.0, "guide"),
+                {"name": "rub", "between": ["nut", "ground"], **rub},
+            ],
+            [channel("current", "current", element="motor")],
+            [channel("speed", "velocity", "nut")],
+            masses={"nut": 2.0},
         )
 
     time = np.arange(0.0, 8.0, 1e-3)

@@ -6,7 +6,7 @@ import json
 import builders
 import numpy as np
 import pytest
-from builders import channel, friction
+from builders import channel, friction, network
 from scipy.integrate import solve_ivp, trapezoid
 
 from isd_gym.common.errors import InputError
@@ -273,13 +273,11 @@ def test_hysteresis_of_exponent_one_is_exact_however_far_it_travels(shape):
 
 def rod(element):
     """A rod that a rig moves, an element between it and the ground, a force cell at the rod."""
-    return Network.from_dict(
-        builders.model(
-            "rod",
-            [{"name": "it", "between": ["rod", "ground"], **element}],
-            [channel("displacement", "displacement", "rod")],
-            [channel("force", "force", "rod")],
-        )
+    return network(
+        "rod",
+        [{"name": "it", "between": ["rod", "ground"], **element}],
+        [channel("displacement", "displacement", "rod")],
+        [channel("force", "force", "rod")],
     )
 
 

@@ -52,10 +52,16 @@ def test_a_result_is_finite_or_there_is_one_line(block):
 
 def test_what_breaks_down_says_when():
     """A damper that drives: the motion grows beyond all numbers, and the line has the time."""
-    model = builders.model("driven", [
+    model = builders.model(
+        "driven",
+        [
             spring("m", "ground", 1e4, "k"),
             element("c", "asymmetric_damping", "m", "ground", extension=-3000.0, compression=-3000.0),
-        ], [builders.channel("push", "force", "m")], [builders.channel("x", "displacement", "m")], masses={"m": 1.0})  # fmt: skip
+        ],
+        [builders.channel("push", "force", "m")],
+        [builders.channel("x", "displacement", "m")],
+        masses={"m": 1.0},
+    )
     time = np.arange(2001) * 1e-3
     with pytest.raises(InputError, match=r"fails at t = 0\.\d+ s"):
         simulate(model, time, {"push": np.ones_like(time)})
@@ -135,17 +141,23 @@ def test_outputs_obey_the_laws(seed):
 def test_a_motor_on_a_terminal_without_mass(law):
     """A motor pulls a damper with friction, nothing has mass there: current, rate and forces are of one instant at every sample."""
     thrust, damping, level = 200.0, 1500.0, 300.0
-    model = builders.model("driven", [
+    model = builders.model(
+        "driven",
+        [
             spring("m", "ground", 2e5, "k"),
             damper("n", "ground", damping, "c"),
             friction("n", "ground", level, "f"),
             element("motor", "motor", "m", "n", thrust_constant=thrust),
-        ], [builders.channel("current", "current", element="motor")], [
+        ],
+        [builders.channel("current", "current", element="motor")],
+        [
             builders.channel("v", "velocity", "n"),
             builders.channel("x", "displacement", "n"),
             builders.channel("damper", "force", element="c"),
             builders.channel("friction", "force", element="f"),
-        ], masses={"m": 300.0})  # fmt: skip
+        ],
+        masses={"m": 300.0},
+    )
     if law == "quadratic_damping":
         more = {"damping": 4000.0}
     else:

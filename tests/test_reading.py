@@ -5,27 +5,24 @@ import re
 
 import numpy as np
 import pytest
-from builders import channel, damper, model, spring
+from builders import channel, damper, network, spring
 from program import run
 from scipy.io import savemat
 
 from isd_gym.common.errors import InputError
 from isd_gym.common.units import convert
-from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table
 from isd_gym.records.data.table import read_rasters
 from isd_gym.records.loggers import ChannelMap, Recording
 from isd_gym.records.loggers.record_reading import records_of
 from isd_gym.view.inspection import inspect
 
-RIG = Network.load(
-    model(
-        "shaker",
-        [spring("mass", "table", 9e3), damper("mass", "table", 45.0)],
-        [channel("table", "displacement", "table", unit="mm")],
-        [channel("acc", "acceleration", "mass", unit="g")],
-        masses={"mass": 12.0},
-    )
+RIG = network(
+    "shaker",
+    [spring("mass", "table", 9e3), damper("mass", "table", 45.0)],
+    [channel("table", "displacement", "table", unit="mm")],
+    [channel("acc", "acceleration", "mass", unit="g")],
+    masses={"mass": 12.0},
 )
 WANTED = (*RIG.inputs, *RIG.outputs)
 HEAD = "time [s],table [mm],acc [g]"

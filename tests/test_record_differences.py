@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import builders
 import jsonschema
 import numpy as np
 import pytest
-from builders import channel, damper, element, model, spring
+from builders import channel, damper, element, spring
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
@@ -20,7 +21,6 @@ from isd_gym.diagnosis.selection.record_differences import find_record_differenc
 from isd_gym.diagnosis.selection.settings import SearchSettings
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.diagnosis.verdict.wording import _record_differences, statements_of
-from isd_gym.physics.network import Network
 from isd_gym.records import schemas
 from isd_gym.records.data import Table
 
@@ -35,13 +35,14 @@ def rig(*extra, **values):
         extra: Further elements.
         values: Values of parameters, with "__" in place of ".".
     """
-    network = Network.load(
-        model("stand", [
-                spring("mass", "ground", 900.0),
-                damper("mass", "ground", 9.0),
-                *extra,
-            ], [channel("push", "force", "mass")], [channel("position", "displacement", "mass")], masses={"mass": 2.0}, uncertainty={"mass.mass": 0.2, "spring.stiffness": 0.2, "damper.damping": 0.5})
-    )  # fmt: skip
+    network = builders.network(
+        "stand",
+        [spring("mass", "ground", 900.0), damper("mass", "ground", 9.0), *extra],
+        [channel("push", "force", "mass")],
+        [channel("position", "displacement", "mass")],
+        masses={"mass": 2.0},
+        uncertainty={"mass.mass": 0.2, "spring.stiffness": 0.2, "damper.damping": 0.5},
+    )
     return network.with_parameters({k.replace("__", "."): v for k, v in values.items()})
 
 
@@ -108,11 +109,13 @@ def test_a_coast_down_that_slows_faster_is_found():
     """A flywheel whose bearing drags more in one record; its motion has no period."""
 
     def wheel(damping):
-        return Network.load(
-            model("wheel", [
-                    damper("wheel", "ground", damping, "bearing")
-                ], outputs=[channel("speed", "angular_velocity", "wheel")], inertias={"wheel": 2.0}, uncertainty={"bearing.damping": 0.5})
-        )  # fmt: skip
+        return builders.network(
+            "wheel",
+            [damper("wheel", "ground", damping, "bearing")],
+            outputs=[channel("speed", "angular_velocity", "wheel")],
+            inertias={"wheel": 2.0},
+            uncertainty={"bearing.damping": 0.5},
+        )
 
     records, rng = [], np.random.default_rng(5)
     for k, damping in enumerate((0.02, 0.02, 0.03)):

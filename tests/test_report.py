@@ -121,8 +121,6 @@ def evidence_of(gap: dict[str, dict[str, float]], *effects: EffectEvidence, expl
 
 FIGURES = ("loops", "other_loops", "gap", "time", "residuals", "spectra", "plane", "law", "parameters")
 #: every kind of page of a diagnosis: its verdict and whether a table of the missing force is found
-#: verdicts whose pages every run of the tests writes
-QUICK = ("missing_effect", "unknown_effect with a table")
 KINDS = {
     "missing_effect": "missing_effect",
     "no_discrepancy": "no_discrepancy",
@@ -224,6 +222,13 @@ def reopened(d: Diagnosis, page: Path) -> "Page":
 @pytest.fixture(scope="module")
 def diagnosis() -> Diagnosis:
     return made_diagnosis()
+
+
+@pytest.fixture(scope="module")
+def written(diagnosis, tmp_path_factory) -> Path:
+    """The page of the diagnosis, all figures of which take seconds."""
+    folder = tmp_path_factory.mktemp("report") / "found"
+    return report.write_report(diagnosis, folder, about={"Model": "rig & co.json"})
 
 
 @pytest.fixture(scope="module")
@@ -359,8 +364,8 @@ def test_a_force_that_is_applied_is_found_again():
     assert np.sqrt(np.mean((moved[middle, 1] - slope) ** 2)) < 0.05 * slope.std()
 
 
-def test_report_stands_alone_and_says_it_all(diagnosis, tmp_path):
-    path = report.write_report(diagnosis, tmp_path / "found", about={"Model": "rig & co.json"})
+def test_report_stands_alone_and_says_it_all(written):
+    path = written
     page = check_page(path)
     names = {p.name for p in path.parent.iterdir()}
     pictures = {f"{n}.png" for n in FIGURES}
@@ -452,7 +457,7 @@ def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
     assert spans == [(window.low, window.high), (typical.x.low, typical.x.high)]
 
 
-def test_a_sensor_is_told_from_physics(diagnosis, tmp_path):
+def test_a_sensor_is_told_from_physics(diagnosis, tmp_path, quick):
     effect = Effect(
         "sensor_gain", None, "body_acceleration", 0.99, {"gain": Quantity(1.127, 1.125, 1.129, "-")}, "g"
     )
@@ -809,7 +814,7 @@ def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(told, tmp_p
 
 
 @pytest.mark.parametrize(
-    "kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in KINDS]
+    "kind", ["missing_effect", *(pytest.param(k, marks=pytest.mark.slow) for k in [*KINDS][1:])]
 )
 def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypatch, kind):
     """The command from records to files, with a given result in place of the search, which takes minutes."""
@@ -925,8 +930,8 @@ def test_numbers_survive_their_way_into_the_page():
     assert charts.packed(few) == [1.0, None, 3.5]
 
 
-def test_the_live_chart_holds_the_record_that_was_measured(diagnosis, tmp_path):
-    page = check_page(report.write_report(diagnosis, tmp_path / "found"))
+def test_the_live_chart_holds_the_record_that_was_measured(diagnosis, written):
+    page = Page(written)
     time = page.data["chart-time"]
     assert [c["name"] for c in time["choices"]] == ["two (held out)", "one (fitted)"]
     view = report.View(diagnosis)
@@ -943,8 +948,8 @@ def test_the_live_chart_holds_the_record_that_was_measured(diagnosis, tmp_path):
     assert set(page.data) == {f"chart-{n}" for n in FIGURES}
 
 
-def test_the_model_is_drawn_before_and_after(diagnosis, tmp_path):
-    text = report.write_report(diagnosis, tmp_path / "x").read_text()
+def test_the_model_is_drawn_before_and_after(written):
+    text = written.read_text()
     before, after = re.findall(r"<svg.*?</svg>", text, re.S)
     assert 'data-part="el:seal"' not in before and 'data-part="el:seal"' in after
     (lights,) = re.findall(r'data-lights="(.*?)"', text)

@@ -3,6 +3,7 @@
 import re
 import xml.etree.ElementTree as ET
 
+import builders
 import pytest
 from builders import channel, damper, element, model, spring
 from typer.testing import CliRunner
@@ -164,13 +165,11 @@ def test_draw_refuses_bad_input(tmp_path, monkeypatch, args, says):
 
 
 def test_what_turns_has_its_own_units():
-    arm = Network.load(
-        model(
-            "pendulum",
-            [spring("arm", "ground", 0.2, "gravity"), damper("arm", "ground", 2e-4, "bearing")],
-            outputs=[channel("angle", "angle", "arm")],
-            inertias={"arm": 0.0033},
-        )
+    arm = builders.network(
+        "pendulum",
+        [spring("arm", "ground", 0.2, "gravity"), damper("arm", "ground", 2e-4, "bearing")],
+        outputs=[channel("angle", "angle", "arm")],
+        inertias={"arm": 0.0033},
     )
     words = " ".join(w.text for w in schematic.draw(arm).words)
     for text in ("0.2 N·m/rad", "N·m·s/rad", "0.0033 kg m²"):

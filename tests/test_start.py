@@ -1,11 +1,12 @@
 """Start of a simulation in mid-motion: every law behind a massless node is in balance with the spring or damper in line with it."""
 
+import builders
 import numpy as np
 import pytest
-from builders import channel, damper, model, spring
+from builders import channel, damper, spring
 
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network, assemble
+from isd_gym.physics.network import assemble
 from isd_gym.physics.simulate import Plant
 
 STEP = 1e-4
@@ -47,20 +48,18 @@ def rig(law, damping=0.0):
         line[-1]["torque"] = 1500.0
     beside = ["law", "oil"] if damping else ["law"]
     forces = [channel(n, "force", element=n) for n in ("spring", *beside)]
-    return Network.load(
-        model(
-            "shaker",
-            line,
-            [channel("table", "displacement", "table")],
-            [
-                channel("acc", "acceleration", "mass"),
-                channel("place", "displacement", "mass"),
-                channel("rate", "velocity", "mass"),
-                channel("node", "displacement", "node"),
-                *forces,
-            ],
-            masses={"mass": 12.4},
-        )
+    return builders.network(
+        "shaker",
+        line,
+        [channel("table", "displacement", "table")],
+        [
+            channel("acc", "acceleration", "mass"),
+            channel("place", "displacement", "mass"),
+            channel("rate", "velocity", "mass"),
+            channel("node", "displacement", "node"),
+            *forces,
+        ],
+        masses={"mass": 12.4},
     )
 
 

@@ -3,9 +3,10 @@
 import json
 from dataclasses import replace
 
+import builders
 import numpy as np
 import pytest
-from builders import channel, damper, friction, model, spring
+from builders import channel, damper, friction, spring
 
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import diagnose
@@ -30,15 +31,13 @@ def swing(moved: bool = False) -> Network:
     """A mass on a spring, with its speed measured; hung from a moving base or from the ground."""
     base = "base" if moved else "ground"
     inputs = [channel("base", "displacement", "base")] if moved else []
-    return Network.load(
-        model(
-            "",
-            [spring("mass", base, 100.0), damper("mass", base, 0.4)],
-            inputs,
-            [channel("speed", "velocity", "mass")],
-            masses={"mass": 1.0},
-            uncertainty={"damper.damping": 0.5, "spring.stiffness": 0.05},
-        )
+    return builders.network(
+        "",
+        [spring("mass", base, 100.0), damper("mass", base, 0.4)],
+        inputs,
+        [channel("speed", "velocity", "mass")],
+        masses={"mass": 1.0},
+        uncertainty={"damper.damping": 0.5, "spring.stiffness": 0.05},
     )
 
 

@@ -105,14 +105,12 @@ def test_a_half_car_is_stepped_as_the_kernel_simulates_it():
 
 def test_a_shaken_base_is_followed_through_its_damper():
     """Where velocity and acceleration of what is moved matter, a cubic through the last samples stands for the spline."""
-    rig = Network.load(
-        builders.model(
-            "",
-            [spring("mass", "base", 4e3), damper("mass", "base", 60.0)],
-            [channel("base", "displacement", "base", unit="mm")],
-            [channel("acc", "acceleration", "mass")],
-            masses={"mass": 10.0},
-        )
+    rig = builders.network(
+        "",
+        [spring("mass", "base", 4e3), damper("mass", "base", 60.0)],
+        [channel("base", "displacement", "base", unit="mm")],
+        [channel("acc", "acceleration", "mass")],
+        masses={"mass": 10.0},
     )
     own = stepped(rig, base=1e3 * ROAD)["acc"]
     whole = simulate(rig, T, {"base": 1e3 * LATE})["acc"]

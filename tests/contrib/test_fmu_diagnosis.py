@@ -3,9 +3,10 @@
 import json
 import zipfile
 
+import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, model, spring
+from builders import channel, damper, element, spring
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
@@ -13,7 +14,6 @@ from isd_gym.common.errors import InputError
 from isd_gym.contrib.fmi.cosimulation import Unit
 from isd_gym.contrib.fmi.export import export_fmu
 from isd_gym.contrib.fmi.identification import diagnose_unit
-from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, write_table
 
@@ -22,13 +22,13 @@ pytest.importorskip("fmpy")
 
 STEP = 5e-3
 FREE = {"mass.mass": 0.2, "damper.damping": 0.2}
-RIG = Network.load(
-    model("one-mass", [
-            spring("mass", "base", 2e4),
-            damper("mass", "ground", 200.0),
-        ], [channel("base", "displacement", "base", unit="mm")], [channel("acc", "acceleration", "mass"),
-                    channel("travel", "displacement", "mass", "base")], masses={"mass": 40.0})
-)  # fmt: skip
+RIG = builders.network(
+    "one-mass",
+    [spring("mass", "base", 2e4), damper("mass", "ground", 200.0)],
+    [channel("base", "displacement", "base", unit="mm")],
+    [channel("acc", "acceleration", "mass"), channel("travel", "displacement", "mass", "base")],
+    masses={"mass": 40.0},
+)
 
 
 def record(network, seed, name, samples=900):
