@@ -394,16 +394,7 @@ def test_reward_is_the_stage_cost_of_the_signals():
     env.reset(seed=0)
     for _ in range(100):
         obs, reward, _, _, info = env.step(np.array([2.0, -4.0], np.float32))
-    signals = [
-        obs[0],
-        obs[1],
-        obs[2],
-        obs[6],
-        info["tyre_load_front"],
-        info["tyre_load_rear"],
-        obs[10],
-        obs[11],
-    ]
+    signals = [*obs[[0, 1, 2, 6]], info["tyre_load_front"], info["tyre_load_rear"], *obs[[10, 11]]]
     by_hand = np.dot(cost.factors(("pitch",), 2, 2), np.square(np.array(signals, float)))
     assert reward == pytest.approx(-by_hand, rel=1e-5)
     a, p = 0.3 * (obs[0] / 0.5903) ** 2, 0.3 * (obs[1] / 0.4431) ** 2

@@ -421,18 +421,7 @@ def test_show_films_cars(tmp_path: Path, network: str, size: tuple[int, int]) ->
     from PIL import Image
 
     out = tmp_path / "film.gif"
-    args = [
-        "show",
-        "skyhook",
-        "--against",
-        "passive",
-        "--network",
-        network,
-        "--seconds",
-        "0.4",
-        "--out",
-        str(out),
-    ]
+    args = f"show skyhook --against passive --network {network} --seconds 0.4 --out".split() + [str(out)]
     done = CliRunner().invoke(cli.app, args)
     assert done.exit_code == 0, done.output
     assert "0.4 s of skyhook and passive" in done.output
@@ -452,15 +441,8 @@ def test_show_plays_cars_in_a_window(network: str, monkeypatch: pytest.MonkeyPat
 
 
 def test_show_refuses_a_road_with_sides_for_a_half_car(tmp_path: Path) -> None:
-    args = [
-        "show",
-        "passive",
-        "--network",
-        "half-car-isd",
-        "--road",
-        "bump-left",
-        "--out",
-        str(tmp_path / "a.gif"),
+    args = ["show", "passive", "--network", "half-car-isd", "--road", "bump-left", "--out"] + [
+        str(tmp_path / "a.gif")
     ]
     with pytest.raises(InputError, match="choose a road without sides, or a full car"):
         CliRunner().invoke(cli.app, args, catch_exceptions=False)

@@ -14,6 +14,7 @@ import matplotlib
 import matplotlib.figure
 import numpy as np
 import pytest
+from builders import element
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -145,13 +146,8 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
     if kind.endswith("a table"):
         rate = np.linspace(-0.3, 0.3, 31)
         force = LEVEL * np.sign(rate)
-        law = {
-            "name": "missing_force",
-            "type": "tabulated_force",
-            "rate": rate.tolist(),
-            "force": force.tolist(),
-        }
-        model = d.base.with_element({**law, "between": ["piston", "joint"]})
+        table = {"rate": rate.tolist(), "force": force.tolist()}
+        model = d.base.with_element(element("missing_force", "tabulated_force", "piston", "joint", **table))
         says = [simulate(model, t.time, t.inputs) for t in d.traces]
         traces = [replace(t, after=y) for t, y in zip(traces, says, strict=True)]
         tabulated = Tabulated(
@@ -605,12 +601,8 @@ def test_the_page_of_a_half_car_shows_both_axles(tmp_path):
         assert words in page.text
     chart = score_page.histories(score_page.Shown(made))
     heads = [panel.y.label.replace("\n", " ") for panel in chart.panels]
-    assert [h for h in heads if "travel" in h or "current" in h] == [
-        "front travel",
-        "rear travel",
-        "front motor current",
-        "rear motor current",
-    ]
+    ends = ("front travel", "rear travel", "front motor current", "rear motor current")
+    assert tuple(h for h in heads if "travel" in h or "current" in h) == ends
     run = made.runs["lqg-wheelbase"]
     rear = next(p for p in chart.panels if p.y.label.replace("\n", " ") == "rear travel")
     line = next(i for i in rear.items if getattr(i, "name", "") == "lqg-wheelbase")

@@ -56,12 +56,8 @@ def test_a_model_that_turns_is_written_as_it_was_read():
     net = Network.load(PENDULUM)
     again = net.to_dict()
     assert again["inertias"] == {"arm": J} and again["masses"] == {}
-    assert [c["quantity"] for c in again["inputs"] + again["outputs"]] == [
-        "voltage",
-        "angle",
-        "angular_velocity",
-        "torque",
-    ]
+    quantities = [c["quantity"] for c in again["inputs"] + again["outputs"]]
+    assert quantities == ["voltage", "angle", "angular_velocity", "torque"]
     assert Network.load(json.loads(net.dumps())) == net
     assert net.unit_of("arm.inertia") == "kg m^2"
     assert net.unit_of("bearing.damping") == "N m s/rad"

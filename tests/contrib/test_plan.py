@@ -205,7 +205,7 @@ def run(*words: str) -> Any:
     return CliRunner().invoke(app, list(words))
 
 
-QUICK = (
+QUICK = [
     "--limit",
     "stroke=10mm",
     "--band",
@@ -217,7 +217,7 @@ QUICK = (
     "--only",
     "cubic_stiffness",
     "--no-sensors",
-)
+]
 
 
 def test_the_command_writes_the_plan_its_page_and_a_test_that_a_rig_can_play(tmp_path: Path) -> None:
@@ -315,8 +315,8 @@ def rivals(levels: tuple[float, float]) -> dict[str, Any]:
                 "values": [{key: value}],
                 "options": [{}],
             }
-            for effect, key, value in zip(
-                ("coulomb_friction", "linear_damping"), ("level", "damping"), levels, strict=True
+            for (effect, key), value in zip(
+                (("coulomb_friction", "level"), ("linear_damping", "damping")), levels, strict=True
             )
         ],
     }
@@ -335,14 +335,8 @@ def test_no_test_is_designed_after_a_decided_diagnosis(tmp_path: Path, verdict: 
     (tmp_path / "model.json").write_text(json.dumps(MASS))
     (tmp_path / "diagnosis.json").write_text(json.dumps(rivals((3.0, 14.0)) | {"verdict": verdict}))
     test = tmp_path / "test.csv"
-    made = run(
-        str(tmp_path / "model.json"),
-        *QUICK,
-        "--design",
-        str(test),
-        "--after",
-        str(tmp_path / "diagnosis.json"),
-    )
+    words = ["--design", str(test), "--after", str(tmp_path / "diagnosis.json")]
+    made = run(str(tmp_path / "model.json"), *QUICK, *words)
     assert isinstance(made.exception, InputError)
     assert words in str(made.exception)
     assert not test.exists()
