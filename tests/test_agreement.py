@@ -151,7 +151,7 @@ def test_the_diagnosis_refuses_at_once_and_goes_on_when_accepted(monkeypatch):
             diagnose([turned], CAR, accept=[accept])
 
 
-SHARED = Path("/work/shared")
+SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
 @pytest.mark.slow

@@ -586,7 +586,7 @@ SPOILT = {
 }
 
 
-@pytest.mark.parametrize(("channel", "seed"), zip(OUTPUTS, (0, 1, 0), strict=True))
+@pytest.mark.parametrize(("channel", "seed"), [*zip(OUTPUTS, (0, 1, 0), strict=True)])
 @pytest.mark.parametrize("how", SPOILT)
 def test_a_spoilt_channel_is_found_and_named(channel: str, how: str, seed: int) -> None:
     if (channel, how) == ("tyre", "in thousandths"):

@@ -244,6 +244,7 @@ def test_reset_mask_forgets_the_road_that_lies_behind():
     assert not rear[:, [0, 2]].any() and rear[:, 1].max() > 0.04
 
 
+@pytest.mark.slow  # kernels with laws at several corners are compiled for it
 @both
 def test_a_bad_car_ends_alone_and_with_finite_numbers(name):
     net = Network.load(NETWORKS[name]).with_element(

@@ -335,8 +335,8 @@ def test_no_test_is_designed_after_a_decided_diagnosis(tmp_path: Path, verdict: 
     (tmp_path / "model.json").write_text(json.dumps(MASS))
     (tmp_path / "diagnosis.json").write_text(json.dumps(rivals((3.0, 14.0)) | {"verdict": verdict}))
     test = tmp_path / "test.csv"
-    words = ["--design", str(test), "--after", str(tmp_path / "diagnosis.json")]
-    made = run(str(tmp_path / "model.json"), *QUICK, *words)
+    after = ["--design", str(test), "--after", str(tmp_path / "diagnosis.json")]
+    made = run(str(tmp_path / "model.json"), *QUICK, *after)
     assert isinstance(made.exception, InputError)
     assert words in str(made.exception)
     assert not test.exists()
