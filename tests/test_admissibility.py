@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, model
 from scipy.integrate import solve_ivp
 
 from isd_gym.diagnosis import diagnose
@@ -17,17 +19,14 @@ from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 
-DRUM = {
-    "schema": "isd-model/1",
-    "name": "drum",
-    "inertias": {"drum": 14.0},
-    "elements": [
-        {"name": "bearing", "type": "linear_damping", "between": ["drum", "ground"], "damping": 0.1}
-    ],
-    "inputs": [],
-    "outputs": [{"name": "speed", "quantity": "angular_velocity", "at": "drum", "unit": "rad/s"}],
-    "uncertainty": {"bearing.damping": 2.0},
-}
+DRUM = model(
+    "drum",
+    [damper("drum", "ground", 0.1, "bearing")],
+    [],
+    [channel("speed", "angular_velocity", "drum")],
+    inertias={"drum": 14.0},
+    uncertainty={"bearing.damping": 2.0},
+)
 
 
 def coast_down(speed: float, seed: int, friction: float, drag: float) -> Table:
@@ -53,8 +52,8 @@ def test_a_coast_down_whose_speed_alone_is_measured_shows_no_spring() -> None:
 
 def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed() -> None:
     pair = ("drum", "ground")
-    spring = {"name": "s", "type": "linear_stiffness", "between": [*pair], "stiffness": 3.0}
-    angle = {"name": "angle", "quantity": "angle", "at": "drum", "unit": "rad"}
+    spring = builders.spring(*[*pair], stiffness=3.0, name="s")
+    angle = channel("angle", "angle", "drum")
     held = DRUM | {"elements": [*DRUM["elements"], spring]}
     seen = DRUM | {"outputs": [angle]}
     offset = DRUM | {"outputs": [angle | {"offset": "record"}]}
@@ -64,7 +63,7 @@ def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed()
 
 def test_no_pitch_is_offered_that_is_finer_than_the_samples() -> None:
     time = np.arange(100) * 0.05
-    angle = {"name": "angle", "quantity": "angle", "at": "drum", "unit": "rad"}
+    angle = channel("angle", "angle", "drum")
     network = Network.load(DRUM | {"outputs": [angle]})
     measured = (5.0 * time + 0.1 * np.sin(9.0 * time))[:, None]
     problem = Problem(network, [Record("spin", 0.05, {}, measured)])

@@ -1,7 +1,9 @@
 """The band that is compared where inputs are differentiated: it holds the measured signal, and derivatives without most of their noise."""
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, friction, spring
 from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
@@ -16,20 +18,13 @@ OUTPUT_NOISE = 0.01  # RMS of a sensor's noise, relative to the deviation of its
 def shaken(natural, quantity="displacement", damping_ratio=0.03):
     """A mass of 1 kg on a spring and a damper whose base is moved."""
     stiffness = (2 * np.pi * natural) ** 2
-    return Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "shaken",
-            "masses": {"mass": 1.0},
-            "elements": [
-                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": stiffness},
-                {"name": "damper", "type": "linear_damping", "between": ["mass", "base"],
-                 "damping": 2 * damping_ratio * np.sqrt(stiffness)},
-            ],
-            "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
-            "outputs": [{"name": "y", "quantity": quantity, "at": "mass", "unit": {"displacement": "mm", "acceleration": "g"}[quantity]}],
-        }
-    )  # fmt: skip
+    return builders.network(
+        "shaken",
+        [spring("mass", "base", stiffness), damper("mass", "base", 2 * damping_ratio * np.sqrt(stiffness))],
+        [channel("base", "displacement", "base")],
+        [channel("y", quantity, "mass", unit={"displacement": "mm", "acceleration": "g"}[quantity])],
+        masses={"mass": 1.0},
+    )
 
 
 def base_motion(kind, natural, rate, rng):
@@ -95,7 +90,7 @@ def test_preparation_keeps_the_measured_power_where_the_model_responds(kind, nat
 
 def test_the_harmonics_that_friction_makes_of_a_sine_are_compared():
     natural, rate, rng = 3.0, 100.0, np.random.default_rng(7)
-    rub = {"name": "rub", "type": "coulomb_friction", "between": ["mass", "base"], "level": 0.15}
+    rub = friction("mass", "base", 0.15)
     network, motion = shaken(natural), base_motion("sine above resonance", natural, rate, rng)
     record, clean = measured(network.with_element(rub), motion, rate, rng, noise=3e-3 * motion.std())
     (prepared,) = differentiate_inputs([record], network)
@@ -114,17 +109,14 @@ def test_a_resonance_that_friction_holds_is_compared_too():
     assert share_kept(prepared, responds, 0.5 * natural, 2 * natural) > 0.98
 
 
-BENCH = {
-    "schema": "isd-model/1",
-    "name": "test bench",
-    "elements": [
-        {"name": "damper", "type": "linear_damping", "between": ["rod", "ground"], "damping": 1000.0}
-    ],
-    "inputs": [{"name": "x", "quantity": "displacement", "at": "rod", "unit": "m"}],
-    "outputs": [{"name": "F", "quantity": "force", "at": "rod", "unit": "N"}],
-}
-INERTER = {"name": "inerter", "type": "inertance", "between": ["rod", "ground"], "inertance": 90.0}
-FRICTION = {"name": "seal", "type": "coulomb_friction", "between": ["rod", "ground"], "level": 60.0}
+BENCH = builders.model(
+    "test bench",
+    [damper("rod", "ground", 1000.0)],
+    [channel("x", "displacement", "rod")],
+    [channel("F", "force", "rod")],
+)
+INERTER = builders.element("inerter", "inertance", "rod", "ground", inertance=90.0)
+FRICTION = friction("rod", "ground", 60.0, "seal")
 
 
 @pytest.mark.parametrize(("element", "highest", "unfiltered"), [(INERTER, 8.0, 1.0), (FRICTION, 2.0, 0.1)])
@@ -148,9 +140,7 @@ def test_the_noise_that_a_force_makes_of_a_displacement_is_left_out(element, hig
 
 def test_an_input_that_tells_more_is_differentiated_less():
     model = shaken(3.0).to_dict()
-    model["elements"].append(
-        {"name": "b", "type": "inertance", "between": ["mass", "base"], "inertance": 0.5}
-    )
+    model["elements"].append(builders.element("b", "inertance", "mass", "base", inertance=0.5))
     for quantity, unit, orders in (
         ("displacement", "m", {"base": 2}),
         ("velocity", "m/s", {"base": 1}),

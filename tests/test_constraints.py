@@ -1,7 +1,9 @@
 """Bodies and levers of networks drawn at random against Lagrange's multipliers, which eliminate nothing."""
 
+import builders
 import numpy as np
 import pytest
+from builders import channel
 
 from isd_gym.physics.network import Network, transfer
 
@@ -65,31 +67,26 @@ def drawn(rng):
             unit = "/".join(unit.split("/")[::-1])
         listed.append({"name": f"l{k}", "between": [first, second], "ratio": ratio, "unit": unit})
     seen = [*lines[:-3], "arm"]
-    return {
-        "schema": "isd-model/1",
-        "masses": masses,
-        "inertias": {"shaft": between(0.1, 5.0)},
-        "bodies": bodies,
-        "elements": elements,
-        "levers": listed,
-        "inputs": [
-            {"name": "road", "quantity": "displacement", "at": "road", "unit": "m"},
-            {"name": "base", "quantity": "displacement", "at": "base", "unit": "m"},
-            {
-                "name": "push",
-                "quantity": "force",
-                "at": str(rng.choice(["p1", "m0", "car", "arm"])),
-                "unit": "N",
-            },
-            {"name": "gust", "quantity": "torque", "body": "car", "axis": "roll", "unit": "N m"},
+    return builders.model(
+        "",
+        elements,
+        [
+            channel("road", "displacement", "road"),
+            channel("base", "displacement", "base"),
+            channel("push", "force", str(rng.choice(["p1", "m0", "car", "arm"]))),
+            channel("gust", "torque", body="car", axis="roll"),
         ],
-        "outputs": [
-            *({"name": f"{n}_place", "quantity": "displacement", "at": n, "unit": "m"} for n in seen),
-            {"name": "roll", "quantity": "angle", "body": "car", "axis": "roll", "unit": "rad"},
-            {"name": "turn", "quantity": "angle", "at": "fast", "unit": "rad"},
-            {"name": "cell", "quantity": "force", "at": "road", "unit": "N"},
+        [
+            *(channel(f"{n}_place", "displacement", n) for n in seen),
+            channel("roll", "angle", body="car", axis="roll"),
+            channel("turn", "angle", "fast"),
+            channel("cell", "force", "road"),
         ],
-    }
+        masses=masses,
+        inertias={"shaft": between(0.1, 5.0)},
+        bodies=bodies,
+        levers=listed,
+    )
 
 
 def with_multipliers(model, w):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import channel, friction
 
 from isd_gym import simulate
 from isd_gym.common.errors import InputError
@@ -14,9 +15,7 @@ from isd_gym.records.data import Table
 
 def car():
     data = Network.load("quarter-car-isd").to_dict()
-    data["outputs"].append(
-        {"name": "wheel_acceleration", "quantity": "acceleration", "at": "wheel", "unit": "m/s^2"}
-    )
+    data["outputs"].append(channel("wheel_acceleration", "acceleration", "wheel"))
     data["uncertainty"] = {
         "body.mass": 0.05,
         "wheel.mass": 0.05,
@@ -49,7 +48,7 @@ def test_what_is_above_the_cut_moves_as_in_the_whole_car():
 
 def test_a_displacement_is_taken_before_an_acceleration():
     data = car().to_dict()
-    data["outputs"].append({"name": "hub", "quantity": "displacement", "at": "wheel", "unit": "mm"})
+    data["outputs"].append(channel("hub", "displacement", "wheel", unit="mm"))
     part = cut(Network.load(data), "wheel")
     assert part.inputs[0].name == "hub" and part.inputs[0].unit == "mm"
     assert "wheel_acceleration" not in {c.name for c in part.outputs}  # the input tells it
@@ -57,9 +56,7 @@ def test_a_displacement_is_taken_before_an_acceleration():
 
 def test_what_was_found_in_a_part_comes_back_into_the_whole():
     part = cut(car(), "wheel").with_parameters({"damper.damping": 1400.0})
-    part = part.with_element(
-        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 80.0}
-    )
+    part = part.with_element(friction("body", "wheel", 80.0))
     whole = rejoin(car(), part)
     assert whole.parameters["damper.damping"] == 1400.0 and whole.parameters["rub.level"] == 80.0
     assert whole.parameters["tyre.stiffness"] == car().parameters["tyre.stiffness"]
@@ -86,14 +83,12 @@ def test_a_car_whose_road_nobody_measured_is_diagnosed_from_its_wheel_up():
     """A passive car, friction in its strut; the records hold no road."""
     truth = Network.load("quarter-car-passive").to_dict()
     motion = [
-        {"name": "wheel_acceleration", "quantity": "acceleration", "at": "wheel", "unit": "m/s^2"},
-        {"name": "body_acceleration", "quantity": "acceleration", "at": "body", "unit": "m/s^2"},
-        {"name": "travel", "quantity": "displacement", "between": ["body", "wheel"], "unit": "m"},
+        channel("wheel_acceleration", "acceleration", "wheel"),
+        channel("body_acceleration", "acceleration", "body"),
+        channel("travel", "displacement", "body", "wheel"),
     ]
     model = Network.load({**truth, "outputs": motion, "uncertainty": {"body.mass": 0.03}})
-    rubbing = model.with_element(
-        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 150.0}
-    )
+    rubbing = model.with_element(friction("body", "wheel", 150.0))
     rng = np.random.default_rng(3)
     tables = []
     for k in range(2):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import builders
 import numpy as np
 import pytest
+from builders import channel
 
 from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter
 from isd_gym.diagnosis.estimation.noise import white_filters
@@ -13,7 +15,6 @@ from isd_gym.diagnosis.hypotheses.unmodelled_effects import simulate_unmodelled_
 from isd_gym.diagnosis.selection.held_out import effect_size
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network
 
 STIFFNESS = 250e3  # [N/m]; the mass is 1 kg, so that a period takes 12.6 ms
 LEVEL = 0.8  # [N] of friction, beside 250 N of elastic force at the beginning
@@ -22,18 +23,15 @@ LEVEL = 0.8  # [N] of friction, beside 250 N of elastic force at the beginning
 def ring_down(damping: float, effect: str, values: dict[str, float]) -> tuple[Problem, Fit]:
     """Return a ring-down from 1 mm with a law that the model lacks, simulated by that law."""
     between = ["beam", "ground"]
-    spring = {"name": "bending", "type": "linear_stiffness", "between": between, "stiffness": STIFFNESS}
-    damper = {"name": "loss", "type": "linear_damping", "between": between, "damping": damping}
-    network = Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "beam",
-            "masses": {"beam": 1.0},
-            "elements": [spring, damper],
-            "inputs": [],
-            "outputs": [{"name": "rate", "quantity": "velocity", "at": "beam", "unit": "m/s"}],
-            "uncertainty": {"loss.damping": 1.0},
-        }
+    spring = builders.spring(*between, stiffness=STIFFNESS, name="bending")
+    damper = builders.damper(*between, damping=damping, name="loss")
+    network = builders.network(
+        "beam",
+        [spring, damper],
+        [],
+        [channel("rate", "velocity", "beam")],
+        masses={"beam": 1.0},
+        uncertainty={"loss.damping": 1.0},
     )
     time = np.arange(0.0, 0.5, 2e-4)
     omega = np.sqrt(STIFFNESS)

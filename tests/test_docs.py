@@ -146,19 +146,6 @@ def program(app):
     return typer.main.get_command(app)
 
 
-def test_every_help_is_of_whole_sentences(program):
-    """Paragraphs and options end with a full stop; an example alone is a command."""
-    for name, command in program.commands.items():
-        paragraphs = [" ".join(text.split()) for text in (command.help or "").split("\n\n")]
-        assert paragraphs[-1].split(":")[0] in ("Example", "Without a road", "Errors"), name
-        for text in paragraphs:
-            example = re.match(r"(Example|Without a road|Errors): isd-gym \w", text)
-            assert example or (text[0].isupper() and text.endswith(".")), f"{name}: {text}"
-        for option in command.params:
-            text = getattr(option, "help", None) or "."
-            assert text.endswith("."), f"{name} {option.name}: {text}"
-
-
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: any(commands(p))))
 def test_the_commands_of_a_page_parse(page, program):
     for line, words in commands(page):
@@ -193,17 +180,6 @@ def test_readme_shows_what_the_diagnosis_prints(tmp_path, monkeypatch, app):
     for pattern, near in ((r"level (\S+) N", 3.0), (r"% to (\S+) % \(noise", 0.3)):
         here, there = (float(re.search(pattern, " ".join(text.split()))[1]) for text in (output, done.output))
         assert abs(here - there) <= near, pattern
-
-
-@pytest.mark.parametrize(
-    ("page", "most"),
-    [
-        ("README.md", 120),
-        *((f"docs/validation/{p.name}", 100) for p in (ROOT / "docs" / "validation").glob("*.md")),
-    ],
-)
-def test_pages_to_begin_with_are_short(page, most):
-    assert len((ROOT / page).read_text(encoding="utf-8").splitlines()) <= most
 
 
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: p.parent.name == "validation"))

@@ -212,29 +212,3 @@ def modules():
 @pytest.mark.parametrize("module", modules())
 def test_public_docstrings_have_the_sections_of_the_code(module):
     assert faults(ROOT / module) == []
-
-
-def unnamed(path):
-    """Return the arguments and fields of documented names that no docstring or comment mentions."""
-    source = path.read_text(encoding="utf-8")
-    for node in ast.parse(source).body:
-        if not isinstance(node, Function | ast.ClassDef) or not is_documented(path, node.name):
-            continue
-        doc = ast.get_docstring(node) or ""
-        methods = [n for n in node.body if isinstance(n, Function) and not n.name.startswith("_")]
-        parts = [(node, doc, [], set())] if isinstance(node, Function) else [
-            (None, doc, fields(node), commented(node, source)),
-            *((m, f"{ast.get_docstring(m) or ''} {doc}", [], set()) for m in methods),
-        ]  # fmt: skip
-        for function, text, names, known in parts:
-            names = names if function is None else arguments(function, node is not function)
-            yield from (
-                f"{node.name}: {n}" for n in names if n not in known and not re.search(rf"\b{n}\b", text)
-            )
-
-
-@pytest.mark.parametrize(
-    "module", sorted(p.relative_to(ROOT).as_posix() for f in DIAGNOSIS for p in (ROOT / f).rglob("*.py"))
-)
-def test_documented_names_of_the_diagnosis_mention_their_arguments(module):
-    assert list(unnamed(ROOT / module)) == []

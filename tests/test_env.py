@@ -8,6 +8,7 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
+from builders import element, friction
 from gymnasium.utils.env_checker import check_env
 
 from isd_gym.common.errors import InputError
@@ -261,7 +262,7 @@ def test_model_file_with_found_effects_runs_as_env(tmp_path):
 
     net = Network.load("quarter-car-isd")
     for extra in (
-        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 80.0},
+        friction("body", "wheel", 80.0),
         {"name": "lag", "type": "actuator_lag", "element": "motor", "time_constant": 0.01},
         {"name": "late", "type": "actuator_delay", "element": "motor", "delay": 0.007},
         {"name": "soft", "type": "thrust_saturation", "element": "motor", "current": 4.0},
@@ -278,6 +279,7 @@ def test_model_file_with_found_effects_runs_as_env(tmp_path):
     assert abs(obs[0]) == pytest.approx(1.5 * true, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_ppo_learns_on_it_in_three_lines():
     sb3 = pytest.importorskip("stable_baselines3")
     env = gym.make("ISDSuspension-v0")
@@ -289,13 +291,7 @@ def test_ppo_learns_on_it_in_three_lines():
 def test_a_car_that_diverges_is_terminated_with_finite_numbers():
     """A damper that drives: reward, observation and info stay finite, alone and in a batch, and both end at the same step."""
     net = Network.load("quarter-car-passive").with_element(
-        {
-            "name": "driver",
-            "type": "asymmetric_damping",
-            "between": ["body", "wheel"],
-            "extension": -20000.0,
-            "compression": -20000.0,
-        }
+        element("driver", "asymmetric_damping", "body", "wheel", extension=-20000.0, compression=-20000.0)
     )
     car = gym.make("isd_gym:ISDSuspension-v0", network=net)
     cars = gym.make_vec("isd_gym:ISDSuspension-v0", 3, network=net)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from builders import damper, element, spring
 from families import FAMILIES, KINDS, UNSEEN, UNSEEN_KINDS, make_case, save
 from families.plant import Signal, integrate
 from families.rigs import dyno
@@ -17,13 +18,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.tools
 
-OSCILLATOR = {
-    "masses": {"mass": 2.0},
-    "elements": [
-        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": 800.0}
-    ],
-    "inputs": [],
-}
+OSCILLATOR = {"masses": {"mass": 2.0}, "elements": [spring("mass", "ground", 800.0)], "inputs": []}
 
 
 def swing(*extra: dict, start: float = 0.01, periods: float = 5.0, samples: int = 200) -> np.ndarray:
@@ -89,8 +84,8 @@ def test_a_hardening_spring_swings_faster_by_duffings_formula() -> None:
 )
 def test_every_law_moves_a_mass_as_the_other_integrator_says(kind: str, parameters: dict) -> None:
     elements = [
-        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 800.0},
-        {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 8.0},
+        spring("mass", "base", 800.0),
+        damper("mass", "base", 8.0),
         {"name": "extra", "type": kind, "between": ["mass", "base"], **parameters},
     ]
     model = {
@@ -114,7 +109,7 @@ def test_every_law_moves_a_mass_as_the_other_integrator_says(kind: str, paramete
 
 def test_the_cell_of_a_test_machine_reads_inertia_spring_and_damper() -> None:
     rig = dyno(np.random.default_rng(3))
-    e = [{"name": "b", "type": "inertance", "between": ["rod", "ground"], "inertance": 2.5}]
+    e = [element("b", "inertance", "rod", "ground", inertance=2.5)]
     model = {**rig.model, "elements": [*rig.model["elements"], *e]}
     s = rig.drives[0].inputs["stroke"]
     ran = integrate(model, {"stroke": s}, rig.size, rig.interval, speed=rig.speed)

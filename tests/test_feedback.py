@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
@@ -26,22 +28,17 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 def cart(stiffness: float = 0.0) -> Network:
     """A mass on a guide with viscous damping, pushed by a known force; with a spring to the ground where asked."""
-    elements = [{"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 2.0}]
+    elements = [damper("cart", "ground", 2.0, "guide")]
     if stiffness:
-        spring = {"name": "spring", "type": "linear_stiffness", "between": ["cart", "ground"]}
+        spring = element("spring", "linear_stiffness", "cart", "ground")
         elements.append({**spring, "stiffness": stiffness})
-    return Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "cart",
-            "masses": {"cart": 1.0},
-            "elements": elements,
-            "inputs": [{"name": "push", "quantity": "force", "at": "cart", "unit": "N"}],
-            "outputs": [
-                {"name": "position", "quantity": "displacement", "at": "cart", "unit": "m", "offset": "free"}
-            ],
-            "uncertainty": {"cart.mass": 0.1, "guide.damping": 1.0},
-        }
+    return builders.network(
+        "cart",
+        elements,
+        [channel("push", "force", "cart")],
+        [channel("position", "displacement", "cart", offset="free")],
+        masses={"cart": 1.0},
+        uncertainty={"cart.mass": 0.1, "guide.damping": 1.0},
     )
 
 
@@ -149,14 +146,11 @@ def test_feedback_is_found(law: str, stiffness: float) -> None:
 
 def test_a_measured_motion_is_no_feedback() -> None:
     """The displacement of a shaken node is measured where it acts, whatever its controller does."""
-    network = Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "slide",
-            "elements": [{"name": "b", "type": "inertance", "between": ["rod", "ground"], "inertance": 3.0}],
-            "inputs": [{"name": "x", "quantity": "displacement", "at": "rod", "unit": "m"}],
-            "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
-        }
+    network = builders.network(
+        "slide",
+        [element("b", "inertance", "rod", "ground", inertance=3.0)],
+        [channel("x", "displacement", "rod")],
+        [channel("force", "force", "rod")],
     )
     rng = np.random.default_rng(1)
     force = lfilter([1.0], [1.0, -0.7], rng.standard_normal(SAMPLES))

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper
 
 from isd_gym.common.arrays import rms
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
@@ -11,30 +15,26 @@ from isd_gym.diagnosis.estimation.noise import white_filters
 from isd_gym.diagnosis.estimation.structure import base_structure
 from isd_gym.diagnosis.hypotheses.forces import PlaceForces, place_forces
 from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.physics.network import Network
+
+if TYPE_CHECKING:
+    from isd_gym.physics.network import Network
 
 STEP, BODY = 5e-3, 400.0
 
 
 def dropped(tyre: float = 3e5, wheel: float = 100.0, **more: object) -> Network:
-    return Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "dropped",
-            "masses": {"body": BODY, "wheel": wheel},
-            "elements": [
-                {"name": "spring", "type": "linear_stiffness", "between": ["body", "wheel"], "stiffness": 4e4},
-                {"name": "damper", "type": "linear_damping", "between": ["body", "wheel"], "damping": 500.0},
-                {"name": "tyre", "type": "linear_stiffness", "between": ["wheel", "ground"], "stiffness": tyre},
-            ],
-            "inputs": [],
-            "outputs": [
-                {"name": "body", "quantity": "displacement", "at": "body", "unit": "m"},
-                {"name": "wheel", "quantity": "displacement", "at": "wheel", "unit": "m"},
-            ],
-            **more,
-        }
-    )  # fmt: skip
+    return builders.network(
+        "dropped",
+        [
+            builders.spring("body", "wheel", 4e4),
+            damper("body", "wheel", 500.0),
+            builders.spring("wheel", "ground", tyre, "tyre"),
+        ],
+        [],
+        [channel("body", "displacement", "body"), channel("wheel", "displacement", "wheel")],
+        masses={"body": BODY, "wheel": wheel},
+        **more,
+    )
 
 
 def forces_of(network: Network, state: list[float], samples: int = 600) -> tuple[PlaceForces, np.ndarray]:
@@ -71,17 +71,12 @@ def test_a_force_between_two_masses_is_compared_with_the_smaller_of_their_forces
 
 
 def test_an_input_force_counts_at_its_node() -> None:
-    network = Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "cart",
-            "masses": {"cart": 2.0},
-            "elements": [
-                {"name": "drag", "type": "linear_damping", "between": ["cart", "ground"], "damping": 0.1}
-            ],
-            "inputs": [{"name": "push", "quantity": "force", "at": "cart", "unit": "N"}],
-            "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
-        }
+    network = builders.network(
+        "cart",
+        [damper("cart", "ground", 0.1, "drag")],
+        [channel("push", "force", "cart")],
+        [channel("speed", "velocity", "cart")],
+        masses={"cart": 2.0},
     )
     push = 10.0 * np.sin(2 * np.pi * 1.5 * STEP * np.arange(800))
     blank = Record("run", STEP, {"push": push}, np.zeros((800, 1)))

@@ -2,8 +2,10 @@
 
 import math
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element, spring
 from scipy.linalg import expm
 
 from isd_gym.diagnosis import diagnose
@@ -27,14 +29,13 @@ def values(found):
 
 # --------------------------------------------------------------------------------------------- cogging
 
-PULLED = {
-    "schema": "isd-model/1",
-    "name": "pulled",
-    "elements": [{"name": "guide", "type": "linear_damping", "between": ["rod", "ground"], "damping": 200.0}],
-    "inputs": [{"name": "travel", "quantity": "displacement", "at": "rod", "unit": "m"}],
-    "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
-    "uncertainty": {"guide.damping": 0.2},
-}
+PULLED = builders.model(
+    "pulled",
+    [damper("rod", "ground", 200.0, "guide")],
+    [channel("travel", "displacement", "rod")],
+    [channel("force", "force", "rod")],
+    uncertainty={"guide.damping": 0.2},
+)
 STEP = 5e-3
 
 
@@ -91,6 +92,7 @@ def test_records_are_not_thinned_where_that_would_lose_the_residual():
     assert not lost(pulled(1, amplitude=0.0))
 
 
+@pytest.mark.slow
 def test_a_force_of_a_hundred_periods_over_the_travel_is_named_with_its_pitch():
     found = diagnose([pulled(1)], PULLED, validate=[pulled(2)])
     assert named(found) == {("cogging_force", ("ground", "rod"))}
@@ -108,16 +110,13 @@ def turned(seed, teeth=14, seconds=30.0, turns=9.0):
     return Table(t, {"angle": angle, "torque": torque + 1e-3 * rng.normal(size=len(t))}, f"turned{seed}")
 
 
-TURNED = {
-    "schema": "isd-model/1",
-    "name": "turned",
-    "elements": [
-        {"name": "bearing", "type": "linear_damping", "between": ["shaft", "ground"], "damping": 0.02}
-    ],
-    "inputs": [{"name": "angle", "quantity": "angle", "at": "shaft", "unit": "rad"}],
-    "outputs": [{"name": "torque", "quantity": "torque", "at": "shaft", "unit": "N m"}],
-    "uncertainty": {"bearing.damping": 0.2},
-}
+TURNED = builders.model(
+    "turned",
+    [damper("shaft", "ground", 0.02, "bearing")],
+    [channel("angle", "angle", "shaft")],
+    [channel("torque", "torque", "shaft")],
+    uncertainty={"bearing.damping": 0.2},
+)
 
 
 @pytest.mark.slow
@@ -145,16 +144,13 @@ def sines(rng, t, band=(0.3, 3.0), count=8):
 
 @pytest.mark.slow
 def test_a_damper_that_gives_way_at_speed_is_named():
-    model = {
-        "schema": "isd-model/1",
-        "name": "damper",
-        "elements": [
-            {"name": "damper", "type": "linear_damping", "between": ["rod", "ground"], "damping": 900.0}
-        ],
-        "inputs": [{"name": "stroke", "quantity": "displacement", "at": "rod", "unit": "m"}],
-        "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
-        "uncertainty": {"damper.damping": 0.3},
-    }
+    model = builders.model(
+        "damper",
+        [damper("rod", "ground", 900.0)],
+        [channel("stroke", "displacement", "rod")],
+        [channel("force", "force", "rod")],
+        uncertainty={"damper.damping": 0.3},
+    )
 
     def record(seed):
         rng, t = np.random.default_rng(seed), np.arange(0, 20, 2e-3)
@@ -169,19 +165,18 @@ def test_a_damper_that_gives_way_at_speed_is_named():
     assert values(found)["knee"] == pytest.approx(0.08, rel=0.1)
 
 
-CART = {
-    "schema": "isd-model/1",
-    "name": "cart",
-    "masses": {"cart": 2.0},
-    "elements": [
-        {"name": "drive", "type": "motor", "between": ["cart", "ground"], "thrust_constant": 5.0},
-        {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 6.0},
-        {"name": "belt", "type": "linear_stiffness", "between": ["cart", "ground"], "stiffness": 40.0},
+CART = builders.model(
+    "cart",
+    [
+        element("drive", "motor", "cart", "ground", thrust_constant=5.0),
+        damper("cart", "ground", 6.0, "guide"),
+        spring("cart", "ground", 40.0, "belt"),
     ],
-    "inputs": [{"name": "current", "quantity": "current", "element": "drive", "unit": "A"}],
-    "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
-    "uncertainty": {"guide.damping": 0.2, "drive.thrust_constant": 0.1, "belt.stiffness": 0.1},
-}
+    [channel("current", "current", element="drive")],
+    [channel("speed", "velocity", "cart")],
+    masses={"cart": 2.0},
+    uncertainty={"guide.damping": 0.2, "drive.thrust_constant": 0.1, "belt.stiffness": 0.1},
+)
 
 
 def driven(seed, law=lambda u: u, sense=lambda y: y, band=(0.2, 2.0), noise=2e-3, late=0):
@@ -225,7 +220,7 @@ def test_a_law_of_the_drive_or_of_the_sensor_is_named(effect, place, how, expect
 @pytest.mark.parametrize("samples", [6, -6])
 def test_a_channel_that_lags_or_leads_is_named_with_its_delay(samples):
     # another channel tells that it is not the drive
-    place = {"name": "place", "quantity": "displacement", "at": "cart", "unit": "m"}
+    place = channel("place", "displacement", "cart")
     model = {**CART, "outputs": [*CART["outputs"], place]}
     found = diagnose([driven(1, late=samples)], model, validate=[driven(2, late=samples)])
     assert named(found) == {("sensor_delay", "speed")}
@@ -255,21 +250,14 @@ def warmed(seed, kind):
     return Table(t, {"push": push, "oil": np.round(oil, 1), "speed": noisy}, f"warm{seed}")
 
 
-WARM = {
-    "schema": "isd-model/1",
-    "name": "warm",
-    "masses": {"cart": 2.0},
-    "elements": [
-        {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 9.0},
-        {"name": "belt", "type": "linear_stiffness", "between": ["cart", "ground"], "stiffness": 40.0},
-    ],
-    "inputs": [
-        {"name": "push", "quantity": "force", "at": "cart", "unit": "N"},
-        {"name": "oil", "quantity": "temperature", "unit": "degC"},
-    ],
-    "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
-    "uncertainty": {"guide.damping": 0.2, "belt.stiffness": 0.05},
-}
+WARM = builders.model(
+    "warm",
+    [damper("cart", "ground", 9.0, "guide"), spring("cart", "ground", 40.0, "belt")],
+    [channel("push", "force", "cart"), channel("oil", "temperature", unit="degC")],
+    [channel("speed", "velocity", "cart")],
+    masses={"cart": 2.0},
+    uncertainty={"guide.damping": 0.2, "belt.stiffness": 0.05},
+)
 
 
 @pytest.mark.slow
@@ -286,6 +274,7 @@ def test_friction_that_falls_with_a_logged_temperature_is_named_with_its_slope()
     assert values(found)["slope"] == pytest.approx(-0.05, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_logged_temperature_that_changes_nothing_is_not_blamed():
     found = diagnose([warmed(1, "nothing")], WARM, validate=[warmed(2, "nothing")])
     assert not found.effects and found.verdict in ("no_discrepancy", "parameters_only")

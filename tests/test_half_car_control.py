@@ -24,25 +24,19 @@ def decoupled():
     return HALF.with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
 
 
-def one_line(caught):
-    assert "\n" not in str(caught.value)
-
-
 # ------------------------------------------------------------------------------------- what is refused
 
 
 @pytest.mark.parametrize("policy", ["lqg-preview", "lqr-full", "mpc-friction-preview"])
 @pytest.mark.parametrize("name", KINDS)
 def test_controllers_of_quarter_cars_refuse_several_corners(policy, name):
-    with pytest.raises(InputError, match=f"controller of a quarter car.*is a {KINDS[name]}") as caught:
+    with pytest.raises(InputError, match=f"controller of a quarter car.*is a {KINDS[name]}"):
         find(policy, Network.load(name)).make()
-    one_line(caught)
 
 
 def test_a_trained_policy_of_a_quarter_car_refuses_a_half_car():
-    with pytest.raises(InputError, match="was made for network 'quarter-car-isd'") as caught:
+    with pytest.raises(InputError, match="was made for network 'quarter-car-isd'"):
         find("ppo", HALF)
-    one_line(caught)
 
 
 @pytest.mark.parametrize("currents", [1, 3])
@@ -52,11 +46,8 @@ def test_a_policy_with_another_number_of_currents_is_refused(currents):
             return np.zeros((len(observations), currents))
 
     env = ISDSuspensionVectorEnv(2, network=HALF)
-    with pytest.raises(
-        InputError, match=f"'mine' commands {currents} current.* is a half car with 2"
-    ) as caught:
+    with pytest.raises(InputError, match=f"'mine' commands {currents} current.* is a half car with 2"):
         next(travel(Crew(Entry("mine", lambda: Mine("mine")), 2), env, 1))
-    one_line(caught)
 
 
 def test_a_model_of_another_car_is_refused():

@@ -8,6 +8,7 @@ from dataclasses import replace
 import families
 import numpy as np
 import pytest
+from builders import element
 from families.bench import Drive, outputs, run, set_relative
 from families.half_car import FRONT, REAR, half_car
 from families.plant import Signal, integrate
@@ -60,7 +61,7 @@ def test_the_half_car_of_the_suite_is_that_of_the_kernel() -> None:
     np.testing.assert_allclose(np.divide(left[:-1], left[1:]), 4.0, rtol=0.05)
 
 
-SERIES = {"name": "mount", "type": "series_compliance", "between": ["body_front", "top"], "stiffness": 4e4}
+SERIES = element("mount", "series_compliance", "body_front", "top", stiffness=4e4)
 
 
 @pytest.mark.parametrize(

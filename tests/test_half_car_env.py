@@ -1,12 +1,12 @@
 """Half and full cars as environments: spaces, seeds, roads of the wheels, costs, and the quarter car as their limit."""
 
-import pickle
 import warnings
 from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from builders import element
 from gymnasium.utils.env_checker import check_env
 from scipy.integrate import trapezoid
 from scipy.special import k1
@@ -25,16 +25,6 @@ CORNERS = {
     "ISDFullCar-v0": ["front_left", "front_right", "rear_left", "rear_right"],
 }
 both = pytest.mark.parametrize("name", CARS)
-
-
-def rollout(env, seed, steps=200):
-    rng = np.random.default_rng(seed)
-    obs, _ = env.reset(seed=seed)
-    out = [obs]
-    for _ in range(steps):
-        obs, reward, *_ = env.step(rng.uniform(-5, 5, env.action_space.shape).astype(np.float32))
-        out.append(np.append(obs, reward))
-    return out
 
 
 def decoupled():
@@ -92,21 +82,6 @@ def test_spaces_follow_from_the_network(name):
 
 
 @both
-def test_twin_rollouts_and_pickling_in_mid_episode(name):
-    a, b = (rollout(gym.make(name), 5) for _ in range(2))
-    for x, y in zip(a, b, strict=True):
-        np.testing.assert_array_equal(x, y)
-    env = ISDSuspensionEnv(NETWORKS[name], observation="preview")
-    rollout(env, 1, 60)
-    copy = pickle.loads(pickle.dumps(env))
-    push = np.full(CARS[name], 2.0, np.float32)
-    for _ in range(60):
-        (x, r, _, _, i), (y, s, _, _, j) = env.step(push), copy.step(push)
-        np.testing.assert_array_equal(x, y)
-        assert r == s and i == j
-
-
-@both
 @pytest.mark.parametrize(
     ("action", "message"),
     [
@@ -157,7 +132,7 @@ NO_CARS = {
     "does not carry the body": hung_up(HALF, "body_front"),
     "stands on the road 'road_front'": without(HALF, "tyre_front"),
     "is not the only one of a wheel": HALF.with_element(
-        {"name": "twin", "type": "motor", "between": ["piston_front", "joint_front"], "thrust_constant": 60.0, "ratio": 1.0}
+        element("twin", "motor", "piston_front", "joint_front", thrust_constant=60.0, ratio=1.0)
     ),
     "has no input": replace(
         HALF, inputs=tuple(c for c in HALF.inputs if c.name != "current_rear"), uncertainty={}
@@ -167,9 +142,8 @@ NO_CARS = {
 
 @pytest.mark.parametrize("message", NO_CARS)
 def test_networks_that_are_no_cars(message):
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message):
         ISDSuspensionEnv(NO_CARS[message])
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -271,16 +245,18 @@ def test_reset_mask_forgets_the_road_that_lies_behind():
     assert not rear[:, [0, 2]].any() and rear[:, 1].max() > 0.04
 
 
+@pytest.mark.slow  # kernels with laws at several corners are compiled for it
 @both
 def test_a_bad_car_ends_alone_and_with_finite_numbers(name):
     net = Network.load(NETWORKS[name]).with_element(
-        {
-            "name": "driver",
-            "type": "asymmetric_damping",
-            "between": ["body_front" if CARS[name] == 2 else "body_front_left", "ground"],
-            "extension": -60000.0,
-            "compression": -60000.0,
-        }
+        element(
+            "driver",
+            "asymmetric_damping",
+            "body_front" if CARS[name] == 2 else "body_front_left",
+            "ground",
+            extension=-60000.0,
+            compression=-60000.0,
+        )
     )
     env = ISDSuspensionEnv(net)
     env.reset(seed=4)
@@ -404,6 +380,7 @@ def test_references_are_the_rms_of_the_passive_car(name, cost):
     assert motions == pytest.approx(0.6) and cost.travel == 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["half-car-passive", "full-car-passive"])
 def test_passive_car_costs_about_0_9(name):
     env = ISDSuspensionVectorEnv(64, name)
@@ -420,16 +397,7 @@ def test_reward_is_the_stage_cost_of_the_signals():
     env.reset(seed=0)
     for _ in range(100):
         obs, reward, _, _, info = env.step(np.array([2.0, -4.0], np.float32))
-    signals = [
-        obs[0],
-        obs[1],
-        obs[2],
-        obs[6],
-        info["tyre_load_front"],
-        info["tyre_load_rear"],
-        obs[10],
-        obs[11],
-    ]
+    signals = [*obs[[0, 1, 2, 6]], info["tyre_load_front"], info["tyre_load_rear"], *obs[[10, 11]]]
     by_hand = np.dot(cost.factors(("pitch",), 2, 2), np.square(np.array(signals, float)))
     assert reward == pytest.approx(-by_hand, rel=1e-5)
     a, p = 0.3 * (obs[0] / 0.5903) ** 2, 0.3 * (obs[1] / 0.4431) ** 2
@@ -511,31 +479,6 @@ def test_a_decoupled_half_car_is_two_quarter_cars(stops):
     assert (np.abs(front[:, 3]).max() > 0.02465) == stops  # the end stop is met
 
 
-def test_a_symmetric_full_car_on_equal_tracks_is_a_half_car():
-    """Half the masses and inertias of the full car per side; equal currents left and right."""
-    heights = paper_road(5e-6).heights(4.0, rng=np.random.default_rng(0))
-    ground = Road("equal", abscissa=np.arange(len(heights)) * 1e-3, profile=heights, over_time=True)
-    half = ISDSuspensionVectorEnv(1, "half-car-isd", road=ground, duration=4.0, autoreset_mode="disabled")
-    full = ISDSuspensionVectorEnv(1, "full-car-isd", road=ground, duration=4.0, autoreset_mode="disabled")
-    half.reset(seed=0), full.reset(seed=0)
-    rng = np.random.default_rng(3)
-    one, two = [], []
-    for _ in range(800):
-        a, b = rng.uniform(-5, 5, 2)
-        half.step(np.array([[a, b]]))
-        full.step(np.array([[a, a, b, b]]))
-        one.append(half.task.batch.out[:, 0].copy()), two.append(full.task.batch.out[:, 0].copy())
-    one, two = np.array(one), np.array(two)
-    size = np.sqrt(np.mean(one**2, axis=0))
-    pairs = [(0, 0), (1, 1)]
-    pairs += [(2 + j, 3 + 4 * side + j) for side in (0, 1) for j in range(4)]
-    pairs += [(6 + j, 11 + 4 * side + j) for side in (0, 1) for j in range(4)]
-    pairs += [(10, 19), (10, 20), (11, 21), (11, 22)]
-    for i, j in pairs:
-        assert np.abs(one[:, i] - two[:, j]).max() < 1e-8 * size[i]
-    assert np.abs(two[:, 2]).max() < 1e-8 * np.abs(two[:, 1]).max()  # it does not roll
-
-
 def test_full_observation_is_above_the_road():
     """Behind a step of the road all displacements come to rest at zero above its new height."""
     x = np.array([0.0, 1.0, 2.0, 200.0])
@@ -549,15 +492,3 @@ def test_full_observation_is_above_the_road():
     assert len(places) == 8  # two wheels, pistons and joints, the body and its pitch
     np.testing.assert_allclose(obs[places], 0.0, atol=5e-5)  # a thousandth of the step
     assert env.task.batch.road_heights[:, 0] == pytest.approx([0.05, 0.05])
-
-
-def test_stable_baselines_learns_on_the_batch():
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3 import PPO
-
-    from isd_gym.sb3 import make_vec_env
-
-    cars = make_vec_env(4, env_id="ISDHalfCar-v0")
-    model = PPO("MlpPolicy", cars, n_steps=16, batch_size=64, n_epochs=1, seed=0).learn(64)
-    actions, _ = model.predict(cars.reset())
-    assert actions.shape == (4, 2)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element, spring
 from numpy.typing import NDArray
 
 from isd_gym.diagnosis import diagnose
@@ -14,8 +18,10 @@ from isd_gym.diagnosis.records import estimate_white_noise
 from isd_gym.diagnosis.records.filtering import find_noise_band
 from isd_gym.diagnosis.selection.settings import SearchSettings
 from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
+
+if TYPE_CHECKING:
+    from isd_gym.physics.network import Network
 
 Array = NDArray[np.float64]
 STEP, SAMPLES = 0.01, 3000
@@ -27,23 +33,18 @@ def rig(stiffness: float = STIFFNESS) -> Network:
     """A carriage whose measured motion is the input, with the force at it as output."""
     ground = ["carriage", "ground"]
     elements: list[dict[str, object]] = [
-        {"name": "inertia", "type": "inertance", "between": ground, "inertance": MASS},
-        {"name": "guide", "type": "linear_damping", "between": ground, "damping": DAMPING},
+        element("inertia", "inertance", *ground, inertance=MASS),
+        damper(*ground, damping=DAMPING, name="guide"),
     ]
     if stiffness:
-        elements.append(
-            {"name": "spring", "type": "linear_stiffness", "between": ground, "stiffness": stiffness}
-        )
-    return Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "carriage",
-            "elements": elements,
-            "inputs": [{"name": "position", "quantity": "displacement", "at": "carriage", "unit": "mm"}],
-            "outputs": [{"name": "force", "quantity": "force", "at": "carriage", "unit": "N"}],
-            "uncertainty": {"inertia.inertance": 0.1, "guide.damping": 0.5},
-        }
-    )  # fmt: skip
+        elements.append(spring(*ground, stiffness=stiffness))
+    return builders.network(
+        "carriage",
+        elements,
+        [channel("position", "displacement", "carriage", unit="mm")],
+        [channel("force", "force", "carriage")],
+        uncertainty={"inertia.inertance": 0.1, "guide.damping": 0.5},
+    )
 
 
 def moved(seed: int, friction: float = 0.0) -> tuple[Array, Array]:

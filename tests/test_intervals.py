@@ -2,10 +2,11 @@
 
 from types import SimpleNamespace
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, friction, pushed_mass, spring
 from reference import simulate
-from rigs import pushed_mass
 
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis.estimation.sensitivities import deviations
@@ -20,7 +21,7 @@ from isd_gym.records.data import Table
 @pytest.mark.parametrize("stiffness", [2.5e6, -2.5e6, -2.5])
 def test_an_interval_is_about_its_value_for_either_sign(stiffness):
     """A softening spring has a negative cubic stiffness: mean -/+ 1.96 deviations, however large the value."""
-    rig = pushed_mass("rig", [{"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"}])
+    rig = pushed_mass("rig", [channel("travel", "displacement", "mass")])
     structure = add(
         base_structure(rig), Hypothesis("cubic_stiffness", ("mass", "ground")), {"stiffness": stiffness}
     )
@@ -37,7 +38,7 @@ def test_an_interval_is_about_its_value_for_either_sign(stiffness):
 
 def test_steps_of_differences_make_up_the_covariance_whatever_the_units():
     """The stiffness of a cubic spring has a deviation of 1e13, a logarithm one of 1e-2."""
-    rig = pushed_mass("rig", [{"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"}])
+    rig = pushed_mass("rig", [channel("travel", "displacement", "mass")])
     rig = Network.load(
         rig.to_dict() | {"uncertainty": {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3}}
     )
@@ -80,9 +81,7 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
         tables.append(
             Table(time=t[::fine], columns={"push": push[::fine], "travel": travel}, source=f"run{run}")
         )
-    rig = pushed_mass(
-        "rig", [{"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"}]
-    ).to_dict()
+    rig = pushed_mass("rig", [channel("travel", "displacement", "mass")]).to_dict()
     rig["uncertainty"] = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 1.0}
     found = diagnose(tables, rig, settings=SearchSettings(depth=0, jobs=1)).parameters
     for path, truth in (("mass.mass", m), ("spring.stiffness", k)):
@@ -94,16 +93,13 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
 
 def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
     """The motion of a shaken mass depends on ratios of mass, stiffness, damping and friction alone."""
-    model = {
-        "schema": "isd-model/1", "name": "shaken", "masses": {"mass": 2.0},
-        "elements": [
-            {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 800.0},
-            {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 8.0},
-            {"name": "rub", "type": "coulomb_friction", "between": ["mass", "ground"], "level": 0.8},
-        ],
-        "inputs": [{"name": "moved", "quantity": "displacement", "at": "base", "unit": "m"}],
-        "outputs": [{"name": "position", "quantity": "displacement", "at": "mass", "unit": "m"}],
-    }  # fmt: skip
+    model = builders.model(
+        "shaken",
+        [spring("mass", "base", 800.0), damper("mass", "base", 8.0), friction("mass", "ground", 0.8)],
+        [channel("moved", "displacement", "base")],
+        [channel("position", "displacement", "mass")],
+        masses={"mass": 2.0},
+    )
     t, rng, tables = np.arange(3000) * 5e-3, np.random.default_rng(1), []
     for run in range(2):
         base = _smooth(np.random.default_rng(run), t, 5.0, 0.003)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element, spring
 
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis.estimation.inverse_problem import invert
@@ -22,24 +24,18 @@ STEP = 1e-3  # [s]
 
 def axis(between: tuple[str, str] = ("ground", "carriage"), *more: dict[str, Any], **changes: Any) -> Network:
     """Return a carriage that the current of a motor pushes."""
-    model: dict[str, Any] = {
-        "schema": "isd-model/1",
-        "name": "axis",
-        "masses": {"carriage": MASS},
-        "elements": [
-            {
-                "name": "bearing",
-                "type": "linear_damping",
-                "between": ["carriage", "ground"],
-                "damping": DAMPING,
-            },
-            {"name": "motor", "type": "motor", "between": list(between), "thrust_constant": THRUST},
+    model: dict[str, Any] = builders.model(
+        "axis",
+        [
+            damper("carriage", "ground", DAMPING, "bearing"),
+            element("motor", "motor", *between, thrust_constant=THRUST),
             *more,
         ],
-        "inputs": [{"name": "current", "quantity": "current", "element": "motor", "unit": "A"}],
-        "outputs": [{"name": "position", "quantity": "displacement", "at": "carriage", "unit": "mm"}],
-        "uncertainty": {"carriage.mass": 0.1, "bearing.damping": 0.3, "motor.thrust_constant": 0.05},
-    }
+        [channel("current", "current", element="motor")],
+        [channel("position", "displacement", "carriage", unit="mm")],
+        masses={"carriage": MASS},
+        uncertainty={"carriage.mass": 0.1, "bearing.damping": 0.3, "motor.thrust_constant": 0.05},
+    )
     return Network.load(model | changes)
 
 
@@ -58,7 +54,7 @@ def test_the_computed_force_is_that_of_the_drive(between: tuple[str, str]) -> No
     assert np.abs(turned[0].measured[:, 0]).max() == pytest.approx(THRUST * np.abs(current).max())
 
 
-SPRING = {"name": "spring", "type": "linear_stiffness", "between": ["carriage", "ground"], "stiffness": 100.0}
+SPRING = spring("carriage", "ground", 100.0)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +65,7 @@ SPRING = {"name": "spring", "type": "linear_stiffness", "between": ["carriage", 
             ("ground", "carriage"),
             {"name": "lag", "type": "actuator_lag", "element": "motor", "time_constant": 0.01},
         ),
-        axis(outputs=[{"name": "speed", "quantity": "velocity", "at": "carriage", "unit": "m/s"}]),
+        axis(outputs=[channel("speed", "velocity", "carriage")]),
         Network.load("quarter-car-isd"),
     ],
     ids=["spring", "effect at the motor", "speed alone", "car"],

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import reference
+from builders import channel, element, friction, network, spring
 from scipy.signal import lsim, sawtooth
 
 from isd_gym.physics.kernel import compiled
@@ -117,17 +118,11 @@ def test_triangle_test_shows_figure_6():
 
 def test_coulomb_decay_loses_4f_over_k_each_cycle():
     k, f, m = 1e4, 20.0, 100.0
-    net = Network.from_dict(
-        {
-            "schema": "isd-model/1",
-            "name": "slider",
-            "masses": {"mass": m},
-            "elements": [
-                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": k},
-                {"name": "rub", "type": "coulomb_friction", "between": ["mass", "ground"], "level": f},
-            ],
-            "outputs": [{"name": "x", "quantity": "displacement", "at": "mass", "unit": "m"}],
-        }
+    net = network(
+        "slider",
+        [spring("mass", "ground", k), friction("mass", "ground", f)],
+        outputs=[channel("x", "displacement", "mass")],
+        masses={"mass": m},
     )
     period = 2 * np.pi * np.sqrt(m / k)
     time = np.arange(0, 4.25 * period, STEP)
@@ -170,7 +165,7 @@ def test_energy_balance():
 
 def test_second_order_for_smooth_laws():
     net = Network.load("quarter-car-passive").with_element(
-        {"name": "q", "type": "quadratic_damping", "between": ["body", "wheel"], "damping": 4000.0}
+        element("q", "quadratic_damping", "body", "wheel", damping=4000.0)
     )
     time = np.arange(0, 3.0, 8e-3)
     inputs = {"road": 0.02 * np.sin(2 * np.pi * 1.5 * time) ** 3}
@@ -245,7 +240,7 @@ def test_an_element_of_ones_own_needs_nothing_but_its_class():
     try:
         el.register(Magnet)
         net = Network.load("quarter-car-isd").with_element(
-            {"name": "m", "type": "test_magnet", "between": ["body", "wheel"], "force": 300.0, "length": 0.01}
+            element("m", "test_magnet", "body", "wheel", force=300.0, length=0.01)
         )
         time, road = a_road(1.0)
         inputs = {"road": road, "current": np.zeros_like(time)}

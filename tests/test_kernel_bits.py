@@ -5,6 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
+from builders import channel, damper, element, friction, network, spring
 
 from isd_gym.physics.batch import Batch
 from isd_gym.physics.network import Channel, Network
@@ -56,25 +57,19 @@ def car(laws) -> Network:
 
 def in_series() -> Network:
     """A mass that hangs on backlash and compliance in series: a node whose velocity is only a difference."""
-    return Network.from_dict(
-        {
-            "schema": "isd-model/1",
-            "name": "in series",
-            "masses": {"mass": 50.0},
-            "elements": [
-                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": 2e4},
-                {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 80.0},
-                {"name": "play", "type": "backlash", "between": ["mass", "middle"], "gap": 2e-3, "stiffness": 5e5},
-                {"name": "rub", "type": "coulomb_friction", "between": ["mass", "middle"], "level": 20.0},
-                {"name": "rod", "type": "series_compliance", "between": ["middle", "road"], "stiffness": 3e5},
-            ],
-            "inputs": [{"name": "road", "quantity": "displacement", "at": "road", "unit": "m"}],
-            "outputs": [
-                {"name": "a", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
-                {"name": "force", "quantity": "force", "element": "rod", "unit": "N"},
-            ],
-        }
-    )  # fmt: skip
+    return network(
+        "in series",
+        [
+            spring("mass", "ground", 2e4),
+            damper("mass", "ground", 80.0),
+            element("play", "backlash", "mass", "middle", gap=2e-3, stiffness=5e5),
+            friction("mass", "middle", 20.0),
+            element("rod", "series_compliance", "middle", "road", stiffness=3e5),
+        ],
+        [channel("road", "displacement", "road")],
+        [channel("a", "acceleration", "mass"), channel("force", "force", element="rod")],
+        masses={"mass": 50.0},
+    )
 
 
 def drives(steps: int) -> dict[str, np.ndarray]:

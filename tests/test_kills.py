@@ -19,6 +19,7 @@ for key, value in threads.items():
     os.environ.pop(key) if value is None else os.environ.update({key: value})
 
 pytestmark = [
+    pytest.mark.tools,
     pytest.mark.skipif(not sys.platform.startswith("linux"), reason="fork, limits of a process"),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # of forking
 ]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element
 
 from isd_gym.common.errors import InputError
 from isd_gym.contrib.forecast import plan
@@ -26,28 +28,24 @@ def joint(*more, friction=None, **changes):
         changes: Entries of the model that replace the usual ones.
     """
     friction = friction or {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "gear"}
-    model = {
-        "schema": "isd-model/1",
-        "name": "joint",
-        "masses": {"rotor": 1.0, "link": 3.0},
-        "elements": [
-            {"name": "gear", "type": "linear_stiffness", "between": ["rotor", "link"], "stiffness": 4000.0},
-            {"name": "oil", "type": "linear_damping", "between": ["rotor", "link"], "damping": 8.0},
-            {"name": "bearing", "type": "linear_damping", "between": ["link", "ground"], "damping": 6.0},
+    model = builders.model(
+        "joint",
+        [
+            builders.spring("rotor", "link", 4000.0, "gear"),
+            damper("rotor", "link", 8.0, "oil"),
+            damper("link", "ground", 6.0, "bearing"),
             {"name": "rub", "between": ["rotor", "ground"], **friction},
             *more,
         ],
-        "inputs": [
-            {"name": "drive", "quantity": "force", "at": "rotor", "unit": "N"},
-            {"name": "weight", "quantity": "force", "at": "link", "unit": "N"},
+        [channel("drive", "force", "rotor"), channel("weight", "force", "link")],
+        [
+            channel("speed", "velocity", "rotor"),
+            channel("place", "displacement", "link"),
+            channel("load", "force", element="gear"),
+            channel("friction", "force", element="rub"),
         ],
-        "outputs": [
-            {"name": "speed", "quantity": "velocity", "at": "rotor", "unit": "m/s"},
-            {"name": "place", "quantity": "displacement", "at": "link", "unit": "m"},
-            {"name": "load", "quantity": "force", "element": "gear", "unit": "N"},
-            {"name": "friction", "quantity": "force", "element": "rub", "unit": "N"},
-        ],
-    }
+        masses={"rotor": 1.0, "link": 3.0},
+    )
     return Network.load(model | changes)
 
 
@@ -85,23 +83,17 @@ def test_under_a_constant_load_it_is_coulomb_friction_of_that_level(squeeze):
     """A brake whose pad a moved node presses with a known force."""
 
     def cart(rub):
-        return Network.load(
-            {
-                "schema": "isd-model/1",
-                "name": "brake",
-                "masses": {"cart": 2.0},
-                "elements": [
-                    {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 3.0},
-                    {"name": "clip", "type": "linear_stiffness", "between": ["screw", "ground"], "stiffness": 500.0},
-                    {"name": "rub", "between": ["cart", "ground"], **rub},
-                ],
-                "inputs": [
-                    {"name": "push", "quantity": "force", "at": "cart", "unit": "N"},
-                    {"name": "screw", "quantity": "displacement", "at": "screw", "unit": "m"},
-                ],
-                "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
-            }
-        )  # fmt: skip
+        return builders.network(
+            "brake",
+            [
+                damper("cart", "ground", 3.0, "guide"),
+                builders.spring("screw", "ground", 500.0, "clip"),
+                {"name": "rub", "between": ["cart", "ground"], **rub},
+            ],
+            [channel("push", "force", "cart"), channel("screw", "displacement", "screw")],
+            [channel("speed", "velocity", "cart")],
+            masses={"cart": 2.0},
+        )
 
     time = np.arange(0.0, 4.0, 1e-3)
     inputs = {"push": 12.0 * np.sin(5.0 * time), "screw": np.full(len(time), squeeze)}
@@ -171,7 +163,7 @@ def test_friction_only_takes_energy():
 def test_a_free_drive_loses_its_energy():
     time = np.arange(0.0, 3.0, 1e-3)
     outputs = [
-        {"name": f"{n}_{q}", "quantity": q, "at": n, "unit": u}
+        channel(f"{n}_{q}", q, n, unit=u)
         for n in ("rotor", "link")
         for q, u in (("displacement", "m"), ("velocity", "m/s"))
     ]
@@ -195,19 +187,16 @@ def test_halving_the_step_halves_the_error():
 
 def test_the_force_of_a_motor_is_a_load():
     def net(rub):
-        return Network.load(
-            {
-                "schema": "isd-model/1",
-                "name": "spindle",
-                "masses": {"nut": 2.0},
-                "elements": [
-                    {"name": "motor", "type": "motor", "between": ["nut", "ground"], "thrust_constant": 5.0},
-                    {"name": "guide", "type": "linear_damping", "between": ["nut", "ground"], "damping": 4.0},
-                    {"name": "rub", "between": ["nut", "ground"], **rub},
-                ],
-                "inputs": [{"name": "current", "quantity": "current", "element": "motor", "unit": "A"}],
-                "outputs": [{"name": "speed", "quantity": "velocity", "at": "nut", "unit": "m/s"}],
-            }
+        return builders.network(
+            "spindle",
+            [
+                element("motor", "motor", "nut", "ground", thrust_constant=5.0),
+                damper("nut", "ground", 4.0, "guide"),
+                {"name": "rub", "between": ["nut", "ground"], **rub},
+            ],
+            [channel("current", "current", element="motor")],
+            [channel("speed", "velocity", "nut")],
+            masses={"nut": 2.0},
         )
 
     time = np.arange(0.0, 8.0, 1e-3)
@@ -222,13 +211,13 @@ def test_the_force_of_a_motor_is_a_load():
 def test_the_load_of_a_law_that_is_not_linear():
     """Behind a hardening gear the level follows the force of the law."""
     time, inputs = driven(size=60.0, weight=30.0)
-    hard = {"name": "stop", "type": "cubic_stiffness", "between": ["rotor", "link"], "stiffness": 4e7}
+    hard = element("stop", "cubic_stiffness", "rotor", "link", stiffness=4e7)
     rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "stop"}
     seen = simulate(
         joint(hard, friction=rub, outputs=[
-            {"name": "speed", "quantity": "velocity", "at": "rotor", "unit": "m/s"},
-            {"name": "load", "quantity": "force", "element": "stop", "unit": "N"},
-            {"name": "friction", "quantity": "force", "element": "rub", "unit": "N"},
+            channel("speed", "velocity", "rotor"),
+            channel("load", "force", element="stop"),
+            channel("friction", "force", element="rub"),
         ]), time, inputs)  # fmt: skip
     sliding = np.abs(seen["speed"]) > 1e-2
     level = np.abs(seen["friction"])
@@ -242,8 +231,8 @@ def test_the_load_of_a_law_that_is_not_linear():
         ("", ()),
         ("nothing", ()),
         ("rub", ()),
-        ("brake", ({"name": "brake", "type": "coulomb_friction", "between": ["link", "ground"], "level": 1.0},)),
-        ("flywheel", ({"name": "flywheel", "type": "inertance", "between": ["link", "ground"], "inertance": 1.0},)),
+        ("brake", (builders.friction("link", "ground", 1.0, "brake"),)),
+        ("flywheel", (element("flywheel", "inertance", "link", "ground", inertance=1.0),)),
     ],
 )  # fmt: skip
 def test_a_load_is_a_spring_a_damper_a_motor_or_a_smooth_law(load, extra):
@@ -253,7 +242,7 @@ def test_a_load_is_a_spring_a_damper_a_motor_or_a_smooth_law(load, extra):
 
 
 def test_a_torque_under_a_force_is_refused():
-    shaft = {"name": "shaft", "type": "linear_stiffness", "between": ["wheel", "ground"], "stiffness": 10.0}
+    shaft = builders.spring("wheel", "ground", 10.0, "shaft")
     rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "shaft"}
     with pytest.raises(InputError, match='"load" must name a force, as the friction is'):
         joint(shaft, friction=rub, inertias={"wheel": 1.0})
@@ -269,7 +258,7 @@ def test_a_model_file_keeps_the_load():
 
 def test_loads_of_a_place():
     """Springs and weights at one of its nodes, and a motor at the place."""
-    hang = {"name": "hang", "type": "constant_force", "between": ["link", "ground"], "force": 5.0}
+    hang = element("hang", "constant_force", "link", "ground", force=5.0)
     network = joint(hang, friction={"type": "coulomb_friction", "level": 1.0})
     assert el.LoadDependentFriction.variants(network, ("rotor", "ground")) == [{"load": "gear"}]
     assert el.LoadDependentFriction.variants(network, ("link", "ground")) == [{"load": "gear"}]
@@ -295,7 +284,7 @@ def measured(name, weight, seed, friction):
 
 def outputs_of():
     """Return the outputs of the rig."""
-    return [{"name": n, "quantity": q, "at": at, "unit": u} for n, q, at, u, _ in SENSORS]
+    return [channel(n, q, at, unit=u) for n, q, at, u, _ in SENSORS]
 
 
 def nominal():

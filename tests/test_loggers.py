@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import channel
 from test_inspection import CAR, drive
 
 from isd_gym.common.errors import InputError
@@ -125,10 +126,7 @@ def test_a_lag_that_is_known_is_taken(truth):
 
 
 def test_inputs_on_two_clocks_ask_for_the_lag():
-    model = {
-        **CAR,
-        "inputs": [*CAR["inputs"], {"name": "push", "quantity": "force", "at": "body", "unit": "N"}],
-    }
+    model = {**CAR, "inputs": [*CAR["inputs"], channel("push", "force", "body")]}
     network, t = Network.load(model), even(2.5e-3)
     signals = {
         c.name: Signal(t, np.sin(t), c.si, "b" if c.name == "push" else "a", c.name)

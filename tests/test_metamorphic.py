@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element, spring
 from scipy.signal import butter, sosfiltfilt
 
 from isd_gym.diagnosis import SearchSettings, diagnose
@@ -22,24 +24,20 @@ if TYPE_CHECKING:
 STEP, SAMPLES = 1e-2, 600
 
 #: two masses on a shaken base, as their owner knows them
-MODEL: dict[str, Any] = {
-    "schema": "isd-model/1",
-    "name": "two masses",
-    "masses": {"lower": 1.0, "upper": 2.0},
-    "elements": [
-        {"name": "spring", "type": "linear_stiffness", "between": ["lower", "base"], "stiffness": 4000.0},
-        {"name": "damper", "type": "linear_damping", "between": ["lower", "base"], "damping": 20.0},
-        {"name": "link", "type": "linear_stiffness", "between": ["upper", "lower"], "stiffness": 2500.0},
-        {"name": "oil", "type": "linear_damping", "between": ["upper", "lower"], "damping": 8.0},
+MODEL: dict[str, Any] = builders.model(
+    "two masses",
+    [
+        spring("lower", "base", 4000.0),
+        damper("lower", "base", 20.0),
+        spring("upper", "lower", 2500.0, "link"),
+        damper("upper", "lower", 8.0, "oil"),
     ],
-    "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
-    "outputs": [
-        {"name": "stroke", "quantity": "displacement", "between": ["upper", "lower"], "unit": "m"},
-        {"name": "shake", "quantity": "acceleration", "at": "lower", "unit": "m/s^2"},
-    ],
-    "uncertainty": {"spring.stiffness": 0.1, "oil.damping": 0.3},
-}
-DRAG = {"name": "drag", "type": "quadratic_damping", "between": ["upper", "lower"], "damping": 120.0}
+    [channel("base", "displacement", "base")],
+    [channel("stroke", "displacement", "upper", "lower"), channel("shake", "acceleration", "lower")],
+    masses={"lower": 1.0, "upper": 2.0},
+    uncertainty={"spring.stiffness": 0.1, "oil.damping": 0.3},
+)
+DRAG = element("drag", "quadratic_damping", "upper", "lower", damping=120.0)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, spring
 from scipy.optimize import least_squares
 
 from isd_gym.common.errors import InputError
@@ -23,22 +25,14 @@ OFFSET, NOISE = 0.013, 2e-5  # [m]
 
 def stand(offset: str = "free") -> Network:
     """A mass on a spring to the ground, pushed by a known force."""
-    return Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "stand",
-            "masses": {"mass": 2.0},
-            "elements": [
-                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": 900.0},
-                {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 9.0},
-            ],
-            "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
-            "outputs": [
-                {"name": "position", "quantity": "displacement", "at": "mass", "unit": "m", "offset": offset}
-            ],
-            "uncertainty": {"spring.stiffness": 0.2, "damper.damping": 0.5},
-        }
-    )  # fmt: skip
+    return builders.network(
+        "stand",
+        [spring("mass", "ground", 900.0), damper("mass", "ground", 9.0)],
+        [channel("push", "force", "mass")],
+        [channel("position", "displacement", "mass", offset=offset)],
+        masses={"mass": 2.0},
+        uncertainty={"spring.stiffness": 0.2, "damper.damping": 0.5},
+    )
 
 
 def record(name: str, mean: float, seed: int, offset: float = OFFSET, size: float = 2.0) -> Record:

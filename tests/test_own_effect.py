@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from builders import channel, damper, model, spring
 
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import diagnose
@@ -14,18 +15,14 @@ from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 
-RIG = {
-    "schema": "isd-model/1",
-    "name": "shaken",
-    "masses": {"mass": 2.0},
-    "elements": [
-        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 800.0},
-        {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 8.0},
-    ],
-    "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
-    "outputs": [{"name": "position", "quantity": "displacement", "at": "mass", "unit": "m"}],
-    "uncertainty": {"spring.stiffness": 0.05, "damper.damping": 0.1},
-}
+RIG = model(
+    "shaken",
+    [spring("mass", "base", 800.0), damper("mass", "base", 8.0)],
+    [channel("base", "displacement", "base")],
+    [channel("position", "displacement", "mass")],
+    masses={"mass": 2.0},
+    uncertainty={"spring.stiffness": 0.05, "damper.damping": 0.1},
+)
 
 
 def _softening(p, d, v, d_last, z, h):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element
 
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
@@ -14,18 +16,16 @@ from isd_gym.records.data import Table
 
 pytestmark = pytest.mark.tools
 
-RIG = {
-    "schema": "isd-model/1",
-    "name": "rig",
-    "masses": {},
-    "elements": [
-        {"name": "inerter", "type": "inertance", "between": ["top", "ground"], "inertance": 90.0},
-        {"name": "leak", "type": "linear_damping", "between": ["top", "ground"], "damping": 1300.0},
+RIG = builders.model(
+    "rig",
+    [
+        element("inerter", "inertance", "top", "ground", inertance=90.0),
+        damper("top", "ground", 1300.0, "leak"),
     ],
-    "inputs": [{"name": "x", "quantity": "displacement", "at": "top", "unit": "m"}],
-    "outputs": [{"name": "force", "quantity": "force", "at": "top", "unit": "N"}],
-}
-SEAL = {"name": "seal", "type": "coulomb_friction", "between": ["top", "ground"], "level": 200.0}
+    [channel("x", "displacement", "top")],
+    [channel("force", "force", "top")],
+)
+SEAL = builders.friction("top", "ground", 200.0, "seal")
 
 
 @pytest.fixture

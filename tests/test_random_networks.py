@@ -1,8 +1,10 @@
 """Networks drawn at random: finite or one line that says when; energy, and the laws, on them."""
 
+import builders
 import numpy as np
 import pytest
 import random_networks
+from builders import damper, element, friction, spring
 
 from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
@@ -50,15 +52,16 @@ def test_a_result_is_finite_or_there_is_one_line(block):
 
 def test_what_breaks_down_says_when():
     """A damper that drives: the motion grows beyond all numbers, and the line has the time."""
-    model = {
-        "schema": "isd-model/1", "name": "driven", "masses": {"m": 1.0},
-        "elements": [
-            {"name": "k", "type": "linear_stiffness", "between": ["m", "ground"], "stiffness": 1e4},
-            {"name": "c", "type": "asymmetric_damping", "between": ["m", "ground"], "extension": -3000.0, "compression": -3000.0},
+    model = builders.model(
+        "driven",
+        [
+            spring("m", "ground", 1e4, "k"),
+            element("c", "asymmetric_damping", "m", "ground", extension=-3000.0, compression=-3000.0),
         ],
-        "inputs": [{"name": "push", "quantity": "force", "at": "m", "unit": "N"}],
-        "outputs": [{"name": "x", "quantity": "displacement", "at": "m", "unit": "m"}],
-    }  # fmt: skip
+        [builders.channel("push", "force", "m")],
+        [builders.channel("x", "displacement", "m")],
+        masses={"m": 1.0},
+    )
     time = np.arange(2001) * 1e-3
     with pytest.raises(InputError, match=r"fails at t = 0\.\d+ s"):
         simulate(model, time, {"push": np.ones_like(time)})
@@ -138,22 +141,23 @@ def test_outputs_obey_the_laws(seed):
 def test_a_motor_on_a_terminal_without_mass(law):
     """A motor pulls a damper with friction, nothing has mass there: current, rate and forces are of one instant at every sample."""
     thrust, damping, level = 200.0, 1500.0, 300.0
-    model = {
-        "schema": "isd-model/1", "name": "driven", "masses": {"m": 300.0},
-        "elements": [
-            {"name": "k", "type": "linear_stiffness", "between": ["m", "ground"], "stiffness": 2e5},
-            {"name": "c", "type": "linear_damping", "between": ["n", "ground"], "damping": damping},
-            {"name": "f", "type": "coulomb_friction", "between": ["n", "ground"], "level": level},
-            {"name": "motor", "type": "motor", "between": ["m", "n"], "thrust_constant": thrust},
+    model = builders.model(
+        "driven",
+        [
+            spring("m", "ground", 2e5, "k"),
+            damper("n", "ground", damping, "c"),
+            friction("n", "ground", level, "f"),
+            element("motor", "motor", "m", "n", thrust_constant=thrust),
         ],
-        "inputs": [{"name": "current", "quantity": "current", "element": "motor", "unit": "A"}],
-        "outputs": [
-            {"name": "v", "quantity": "velocity", "at": "n", "unit": "m/s"},
-            {"name": "x", "quantity": "displacement", "at": "n", "unit": "m"},
-            {"name": "damper", "quantity": "force", "element": "c", "unit": "N"},
-            {"name": "friction", "quantity": "force", "element": "f", "unit": "N"},
+        [builders.channel("current", "current", element="motor")],
+        [
+            builders.channel("v", "velocity", "n"),
+            builders.channel("x", "displacement", "n"),
+            builders.channel("damper", "force", element="c"),
+            builders.channel("friction", "force", element="f"),
         ],
-    }  # fmt: skip
+        masses={"m": 300.0},
+    )
     if law == "quadratic_damping":
         more = {"damping": 4000.0}
     else:
@@ -161,7 +165,7 @@ def test_a_motor_on_a_terminal_without_mass(law):
     if law:
         kind = law.removeprefix("damped ")
         model["elements"].append({"name": "law", "type": kind, "between": ["n", "ground"], **more})
-        model["outputs"].append({"name": "law", "quantity": "force", "element": "law", "unit": "N"})
+        model["outputs"].append(builders.channel("law", "force", element="law"))
     time = np.arange(2001) * 1e-3
     current = np.repeat(np.random.default_rng(3).uniform(-5, 5, 101), 20)[: len(time)]
     out = {

@@ -5,29 +5,24 @@ import re
 
 import numpy as np
 import pytest
+from builders import channel, damper, network, spring
+from program import run
 from scipy.io import savemat
 
 from isd_gym.common.errors import InputError
 from isd_gym.common.units import convert
 from isd_gym.contrib.inspection import inspect
-from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table
 from isd_gym.records.data.table import read_rasters
 from isd_gym.records.loggers import ChannelMap, Recording
 from isd_gym.records.loggers.record_reading import records_of
 
-RIG = Network.load(
-    {
-        "schema": "isd-model/1",
-        "name": "shaker",
-        "masses": {"mass": 12.0},
-        "elements": [
-            {"name": "spring", "type": "linear_stiffness", "between": ["mass", "table"], "stiffness": 9e3},
-            {"name": "damper", "type": "linear_damping", "between": ["mass", "table"], "damping": 45.0},
-        ],
-        "inputs": [{"name": "table", "quantity": "displacement", "at": "table", "unit": "mm"}],
-        "outputs": [{"name": "acc", "quantity": "acceleration", "at": "mass", "unit": "g"}],
-    }
+RIG = network(
+    "shaker",
+    [spring("mass", "table", 9e3), damper("mass", "table", 45.0)],
+    [channel("table", "displacement", "table", unit="mm")],
+    [channel("acc", "acceleration", "mass", unit="g")],
+    masses={"mass": 12.0},
 )
 WANTED = (*RIG.inputs, *RIG.outputs)
 HEAD = "time [s],table [mm],acc [g]"
@@ -276,23 +271,15 @@ def test_a_sign_turns_a_channel(tmp_path):
     np.testing.assert_allclose(found["acc"], DATA[:, 2], atol=2e-3)
 
 
-def test_inspect_takes_columns_signs_and_maps(tmp_path, monkeypatch, capsys):
+def test_inspect_takes_columns_signs_and_maps(tmp_path):
     """A named column is taken whatever the other columns look like; a sign against the physics is remarked."""
-    import sys
-
-    from isd_gym.commands import main
-
     RIG.save(tmp_path / "rig.json")
     data = np.c_[DATA, DATA[:, 2]]
     (tmp_path / "a.csv").write_text("time [s],table [mm],acc [g],left [g]\n" + text(data * [1, 1, 1, -1]))
 
     def go(*words):
-        line = ["isd-gym", "inspect", tmp_path / "a.csv", "--model", tmp_path / "rig.json", *words]
-        monkeypatch.setattr(sys, "argv", list(map(str, line)))
-        with pytest.raises(SystemExit) as end:
-            main()
-        said = capsys.readouterr()
-        return int(end.value.code or 0), said.out + said.err
+        done = run("inspect", tmp_path / "a.csv", "--model", tmp_path / "rig.json", *words)
+        return done.returncode, done.stdout + done.stderr
 
     made = ["--out", tmp_path / "map.json"]
     assert go("--rename", "left=acc", *made)[0] == 0

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import builders
 import jsonschema
 import numpy as np
 import pytest
+from builders import channel, damper, element, spring
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis.estimation.gauss_newton import Fitter
@@ -19,7 +21,6 @@ from isd_gym.diagnosis.selection.record_differences import find_record_differenc
 from isd_gym.diagnosis.selection.settings import SearchSettings
 from isd_gym.diagnosis.simulation.problem import Problem, Record
 from isd_gym.diagnosis.verdict.wording import _record_differences, statements_of
-from isd_gym.physics.network import Network
 from isd_gym.records import schemas
 from isd_gym.records.data import Table
 
@@ -34,21 +35,14 @@ def rig(*extra, **values):
         extra: Further elements.
         values: Values of parameters, with "__" in place of ".".
     """
-    network = Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "stand",
-            "masses": {"mass": 2.0},
-            "elements": [
-                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": 900.0},
-                {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 9.0},
-                *extra,
-            ],
-            "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
-            "outputs": [{"name": "position", "quantity": "displacement", "at": "mass", "unit": "m"}],
-            "uncertainty": {"mass.mass": 0.2, "spring.stiffness": 0.2, "damper.damping": 0.5},
-        }
-    )  # fmt: skip
+    network = builders.network(
+        "stand",
+        [spring("mass", "ground", 900.0), damper("mass", "ground", 9.0), *extra],
+        [channel("push", "force", "mass")],
+        [channel("position", "displacement", "mass")],
+        masses={"mass": 2.0},
+        uncertainty={"mass.mass": 0.2, "spring.stiffness": 0.2, "damper.damping": 0.5},
+    )
     return network.with_parameters({k.replace("__", "."): v for k, v in values.items()})
 
 
@@ -115,18 +109,13 @@ def test_a_coast_down_that_slows_faster_is_found():
     """A flywheel whose bearing drags more in one record; its motion has no period."""
 
     def wheel(damping):
-        return Network.load(
-            {
-                "schema": "isd-model/1",
-                "name": "wheel",
-                "inertias": {"wheel": 2.0},
-                "elements": [
-                    {"name": "bearing", "type": "linear_damping", "between": ["wheel", "ground"], "damping": damping}
-                ],
-                "outputs": [{"name": "speed", "quantity": "angular_velocity", "at": "wheel", "unit": "rad/s"}],
-                "uncertainty": {"bearing.damping": 0.5},
-            }
-        )  # fmt: skip
+        return builders.network(
+            "wheel",
+            [damper("wheel", "ground", damping, "bearing")],
+            outputs=[channel("speed", "angular_velocity", "wheel")],
+            inertias={"wheel": 2.0},
+            uncertainty={"bearing.damping": 0.5},
+        )
 
     records, rng = [], np.random.default_rng(5)
     for k, damping in enumerate((0.02, 0.02, 0.03)):
@@ -172,7 +161,7 @@ def test_a_missing_law_is_no_difference_between_records_of_like_motion(law):
 
 
 def test_a_law_that_explains_records_of_unlike_amplitude_goes_before_a_difference():
-    network = rig({"name": "law", "type": "quadratic_damping", "between": ["mass", "ground"], "damping": 15.0})  # fmt: skip
+    network = rig(element("law", "quadratic_damping", "mass", "ground", damping=15.0))  # fmt: skip
     records = [measure(network, "a", 1, 4.0), measure(network, "b", 2, 40.0), measure(network, "c", 3, 4.0)]
     # a damping that grows with the amplitude is a difference as long as no law is known
     assert [p.path for p in search(records).parameters] == ["damper.damping"]
@@ -240,11 +229,7 @@ def test_a_law_that_explains_nearly_as_much_is_told_and_the_amplitudes_are():
     assert "falls from 10.0 % to 7.0 % (50 % of the squared error beyond noise)" in told
     assert "Quadratic damping between mass and ground with one value for all records removes 45 %" in told
     assert "do not decide" in told and "by a factor of 1.9" in told
-    clear = found | {
-        "tied": False,
-        "explained_by_law": 0.03,
-        "amplitude": 3 * [{"position": 1.0}],
-    }
+    clear = found | {"tied": False, "explained_by_law": 0.03, "amplitude": 3 * [{"position": 1.0}]}
     told = _record_differences({"record_differences": clear})
     assert "No known law removes more than 3 %." in told and "decide" not in told and "amplitude" not in told
 

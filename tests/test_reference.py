@@ -6,6 +6,7 @@ import ast
 from pathlib import Path
 from typing import Any
 
+import builders
 import numpy as np
 import pytest
 import reference
@@ -25,7 +26,7 @@ def model(masses: dict[str, float], *elements: Any, inputs: Any = (), outputs: A
 
 
 def moved(node: str, name: str = "motion") -> dict[str, str]:
-    return {"name": name, "quantity": "displacement", "at": node, "unit": "m"}
+    return builders.channel(name, "displacement", node)
 
 
 def out(quantity: str, **where: Any) -> dict[str, Any]:
@@ -48,10 +49,7 @@ def car(*extra: Any, seal: float = 500.0) -> dict[str, Any]:
         element("motor", "motor", "piston", "joint", thrust_constant=60.0, ratio=4.056),
         element("damper", "linear_damping", "joint", "wheel", damping=1500.0),
         *extra,
-        inputs=[
-            moved("road", "road"),
-            {"name": "current", "quantity": "current", "element": "motor", "unit": "A"},
-        ],
+        inputs=[moved("road", "road"), builders.channel("current", "current", element="motor")],
         outputs=[
             out("acceleration", at="body"),
             {"name": "travel", "quantity": "displacement", "between": ["body", "wheel"]},

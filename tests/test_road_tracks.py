@@ -422,9 +422,8 @@ def test_recorded_profile_of_one_track_on_two_sides(tmp_path):
 )
 def test_bad_columns(tmp_path, header, message):
     zeros = [lambda a: 0.0] * header.count(",")
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message):
         road(recording(tmp_path / "r.csv", header, *zeros))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -447,9 +446,8 @@ def test_right_track_in_millimetres_without_a_unit(tmp_path):
 @pytest.mark.parametrize("wheels", [tracks.ONE_WHEEL, HALF_CAR])
 def test_road_with_sides_needs_a_car_with_two_tracks(name, wheels):
     message = f"road '{name}'".replace("+", r"\+") + " has a left and a right track, the car has one: choose"
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message):
         road(name).wheel_heights(wheels, 1.0, rng=np.random.default_rng(0))
-    assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match=message):
         road(name).heights(1.0, rng=np.random.default_rng(0))
 

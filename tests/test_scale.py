@@ -1,7 +1,9 @@
 """The data gate on rigs that are no cars: slow, large, tiny; the model tells what is plausible there."""
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, friction, spring
 
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis.records import read_record
@@ -14,22 +16,12 @@ from isd_gym.records.data import Table, check
 def rig(period: float, size: float) -> tuple[Network, Table]:
     """A mass on a shaken base with that period [s], moved by some `size` [m], 25 samples a period."""
     w = 2 * np.pi / period
-    network = Network.load(
-        {
-            "schema": "isd-model/1",
-            "masses": {"mass": 2.0},
-            "elements": [
-                {
-                    "name": "spring",
-                    "type": "linear_stiffness",
-                    "between": ["mass", "base"],
-                    "stiffness": 2.0 * w**2,
-                },
-                {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 0.8 * w},
-            ],
-            "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
-            "outputs": [{"name": "place", "quantity": "displacement", "at": "mass", "unit": "m"}],
-        }
+    network = builders.network(
+        "",
+        [spring("mass", "base", 2.0 * w**2), damper("mass", "base", 0.8 * w)],
+        [channel("base", "displacement", "base")],
+        [channel("place", "displacement", "mass")],
+        masses={"mass": 2.0},
     )
     time = period / 25 * np.arange(1500)
     rng = np.random.default_rng(0)
@@ -82,23 +74,9 @@ def test_a_slow_rig_in_milliseconds_is_refused_as_a_car_is() -> None:
 
 def coast_down(step: float, samples: int = 300, model_time: float = 50.0) -> tuple[Network, Table]:
     """A wheel that coasts down by drag, its nominal model with a bearing of that time constant [s]."""
-    elements = [
-        {
-            "name": "bearing",
-            "type": "linear_damping",
-            "between": ["wheel", "ground"],
-            "damping": 0.1 / model_time,
-        }
-    ]
-    network = Network.load(
-        {
-            "schema": "isd-model/1",
-            "inertias": {"wheel": 0.1},
-            "elements": elements,
-            "outputs": [
-                {"name": "speed", "quantity": "angular_velocity", "at": "wheel", "unit": "rad/s"},
-            ],
-        }
+    elements = [damper("wheel", "ground", 0.1 / model_time, "bearing")]
+    network = builders.network(
+        "", elements, outputs=[channel("speed", "angular_velocity", "wheel")], inertias={"wheel": 0.1}
     )
     time = step * np.arange(samples)
     noise = 0.02 * np.random.default_rng(0).standard_normal(samples)
@@ -107,7 +85,7 @@ def coast_down(step: float, samples: int = 300, model_time: float = 50.0) -> tup
 
 def free(network: Network) -> Network:
     """The wheel with dry friction in place of the bearing."""
-    rub = {"type": "coulomb_friction", "name": "rub", "between": ["wheel", "ground"], "level": 0.1}
+    rub = friction("wheel", "ground", 0.1)
     return network.with_element(rub).without_element("bearing")
 
 

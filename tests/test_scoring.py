@@ -35,19 +35,8 @@ class Constant:
 
 def test_weighting_matches_the_table_of_iso_2631():
     """W_k at one-third-octave centres, ISO 2631-1:1997 table 3 (factor x 1000), within 1.5 %."""
-    table = {
-        0.5: 418,
-        1.0: 482,
-        2.0: 531,
-        4.0: 967,
-        5.0: 1039,
-        8.0: 1036,
-        16.0: 768,
-        31.5: 405,
-        63.0: 186,
-        80.0: 132,
-    }
-    for f, factor in table.items():
+    frequencies = (0.5, 1.0, 2.0, 4.0, 5.0, 8.0, 16.0, 31.5, 63.0, 80.0)
+    for f, factor in zip(frequencies, (418, 482, 531, 967, 1039, 1036, 768, 405, 186, 132), strict=True):
         exact = 10 ** (round(10 * np.log10(f)) / 10)
         assert frequency_weighting(np.array([exact]))[0] == pytest.approx(factor / 1000, rel=0.015), f
 

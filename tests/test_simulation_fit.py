@@ -6,8 +6,10 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, spring
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
@@ -34,21 +36,13 @@ PAIR = ("mass", "ground")
 
 def duffing(offset: str = "free", stiffness: float = STIFFNESS) -> Network:
     """A mass on a linear spring and a damper: the oscillator without its cubic spring."""
-    return Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "oscillator",
-            "masses": {"mass": MASS},
-            "elements": [
-                {"name": "spring", "type": "linear_stiffness", "between": list(PAIR), "stiffness": stiffness},
-                {"name": "damper", "type": "linear_damping", "between": list(PAIR), "damping": DAMPING},
-            ],
-            "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
-            "outputs": [
-                {"name": "position", "quantity": "displacement", "at": "mass", "unit": "m", "offset": offset}
-            ],
-            "uncertainty": {"spring.stiffness": 0.1, "damper.damping": 0.3},
-        }
+    return builders.network(
+        "oscillator",
+        [spring(*PAIR, stiffness=stiffness), damper(*PAIR, damping=DAMPING)],
+        [channel("push", "force", "mass")],
+        [channel("position", "displacement", "mass", offset=offset)],
+        masses={"mass": MASS},
+        uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.3},
     )
 
 

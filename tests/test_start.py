@@ -1,10 +1,12 @@
 """Start of a simulation in mid-motion: every law behind a massless node is in balance with the spring or damper in line with it."""
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, spring
 
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network, assemble
+from isd_gym.physics.network import assemble
 from isd_gym.physics.simulate import Plant
 
 STEP = 1e-4
@@ -36,33 +38,28 @@ RATE = {"quadratic_damping", "degressive_damping", "asymmetric_damping"}
 def rig(law, damping=0.0):
     """A shaken mass on a spring that ends at a massless node; the law, and perhaps a damper, tie the node to the table."""
     line = [
-        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "node"], "stiffness": 9000.0},
-        {"name": "damper", "type": "linear_damping", "between": ["mass", "table"], "damping": 52.0},
+        spring("mass", "node", 9000.0),
+        damper("mass", "table", 52.0),
         {"name": "law", "type": law, "between": ["node", "table"], **LAWS[law]},
     ]
     if damping:
-        line.append(
-            {"name": "oil", "type": "linear_damping", "between": ["node", "table"], "damping": damping}
-        )
+        line.append(damper("node", "table", damping, "oil"))
     elif law == "gravity_sine":
         line[-1]["torque"] = 1500.0
     beside = ["law", "oil"] if damping else ["law"]
-    forces = [{"name": n, "quantity": "force", "element": n, "unit": "N"} for n in ("spring", *beside)]
-    return Network.load(
-        {
-            "schema": "isd-model/1",
-            "name": "shaker",
-            "masses": {"mass": 12.4},
-            "elements": line,
-            "inputs": [{"name": "table", "quantity": "displacement", "at": "table", "unit": "m"}],
-            "outputs": [
-                {"name": "acc", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
-                {"name": "place", "quantity": "displacement", "at": "mass", "unit": "m"},
-                {"name": "rate", "quantity": "velocity", "at": "mass", "unit": "m/s"},
-                {"name": "node", "quantity": "displacement", "at": "node", "unit": "m"},
-                *forces,
-            ],
-        }
+    forces = [channel(n, "force", element=n) for n in ("spring", *beside)]
+    return builders.network(
+        "shaker",
+        line,
+        [channel("table", "displacement", "table")],
+        [
+            channel("acc", "acceleration", "mass"),
+            channel("place", "displacement", "mass"),
+            channel("rate", "velocity", "mass"),
+            channel("node", "displacement", "node"),
+            *forces,
+        ],
+        masses={"mass": 12.4},
     )
 
 

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from builders import channel, damper, element, model, spring
 
 from isd_gym import simulate
 from isd_gym.diagnosis import diagnose
@@ -13,21 +14,14 @@ from isd_gym.physics.network import Network
 from isd_gym.records import schemas
 from isd_gym.records.data import Table
 
-MODEL = {
-    "schema": "isd-model/1",
-    "name": "shaken",
-    "masses": {"mass": 3.0},
-    "elements": [
-        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 900.0},
-        {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 20.0},
-    ],
-    "inputs": [{"name": "moved", "quantity": "displacement", "at": "base", "unit": "m"}],
-    "outputs": [
-        {"name": "travel", "quantity": "displacement", "between": ["mass", "base"], "unit": "m"},
-        {"name": "felt", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
-    ],
-    "uncertainty": {"mass.mass": 0.02},
-}
+MODEL = model(
+    "shaken",
+    [spring("mass", "base", 900.0), damper("mass", "base", 20.0)],
+    [channel("moved", "displacement", "base")],
+    [channel("travel", "displacement", "mass", "base"), channel("felt", "acceleration", "mass")],
+    masses={"mass": 3.0},
+    uncertainty={"mass.mass": 0.02},
+)
 
 
 def test_no_table_stands_in_for_a_sensor_s_fault_or_a_spring_in_series():
@@ -74,13 +68,7 @@ def test_a_bistable_force_is_drawn_with_its_band_and_closes_the_gap(tmp_path):
     """F = -A d exp(-(d/w)^2): no list has it. The table in model.json is read again and does what it did."""
     knots = np.linspace(-0.2, 0.2, 401)
     force = -500.0 * knots * np.exp(-((knots / 0.02) ** 2))
-    law = {
-        "name": "odd",
-        "type": "tabulated_force",
-        "between": ["mass", "base"],
-        "elongation": knots.tolist(),
-        "force": force.tolist(),
-    }
+    law = element("odd", "tabulated_force", "mass", "base", elongation=knots.tolist(), force=force.tolist())
     truth = Network.load(MODEL).with_element(law)
     rng, tables = np.random.default_rng(5), []
     for k in range(3):

@@ -9,6 +9,7 @@ import zipfile
 import gymnasium as gym
 import numpy as np
 import pytest
+from program import run
 
 from isd_gym.agents.convert import convert, trained_options
 from isd_gym.benchmark.policies import find
@@ -35,17 +36,6 @@ def learner(kind: str, env, **options):
     else:
         small |= dict(learning_starts=16, batch_size=8, buffer_size=1000)
     return algorithm(kind)("MlpPolicy", env, **small)
-
-
-def run(monkeypatch, capsys, *words):
-    """Exit status, stdout and stderr of a command."""
-    from isd_gym.commands import main
-
-    monkeypatch.setattr(sys, "argv", ["isd-gym", *map(str, words)])
-    with pytest.raises(SystemExit) as done:
-        main()
-    told = capsys.readouterr()
-    return done.value.code or 0, told.out, told.err
 
 
 def rewritten(path, change):
@@ -97,19 +87,22 @@ def assert_drives_as_predicted(policy, model, network, *, steps=400):
     [
         ("PPO", CAR, True, False),
         ("PPO", CAR, False, True),
-        ("SAC", CAR, False, False),
         ("SAC", CAR, True, True),
         ("PPO", "half-car-isd", False, False),
-        ("A2C", CAR, True, False),
-        ("TD3", CAR, True, False),
-        ("DDPG", CAR, False, False),
-        ("TQC", CAR, False, True),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in (
+                ("SAC", CAR, False, False),
+                ("A2C", CAR, True, False),
+                ("TD3", CAR, True, False),
+                ("DDPG", CAR, False, False),
+                ("TQC", CAR, False, True),
+            )
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
-def test_a_stock_model_is_scored_as_it_predicts(
-    kind, network, is_stored, is_normalized, tmp_path, monkeypatch, capsys
-):
+def test_a_stock_model_is_scored_as_it_predicts(kind, network, is_stored, is_normalized, tmp_path):
     from stable_baselines3.common.vec_env import VecNormalize
 
     env = make_vec_env(4, cars_per_road=2, network=network)
@@ -121,7 +114,7 @@ def test_a_stock_model_is_scored_as_it_predicts(
         without_options(tmp_path / "m.zip")
     assert_drives_as_predicted(convert(tmp_path / "m.zip", network=network), model, network)
     drive_ = ["--episodes", 1, "--duration", 1, "--network", network, "--json", tmp_path / "s.json"]
-    code, out, err = run(monkeypatch, capsys, "score", tmp_path / "m.zip", *drive_)
+    code, out, err = run("score", tmp_path / "m.zip", *drive_)
     assert code == 0 and "m " in out, err
     assert ("m_vecnormalize.pkl" in err) == is_normalized
     held = json.loads((tmp_path / "s.json").read_text())
@@ -172,7 +165,7 @@ class Bomb:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_nothing_of_an_archive_is_run(tmp_path, monkeypatch, capsys):
+def test_nothing_of_an_archive_is_run(tmp_path):
     learner("PPO", make_vec_env(2)).learn(32).save(tmp_path / "m.zip")
 
     def plant(data):
@@ -182,12 +175,12 @@ def test_nothing_of_an_archive_is_run(tmp_path, monkeypatch, capsys):
 
     rewritten(tmp_path / "m.zip", plant)
     drive_ = ["--episodes", 1, "--duration", 0.1]
-    assert run(monkeypatch, capsys, "score", tmp_path / "m.zip", *drive_)[0] == 0
+    assert run("score", tmp_path / "m.zip", *drive_)[0] == 0
     (tmp_path / "vecnormalize.pkl").write_bytes(pickle.dumps(Bomb()))
-    code, _, err = run(monkeypatch, capsys, "score", tmp_path / "m.zip", *drive_)
+    code, _, err = run("score", tmp_path / "m.zip", *drive_)
     assert code == 2 and "not a saved VecNormalize" in err
     none = ["--trained-with", "normalize=none"]
-    assert run(monkeypatch, capsys, "score", tmp_path / "m.zip", *none, *drive_)[0] == 0
+    assert run("score", tmp_path / "m.zip", *none, *drive_)[0] == 0
 
 
 class Pictures(gym.Env):
@@ -228,11 +221,9 @@ def other_archives(folder):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_other_archives_are_one_line(tmp_path, monkeypatch, capsys):
+def test_other_archives_are_one_line(tmp_path):
     for name, says in other_archives(tmp_path).items():
-        code, _, err = run(
-            monkeypatch, capsys, "score", tmp_path / f"{name}.zip", "--episodes", 1, "--duration", 0.1
-        )
+        code, _, err = run("score", tmp_path / f"{name}.zip", "--episodes", 1, "--duration", 0.1)
         assert code == (0 if says is None else 2), (name, err)
         if says is not None:
             assert says in err and len(err.splitlines()) == 1, (name, err)
@@ -309,10 +300,10 @@ def own(tmp_path, monkeypatch):
     return tmp_path / "mine.py"
 
 
-def test_own_controllers_are_scored_by_file_and_name(own, monkeypatch, capsys):
+def test_own_controllers_are_scored_by_file_and_name(own):
     drive_ = ["--episodes", 2, "--duration", 1, "--json", own.with_name("s.json")]
     names = [f"{own}:{name}" for name in ("Sky", "Many", "zero")]
-    code, out, err = run(monkeypatch, capsys, "score", "isd-passive", *names, *drive_)
+    code, out, err = run("score", "isd-passive", *names, *drive_)
     assert code == 0, err
     rows = {row["policy"]: row for row in json.loads(own.with_name("s.json").read_text())["policies"]}
     assert list(rows) == ["passive", "isd-passive", "my sky", "Many", "zero"]
@@ -332,18 +323,18 @@ def test_own_controllers_are_scored_by_file_and_name(own, monkeypatch, capsys):
         (":Empty", "no method act"),
     ],
 )
-def test_a_wrong_controller_is_one_line(own, name, says, monkeypatch, capsys):
-    code, _, err = run(monkeypatch, capsys, "score", f"{own}{name}", "--episodes", 1, "--duration", 0.1)
+def test_a_wrong_controller_is_one_line(own, name, says):
+    code, _, err = run("score", f"{own}{name}", "--episodes", 1, "--duration", 0.1)
     assert code == 2 and says in err and len(err.splitlines()) == 1
     if name == ":fails":
         line = OWN.splitlines().index("    return observation.nonsense") + 1
         assert f"mine.py:{line}" in err
 
 
-def test_a_file_that_does_not_run_is_one_line(tmp_path, monkeypatch, capsys):
+def test_a_file_that_does_not_run_is_one_line(tmp_path):
     (tmp_path / "m.py").write_text("x = 1\ny = x +\n")
     for name, says in (("m.py:A", "m.py:2: SyntaxError"), ("none.py:A", "no Python file")):
-        code, _, err = run(monkeypatch, capsys, "score", tmp_path / name, "--episodes", 1, "--duration", 0.1)
+        code, _, err = run("score", tmp_path / name, "--episodes", 1, "--duration", 0.1)
         assert code == 2 and says in err and len(err.splitlines()) == 1
 
 

@@ -3,8 +3,10 @@
 import json
 import math
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element, spring
 from scipy.integrate import solve_ivp
 
 from isd_gym import simulate
@@ -14,23 +16,22 @@ from isd_gym.diagnosis.estimation.structure import base_structure
 from isd_gym.physics.network import Network
 
 J, G, C = 0.0033, 0.21, 4e-4
-PENDULUM = {
-    "schema": "isd-model/1",
-    "name": "arm",
-    "inertias": {"arm": J},
-    "elements": [
-        {"name": "gravity", "type": "gravity_sine", "between": ["arm", "ground"], "torque": G},
-        {"name": "bearing", "type": "linear_damping", "between": ["arm", "ground"], "damping": C},
-        {"name": "drive", "type": "motor", "between": ["arm", "ground"], "thrust_constant": 0.02},
+PENDULUM = builders.model(
+    "arm",
+    [
+        element("gravity", "gravity_sine", "arm", "ground", torque=G),
+        damper("arm", "ground", C, "bearing"),
+        element("drive", "motor", "arm", "ground", thrust_constant=0.02),
     ],
-    "inputs": [{"name": "command", "quantity": "voltage", "element": "drive", "unit": "mV"}],
-    "outputs": [
-        {"name": "angle", "quantity": "angle", "at": "arm", "unit": "deg"},
-        {"name": "speed", "quantity": "angular_velocity", "at": "arm", "unit": "rpm"},
-        {"name": "torque", "quantity": "torque", "element": "gravity", "unit": "mN m"},
+    [channel("command", "voltage", element="drive", unit="mV")],
+    [
+        channel("angle", "angle", "arm", unit="deg"),
+        channel("speed", "angular_velocity", "arm", unit="rpm"),
+        channel("torque", "torque", element="gravity", unit="mN m"),
     ],
-    "uncertainty": {"arm.inertia": 0.05, "gravity.torque": 0.05},
-}
+    inertias={"arm": J},
+    uncertainty={"arm.inertia": 0.05, "gravity.torque": 0.05},
+)
 
 
 def test_a_pendulum_swings_as_its_equation_says():
@@ -55,12 +56,8 @@ def test_a_model_that_turns_is_written_as_it_was_read():
     net = Network.load(PENDULUM)
     again = net.to_dict()
     assert again["inertias"] == {"arm": J} and again["masses"] == {}
-    assert [c["quantity"] for c in again["inputs"] + again["outputs"]] == [
-        "voltage",
-        "angle",
-        "angular_velocity",
-        "torque",
-    ]
+    quantities = [c["quantity"] for c in again["inputs"] + again["outputs"]]
+    assert quantities == ["voltage", "angle", "angular_velocity", "torque"]
     assert Network.load(json.loads(net.dumps())) == net
     assert net.unit_of("arm.inertia") == "kg m^2"
     assert net.unit_of("bearing.damping") == "N m s/rad"
@@ -84,14 +81,14 @@ def changed(**more):
 @pytest.mark.parametrize(
     ("model", "words"),
     [
-        (changed(outputs=[{"name": "x", "quantity": "displacement", "at": "arm", "unit": "mm"}]), "'arm' turns, and cannot be"),
-        (changed(outputs=[{"name": "x", "quantity": "displacement", "at": "arm", "unit": "deg"}]), 'quantity": "angle"'),
+        (changed(outputs=[channel("x", "displacement", "arm", unit="mm")]), "'arm' turns, and cannot be"),
+        (changed(outputs=[channel("x", "displacement", "arm", unit="deg")]), 'quantity": "angle"'),
         (changed(masses={"arm": 1.0}), "has a mass already"),
         (changed(inertias={"arm": -1.0}), "positive number of kg m.2"),
         (
             changed(masses={"car": 1.0}, elements=[
                 *PENDULUM["elements"],
-                {"name": "rod", "type": "linear_stiffness", "between": ["car", "arm"], "stiffness": 1.0},
+                spring("car", "arm", 1.0, "rod"),
             ]),
             "'car' is tied to what turns",
         ),
@@ -103,34 +100,23 @@ def test_what_turns_is_not_mixed_with_what_moves_along_a_line(model, words):
 
 
 def cart(*elements, outputs="force"):
-    return {
-        "schema": "isd-model/1",
-        "name": "cart",
-        "masses": {"m": 2.0},
-        "elements": list(elements),
-        "inputs": [{"name": "push", "quantity": "force", "at": "m", "unit": "N"}],
-        "outputs": [{"name": "v", "quantity": "velocity", "at": "m", "unit": "m/s"}],
-    }
+    return builders.model(
+        "cart",
+        list(elements),
+        [channel("push", "force", "m")],
+        [channel("v", "velocity", "m")],
+        masses={"m": 2.0},
+    )
 
 
 def test_a_constant_force_accelerates_evenly():
     t = np.arange(0, 1, 1e-3)
-    out = simulate(
-        cart({"name": "slope", "type": "constant_force", "between": ["m", "ground"], "force": -3.0}),
-        t,
-        {"push": 0 * t},
-    )
+    out = simulate(cart(element("slope", "constant_force", "m", "ground", force=-3.0)), t, {"push": 0 * t})
     assert np.allclose(out["v"][1:], 1.5 * t[1:], atol=2e-3)
 
 
 def test_a_friction_that_differs_by_direction_holds_and_slides_at_its_own_level_either_way():
-    rub = {
-        "name": "rub",
-        "type": "asymmetric_friction",
-        "between": ["m", "ground"],
-        "extension": 6.0,
-        "compression": 2.0,
-    }
+    rub = element("rub", "asymmetric_friction", "m", "ground", extension=6.0, compression=2.0)
     t = np.arange(0, 4, 1e-3)
     for push, speed in ((5.9, 0.0), (-1.9, 0.0), (8.0, 1.0), (-4.0, -1.0)):  # net force / mass over a second
         v = simulate(cart(rub), t, {"push": np.full(len(t), push)})["v"]
@@ -138,13 +124,7 @@ def test_a_friction_that_differs_by_direction_holds_and_slides_at_its_own_level_
 
 
 def test_asymmetric_friction_dissipates_what_the_push_puts_in():
-    rub = {
-        "name": "rub",
-        "type": "asymmetric_friction",
-        "between": ["m", "ground"],
-        "extension": 6.0,
-        "compression": 2.0,
-    }
+    rub = element("rub", "asymmetric_friction", "m", "ground", extension=6.0, compression=2.0)
     t = np.arange(0, 10, 1e-3)
     push = 12.0 * np.sin(2 * np.pi * 0.7 * t)
     v = simulate(cart(rub), t, {"push": push})["v"]
@@ -156,8 +136,8 @@ def test_asymmetric_friction_dissipates_what_the_push_puts_in():
 def test_a_damping_that_starts_at_zero_may_be_fitted():
     model = {**PENDULUM, "uncertainty": {"bearing.damping": 0.1}}
     model["elements"] = [
-        {"name": "gravity", "type": "linear_stiffness", "between": ["arm", "ground"], "stiffness": G},
-        {"name": "bearing", "type": "linear_damping", "between": ["arm", "ground"], "damping": 0.0},
+        spring("arm", "ground", G, "gravity"),
+        damper("arm", "ground", 0.0, "bearing"),
         PENDULUM["elements"][2],
     ]
     (free,) = base_structure(Network.load({**model, "outputs": model["outputs"][:2]})).free
@@ -165,6 +145,6 @@ def test_a_damping_that_starts_at_zero_may_be_fitted():
 
 
 def test_what_starts_at_zero_with_nothing_to_measure_it_by_is_said_in_a_line():
-    free = cart({"name": "c", "type": "linear_damping", "between": ["m", "ground"], "damping": 0.0})
+    free = cart(damper("m", "ground", 0.0, "c"))
     with pytest.raises(InputError, match=r"'c\.damping' is zero, and nothing in the model says"):
         base_structure(Network.load({**free, "uncertainty": {"c.damping": 0.5}}))

@@ -9,6 +9,7 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
+from builders import element
 
 from isd_gym.common.errors import TyreContactWarning
 from isd_gym.physics.network import Network
@@ -25,9 +26,7 @@ def with_lift_off(name: str) -> dict:
     content = car.to_dict()
     (load,) = vehicle(car).static_tyre_loads
     values = {"stiffness": 192000.0, "load": load}
-    content["elements"].append(
-        {"name": "lift_off", "type": "tyre_lift_off", "between": ["wheel", "road"], **values}
-    )
+    content["elements"].append(element("lift_off", "tyre_lift_off", "wheel", "road", **values))
     return content
 
 

@@ -132,9 +132,8 @@ def test_controllers_are_told_the_speed():
 def test_a_quarter_car_has_no_wheelbase():
     with pytest.raises(
         InputError, match="of a car with two axles, but network 'quarter-car-isd' is a quarter car"
-    ) as caught:
+    ):
         baselines.make("lqg-wheelbase", "quarter-car-isd")
-    assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="speed must be a positive number"):
         baselines.make("lqg-wheelbase", speed=0.0)
 
@@ -173,9 +172,8 @@ def test_no_device_is_better_than_any_force():
     ],
 )
 def test_what_has_no_bound(options, message):
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message):
         wheelbase_bound(**options)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_mass_inside_the_suspension_has_no_bound():

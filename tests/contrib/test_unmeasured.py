@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import channel, element, friction
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
@@ -36,21 +37,13 @@ FREE = {
 def car(motor):
     data = Network.load("quarter-car-passive").to_dict()
     data["outputs"] = [
-        {"name": "a", "quantity": "acceleration", "at": "body", "unit": "m/s^2"},
-        {"name": "w", "quantity": "acceleration", "at": "wheel", "unit": "m/s^2"},
-        {"name": "l", "quantity": "displacement", "between": ["body", "wheel"], "unit": "m"},
+        channel("a", "acceleration", "body"),
+        channel("w", "acceleration", "wheel"),
+        channel("l", "displacement", "body", "wheel"),
     ]
     if motor:
-        data["elements"].append(
-            {
-                "name": "motor",
-                "type": "motor",
-                "between": ["body", "wheel"],
-                "thrust_constant": 60.0,
-                "ratio": 4.0,
-            }
-        )
-        data["inputs"].append({"name": "current", "quantity": "current", "element": "motor", "unit": "A"})
+        data["elements"].append(element("motor", "motor", "body", "wheel", thrust_constant=60.0, ratio=4.0))
+        data["inputs"].append(channel("current", "current", element="motor"))
     return Network.load({**data, "uncertainty": FREE})
 
 
@@ -92,7 +85,7 @@ def test_what_is_asked_for_wrongly_is_said_in_a_line():
     with pytest.raises(InputError, match="data: no records"):
         identify([], car(False))
     cell = car(False).to_dict()
-    cell["outputs"].append({"name": "F", "quantity": "force", "at": "road", "unit": "N"})
+    cell["outputs"].append(channel("F", "force", "road"))
     with pytest.raises(InputError, match="the node whose motion is unknown"):
         identify([], Network.load(cell))
 
@@ -189,12 +182,7 @@ def sealed(outputs, seconds):
     """A drive of the built-in car, and its model without the friction of the seal."""
     data = Network.load("quarter-car-isd").to_dict()
     known = {c["name"]: c for c in data["outputs"]}
-    known["wheel_acceleration"] = {
-        "name": "wheel_acceleration",
-        "quantity": "acceleration",
-        "at": "wheel",
-        "unit": "m/s^2",
-    }
+    known["wheel_acceleration"] = channel("wheel_acceleration", "acceleration", "wheel")
     data["outputs"] = [known[name] for name in outputs]
     (table, _) = drives(Network.load(data), True, seconds=seconds)
     data["elements"] = [e for e in data["elements"] if e["name"] != "seal"]
@@ -235,9 +223,7 @@ def test_a_level_of_which_nothing_is_known_has_an_infinite_interval():
 def test_the_accelerations_of_rounding_errors_are_not_the_road_s():
     """Gains of 1e-17 of the road's acceleration made a filter impossible, and the inerter of this mass was passed over."""
     data = car(True).to_dict()
-    data["elements"].append(
-        {"name": "b", "type": "inertance", "between": ["body", "wheel"], "inertance": 20.0}
-    )
+    data["elements"].append(element("b", "inertance", "body", "wheel", inertance=20.0))
     L = kalman_model(short(), data)
     x = np.array([p.mean for p in L.priors])
     k = [p.name for p in L.priors].index("wheel.mass")
@@ -298,9 +284,7 @@ def test_a_car_without_its_seal_is_given_no_linear_name(outputs, tmp_path):
 def test_wide_uncertainties_do_not_make_friction_linear():
     """Every parameter stays in its range, but the past of the prediction errors predicts them."""
     data = car(True).to_dict()
-    data["elements"].append(
-        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 150.0}
-    )
+    data["elements"].append(friction("body", "wheel", 150.0))
     (table, _) = drives(Network.load(data), True, seconds=8.0)
     found = identify(table, car(True), effects=False)
     gates = {g.name: g for g in found.gates}
@@ -310,9 +294,7 @@ def test_wide_uncertainties_do_not_make_friction_linear():
 
 def test_a_missing_inerter_is_named_with_the_gates_that_it_passed():
     data = car(True).to_dict()
-    data["elements"].append(
-        {"name": "b", "type": "inertance", "between": ["body", "wheel"], "inertance": 60.0}
-    )
+    data["elements"].append(element("b", "inertance", "body", "wheel", inertance=60.0))
     (table, _) = drives(Network.load(data), True, seconds=8.0)
     found = identify(table, car(True))
     assert found.verdict == "missing_effect" and all(g.passed for g in found.gates)
@@ -335,9 +317,7 @@ def test_the_time_limit_stops_the_search_and_says_so(limit, tried, monkeypatch):
     seconds = (lambda _: float(next(readings))) if tried.startswith("0") else (lambda _: float(len(fitted)))
     monkeypatch.setattr(TimeLimit, "seconds", property(seconds))
     data = car(True).to_dict()
-    data["elements"].append(
-        {"name": "b", "type": "inertance", "between": ["body", "wheel"], "inertance": 60.0}
-    )
+    data["elements"].append(element("b", "inertance", "body", "wheel", inertance=60.0))
     (table, _) = drives(Network.load(data), True, seconds=4.0)
     found = identify(table, car(True), max_seconds=limit)
     (note,) = [n for n in found.notes if "time limit" in n]

@@ -308,17 +308,7 @@ def integrate(
         np.array(codes, dtype=np.int64),
         np.array(P, dtype=float).reshape(-1, 6),
     )
-    X, V, A, F = _march(
-        y,
-        n,
-        plant,
-        inverse,
-        mass[:n, n : n + m].copy(),
-        motion,
-        push,
-        interval,
-        steps,
-    )
+    X, V, A, F = _march(y, n, plant, inverse, mass[:n, n : n + m].copy(), motion, push, interval, steps)
     if not (np.isfinite(X).all() and np.isfinite(V).all()):
         raise ArithmeticError("the plant does not stay finite")
     link = {}

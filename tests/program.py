@@ -1,0 +1,52 @@
+"""The program `isd-gym` within the process of the tests: a start of its own takes seconds of imports."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import signal
+import sys
+import warnings
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import pytest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class Done(NamedTuple):
+    """A finished run of the program."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def run(*words: Any, cwd: Path | None = None, env: dict[str, str] | None = None) -> Done:
+    """Return what the program prints and ends with; nothing of the process is changed afterwards."""
+    from isd_gym.commands import main
+
+    out, err, interrupt = io.StringIO(), io.StringIO(), signal.getsignal(signal.SIGINT)
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        if cwd is not None:
+            patch.chdir(cwd)
+        for name, value in {"MPLBACKEND": "Agg", **(env or {})}.items():
+            patch.setenv(name, value)
+        patch.setattr(sys, "argv", ["isd-gym", *map(str, words)])
+        patch.setattr(sys, "unraisablehook", sys.unraisablehook)
+        try:
+            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                main()
+        except SystemExit as end:
+            code = end.code
+        finally:
+            signal.signal(signal.SIGINT, interrupt)
+    return Done(int(code or 0), out.getvalue(), err.getvalue())
+
+
+def assert_one_line(done: Done, *words: str) -> None:
+    """Assert that the program refused its input: status 2, and one line on stderr with these words."""
+    assert done.returncode == 2, done.stderr
+    assert all(w in done.stderr for w in words), done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
