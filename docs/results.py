@@ -590,6 +590,18 @@ def gates() -> str:
     return markdown(["gate removed", "better", "worse"], body, "lrr")
 
 
+def gate_sets() -> str:
+    """The verdicts that change where several gates always pass together: pairs that change one, and all gates that change none alone."""
+    found = json.loads((BENCHMARKS / "ablation.json").read_text(encoding="utf-8"))
+    sets = [c for c in found["changes"] if c["variation"] == "removed together"]
+    body = [
+        [c["rule"].removeprefix("gates "), str(len(c["better"])), str(len(c["worse"]))]
+        for c in sets
+        if c["better"] or c["worse"] or c is sets[-1]
+    ]
+    return f"{found['diagnoses']} diagnoses.\n\n" + markdown(["gates removed together", "better", "worse"], body, "lrr")
+
+
 def shares() -> str:
     """How often doubtful places and kinds are true, and the probability stated with the limit varied."""
     found = json.loads((BENCHMARKS / "ablation-shares.json").read_text(encoding="utf-8"))
@@ -852,7 +864,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/missing-physics.md": (missing_physics, missing_physics_sets, missing_physics_cases),
     "docs/reference/environment.md": (environment,),
     "docs/reference/tracks.md": (tracks, half_car_card, full_car_card, regeneration),
-    "docs/reference/limits.md": (gates, limits, shares, search),
+    "docs/reference/limits.md": (gates, gate_sets, limits, shares, search),
 }
 
 

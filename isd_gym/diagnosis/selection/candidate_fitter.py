@@ -64,10 +64,16 @@ class CandidateFitter:
         gaps = [gap(p, c.fit) for c in found]
         near = [c for c, g in zip(found, gaps, strict=True) if g <= ASTRAY * min(gaps)]
         best = min(near, key=lambda c: c.deviance)
+        nominal = self.nominal()
+        # else every refit has lost the motion
+        return best if gap(p, nominal.fit) >= min(gaps) / ASTRAY else nominal
+
+    def nominal(self) -> Candidate:
+        """Return the nominal model with its own parameters, as a start of fits."""
+        p, least = self.evaluator.problem, self.evaluator.least_noise
+        structure = base_structure(p.network)
         nominal = Fitter(p, white_filters(least)).follow(structure, structure.start, p.estimation)
-        if gap(p, nominal) < min(gaps) / ASTRAY:  # every refit has lost the motion
-            return settle(p, structure, structure.start, least, nominal, iterations=0)
-        return best
+        return settle(p, structure, structure.start, least, nominal, iterations=0)
 
     def from_segments(
         self, structure: Structure, x: Array, similar: Candidate, noise: Array | None = None

@@ -172,15 +172,41 @@ class Search:
         """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
         p, c = self.problem, self.criteria
         result = screen_effects(p, now.fit, self.least_noise, self.settings)
-        if not result.ranked:
+        ranked = list(result.ranked)
+        noise = np.maximum(self.least_noise, 0.1 * result.noise)
+        if not now.hypotheses and self._is_misled(now):
+            ranked = self._with_nominal_start(ranked, now, noise)
+        if not ranked:
             return None
-        before = deviance_with_noise_of(p, now, now, np.maximum(self.least_noise, 0.1 * result.noise))
-        best = result.ranked[0]
+        before = deviance_with_noise_of(p, now, now, noise)
+        best = ranked[0]
         gain = before - best.deviance
         self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
-        stages.append(list(result.ranked))
+        stages.append(ranked)
         is_weak = gain < c.deviance_gain and c.least_removed * gap(p, now.fit) < gap(p, best.fit)
         return None if is_weak else best
+
+    def _is_misled(self, refitted: Candidate) -> bool:
+        """Return whether the refitted model errs more on validation records than the nominal model, by a material share.
+
+        Its parameters then stand for the missing effect on the training records, and fits of an effect from there end in local optima.
+        """
+        nominal, _ = self.evaluator.nominal_nrmse()
+        more = self.evaluator.score_alone(refitted).nrmse ** 2 - nominal**2
+        return bool(np.sum(more) > self.criteria.material**2)
+
+    def _with_nominal_start(
+        self, ranked: Sequence[Candidate], refitted: Candidate, noise: Array
+    ) -> list[Candidate]:
+        """Return candidates with those that are fitted from the nominal model: the better one of each hypothesis, best first."""
+        p = self.problem
+        self.say("  again from the nominal values: the refitted model errs more on validation records")
+        again = screen_effects(p, self.fitter.nominal().fit, self.least_noise, self.settings)
+        found = [(deviance_with_noise_of(p, r, refitted, noise), r) for r in (*ranked, *again.ranked)]
+        best: dict[object, Candidate] = {}
+        for _, r in sorted(found, key=lambda each: each[0]):
+            best.setdefault(r.hypotheses, r)
+        return list(best.values())
 
     # -- backward elimination -----------------------------------------------------------------------------
     def select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
