@@ -599,7 +599,9 @@ def gate_sets() -> str:
         for c in sets
         if c["better"] or c["worse"] or c is sets[-1]
     ]
-    return f"{found['diagnoses']} diagnoses.\n\n" + markdown(["gates removed together", "better", "worse"], body, "lrr")
+    return f"{found['diagnoses']} diagnoses.\n\n" + markdown(
+        ["gates removed together", "better", "worse"], body, "lrr"
+    )
 
 
 def shares() -> str:

@@ -33,8 +33,8 @@ RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
 OVER = {"rate": "their rate", "elongation": "their distance", "both": "their distance and rate"}
 #: parameters whose change is stated; laws of a kind that are stated
 CHANGES, LAWS = 2, 2
-#: probability from which on a further kind is mentioned
-POSSIBLE = 0.2
+#: probability from which on a further kind is mentioned, and from which on the title mentions a kind
+POSSIBLE, PERHAPS = 0.2, 0.4
 #: groups of records whose values are stated one by one; records of a group that are named
 MOST_GROUPS, MOST_NAMES = 4, 5
 #: ratio of the amplitudes of two groups of records from which on the groups differ in amplitude
@@ -42,7 +42,7 @@ UNLIKE = 1.3
 #: test on the rig that shows whether an effect of a kind is there
 TESTS = {
     "dry_friction": "move {parts} against each other slowly, at two or three constant speeds in both directions, and log the force: dry "
-    "friction is as large at each speed and turns its sign with the motion",
+    "friction turns its sign with the motion and does not grow with the speed",
     "viscous": "move {parts} against each other at several constant speeds in both directions and log the force: a viscous force follows "
     "the speed, not the travel",
     "elastic": "move {parts} against each other slowly through the whole travel, out and back, and log the force: an elastic force is the "
@@ -123,19 +123,27 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         if document["reason"] == "kind_certain":
             finding, remarks = [*remarks, *finding], []
     elif verdict == "unknown_effect" and document["reason"] == "records_differ":
-        finding, remarks = [_record_differences(document)], [_likely(document), _best_candidate(document)]
+        finding, remarks = (
+            [_record_differences(document)],
+            [_likely(document), _best_candidate(document), _unnamed(document)],
+        )
     elif verdict == "unknown_effect":
         table, shape = _table(document)
-        finding, remarks = [_unknown(document), _likely(document), _best_candidate(document)], [table]
+        likely, best = _likely(document), _best_candidate(document)
+        finding, remarks = [likely, best], [_unknown(document), _unnamed(document), table]
         if document["tabulated"]:
-            finding, remarks = [table, finding[2]], [finding[0], finding[1], shape]
+            finding, remarks = [table, best], [likely, *remarks[:2], shape]
+        elif not likely:
+            finding, remarks = [remarks[0], best], remarks[1:]
         remarks.append(_where(document))
     else:
         finding = [_agreement(document), _reason(document), _changes(document)]
     if document.get("record_differences") and document["record_differences"]["tied"]:
         finding.append(_record_differences(document))
+    if verdict not in ("no_discrepancy", "parameters_only"):
+        remarks.append(_worse_refit(document))
     if _is_open(document):
-        remarks += [_worse_refit(document), _worse_than_constant(document)]
+        remarks.append(_worse_than_constant(document))
     remarks += [
         _small(document),
         _noise(document),
@@ -145,7 +153,7 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         _closed_loop(document),
     ]
     finding.append(_not_tried(document))
-    steps = [*_urgent(document), _next(document), _test_of_kind(document)]
+    steps = [*_urgent(document), _test_of_kind(document), _next(document)]
     return Statements(_title(document), _kept(finding), _kept(remarks), _kept(steps))
 
 
@@ -365,7 +373,8 @@ def _failure(g: Mapping[str, Any]) -> str:
         records = "the test records" if name == "confirmed" else "the validation records"
         if value < 0.0:
             return f"it increases the squared error on {records}"
-        return f"it leaves {_percent(1.0 - value, 0)} of the squared error on {records} (at most {_percent(1.0 - limit, 0)})"
+        digits = 1 if round(100.0 * value) == round(100.0 * limit) else 0
+        return f"it leaves {_percent(1.0 - value, digits)} of the squared error on {records} (at most {_percent(1.0 - limit, digits)})"
     if value is not None and name == "determined" and g["relation"] == "<":
         return (
             "a 95 % interval of its values contains zero"
@@ -373,7 +382,7 @@ def _failure(g: Mapping[str, Any]) -> str:
             else f"its values are uncertain by {_percent(value, 0)} (less than {_percent(limit, 0)} needed)"
         )
     if value is not None and name == "probable":
-        return f"other candidates are at least as likely (its weight is {_percent(value, 0)}, needed {_percent(limit, 0)})"
+        return f"other candidates are at least as likely (its probability is {_percent(value, 0)}, needed {_percent(limit, 0)})"
     if value is not None and name == "distinguishable":
         return f"{value:.0f} other {'laws predict' if value > 1 else 'law predicts'} as well"
     known = FAILURES.get((name, g["relation"]))
@@ -431,6 +440,9 @@ def _title(d: Mapping[str, Any]) -> str:
     if kinds:
         place = f" {_spot(kinds[0]['place'])}" if kinds[0]["place"] else ""
         return f"An effect is missing, probably {_lower(KINDS[kinds[0]['kind']])}{place}"
+    possible = next((f for f in d["findings"] if f["kind"] != "other" and f["place"]), None)
+    if possible is not None and possible["kind_probability"] >= PERHAPS:
+        return f"An effect is missing, perhaps {_lower(KINDS[possible['kind']])} {_spot(possible['place'])}"
     if places:
         return f"An effect is missing {_spot(next(iter(places)))}; its kind is open"
     return "An effect is missing; no known law fits"
@@ -494,6 +506,13 @@ def _test_of_kind(d: Mapping[str, Any]) -> str:
         second is not None and second["kind_probability"] == first["kind_probability"]
     ):  # effects of one candidate
         return ""
+    for law in first["laws"][:1]:
+        known = {k: plain_value(q["value"], q["unit"]) for k, q in law["parameters"].items()}
+        test = TYPES[law["effect"]].test if law["effect"] in TYPES else ""
+        if known and test:
+            return (
+                f"test for {spoken(law['effect'])} {_spot(first['place'])}: {_lower(test.format_map(known))}"
+            )
     words = TESTS[first["kind"]].format(parts=" and ".join(first["place"]))
     return f"test for {_lower(KINDS[first['kind']])} {_spot(first['place'])}: {words}."
 
@@ -539,8 +558,8 @@ def _worse_refit(d: Mapping[str, Any]) -> str:
     if not _square(refit) - _square(given) >= d["criteria"]["material"] ** 2:
         return ""
     return (
-        f"On held-out data the refitted model errs more in {c} ({_percent(refit)}) than the model as given ({_percent(given)}): the share "
-        "of the error that an addition removes is relative to the refitted model."
+        f"The refit without an addition made the model worse on held-out data ({c}: {_percent(given)} as given, {_percent(refit)} refitted). The "
+        "share of the gap that an addition closes is relative to the refitted model."
     )
 
 
@@ -635,7 +654,7 @@ def _likely(d: Mapping[str, Any]) -> str:
 
 
 def _law_values(law: Mapping[str, Any]) -> str:
-    values = [_parameter(k, q) for k, q in law["parameters"].items()]
+    values = [_parameter(k, q) for k, q in law["parameters"].items() if q["unit"] not in ("", "-")]
     return f", {', '.join(values)}" if values else ""
 
 
@@ -821,21 +840,25 @@ def _best_candidate(d: Mapping[str, Any]) -> str:
         return _capital(_no_gain(best))
     error = best["error"]
     c = _most_gained(error, "refit", "after")
-    failed = [g for g in best["failed_gates"] if not g["passed"]]
-    likely = [f["laws"][0]["effect"] for f in _likely_kinds(d) if f["laws"]]
+    falls = f"the error in {c} falls from {_percent(error['refit'][c])} to {_percent(error['after'][c])}"
+    likely = [law["effect"] for f in _likely_kinds(d)[:1] for law in f["laws"][:1]]
     is_likely = not likely or set(likely) & set(best["effects"])
-    foremost = "The best candidate" if is_likely else "The candidate that errs least"
-    text = (
-        f"{foremost}, {candidate_text(best)}, reduces the error in {c} from "
-        f"{_percent(error['refit'][c])} to {_percent(error['after'][c])}. It is not named because {failures(failed)}."
-    )
-    closed = d["gap"]["closed"]
     if not best.get("completes"):
-        return text
-    return (
-        f"{text} model.json is completed with it, since it predicts records better that took no part in the fit; on the test records it "
-        f"removes {_percent(closed, 0)} of the squared error beyond noise."
-    )
+        return f"With {'the best candidate' if is_likely else 'the candidate that errs least'}, {candidate_text(best)}, {falls}."
+    closed, explained = d["gap"]["closed"] or 0.0, best["explained"] or 0.0
+    other = "" if is_likely else f", not the likelier {spoken(likely[0])}"
+    text = f"model.json has {candidate_text(best)}, which predicts best{other}: {falls}; {_percent(closed, 0)} of the gap is closed on the test records"
+    if explained < 0.5 <= closed:
+        return f"{text}, but only {_percent(explained, 0)} on the validation records: it is not yet the whole cause."
+    return f"{text}." if closed >= 0.5 else f"{text}. The cause is not found; this law is a stopgap."
+
+
+def _unnamed(d: Mapping[str, Any]) -> str:
+    """Return why the best candidate has no name."""
+    best = d["best_candidate"]
+    if best is None or not is_gain(best):
+        return ""
+    return f"{_capital(candidate_text(best))} is not named because {failures(best['failed_gates'])}."
 
 
 def _table(d: Mapping[str, Any]) -> tuple[str, str]:
