@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import pytest
 from test_words import VAGUE, document
 
+from isd_gym.diagnosis.estimation.structure import Hypothesis
 from isd_gym.diagnosis.result_builder import ResultBuilder
 from isd_gym.diagnosis.selection.criteria import CRITERIA
 from isd_gym.diagnosis.selection.weights import FREE_FORCE, Statement, WeightedCandidate
+from isd_gym.diagnosis.verdict import measurement
 from isd_gym.diagnosis.verdict.findings import find
 from isd_gym.diagnosis.verdict.grades import OBSERVED, grade, observed
 from isd_gym.diagnosis.verdict.wording import summary_of
@@ -189,3 +191,21 @@ def test_a_law_that_leaves_a_wide_gap_is_probable_however_much_it_explains():
     assert sure.laws[0].probability == pytest.approx(1.0 - CRITERIA.mistaken)
     assert open_law.laws[0].probability == pytest.approx(1.0 - CRITERIA.partly)
     assert open_law.laws[0].to_dict()["grade"] == "probable"
+
+
+@pytest.mark.parametrize(
+    ("laws", "share"),
+    [
+        (("linear_damping", "series_compliance", "coulomb_friction"), 0.0),
+        (("linear_damping", "cubic_stiffness", "coulomb_friction"), 1.0),
+    ],
+)
+def test_a_compliance_in_series_is_no_bend_of_a_curve(monkeypatch, laws, share):
+    """Damping and friction behind a compliance explained a damper whole, and had no name since three laws are as good as a free curve."""
+    monkeypatch.setattr(measurement, "owner_pair", lambda network, h: h.where)
+    monkeypatch.setattr(measurement, "_laws_over_one_plane", lambda search, best: [])
+    monkeypatch.setattr(measurement, "_removed_by_curves", lambda *given: [0.7])
+    candidate = SimpleNamespace(hypotheses=[Hypothesis(law, FRONT) for law in laws], elements=["an element"])
+    scores = SimpleNamespace(foremost=candidate, refitted=None, score=lambda c: None)
+    search = SimpleNamespace(criteria=CRITERIA, problem=SimpleNamespace(network=None))
+    assert measurement.lack_of_fit(search, scores) == share

@@ -210,14 +210,16 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
 
     A single effect is tested if its error exceeds the envelope of unmodelled effects; otherwise the share is 0. Fitted laws whose values
     contradict their names, such as a part of one period of a periodic law, are free curves as well. The share is 1 if the number of
-    effects at one place reaches the number of bends of a curve (`Criteria.bends`). Laws of the model at their limits over the same
+    effects at one place, but for elements in series, reaches the number of bends of a curve (`Criteria.bends`). Laws of the model at their limits over the same
     plane count as effects. The share is also 1 if one free curve
     explains the gap (`Criteria.least_explained`) in place of the same number of effects at several places.
     """
     c, best = search.criteria, scores.foremost
     if len(best.hypotheses) > 1:
-        places = {frozenset(owner_pair(search.problem.network, h) or h.where) for h in best.hypotheses}
-        if len(places) == 1 and len(best.hypotheses) >= c.bends:
+        # an element in series adds a motion, and no bend
+        curves = [h for h in best.hypotheses if not h.kind.series]
+        places = {frozenset(owner_pair(search.problem.network, h) or h.where) for h in curves}
+        if len(places) == 1 and len(curves) >= c.bends:
             return 1.0
         if len(_laws_over_one_plane(search, best)) >= c.bends:
             return 1.0
