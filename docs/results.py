@@ -591,14 +591,15 @@ def gates() -> str:
 
 
 def gate_sets() -> str:
-    """The verdicts that change where several gates always pass together: pairs that change one, and all gates that change none alone."""
+    """The verdicts that change where several gates always pass together: pairs that change more than each alone, and all idle gates."""
     found = json.loads((BENCHMARKS / "ablation.json").read_text(encoding="utf-8"))
+    rigs = {c["rule"]: {*c["better"], *c["worse"], *c["other"]} for c in found["changes"]}
     sets = [c for c in found["changes"] if c["variation"] == "removed together"]
-    body = [
-        [c["rule"].removeprefix("gates "), str(len(c["better"])), str(len(c["worse"]))]
-        for c in sets
-        if c["better"] or c["worse"] or c is sets[-1]
-    ]
+    body = []
+    for c in sets:
+        names = c["rule"].removeprefix("gates ")
+        if c is sets[-1] or rigs[c["rule"]] - set().union(*(rigs[f"gate {n}"] for n in names.split(", "))):
+            body.append([names, str(len(c["better"])), str(len(c["worse"]))])
     return f"{found['diagnoses']} diagnoses.\n\n" + markdown(
         ["gates removed together", "better", "worse"], body, "lrr"
     )
