@@ -84,9 +84,10 @@ def _done(folder: Path) -> list[int]:
 
 @pytest.fixture
 def importable(monkeypatch):
-    """Workers find this file."""
-    here = str(Path(__file__).parent)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
+    """Workers find this file and the helpers that it imports."""
+    here = Path(__file__).parent
+    paths = [str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
