@@ -364,6 +364,12 @@ def test_a_figure_that_is_not_finite_does_not_lose_the_result() -> None:
     )
 
 
+def test_a_force_that_the_controller_explains_is_told_in_words() -> None:
+    assert failures([gate("not the controller", 0.789, "<", 0.5, "").to_dict()]) == (
+        "the controller's input explains 79 % of its force (less than 50 % needed)"
+    )
+
+
 @pytest.mark.parametrize(("probability", "is_told"), [(0.95, True), (0.33, True), (0.1, False)])
 def test_an_unnamed_effect_has_a_test_on_the_rig_for_its_likeliest_kind(
     probability: float, is_told: bool

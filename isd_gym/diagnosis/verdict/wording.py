@@ -385,6 +385,8 @@ def _failure(g: Mapping[str, Any]) -> str:
         return f"other candidates are at least as likely (its probability is {_percent(value, 0)}, needed {_percent(limit, 0)})"
     if value is not None and name == "distinguishable":
         return f"{value:.0f} other {'laws predict' if value > 1 else 'law predicts'} as well"
+    if value is not None and name == "not the controller":
+        return f"the controller's input explains {_percent(value, 0)} of its force (less than {_percent(limit, 0)} needed)"
     known = FAILURES.get((name, g["relation"]))
     return (
         known
@@ -1016,7 +1018,7 @@ def _closed_loop(d: Mapping[str, Any]) -> str:
     if not found:
         return ""
     inputs = [
-        f"past {' and '.join(f['outputs'])} explain {_percent(f['share'], 0)} of the part of {f['input']} that the past of "
+        f"the past of {' and '.join(f['outputs'])} explains {_percent(f['share'], 0)} of the part of {f['input']} that the past of "
         f"{f['input']} does not predict"
         for f in found
     ]
