@@ -110,7 +110,8 @@ class ResultBuilder:
         structure, x = final.fit.structure, final.fit.x
         if final is not refitted and not tabulated and not search.clock.is_over:
             structure, x, last = self._fit_simulation(final, quantities)
-        probability = confidence(measured.evidence, criteria)
+        is_sum = any(h.kind.is_sum() for h in scores.foremost.hypotheses)
+        probability = confidence(measured.evidence, criteria, is_sum=is_sum)
         found = self._effects(quantities, probability) if is_named else []
         rows = self._errors(final)
         deviation = search.evaluator.validation_deviation

@@ -241,7 +241,13 @@ class Criteria:
         return float(1.0 - self.least_removed ** (effects + 1))
 
     def share_mistaken(
-        self, level: str, explained: float, left: float = 0.0, support: float = 1.0, is_named: bool = True
+        self,
+        level: str,
+        explained: float,
+        left: float = 0.0,
+        support: float = 1.0,
+        is_named: bool = True,
+        is_sum: bool = False,
     ) -> float:
         """Return the share of statements of a level that are wrong although no resampling shows it.
 
@@ -251,10 +257,13 @@ class Criteria:
             left: Excess error that it leaves, mean over channels, as a share of the deviation. Another law may remove a wide rest.
             support: Share of the samples on the rarer side of a law's characteristic point.
             is_named: Whether the foremost candidate passed every gate.
+            is_sum: Whether the law is the sum of two others (`Element.is_sum`): no record tells them apart.
         """
         is_doubtful = explained < self.alone_removes or left > self.wide_gap or support < self.support
         own = {"law": self.mistaken, "kind": self.mistaken_kind, "place": self.mistaken_place}[level]
         if is_doubtful and (level == "law" or not is_named):
+            own = max(own, self.partly)
+        if is_sum and level == "law":
             own = max(own, self.partly)
         return max(own, self.mistaken_weak) if explained < self.least_removed else own
 

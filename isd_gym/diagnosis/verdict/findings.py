@@ -6,6 +6,7 @@ import functools
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from ...physics.elements import TYPES
 from ..result import Quantity
 from ..selection.candidate import parameter_values
 from ..selection.weights import FREE_FORCE, Statement, probability
@@ -142,7 +143,9 @@ def find(
             whole = probability(candidates, **where, law=law)
             is_own = any(s.law == law for s in own_here)
             beside = [] if is_own else [w for w in candidates if own_here & w.statements]
-            further, wrong = probability(beside, **where, law=law), max(doubt, share("law"))
+            further = probability(beside, **where, law=law)
+            is_sum = law in TYPES and TYPES[law].is_sum()
+            wrong = max(doubt, share("law", is_sum=is_sum))
             return (whole - further) * (1.0 - wrong) + further * (1.0 - max(c.mistaken_extra, wrong))
 
         entries = [

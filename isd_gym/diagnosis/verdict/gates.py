@@ -411,6 +411,12 @@ def with_findings(
     return decision
 
 
-def confidence(e: Evidence, c: Criteria = CRITERIA) -> float:
-    """Return the probability of a name: the weight of the candidates with the name, times the share of such names that are right."""
-    return (1.0 - c.share_mistaken("law", e.explained, e.width_after, e.support)) * e.probability
+def confidence(e: Evidence, c: Criteria = CRITERIA, *, is_sum: bool = False) -> float:
+    """Return the probability of a name: the weight of the candidates with the name, times the share of such names that are right.
+
+    Args:
+        e: Evidence of the candidate.
+        c: Limits of the decision.
+        is_sum: Whether one of its laws is the sum of two others.
+    """
+    return (1.0 - c.share_mistaken("law", e.explained, e.width_after, e.support, is_sum=is_sum)) * e.probability

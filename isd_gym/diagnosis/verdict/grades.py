@@ -17,9 +17,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (7, 7), "probable": (0, 0), "possible": (2, 1)},
-        "kind": {"certain": (6, 5), "probable": (2, 1), "possible": (7, 1)},
-        "law": {"certain": (1, 1), "probable": (1, 1), "possible": (0, 0)},
+        "place": {"certain": (13, 13), "probable": (1, 1), "possible": (4, 2)},
+        "kind": {"certain": (11, 9), "probable": (3, 2), "possible": (11, 3)},
+        "law": {"certain": (4, 3), "probable": (1, 1), "possible": (0, 0)},
     },
 }
 

@@ -327,6 +327,11 @@ class Element:
         """
         return (self,) if self.law is not None or self.bound is not None else ()
 
+    @classmethod
+    def is_sum(cls) -> bool:
+        """Return whether the force is that of two other laws together, so that no record tells the law from the two."""
+        return cls.parts is not Element.parts
+
     def law_parameters(self) -> list[float]:
         """Return the numbers that `law` or `bound` reads, in order.
 
