@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import channel, pushed_mass
+import builders
+from builders import channel, element, pushed_mass
 from typer.testing import CliRunner
 
 from isd_gym import commands as cli
@@ -47,6 +48,21 @@ def test_the_error_of_the_true_model_is_the_noise_and_that_of_another_one_is_not
     assert [(r.record, r.channel) for r in own] == [(n, "travel") for n in ("a", "b", "all records")]
     assert all(r.rms == pytest.approx(0.05, rel=0.1) and r.nrmse < 0.02 and r.unit == "mm" for r in own)
     assert all(r.nrmse > 0.15 for r in other)
+
+
+def test_the_true_model_of_a_long_stiffening_decay_errs_by_noise(tmp_path):
+    """The frequency follows the amplitude, so that a poor initial state loses the phase over thirty periods."""
+    spring = element("spring", "linear_stiffness", "mass", "ground", stiffness=7.3e5)
+    loss = element("loss", "linear_damping", "mass", "ground", damping=3.0)
+    hard = element("hard", "cubic_stiffness", "mass", "ground", stiffness=7.5e11)
+    told = [channel("velocity", "velocity", "mass", unit="m/s")]
+    rig = builders.network("decay", [spring, loss, hard], [], told, masses={"mass": 1.0})
+    time = np.arange(1100) / 5000.0
+    velocity = simulate(rig, time, {}, initial=np.array([-2.8e-4, 0.16]))["velocity"]
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(len(time))
+    write_table(tmp_path / "decay.csv", Table(time, {"velocity": velocity + noise}, "decay"))
+    (row,) = prediction_errors([tmp_path / "decay.csv"], rig).rows
+    assert row.rms == pytest.approx(1e-3, rel=0.1)
 
 
 def test_the_command_prints_the_table_and_writes_it(files):

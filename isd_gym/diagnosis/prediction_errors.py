@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 #: smallest noise that residuals are weighted with, as a share of the signal's deviation
 LEAST_NOISE = 1e-3
+#: iterations of the fit of initial states: the phase of a stiffening decay follows its amplitude over many periods
+ITERATIONS = 12
 #: error, as a multiple of the noise, up to which a model errs by noise: the noise is estimated to about a tenth
 ABOVE_NOISE = 1.2
 
@@ -110,7 +112,9 @@ def prediction_errors(
     noise = np.maximum([f.deviation for f in floors], LEAST_NOISE * problem.deviation())
     structure = base_structure(network)
     try:
-        fit = Fitter(problem, white_filters(noise)).follow(structure, structure.start, problem.estimation)
+        fit = Fitter(problem, white_filters(noise)).follow(
+            structure, structure.start, problem.estimation, iterations=ITERATIONS
+        )
     except BROKEN as error:
         raise InputError(f"model '{network.name}' does not simulate the records: {error}") from None
     left = [problem.records[i].measured - fit.outputs[i] for i in problem.estimation]
