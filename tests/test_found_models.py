@@ -3,9 +3,9 @@
 import json
 from dataclasses import replace
 
+import builders
 import numpy as np
 import pytest
-import builders
 from builders import channel, element, pushed_mass
 from typer.testing import CliRunner
 

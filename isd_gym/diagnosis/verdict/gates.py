@@ -419,4 +419,6 @@ def confidence(e: Evidence, c: Criteria = CRITERIA, *, is_sum: bool = False) -> 
         c: Limits of the decision.
         is_sum: Whether one of its laws is the sum of two others.
     """
-    return (1.0 - c.share_mistaken("law", e.explained, e.width_after, e.support, is_sum=is_sum)) * e.probability
+    return (
+        1.0 - c.share_mistaken("law", e.explained, e.width_after, e.support, is_sum=is_sum)
+    ) * e.probability
