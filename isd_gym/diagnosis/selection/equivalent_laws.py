@@ -1,4 +1,4 @@
-"""Replacement of fitted laws by other laws with nearly the same force: a check against local optima."""
+"""Replacement of fitted laws by others with nearly the same force, or at places that move alike: a check against local optima."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .candidate import Candidate, parameter_values
 from .criteria import CRITERIA
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from ...common.arrays import Array
     from ...physics.network import Network
@@ -32,12 +32,15 @@ POINTS = 240  # of the motion at which forces are compared: a resolution
 NEAR = 0.5  # largest error of a match, as a share of the force
 MAX_MATCHES = 3  # matches per effect
 STARTS = 6  # of a law at most
+ALIKE = (
+    0.25  # largest difference of two motions that count as alike, as a share of the motion: a fit bridges it
+)
 
 
 def equivalent_structures(
     problem: Problem, candidate: Candidate, c: Criteria = CRITERIA
 ) -> Iterator[Structure]:
-    """Replace each law of a candidate by other laws with nearly the same force.
+    """Replace each law of a candidate by other laws with nearly the same force, and by itself at places that move alike.
 
     Yields:
         Structures with one law replaced, best match first for each law.
@@ -47,6 +50,9 @@ def equivalent_structures(
     known = travels(problem, problem.network, motion)
     for k, element in enumerate(candidate.elements):
         m = motion.get(element.between) if element.place == "between" else None
+        if m is not None:
+            elsewhere = _places_alike(problem, candidate.hypotheses[k], motion)
+            yield from _rebuild(problem, ([*found[:k], (h, found[k][1]), *found[k + 1 :]] for h in elsewhere))
         # without visible repetition a periodic law is a mere curve
         is_part_of_period = bool(m and not repeats(element, m, c))
         if m is None or not (is_part_of_period or _plain_curve(type(element))):
@@ -63,6 +69,29 @@ def equivalent_structures(
         ]
         matches = _match_laws(problem, others, [element], m, forces.at, absorbing)
         yield from _rebuild(problem, ([*found[:k], match, *found[k + 1 :]] for match in matches))
+
+
+def _places_alike(
+    problem: Problem, h: Hypothesis, motion: Mapping[tuple[str, str], el.Motion]
+) -> list[Hypothesis]:
+    """Return an effect at other places that move as its own place does, such as the other end of a stiff shaft."""
+    if h.kind.series or h.where not in motion:
+        return []
+    own = motion[h.where]
+    out = []
+    for other in hypotheses(problem.network):
+        if (
+            other.effect != h.effect
+            or other.options != h.options
+            or other.where not in motion
+            or other.where == h.where
+        ):
+            continue
+        there = motion[other.where]
+        alike = ((there.d - there.d.mean(), own.d - own.d.mean()), (there.v, own.v))
+        if all(el.rms(a - b) < ALIKE * el.rms(b) for a, b in alike):
+            out.append(other)
+    return out
 
 
 def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
