@@ -75,19 +75,18 @@ def _places_alike(
     problem: Problem, h: Hypothesis, motion: Mapping[tuple[str, str], el.Motion]
 ) -> list[Hypothesis]:
     """Return an effect at other places that move as its own place does, such as the other end of a stiff shaft."""
-    if h.kind.series or h.where not in motion:
+    if h.kind.series:
         return []
-    own = motion[h.where]
+    known: dict[tuple[str, ...], el.Motion] = dict(motion)
+    own = known.get(h.where)
+    if own is None:
+        return []
     out = []
     for other in hypotheses(problem.network):
-        if (
-            other.effect != h.effect
-            or other.options != h.options
-            or other.where not in motion
-            or other.where == h.where
-        ):
+        there = known.get(other.where)
+        is_same = other.effect == h.effect and other.options == h.options
+        if not is_same or there is None or other.where == h.where:
             continue
-        there = motion[other.where]
         alike = ((there.d - there.d.mean(), own.d - own.d.mean()), (there.v, own.v))
         if all(el.rms(a - b) < ALIKE * el.rms(b) for a, b in alike):
             out.append(other)
