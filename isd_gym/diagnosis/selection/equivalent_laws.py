@@ -77,7 +77,7 @@ def _places_alike(
     """Return an effect at other places that move as its own place does, such as the other end of a stiff shaft."""
     if h.kind.series:
         return []
-    known: dict[tuple[str, ...], el.Motion] = dict(motion)
+    known: dict[tuple[str, ...], el.Motion] = {**motion}
     own = known.get(h.where)
     if own is None:
         return []
