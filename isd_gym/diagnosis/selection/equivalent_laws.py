@@ -77,13 +77,12 @@ def _places_alike(
     """Return an effect at other places that move as its own place does, such as the other end of a stiff shaft."""
     if h.kind.series:
         return []
-    known: dict[tuple[str, ...], el.Motion] = {**motion}
-    own = known.get(h.where)
+    own = motion.get((h.where[0], h.where[-1]))
     if own is None:
         return []
     out = []
     for other in hypotheses(problem.network):
-        there = known.get(other.where)
+        there = motion.get((other.where[0], other.where[-1]))
         is_same = other.effect == h.effect and other.options == h.options
         if not is_same or there is None or other.where == h.where:
             continue
