@@ -21,21 +21,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import safetensors.numpy as safetensors
 
-from isd_gym.common.errors import InputError, plain, shown
-from isd_gym.common.files import whole_folder
-from isd_gym.common.inputs import number, parse_json, read_bytes
-from isd_gym.env.history import LARGEST
+from isd_gym._common.errors import InputError, plain, shown
+from isd_gym._common.files import whole_folder
+from isd_gym._common.inputs import number, parse_json, read_bytes
+from isd_gym.env._history import LARGEST
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
-from .memory import Memory, Recall
+from ._memory import Memory, Recall
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+__all__ = [
+    "Policy",
+]
+
+
 SCHEMA = "isd-policy/1"
 JSON_NAME, WEIGHTS_NAME = "policy.json", "weights.safetensors"
-POLICY = ("policy", JSON_NAME, (JSON_NAME, WEIGHTS_NAME))
+_POLICY = ("policy", JSON_NAME, (JSON_NAME, WEIGHTS_NAME))
 #: limits of a policy's files: bytes of a file, layers, neurons of a layer
 FILE_LIMIT, LAYERS, WIDTH = 256 * 2**20, 32, 8192
 FEATURE_LIMIT = 10.0  # features are clipped at ten times their scale
@@ -144,8 +149,8 @@ def _relu(x: np.ndarray) -> np.ndarray:
     return np.maximum(x, 0.0, out=x)
 
 
-ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
-OUTPUTS = ("clip", "tanh")  # PPO clips its mean; SAC and TD3 squash their output
+_ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
+_OUTPUTS = ("clip", "tanh")  # PPO clips its mean; SAC and TD3 squash their output
 
 
 def _layers(weights: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -222,10 +227,10 @@ class Policy:
         network: Network | None = None,
         info: Mapping[str, Any] | None = None,
     ) -> None:
-        if not isinstance(activation, str) or activation not in ACTIVATIONS:
-            raise InputError(f"activation must be one of {', '.join(ACTIVATIONS)}, not {shown(activation)}")
-        if output not in OUTPUTS:
-            raise InputError(f"output must be one of {', '.join(OUTPUTS)}, not {shown(output)}")
+        if not isinstance(activation, str) or activation not in _ACTIVATIONS:
+            raise InputError(f"activation must be one of {', '.join(_ACTIVATIONS)}, not {shown(activation)}")
+        if output not in _OUTPUTS:
+            raise InputError(f"output must be one of {', '.join(_OUTPUTS)}, not {shown(output)}")
         if not weights:
             raise InputError("the policy has no layers")
         self.memory, self.head = memory or Memory(), head or Head()
@@ -264,7 +269,7 @@ class Policy:
             #: length of the previewed road [s]
             self.observation, self.preview = "preview", self.memory.ahead * self.memory.step
         self._transposed = [(np.ascontiguousarray(w.T), b) for w, b in self.weights]
-        self._act = ACTIVATIONS[activation]
+        self._act = _ACTIVATIONS[activation]
         self._recall: Recall | None = None
 
     def _check_filter(self) -> None:
@@ -445,7 +450,7 @@ class Policy:
             "action": asdict(self.head),
             "network": self.model.to_dict() if self.model is not None else None,
         }
-        with whole_folder(folder, *POLICY) as place:
+        with whole_folder(folder, *_POLICY) as place:
             (place / WEIGHTS_NAME).write_bytes(blob)
             text = json.dumps({**head, **self.info}, indent=1, allow_nan=False)
             (place / JSON_NAME).write_text(text + "\n", encoding="utf-8")

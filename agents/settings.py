@@ -15,12 +15,18 @@ from dataclasses import dataclass, field, replace
 from importlib import resources
 from typing import Any
 
-from isd_gym.env.sensors import Sensors
+from isd_gym.env._sensors import Sensors
+from isd_gym.physics._vehicle import Vehicle, vehicle
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import Vehicle, vehicle
 
-from .memory import Memory
+from ._memory import Memory
 from .policy import Head
+
+__all__ = [
+    "PPOSettings",
+    "SACSettings",
+]
+
 
 CONTROL_STEP = 5e-3  # s, between the actions of a policy
 #: memory of a quarter car
@@ -41,7 +47,7 @@ def robust() -> tuple[dict[str, Any], Sensors]:
 
 
 @dataclass(frozen=True)
-class Settings:
+class _Settings:
     """Settings of both algorithms.
 
     Attributes:
@@ -88,8 +94,8 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class PPOSettings(Settings):
-    """Settings of PPO, in addition to `Settings`.
+class PPOSettings(_Settings):
+    """Settings of PPO, in addition to `_Settings`.
 
     Attributes:
         steps: Control steps of all cars.
@@ -140,7 +146,7 @@ class PPOSettings(Settings):
         """
         import torch
 
-        from .ppo import GroupBuffer, PPOPolicy
+        from ._ppo import GroupBuffer, PPOPolicy
 
         return dict(
             rollout_buffer_class=GroupBuffer,
@@ -149,7 +155,7 @@ class PPOSettings(Settings):
             n_steps=self.horizon,
             batch_size=self.batch,
             n_epochs=self.epochs,
-            learning_rate=Falling(self.learning_rate),
+            learning_rate=_Falling(self.learning_rate),
             gamma=self.gamma,
             clip_range=self.clip_range,
             ent_coef=0.0,
@@ -165,8 +171,8 @@ class PPOSettings(Settings):
 
 
 @dataclass(frozen=True)
-class SACSettings(Settings):
-    """Settings of SAC, in addition to `Settings`.
+class SACSettings(_Settings):
+    """Settings of SAC, in addition to `_Settings`.
 
     Attributes:
         preview: Preview of the critic [s].
@@ -235,7 +241,7 @@ class SACSettings(Settings):
         return self.warm_up + self.rollout * -(-self.critic_updates // self.updates) if self.teacher else 0
 
     def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
-        """Return the keyword arguments of `sac.GroupSAC`.
+        """Return the keyword arguments of `_sac.GroupSAC`.
 
         Args:
             seen: Number of columns of the policy.
@@ -244,7 +250,7 @@ class SACSettings(Settings):
         Returns:
             Value by argument.
         """
-        from .sac import GroupReplayBuffer, SACPolicy
+        from ._sac import GroupReplayBuffer, SACPolicy
 
         return dict(
             policy=SACPolicy,
@@ -254,7 +260,7 @@ class SACSettings(Settings):
             delay=self.delay,
             replay_buffer_class=GroupReplayBuffer,
             replay_buffer_kwargs=dict(group=self.group, n_steps=self.n_steps, gamma=self.gamma),
-            learning_rate=Falling(self.learning_rate),
+            learning_rate=_Falling(self.learning_rate),
             buffer_size=self.buffer,
             learning_starts=self.warm_up,
             batch_size=self.batch,
@@ -273,7 +279,7 @@ class SACSettings(Settings):
 
 
 @dataclass(frozen=True)
-class Falling:
+class _Falling:
     """A learning rate that falls linearly with progress to a fiftieth.
 
     Attributes:

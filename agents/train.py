@@ -22,33 +22,37 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isd_gym._common.errors import InputError, how_to_install, shown
+from isd_gym._common.files import claim_folder, held, write_text, writing
+from isd_gym._common.inputs import read_json
 from isd_gym.baselines.controller import steps_ahead
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import Entry, drive, score
-from isd_gym.common.errors import InputError, how_to_install, shown
-from isd_gym.common.files import claim_folder, held, write_text, writing
-from isd_gym.common.inputs import read_json
+from isd_gym.env._sensors import Sensors
 from isd_gym.env.registration import BY_CORNERS
-from isd_gym.env.sensors import Sensors
-from isd_gym.physics.batch import with_found_ranges
+from isd_gym.physics._batch import with_found_ranges
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road as find_road
-from isd_gym.physics.vehicle import vehicle
 
-from . import checkpoint
-from .memory import Memory
+from . import _checkpoint as checkpoint
+from ._memory import Memory
 from .policy import Head, Policy
 from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, from_nothing, robust, tuned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+__all__ = [
+    "train",
+]
+
 
 SCHEMA = "isd-training/1"
 #: kind, mark and parts of the folder of a run
 FOLDER = ("training run", "run.json", ("run.json", "checkpoint-*", ".checkpoint-*", "tensorboard", "policy"))
 #: ending of the names of policies by number of corners
-ENDINGS = {1: "", 2: "-half-car", 4: "-full-car"}
+_ENDINGS = {1: "", 2: "-half-car", 4: "-full-car"}
 #: validation roads, used neither in training (seeds from 2e6) nor in scores (seeds from 0)
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
@@ -109,7 +113,7 @@ def train(
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
     plant = Network.load(network)
     corners = len(vehicle(plant).corners)
-    if corners not in ENDINGS:
+    if corners not in _ENDINGS:
         raise InputError(f"network '{plant.name}' has {corners} corners: policies are trained for 1, 2 or 4")
     if preview and corners > 1:
         raise InputError(
@@ -211,7 +215,7 @@ class Run:
         """Name of the policy."""
         ahead = self.settings.ahead
         name = f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
-        name += ENDINGS[len(self.car.corners)]
+        name += _ENDINGS[len(self.car.corners)]
         return f"{name}-robust" if self.spread else name
 
     @property
@@ -229,11 +233,11 @@ class Run:
             return memory
         try:
             if len(self.car.corners) > 1:
-                from .wheelbase import car_filter
+                from ._wheelbase import car_filter
 
                 known, echo = car_filter(self.plant, self.speed, memory.step, self._noise)
                 return replace(memory, filter=known, echo=echo, late=())  # the echo is the road ahead
-            from .estimate import lqg_filter
+            from ._estimate import lqg_filter
 
             return replace(memory, filter=lqg_filter(self.plant, memory.step, s.ahead, self._noise))
         except (InputError, ImportError) as error:
@@ -275,7 +279,7 @@ class Run:
     def _environment(self, cars: int) -> Any:
         from isd_gym.sb3 import make_vec_env
 
-        from .vec import Remember
+        from ._vec import Remember
 
         s = self.settings
         critic = s.preview if isinstance(s, SACSettings) else 0.0
@@ -315,7 +319,7 @@ class Run:
         import torch
         from stable_baselines3 import PPO
 
-        from .sac import GroupSAC
+        from ._sac import GroupSAC
 
         s = self.settings
         there = self._claim()
@@ -381,7 +385,7 @@ class Run:
 
     def _imitate(self, model: Any) -> None:
         """Start from the teacher, if it exists for this network."""
-        from .warm import warm_start
+        from ._warm import warm_start
 
         begin = time.perf_counter()
         try:
@@ -439,7 +443,7 @@ class Run:
         Returns:
             The policy.
         """
-        from .convert import build
+        from ._convert import build
 
         return build(
             self.average,

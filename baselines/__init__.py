@@ -11,11 +11,11 @@ from dataclasses import fields, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Idle
-from isd_gym.common.errors import InputError
+from isd_gym.physics._vehicle import require_quarter_car, vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import require_quarter_car, vehicle
 
 from .controller import Controller
 
@@ -25,32 +25,32 @@ if __name__ != "isd_gym.baselines":  # a second copy, found in the source tree, 
 if TYPE_CHECKING:
     from pathlib import Path
 
-Factory = Callable[..., Controller | Idle]
-PREVIEW = 0.25  # default preview of the controllers with preview [s]
+_Factory = Callable[..., Controller | Idle]
+_PREVIEW = 0.25  # default preview of the controllers with preview [s]
 
 
 def noisy(share: float) -> Any:
     """Return the sensor noise that an estimator should assume.
 
     Args:
-        share: Noise as a share of the robust track's noise (`isd_gym.env.sensors.NOISE`) [-].
+        share: Noise as a share of the robust track's noise (`isd_gym.env._sensors.NOISE`) [-].
 
     Returns:
         Standard deviations of the measured signals.
     """
-    from isd_gym.env.sensors import NOISE
+    from isd_gym.env._sensors import NOISE
 
-    from .model import Sensors
+    from ._model import Sensors
 
     clean = Sensors()
     return Sensors(**{k: (getattr(clean, k) ** 2 + (share * v) ** 2) ** 0.5 for k, v in NOISE.items()})
 
 
-def _idle(name: str) -> Factory:
+def _idle(name: str) -> _Factory:
     return lambda model, cost, control_step: Idle(name, model)
 
 
-def _of(name: str, kind: str, usual: Callable[[Any, float, dict[str, Any]], Any]) -> Factory:
+def _of(name: str, kind: str, usual: Callable[[Any, float, dict[str, Any]], Any]) -> _Factory:
     """Return the factory of a class such as 'lqg.Lqg', whose module is imported on demand.
 
     `usual` returns the settings from the module, the control step and the options; options are fields of the settings.
@@ -70,7 +70,7 @@ def _of(name: str, kind: str, usual: Callable[[Any, float, dict[str, Any]], Any]
 
 def _previewing(home: Any, control_step: float, options: dict[str, Any]) -> Any:
     """Return the settings of the friction-aware MPC for the preview of the options."""
-    preview = float(options.pop("preview", PREVIEW))
+    preview = float(options.pop("preview", _PREVIEW))
     return home.with_preview(home.FrictionMpcSettings(), preview, control_step)
 
 
@@ -83,13 +83,13 @@ def _robust(home: Any, control_step: float, options: dict[str, Any]) -> Any:
 
 
 #: name -> factory(model, cost, control_step, **options)
-CONTROLLERS: dict[str, Factory] = {
+CONTROLLERS: dict[str, _Factory] = {
     "passive": _idle("passive"),  # on another plant: the conventional car
     "isd-passive": _idle("isd-passive"),
-    "skyhook": _of("skyhook", "simple.Skyhook", lambda home, *_: home.Skyhook.default),
-    "add": _of("add", "simple.AccelerationDriven", lambda home, *_: home.AccelerationDriven.default),
+    "skyhook": _of("skyhook", "_simple.Skyhook", lambda home, *_: home.Skyhook.default),
+    "add": _of("add", "_simple.AccelerationDriven", lambda home, *_: home.AccelerationDriven.default),
     "lqg": _of("lqg", "lqg.Lqg", lambda home, *_: home.LqgSettings()),
-    "lqg-preview": _of("lqg-preview", "lqg.Lqg", lambda home, *_: home.LqgSettings(preview=PREVIEW)),
+    "lqg-preview": _of("lqg-preview", "lqg.Lqg", lambda home, *_: home.LqgSettings(preview=_PREVIEW)),
     "lqr-full": _of("lqr-full", "lqg.FullStateLqr", lambda home, *_: home.LqgSettings()),
     "mpc-paper": _of("mpc-paper", "mpc.Mpc", lambda home, *_: home.PAPER),
     "mpc": _of("mpc", "mpc.Mpc", lambda home, *_: home.MpcSettings()),
@@ -97,10 +97,10 @@ CONTROLLERS: dict[str, Factory] = {
     "mpc-friction-preview": _of("mpc-friction-preview", "friction.FrictionMpc", _previewing),
     "mpc-robust": _of("mpc-robust", "friction.FrictionMpc", _robust),
     "lqg-wheelbase": _of(
-        "lqg-wheelbase", "wheelbase.WheelbaseLqg", lambda home, *_: home.WheelbaseSettings()
+        "lqg-wheelbase", "_wheelbase.WheelbaseLqg", lambda home, *_: home.WheelbaseSettings()
     ),
     "mpc-wheelbase": _of(
-        "mpc-wheelbase", "wheelbase.WheelbaseMpc", lambda home, *_: home.WheelbaseMpcSettings()
+        "mpc-wheelbase", "_wheelbase.WheelbaseMpc", lambda home, *_: home.WheelbaseMpcSettings()
     ),
 }
 #: one-line descriptions
@@ -123,11 +123,11 @@ ABOUT = {
 #: plants of controllers with a plant of their own
 PLANTS = {"passive": "quarter-car-passive"}
 #: no current
-IDLE = ("passive", "isd-passive")
+_IDLE = ("passive", "isd-passive")
 
 
 #: controllers of a quarter car that drive a car with several corners as one at each corner
-AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
+_AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
 
 #: controllers of a car with a front and a rear axle
 WHOLE_CAR = ("lqg-wheelbase", "mpc-wheelbase")
@@ -166,12 +166,12 @@ def make(
     network = Network.load(usual if model is None else model)
     car = vehicle(network)
     cost = StageCost.of(cost, car.axes, len(car.corners))
-    if len(car.corners) > 1 and name in AT_EACH_CORNER:
-        from .decentralised import Decentralised, at_each_corner
+    if len(car.corners) > 1 and name in _AT_EACH_CORNER:
+        from ._decentralised import Decentralised, at_each_corner
 
         corners = at_each_corner(network, cost, lambda one, own: factory(one, own, control_step, **options))  # type: ignore[arg-type, return-value]
         return Decentralised(name, network, corners)
-    if name not in (*IDLE, *AT_EACH_CORNER, *WHOLE_CAR):
+    if name not in (*_IDLE, *_AT_EACH_CORNER, *WHOLE_CAR):
         require_quarter_car(network, f"'{name}' is a controller")
     return factory(network, cost, control_step, **options)
 

@@ -8,13 +8,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import MEASURED
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
+from isd_gym._common.errors import InputError
+from isd_gym.env._environment import MEASURED
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
 if TYPE_CHECKING:
+    from isd_gym.physics._vehicle import Vehicle
     from isd_gym.physics.network import Network
-    from isd_gym.physics.vehicle import Vehicle
+
+__all__ = [
+    "BatchController",
+    "Controller",
+    "Signals",
+    "WholeCarController",
+    "clean",
+    "limit",
+    "rises",
+    "steps_ahead",
+]
+
 
 _BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
 CURRENT = 5  # index of the present current in the observation

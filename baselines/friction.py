@@ -22,15 +22,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el
+from isd_gym.physics._kernel import jit
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_RATE
 from isd_gym.physics.cost import StageCost
-from isd_gym.physics.kernel import jit
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_RATE
 
-from .controller import CURRENT, BatchController, rises, steps_ahead
-from .estimator import Estimator
-from .model import (
+from ._estimator import Estimator
+from ._model import (
     ROAD_INTENSITY,
     Model,
     Sensors,
@@ -40,9 +39,14 @@ from .model import (
     move_regulator,
     prediction_model,
 )
+from .controller import CURRENT, BatchController, rises, steps_ahead
 
 if TYPE_CHECKING:
     from isd_gym.physics.network import Network
+
+__all__ = [
+    "FrictionMpcSettings",
+]
 
 
 @jit.compiled(error_model="numpy")

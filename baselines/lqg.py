@@ -7,15 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isd_gym.physics._vehicle import SLEW_RATE, state_channels
 from isd_gym.physics.cost import StageCost
-from isd_gym.physics.vehicle import SLEW_RATE, state_channels
 
+from ._estimator import Estimator
+from ._model import ROAD_INTENSITY, Sensors, Weights, device_reach, prediction_model, preview_regulator
 from .controller import BatchController, rises, steps_ahead
-from .estimator import Estimator
-from .model import ROAD_INTENSITY, Sensors, Weights, device_reach, prediction_model, preview_regulator
 
 if TYPE_CHECKING:
     from isd_gym.physics.network import Network
+
+__all__ = [
+    "LqgSettings",
+]
+
 
 STEEPEST = 0.1  # largest rise of a road per control step [m]
 

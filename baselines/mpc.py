@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_RATE
 from isd_gym.physics.cost import StageCost
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_RATE
 
-from .controller import CURRENT, BatchController
-from .estimator import Estimator
-from .model import (
+from ._estimator import Estimator
+from ._model import (
     ROAD_INTENSITY,
     Model,
     Sensors,
@@ -35,12 +34,18 @@ from .model import (
     prediction_model,
     statistical_linearisation,
 )
-from .qp import Osqp, Program
+from ._qp import Osqp, Program
+from .controller import CURRENT, BatchController
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from isd_gym.physics.network import Network
+
+__all__ = [
+    "MpcSettings",
+]
+
 
 ACCELERATION_LIMIT = 5.0  # m/s^2, Table 5
 TRAVEL_LIMIT = 0.08  # m, Table 5
@@ -65,7 +70,7 @@ class MpcSettings:
             effect of the road.
         spread: Factor on the effect of the road in 'planned' [-].
         friction_noise: Standard deviation of the estimator's friction per step [N].
-        solver: Class of the quadratic program (`qp.Program`); other solvers are compared in
+        solver: Class of the quadratic program (`_qp.Program`); other solvers are compared in
             `docs/explanation/baselines.md`.
         sensors: Standard deviations of the measurements in the estimator.
         road_intensity: Two-sided intensity of the road's velocity [m^2/s].

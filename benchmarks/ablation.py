@@ -42,9 +42,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import grading
 from grading import Row
 
-from isd_gym.diagnosis.selection.criteria import Criteria
-from isd_gym.diagnosis.verdict import gates as rules
-from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis._selection.criteria import Criteria
+from isd_gym.diagnosis._verdict import gates as rules
+from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

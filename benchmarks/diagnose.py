@@ -50,7 +50,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import grading
 from grading import Row
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib import engine
 
 if TYPE_CHECKING:
@@ -211,7 +211,7 @@ def run(limit: float, **case: Any) -> Row:
 
 def command(files: Case, out: Path) -> Any:
     """Run `isd-gym diagnose` and return its diagnosis.json. Raises where the command, or its report, fails."""
-    from isd_gym.commands import app
+    from isd_gym._commands import app
 
     held = ["--validate", *files.held] if files.held else []
     mapping = ["--map", files.mapping] if files.mapping else []

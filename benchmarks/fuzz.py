@@ -37,7 +37,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from hostile import KINDS, SHARES
 
-from isd_gym.common.errors import InputError, harmless
+from isd_gym._common.errors import InputError, harmless
 
 SECONDS = 10
 #: tries of one process; it costs a fraction of a second, and a second or two where libraries are loaded or laws compiled

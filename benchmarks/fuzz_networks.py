@@ -19,8 +19,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 import random_networks
 
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import ISDSuspensionEnv
+from isd_gym._common.errors import InputError
+from isd_gym.env._environment import ISDSuspensionEnv
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 

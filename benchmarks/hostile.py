@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError
-from isd_gym.common.files import claim_folder, whole_folder, write_text
+from isd_gym._common.errors import InputError
+from isd_gym._common.files import claim_folder, whole_folder, write_text
 from isd_gym.physics.network import Network, builtin_networks, linearise
 from isd_gym.physics.road import road
 from isd_gym.records.data import Table, check, read_table, write_table
@@ -323,7 +323,7 @@ def zipped(parts: dict[str, bytes]) -> bytes:
 
 
 def zips(rng: Rng, folder: Path) -> None:
-    from isd_gym.agents.convert import convert, read_normalize
+    from isd_gym.agents._convert import convert, read_normalize
 
     if rng.random() < 0.2:
         normal = pickle.dumps(
@@ -642,7 +642,7 @@ def _car() -> Network:
 
 def maps(rng: Rng, folder: Path) -> None:
     """Test channel maps with random contents."""
-    from isd_gym.records.loggers import ChannelMap
+    from isd_gym.records._loggers import ChannelMap
 
     tree = {
         "schema": "isd-map/1",

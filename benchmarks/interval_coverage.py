@@ -150,7 +150,7 @@ def _width(p: dict[str, Any]) -> float:
 def main() -> None:
     from families import FAMILIES
 
-    from isd_gym.common.errors import InputError
+    from isd_gym._common.errors import InputError
 
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

@@ -55,7 +55,7 @@ class Case:
 
 def cli(line: str) -> Callable[[], None]:
     def run() -> None:
-        from isd_gym.commands import main
+        from isd_gym._commands import main
 
         sys.argv = ["isd-gym", *line.split()]
         main()
@@ -211,7 +211,7 @@ def begin(run: Callable[[], None], folder: Path, log: Path, before: Callable[[],
     except SystemExit as error:
         code = error.code if isinstance(error.code, int) else 98 * (error.code is not None)
     except BaseException as error:
-        from isd_gym.common.errors import InputError
+        from isd_gym._common.errors import InputError
 
         if isinstance(error, InputError | OSError):  # as the command line would
             print(f"isd-gym: {error}", file=sys.stderr)

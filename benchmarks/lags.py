@@ -19,11 +19,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import numpy as np
 from families import FAMILIES, make_case
 
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.clock_lag import align_clocks
-from isd_gym.diagnosis.records import build_record
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.clock_lag import align_clocks
+from isd_gym.diagnosis._records import build_record
 from isd_gym.physics.network import Network
-from isd_gym.records.loggers import Recording, Signal
+from isd_gym.records._loggers import Recording, Signal
 
 
 def split(case: Any, network: Network, lag: float) -> Recording | None:

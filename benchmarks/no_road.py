@@ -100,7 +100,7 @@ def command(place: Path, more: list[str]) -> dict[str, Any]:
     Raises:
         RuntimeError: Where the command fails or one of its files is absent.
     """
-    from isd_gym.commands import app
+    from isd_gym._commands import app
     from isd_gym.physics.network import Network
 
     out = place / "found"

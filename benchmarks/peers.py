@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from grading import grade, graded, named, pair
 
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.structure import add, base_structure
-from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.structure import add, base_structure
+from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.physics.elements import beside as standing
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate

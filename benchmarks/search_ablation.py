@@ -30,14 +30,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import diagnose
 import grading
 
-from isd_gym.diagnosis import workflow
-from isd_gym.diagnosis.selection.settings import SearchSettings
+from isd_gym.diagnosis import _workflow as workflow
+from isd_gym.diagnosis._selection.settings import SearchSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
 FILE = Path(__file__).with_name("ablation-search.json")
-SELECTION = "isd_gym.diagnosis.selection"
+SELECTION = "isd_gym.diagnosis._selection"
 
 #: suite and kind of each rig: several families, known and unknown laws, forces, sensors, one and two effects, none
 SAMPLE = (
@@ -221,7 +221,7 @@ def executed() -> Iterator[set[str]]:
 
     def outer(frame: Any, event: str, arg: object) -> Callable[..., Any] | None:
         name = frame.f_code.co_filename
-        return local if "/diagnosis/selection/" in name or name.endswith("diagnosis/workflow.py") else None
+        return local if "/diagnosis/_selection/" in name or name.endswith("diagnosis/_workflow.py") else None
 
     threading.settrace(outer)
     sys.settrace(outer)

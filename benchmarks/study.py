@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from isd_gym._common.errors import InputError
+from isd_gym._common.files import write_text
 from isd_gym.agents.policy import SHIPPED, Policy
-from isd_gym.common.errors import InputError
-from isd_gym.common.files import write_text
 from isd_gym.contrib import engine
 from isd_gym.contrib.sweep.grid import Condition, Grid
 from isd_gym.physics.network import Network

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from isd_gym.benchmark import cards
+from isd_gym.benchmark import _cards as cards
 from isd_gym.env.registration import ENVIRONMENTS, EPISODE_STEPS
 
 ROOT = Path(__file__).resolve().parents[1]

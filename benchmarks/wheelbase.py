@@ -28,7 +28,7 @@ KEPT = ("cost", "body_acceleration_rms", "pitch_acceleration_rms", "weighted_acc
 def entry(name: str, network: Any, speed: float) -> Any:
     """A controller that knows the speed."""
     from isd_gym import baselines
-    from isd_gym.baselines.model import ROAD_INTENSITY
+    from isd_gym.baselines._model import ROAD_INTENSITY
     from isd_gym.benchmark.policies import find
     from isd_gym.benchmark.scoring import Entry
 
@@ -57,7 +57,7 @@ def drive(network: Any, speed: float, episodes: int, seed: int, duration: float)
 
 def bound(network: Any, speed: float) -> dict[str, Any] | None:
     """Return the change of the cost at the linear-quadratic bound, with and without knowledge of the rear road."""
-    from isd_gym.common.errors import InputError
+    from isd_gym._common.errors import InputError
     from isd_gym.contrib.ceilings.bounds import wheelbase_bound
 
     try:
@@ -69,8 +69,8 @@ def bound(network: Any, speed: float) -> dict[str, Any] | None:
 
 def main(argv: list[str] | None = None) -> None:
     """Drive, print a line for each speed, and write the file."""
+    from isd_gym.physics._vehicle import vehicle
     from isd_gym.physics.network import Network
-    from isd_gym.physics.vehicle import vehicle
 
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

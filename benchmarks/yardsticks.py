@@ -29,11 +29,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from isd_gym.common.arrays import rms
-from isd_gym.diagnosis.estimation.initial_state_fit import initial_state
-from isd_gym.diagnosis.records import differentiate_inputs, read_record
-from isd_gym.diagnosis.simulation.interpolation import differences
-from isd_gym.diagnosis.simulation.problem import Problem, low_pass
+from isd_gym._common.arrays import rms
+from isd_gym.diagnosis._estimation.initial_state_fit import initial_state
+from isd_gym.diagnosis._records import differentiate_inputs, read_record
+from isd_gym.diagnosis._simulation.interpolation import differences
+from isd_gym.diagnosis._simulation.problem import Problem, low_pass
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, read_table, write_table

@@ -25,7 +25,7 @@ from isd_gym.benchmark.policies import conventional, find
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import iso_road, paper_road, road
 from isd_gym.physics.simulate import simulate
-from isd_gym.view.report.schematic import draw
+from isd_gym.view._report.schematic import draw
 
 HERE = Path(__file__).parent / "figures"
 # Okabe and Ito: told apart by the colour-blind too
@@ -80,7 +80,7 @@ def reports() -> None:
     from isd_gym.benchmark.policies import passive
     from isd_gym.benchmark.scoring import score
     from isd_gym.diagnosis import diagnose
-    from isd_gym.view.report import score_report, write_report
+    from isd_gym.view import score_report, write_report
 
     with tempfile.TemporaryDirectory() as folder:
         names = ("passive", "isd-passive", "skyhook", "lqg", "mpc", "mpc-friction", "ppo", "sac")
@@ -239,8 +239,8 @@ def projection() -> None:
 
 def show() -> None:
     """Frames of ``isd-gym show``: two quarter cars after eight seconds, the picture of the README; a half and a full car on a bump."""
-    from isd_gym.benchmark.show import snapshots
-    from isd_gym.view.rendering import Renderer
+    from isd_gym.benchmark._show import snapshots
+    from isd_gym.view._rendering import Renderer
 
     frames: dict[str, tuple[tuple[str, ...], str, float, tuple[int, int], str]] = {
         "show": (("mpc", "passive"), "quarter-car-isd", 8.0, (1000, 560), "paper"),
@@ -277,7 +277,7 @@ def films() -> None:
 
     from imageio_ffmpeg import get_ffmpeg_exe
 
-    from isd_gym.benchmark.show import film
+    from isd_gym.benchmark._show import film
 
     with tempfile.TemporaryDirectory() as folder:
         for name, (policies, network, drive) in FILMS.items():
@@ -301,7 +301,7 @@ def films() -> None:
 
 def preview() -> None:
     """Change of J over the seconds of road ahead, of the references of the benchmark's card, and the ceilings."""
-    from isd_gym.benchmark import cards
+    from isd_gym.benchmark import _cards as cards
     from isd_gym.contrib.ceilings.ceiling import known
     from isd_gym.physics.network import Network
     from isd_gym.physics.road import road
@@ -335,7 +335,7 @@ def preview() -> None:
 def measured() -> None:
     """The missing force of a measured drive (EMPS), where its records lie beside the repository."""
     from isd_gym.diagnosis import diagnose
-    from isd_gym.view.report import write_report
+    from isd_gym.view import write_report
 
     records = Path(__file__).resolve().parents[2] / "shared" / "real" / "emps"
     if not records.is_dir():

@@ -72,8 +72,8 @@ def elements() -> str:
 
 def commands() -> str:
     """`--help` of every command."""
-    from isd_gym.commands import app
-    from isd_gym.common.plugins import COMMANDS, plugins
+    from isd_gym._commands import app
+    from isd_gym._common.plugins import COMMANDS, plugins
 
     known = {c.name or c.callback.__name__ for c in app.registered_commands}
     for point in plugins(COMMANDS):

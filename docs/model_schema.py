@@ -8,7 +8,7 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
-from isd_gym.common.units import CONDITIONS
+from isd_gym._common.units import CONDITIONS
 from isd_gym.records import schemas
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -24,7 +24,7 @@ def model_schema() -> dict[str, Any]:
     """
     from isd_gym.physics.elements import TYPES
     from isd_gym.physics.network import SCHEMA
-    from isd_gym.physics.network.bodies import MASSES
+    from isd_gym.physics.network._bodies import MASSES
 
     types = sorted(TYPES)
     return {
@@ -109,7 +109,7 @@ def model_schema() -> dict[str, Any]:
 
 def _body() -> dict[str, Any]:
     """Return the schema of a rigid body."""
-    from isd_gym.physics.network.bodies import AXES, FARTHEST, MASSES
+    from isd_gym.physics.network._bodies import AXES, FARTHEST, MASSES
 
     inertia = {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1], "description": "[kg m^2]"}
     place = {"type": "number", "minimum": -FARTHEST, "maximum": FARTHEST}
@@ -143,7 +143,7 @@ def _body() -> dict[str, Any]:
 
 def _lever() -> dict[str, Any]:
     """Return the schema of a lever."""
-    from isd_gym.physics.network.bodies import LEVER_UNITS, RATIOS
+    from isd_gym.physics.network._bodies import LEVER_UNITS, RATIOS
 
     size = {"type": "number", "minimum": RATIOS[0], "maximum": RATIOS[1]}
     opposite = {"type": "number", "minimum": -RATIOS[1], "maximum": -RATIOS[0]}
@@ -162,7 +162,7 @@ def _lever() -> dict[str, Any]:
 
 def _about(quantities: tuple[str, ...], more: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of a channel about an axis of a body."""
-    from isd_gym.physics.network.bodies import AXES
+    from isd_gym.physics.network._bodies import AXES
 
     return _channel({"body": {"$ref": "#/$defs/name"}, "axis": {"enum": list(AXES)}}, quantities, more)
 
@@ -216,7 +216,7 @@ def _element(cls: type) -> dict[str, Any]:
 
 def _units(quantity: str) -> list[str]:
     """Return every spelling of the units of a quantity."""
-    from isd_gym.common.units import _SPELLINGS, QUANTITIES, TABLE
+    from isd_gym._common.units import _SPELLINGS, QUANTITIES, TABLE
 
     si = QUANTITIES[quantity][1]
     own = [unit for unit, (base, _) in TABLE.items() if base == si]

@@ -29,11 +29,11 @@ import stock as stock_study
 import study
 import tracks as tracks_of
 
-from isd_gym.benchmark import cards
+from isd_gym.benchmark import _cards as cards
 from isd_gym.contrib.ceilings.ceiling import known
-from isd_gym.diagnosis.selection import criteria
+from isd_gym.diagnosis._selection import criteria
+from isd_gym.env._task import Options
 from isd_gym.env.registration import ENVIRONMENTS
-from isd_gym.env.task import Options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -332,7 +332,7 @@ FIELD = re.compile(r"^    (\w+): ((?:.|\n {5,})*)", re.MULTILINE)
 
 def environment() -> str:
     """Docstring of the environments as Markdown, with tables of the arguments and of the options."""
-    from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+    from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 
     names = ", ".join(f"`{name}`" for name in ENVIRONMENTS)
     parts = [

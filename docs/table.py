@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from isd_gym.benchmark import cards
+from isd_gym.benchmark import _cards as cards
 
 PAGE = Path(__file__).parent / "reference" / "benchmark.md"
 

@@ -24,7 +24,7 @@ from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
-from isd_gym.view.report import write_report
+from isd_gym.view import write_report
 
 CAR = Network.load("quarter-car-isd").with_parameters(
     {"wheel.mass": 44.0, "tyre.stiffness": 195e3, "body.mass": 350.0}

@@ -1,18 +1,18 @@
 """A vehicle suspension with a hydraulic electric inerter, for control, learning and diagnosis.
 
 Importing the package makes its environments known to Gymnasium and loads nothing else: the names below, and the modules
-(`isd_gym.env.environment`, `isd_gym.physics.road`, ...), come with their first use.
+(`isd_gym.physics.road`, `isd_gym.sb3`, ...), come with their first use. Modules whose names begin with `_` are private.
 
 Rooms, lower ones first:
 
-- `common`: errors, files, units.
+- `_common`: errors, files, units.
 - `records`: what was measured, and its files.
 - `physics`: what a suspension is and how it moves.
 - `env`: the environments of Gymnasium; `sb3` gives them to Stable-Baselines3.
 - `benchmark`: policies, scores and cards; `baselines` and `agents` have controllers and trained policies.
 - `diagnosis`: which effect a model lacks.
 - `view`: pages and pictures.
-- `commands`: the program.
+- `_commands`: the program.
 
 `contrib` has parts beside these, which nothing of the above imports.
 """
@@ -25,13 +25,16 @@ TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
     from typing import Any
 
+    from ._common.errors import InputError as InputError
+    from ._common.errors import MissingColumn as MissingColumn
+    from ._common.errors import ReportError as ReportError
+    from ._common.errors import TyreContactWarning as TyreContactWarning
     from .benchmark.scoring import Score as Score
     from .benchmark.scoring import score as score
-    from .common.errors import InputError as InputError
     from .diagnosis import Diagnosis as Diagnosis
     from .diagnosis import diagnose as diagnose
-    from .env.environment import ISDSuspensionEnv as ISDSuspensionEnv
-    from .env.environment import ISDSuspensionVectorEnv as ISDSuspensionVectorEnv
+    from .env._environment import ISDSuspensionEnv as ISDSuspensionEnv
+    from .env._environment import ISDSuspensionVectorEnv as ISDSuspensionVectorEnv
     from .physics.cost import StageCost as StageCost
     from .physics.network import Network as Network
     from .physics.network import linearise as linearise
@@ -44,13 +47,16 @@ __version__ = "0.1.0"
 #: public name -> its module
 _HOME = {
     "Diagnosis": "diagnosis",
-    "ISDSuspensionEnv": "env.environment",
-    "ISDSuspensionVectorEnv": "env.environment",
-    "InputError": "common.errors",
+    "ISDSuspensionEnv": "env._environment",
+    "ISDSuspensionVectorEnv": "env._environment",
+    "InputError": "_common.errors",
+    "MissingColumn": "_common.errors",
     "Network": "physics.network",
+    "ReportError": "_common.errors",
     "Score": "benchmark.scoring",
     "StageCost": "physics.cost",
     "Table": "records.data",
+    "TyreContactWarning": "_common.errors",
     "diagnose": "diagnosis",
     "linearise": "physics.network",
     "read_table": "records.data",

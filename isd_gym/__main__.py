@@ -1,5 +1,5 @@
 """The program `isd-gym` as ``python -m isd_gym``."""
 
-from .commands import main
+from ._commands import main
 
 main()

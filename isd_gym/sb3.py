@@ -18,15 +18,15 @@ from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
+from ._common.errors import InputError
+from ._common.files import check_file, whole
 from .benchmark.driving import Entry
 from .benchmark.policies import find, passive
 from .benchmark.scoring import drive
-from .common.errors import InputError
-from .common.files import check_file, whole
-from .env.environment import ISDSuspensionVectorEnv
-from .env.history import history_of
-from .env.task import CONTROL_STEP
-from .physics.vehicle import CURRENT_LIMIT, SLEW_RATE
+from .env._environment import ISDSuspensionVectorEnv
+from .env._history import history_of
+from .env._task import CONTROL_STEP
+from .physics._vehicle import CURRENT_LIMIT, SLEW_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +35,14 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-    from .env.task import Task
+    from .env._task import Task
+
+__all__ = [
+    "BatchedVecEnv",
+    "ScoreCallback",
+    "make_vec_env",
+    "save_model",
+]
 
 
 class BatchedVecEnv(VecEnv):
@@ -179,7 +186,7 @@ def make_vec_env(
 #: seed of the first validation road, far from the seeds of trainings; scoring roads have no seed
 VALIDATION_SEED = 4_100_000_000
 #: time of the training per time of its evaluations, where no interval is given
-PATIENCE = 20.0
+_PATIENCE = 20.0
 
 
 class ScoreCallback(BaseCallback):
@@ -286,7 +293,7 @@ class ScoreCallback(BaseCallback):
         if self.every is not None:
             due = self.num_timesteps - self._evaluated >= self.every
         else:
-            due = time.perf_counter() - self._last >= max(PATIENCE * self._free, 2.0)
+            due = time.perf_counter() - self._last >= max(_PATIENCE * self._free, 2.0)
         if due:
             self._evaluate()
         return True

@@ -25,7 +25,7 @@ class Done(NamedTuple):
 
 def run(*words: Any, cwd: Path | None = None, env: dict[str, str] | None = None) -> Done:
     """Return what the program prints and ends with; nothing of the process is changed afterwards."""
-    from isd_gym.commands import main
+    from isd_gym._commands import main
 
     out, err, interrupt = io.StringIO(), io.StringIO(), signal.getsignal(signal.SIGINT)
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():

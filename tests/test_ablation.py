@@ -12,8 +12,8 @@ import ablation
 import search_ablation
 from search_ablation import SELECTION, VARIATIONS, varied
 
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.selection.settings import SearchSettings
+from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._selection.settings import SearchSettings
 
 pytestmark = pytest.mark.tools
 
@@ -39,7 +39,7 @@ def test_a_variation_changes_its_target_and_is_undone(variation):
 
 
 def test_the_lines_of_the_search_that_a_diagnosis_executes_tell_what_it_depends_on():
-    from isd_gym.diagnosis.selection.candidate import simplest_first
+    from isd_gym.diagnosis._selection.candidate import simplest_first
 
     with search_ablation.executed() as lines:
         simplest_first([], 30.0, 60.0)

@@ -9,13 +9,13 @@ from builders import channel, damper, model
 from scipy.integrate import solve_ivp
 
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import base_structure
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.hypotheses.score_test import ScoredStart, score_hypotheses
-from isd_gym.diagnosis.selection.admissibility import Travel, admissible_starts, is_observed
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._hypotheses.score_test import ScoredStart, score_hypotheses
+from isd_gym.diagnosis._selection.admissibility import Travel, admissible_starts, is_observed
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 

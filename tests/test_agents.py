@@ -19,9 +19,10 @@ import gymnasium
 import numpy as np
 import pytest
 
-from isd_gym.agents.convert import convert, read_torch
-from isd_gym.agents.entry import open_policy
-from isd_gym.agents.memory import Memory
+from isd_gym._common.errors import InputError
+from isd_gym.agents._convert import convert, read_torch
+from isd_gym.agents._entry import open_policy
+from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import (
     JSON_NAME,
     SHIPPED,
@@ -32,7 +33,6 @@ from isd_gym.agents.policy import (
 )
 from isd_gym.agents.settings import MEMORY, SETTINGS
 from isd_gym.benchmark.policies import conventional
-from isd_gym.common.errors import InputError
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
@@ -52,7 +52,7 @@ def small_policy(rng: np.random.Generator, head: Head | None = None, memory: Mem
 @cache
 def filtered() -> Memory:
     """The memory with the LQG's estimate of the default car."""
-    from isd_gym.agents.estimate import lqg_filter
+    from isd_gym.agents._estimate import lqg_filter
 
     return replace(MEMORY, filter=lqg_filter(Network.load("quarter-car-isd")))
 
@@ -272,7 +272,7 @@ def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path
         "    def find_spec(self, name, path=None, target=None):\n"
         "        if name in ('torch', 'stable_baselines3'): raise ModuleNotFoundError(name)\n"
         "sys.meta_path.insert(0, Without())\n"
-        "from isd_gym.commands import main\n"
+        "from isd_gym._commands import main\n"
         "sys.argv = ['isd-gym', 'score', 'passive', 'lqg', 'ppo', 'sac', '--episodes', '2', '--json', 's.json']\n"
         "main()"
     )
@@ -322,7 +322,7 @@ def test_the_adapter_is_the_single_environment(sb3):
 
 @needs_sb3
 def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
-    from isd_gym.agents.vec import Remember
+    from isd_gym.agents._vec import Remember
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(
@@ -663,8 +663,8 @@ def test_a_training_that_diverges_or_has_nothing_to_learn_is_one_line(sb3, brief
 
 @needs_sb3
 def test_two_trainings_do_not_share_a_folder(sb3, tmp_path):
+    from isd_gym._common.files import claim_folder, held
     from isd_gym.agents.train import FOLDER, train
-    from isd_gym.common.files import claim_folder, held
 
     taken = held(claim_folder(tmp_path / "run", *FOLDER), "training run")
     with taken, pytest.raises(InputError, match="another process"):
@@ -765,8 +765,8 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
     import torch
     from gymnasium import spaces
 
-    from isd_gym.agents.ppo import PPOPolicy
-    from isd_gym.agents.sac import SACPolicy
+    from isd_gym.agents._ppo import PPOPolicy
+    from isd_gym.agents._sac import SACPolicy
 
     box = spaces.Box(-1.0, 1.0, (6,), np.float32)
     action = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -782,7 +782,7 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
 
 @needs_sb3
 def test_on_a_spread_every_road_counts_the_same(sb3):
-    from isd_gym.agents.vec import Remember
+    from isd_gym.agents._vec import Remember
     from isd_gym.sb3 import make_vec_env
 
     def cost(even, **options):
@@ -808,9 +808,9 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
     import torch
     from gymnasium import spaces
 
-    from isd_gym.agents.ppo import GroupBuffer
-    from isd_gym.agents.sac import GroupReplayBuffer
-    from isd_gym.agents.vec import Remember
+    from isd_gym.agents._ppo import GroupBuffer
+    from isd_gym.agents._sac import GroupReplayBuffer
+    from isd_gym.agents._vec import Remember
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from builders import channel, damper, friction, spring
 
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis import diagnose, workflow
-from isd_gym.diagnosis.records import find_misreading, read_record
-from isd_gym.diagnosis.simulation.problem import Problem
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis import _workflow as workflow
+from isd_gym.diagnosis import diagnose
+from isd_gym.diagnosis._records import find_misreading, read_record
+from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
-from isd_gym.records.data.quality import known_check
+from isd_gym.records.data._quality import known_check
 
 CAR = builders.model(
     "four-poster",
@@ -158,7 +159,7 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared rigs are not here")
 @pytest.mark.parametrize("family", ["rigs", "blind", "real"])
 def test_no_shared_rig_is_refused(family, monkeypatch):
-    from isd_gym.records.loggers.record_reading import records_of
+    from isd_gym.records._loggers.record_reading import records_of
 
     class Compared(Exception):
         pass

@@ -7,8 +7,8 @@ from builders import channel, damper, friction, spring
 from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
-from isd_gym.diagnosis.records import choose_decimation, count_derivatives, differentiate_inputs
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.diagnosis._records import choose_decimation, count_derivatives, differentiate_inputs
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network, linearise, natural_frequencies, transfer
 
 SAMPLES = 12_000

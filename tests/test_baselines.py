@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from isd_gym import baselines
-from isd_gym.baselines.controller import clean, limit
-from isd_gym.baselines.estimator import Estimator
-from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _plan
-from isd_gym.baselines.lqg import Lqg, LqgSettings
-from isd_gym.baselines.model import (
+from isd_gym._common.errors import InputError
+from isd_gym.baselines._estimator import Estimator
+from isd_gym.baselines._model import (
     Sensors,
     Weights,
     device_reach,
@@ -25,13 +23,15 @@ from isd_gym.baselines.model import (
     stationary,
     statistical_linearisation,
 )
+from isd_gym.baselines._qp import Osqp, Outcome
+from isd_gym.baselines.controller import clean, limit
+from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _plan
+from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.baselines.mpc import Mpc, MpcSettings
-from isd_gym.baselines.qp import Osqp, Outcome
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network, linearise
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
 
 STEP = 5e-3
 CAR = Network.load("quarter-car-isd")

@@ -8,14 +8,14 @@ from builders import friction
 from test_inspection import CAR, drive
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.initial_state_fit import initial_state
+from isd_gym import _commands as cli
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.initial_state_fit import initial_state
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records._loggers import Recording, Signal
+from isd_gym.records._loggers.start import motions_at, state_of
 from isd_gym.records.data import Table, read_table, write_table
-from isd_gym.records.loggers import Recording, Signal
-from isd_gym.records.loggers.start import motions_at, state_of
 
 NETWORK = Network.load(CAR)
 STEP = 2.5e-3

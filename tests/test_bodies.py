@@ -13,8 +13,8 @@ from builders import damper, model
 
 import isd_gym.physics.simulate
 from isd_gym import simulate
-from isd_gym.common.errors import InputError
-from isd_gym.physics.kernel.layout import GENERAL
+from isd_gym._common.errors import InputError
+from isd_gym.physics._kernel.layout import GENERAL
 from isd_gym.physics.network import Channel, Network, assemble, cut, linearise, rejoin, transfer
 
 OLD = ("force-rig", "force-rig-eq6", "quarter-car-eq8", "quarter-car-isd", "quarter-car-passive")

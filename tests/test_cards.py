@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from program import assert_one_line, run
 
-from isd_gym.benchmark import cards
+from isd_gym._common.errors import InputError
+from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark.scoring import fingerprints, score
-from isd_gym.common.errors import InputError
 
 ON = {"episodes": 4, "duration": 0.5}
 
@@ -144,7 +144,7 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path):
 
 
 def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(capsys):
-    from isd_gym.commands._card_table import print_track
+    from isd_gym._commands._card_table import print_track
     from isd_gym.contrib.ceilings.ceiling import known
 
     card = cards.load("ISDSuspension-v0")
@@ -158,7 +158,7 @@ def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(capsys):
 
 
 def test_no_regret_where_no_ceiling_is_known(card, capsys):
-    from isd_gym.commands._card_table import print_track
+    from isd_gym._commands._card_table import print_track
 
     print_track(card, "brief")  # half a second of road is no sample for a mean over roads
     assert "regret" not in capsys.readouterr().out.lower()

@@ -22,7 +22,7 @@ def test_importing_the_package_stays_light():
 def test_help_is_light_and_knows_the_commands_of_all_packages():
     """--help lists train, reproduce, ... with the first sentence of each, and imports none of their libraries."""
     code = (
-        "import sys; sys.argv = ['isd-gym', '--help']; from isd_gym.commands import main\n"
+        "import sys; sys.argv = ['isd-gym', '--help']; from isd_gym._commands import main\n"
         "try: main()\n"
         "except SystemExit: print([m for m in ('numpy', 'numba', 'torch', 'gymnasium') if m in sys.modules])"
     )
@@ -121,8 +121,8 @@ def test_a_card_fits_a_narrow_terminal():
     import contextlib
     import io
 
-    from isd_gym.benchmark import cards
-    from isd_gym.commands._card_table import print_track
+    from isd_gym._commands._card_table import print_track
+    from isd_gym.benchmark import _cards as cards
 
     text = io.StringIO()
     with contextlib.redirect_stdout(text), pytest.MonkeyPatch.context() as narrow:
@@ -136,8 +136,8 @@ def test_a_card_fits_a_narrow_terminal():
 
 @pytest.mark.parametrize("width", [48, 80, 106, 200])
 def test_a_score_folds_no_name_and_loses_no_figure(width, capsys, monkeypatch):
+    from isd_gym._commands._score_table import print_score
     from isd_gym.benchmark.scoring import score
-    from isd_gym.commands._score_table import print_score
 
     monkeypatch.setattr("rich.console.Console.width", width)
     result = score(["isd-passive"], "half-car-isd", episodes=2, duration=0.5)
@@ -249,7 +249,7 @@ def test_the_version_is_told():
 def test_a_missing_extra_is_named(missing, args, extra, tmp_path):
     code = (
         f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['isd-gym', *{args!r}]\n"
-        "from isd_gym.commands import main; main()"
+        "from isd_gym._commands import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
@@ -271,7 +271,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
         "def stopping(*args, **kwargs):\n"
         "    import os, signal; os.kill(os.getpid(), signal.SIGINT); return drive(*args, **kwargs)\n"
         "s.drive = stopping; sys.argv = ['isd-gym', 'score', 'passive', '--report', 'r', '--json', 's.json']\n"
-        "from isd_gym.commands import main; main()"
+        "from isd_gym._commands import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
@@ -295,7 +295,7 @@ def test_ctrl_c_in_a_callback_that_swallows_it(then):
         "def swallowing(*args, **kwargs):\n"
         f"    callback(); {then}\n"
         "s.drive = swallowing; sys.argv = ['isd-gym', 'score', 'passive']\n"
-        "from isd_gym.commands import main; main()"
+        "from isd_gym._commands import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "isd-gym: stopped\n")
@@ -334,7 +334,7 @@ def test_nowhere_to_keep_the_kernel_is_one_line():
         "import sys, numba.core.caching as c\n"
         "c.CacheImpl._locator_classes = []\n"
         "sys.argv = ['isd-gym', 'score', 'passive']\n"
-        "from isd_gym.commands import main; main()"
+        "from isd_gym._commands import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert_one_line(done, "set NUMBA_CACHE_DIR")

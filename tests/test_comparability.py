@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from isd_gym.benchmark.comparability import Comparable, comparable
+from isd_gym.benchmark._comparability import Comparable, comparable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import Entry, Idle, score
-from isd_gym.env.sensors import Sensors
+from isd_gym.env._sensors import Sensors
 from isd_gym.physics.network import Network
 
 CAR = Network.load("quarter-car-isd")
@@ -56,7 +56,7 @@ def test_a_small_sample_has_no_share_of_the_causal_gain():
 
 def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):
     """Neither bound nor the paper's tables in the picture; the page says why."""
-    from isd_gym.view.report import score as page
+    from isd_gym.view._report import score as page
 
     asked = []
 
@@ -64,7 +64,7 @@ def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):
         def load(self):
             return lambda tyre, travel, **options: asked.append(options) or np.zeros((3, 2))
 
-    monkeypatch.setattr("isd_gym.common.plugins.plugins", lambda group, name=None: [Point()])
+    monkeypatch.setattr("isd_gym._common.plugins.plugins", lambda group, name=None: [Point()])
     result = score([find("isd-passive", CAR)], CAR, reference=passive(CAR), episodes=2, duration=1.0)
     assert page.fronts(result) == [] and not asked
     chart = page.trade_off(page.Shown(result))

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isd_gym.diagnosis.result_builder import ResultBuilder
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.selection.free_force import FreeForce
+from isd_gym.diagnosis._result_builder import ResultBuilder
+from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._selection.free_force import FreeForce
 
 REFITTED, LAW, TABLE = (SimpleNamespace(name=n, hypotheses=(n,), well_formed=lambda: True) for n in "rlt")
 

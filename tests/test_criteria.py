@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria, table
-from isd_gym.diagnosis.selection.equivalent_laws import repeats
-from isd_gym.diagnosis.selection.held_out import HeldOutScore
-from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
-from isd_gym.diagnosis.verdict.gates import COMPARE, Gate, confidence, decide, gates_of, table_gates
+from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
+from isd_gym.diagnosis._selection.equivalent_laws import repeats
+from isd_gym.diagnosis._selection.held_out import HeldOutScore
+from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis._verdict.gates import COMPARE, Gate, confidence, decide, gates_of, table_gates
 from isd_gym.physics.elements import TYPES, Motion
 
 FRICTION = EffectEvidence(

@@ -7,7 +7,7 @@ import pytest
 from builders import channel, friction
 
 from isd_gym import simulate
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import diagnose
 from isd_gym.physics.network import Network, cut, rejoin
 from isd_gym.records.data import Table

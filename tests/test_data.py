@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import io, signal
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.records.data import (
     Finding,
     Table,
@@ -21,9 +21,9 @@ from isd_gym.records.data import (
     read_table,
     write_table,
 )
-from isd_gym.records.data.quality import held_samples
-from isd_gym.records.data.signals import stamp_rounding, unwrapped
-from isd_gym.records.data.table import read_columns, read_rasters
+from isd_gym.records.data._quality import held_samples
+from isd_gym.records.data._signals import stamp_rounding, unwrapped
+from isd_gym.records.data._table import read_columns, read_rasters
 
 if TYPE_CHECKING:
     from collections.abc import Callable

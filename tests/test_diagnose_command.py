@@ -14,17 +14,18 @@ import pytest
 from builders import channel, friction, pushed_mass
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
+from isd_gym import _commands as cli
 from isd_gym import simulate
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis import SearchSettings, diagnose, workflow
-from isd_gym.diagnosis.estimation.structure import Hypothesis
-from isd_gym.diagnosis.records import thin_long_record
-from isd_gym.diagnosis.selection import forward_backward
-from isd_gym.diagnosis.selection.forward_backward import Search
-from isd_gym.diagnosis.simulation.problem import Record
-from isd_gym.diagnosis.simulation.time_limit import TimeLimit
-from isd_gym.diagnosis.verdict.wording import summary_of, unit_summary_of
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis import SearchSettings, diagnose
+from isd_gym.diagnosis import _workflow as workflow
+from isd_gym.diagnosis._estimation.structure import Hypothesis
+from isd_gym.diagnosis._records import thin_long_record
+from isd_gym.diagnosis._selection import forward_backward
+from isd_gym.diagnosis._selection.forward_backward import Search
+from isd_gym.diagnosis._simulation.problem import Record
+from isd_gym.diagnosis._simulation.time_limit import TimeLimit
+from isd_gym.diagnosis._verdict.wording import summary_of, unit_summary_of
 from isd_gym.physics.network import Network
 from isd_gym.records import schemas
 from isd_gym.records.data import Table, read_table, write_table

@@ -17,9 +17,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import CRITERIA, Diagnosis, SearchSettings, diagnose
-from isd_gym.diagnosis.estimation.noise import (
+from isd_gym.diagnosis._estimation.noise import (
     Noise,
     lagged,
     noise_after_filters,
@@ -104,11 +104,11 @@ def test_a_force_that_is_large_only_while_a_decay_begins_keeps_its_name() -> Non
 
 
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins() -> None:
-    from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-    from isd_gym.diagnosis.estimation.multiple_shooting import fit_segments, is_lightly_damped
-    from isd_gym.diagnosis.estimation.noise import white_filters
-    from isd_gym.diagnosis.estimation.structure import base_structure
-    from isd_gym.diagnosis.simulation.problem import Problem, Record
+    from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+    from isd_gym.diagnosis._estimation.multiple_shooting import fit_segments, is_lightly_damped
+    from isd_gym.diagnosis._estimation.noise import white_filters
+    from isd_gym.diagnosis._estimation.structure import base_structure
+    from isd_gym.diagnosis._simulation.problem import Problem, Record
 
     def resonator(stiffness: float) -> Network:
         k = builders.spring("m", "ground", stiffness, "k")
@@ -250,9 +250,9 @@ def test_what_noise_leaves_behind_a_filter_is_predicted() -> None:
 
 
 def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
-    from isd_gym.diagnosis.estimation.initial_states import states_along
-    from isd_gym.diagnosis.estimation.structure import base_structure
-    from isd_gym.diagnosis.simulation.problem import Problem, Record
+    from isd_gym.diagnosis._estimation.initial_states import states_along
+    from isd_gym.diagnosis._estimation.structure import base_structure
+    from isd_gym.diagnosis._simulation.problem import Problem, Record
 
     net = Network.load("quarter-car-isd")
     rng = np.random.default_rng(5)
@@ -275,7 +275,7 @@ def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
 
 
 def test_what_a_filter_had_to_guess_is_not_compared() -> None:
-    from isd_gym.diagnosis.simulation.problem import Problem, Record, low_pass
+    from isd_gym.diagnosis._simulation.problem import Problem, Record, low_pass
 
     net = Network.load("force-rig-eq6").without_element("seal")
     step = 2e-3
@@ -298,7 +298,7 @@ def test_what_a_filter_had_to_guess_is_not_compared() -> None:
 
 
 def test_a_special_case_takes_the_place_of_what_is_not_needed() -> None:
-    from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
+    from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
 
     rig = Network.load("force-rig-eq6").without_element("seal")
     top = rig.moved_nodes[0]
@@ -319,7 +319,7 @@ def test_a_special_case_takes_the_place_of_what_is_not_needed() -> None:
 
 def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before() -> None:
     """It holds the constant level already; what is gone is not asked for its values."""
-    from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
+    from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
 
     rig = Network.load("force-rig-eq6").without_element("seal")
     where = (rig.moved_nodes[0], "ground")
@@ -341,14 +341,14 @@ def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
 
 def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends() -> None:
     # friction gives the piston many rests: from a guess the first stretch held out ended in another (0.063 of the deviation)
-    from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-    from isd_gym.diagnosis.estimation.noise import white_filters
-    from isd_gym.diagnosis.estimation.structure import base_structure
+    from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+    from isd_gym.diagnosis._estimation.noise import white_filters
+    from isd_gym.diagnosis._estimation.structure import base_structure
+    from isd_gym.diagnosis._records import split_records
+    from isd_gym.diagnosis._selection.candidate import Candidate
+    from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
+    from isd_gym.diagnosis._simulation.problem import Problem
     from isd_gym.diagnosis.planning import infer_rig, make_excitation, make_record
-    from isd_gym.diagnosis.records import split_records
-    from isd_gym.diagnosis.selection.candidate import Candidate
-    from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
-    from isd_gym.diagnosis.simulation.problem import Problem
 
     net = Network.load("force-rig").with_element(
         element("drag", "quadratic_damping", "piston", "ground", damping=1381.0)
@@ -370,10 +370,10 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
 @pytest.mark.slow
 def test_a_score_is_a_function_of_its_arguments() -> None:
     """Initial states of held-out records come from the scores that are given, whatever was scored before."""
-    from isd_gym.diagnosis.records import read_record, split_records
-    from isd_gym.diagnosis.selection.forward_backward import Search
-    from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
-    from isd_gym.diagnosis.simulation.problem import Problem
+    from isd_gym.diagnosis._records import read_record, split_records
+    from isd_gym.diagnosis._selection.forward_backward import Search
+    from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
+    from isd_gym.diagnosis._simulation.problem import Problem
 
     case = families.make_case("shaken.cubic", 306)
     net = Network.load(case.model)
@@ -404,8 +404,8 @@ def test_a_score_is_a_function_of_its_arguments() -> None:
 
 def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side() -> None:
     # a spring that has play, beside a damper that has none: everything between the two nodes used to be put behind the play
-    from isd_gym.diagnosis.estimation.structure import add, base_structure
-    from isd_gym.diagnosis.hypotheses.library import hypotheses
+    from isd_gym.diagnosis._estimation.structure import add, base_structure
+    from isd_gym.diagnosis._hypotheses.library import hypotheses
 
     net = Network.load(families.make_case("shaken.play", 305).model)
     k, c, m = (net.parameters[p] for p in ("spring.stiffness", "damper.damping", "mass.mass"))
@@ -463,16 +463,16 @@ def test_laws_of_friction_are_told_apart_where_the_steps_are_fine_enough(kind, s
 
 def test_one_law_replaces_two_laws_at_one_place_and_begins_near_their_sum() -> None:
     """A falling friction that was found in two parts: the level, and a negative damping."""
-    from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-    from isd_gym.diagnosis.estimation.noise import white_filters
-    from isd_gym.diagnosis.estimation.structure import rebuilt
-    from isd_gym.diagnosis.hypotheses.library import hypotheses
-    from isd_gym.diagnosis.hypotheses.motion import motions
-    from isd_gym.diagnosis.records import read_record, split_records
-    from isd_gym.diagnosis.selection.candidate import Candidate
-    from isd_gym.diagnosis.selection.equivalent_laws import joint_structures
-    from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
-    from isd_gym.diagnosis.simulation.problem import Problem
+    from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+    from isd_gym.diagnosis._estimation.noise import white_filters
+    from isd_gym.diagnosis._estimation.structure import rebuilt
+    from isd_gym.diagnosis._hypotheses.library import hypotheses
+    from isd_gym.diagnosis._hypotheses.motion import motions
+    from isd_gym.diagnosis._records import read_record, split_records
+    from isd_gym.diagnosis._selection.candidate import Candidate
+    from isd_gym.diagnosis._selection.equivalent_laws import joint_structures
+    from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
+    from isd_gym.diagnosis._simulation.problem import Problem
 
     case = families.make_case("shaken.stribeck", 305)
     net = Network.load(case.model)
@@ -504,7 +504,7 @@ def test_one_law_replaces_two_laws_at_one_place_and_begins_near_their_sum() -> N
 
 def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() -> None:
     # along lines every sample of the base was a knock: an inertance came out with twice the acceleration, and a compliance beside it
-    from isd_gym.diagnosis.simulation.problem import Problem, Record
+    from isd_gym.diagnosis._simulation.problem import Problem, Record
 
     net = network(
         "shaken",
@@ -532,7 +532,7 @@ def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() 
 
 def test_noise_of_a_moved_node_does_not_rule_its_acceleration() -> None:
     # of a spline's second derivative it did: a dyno's inertance, 10.7 to 1.4 % of the force, was refused
-    from isd_gym.diagnosis.simulation.interpolation import splined_input
+    from isd_gym.diagnosis._simulation.interpolation import splined_input
 
     rng = np.random.default_rng(0)
     for step, samples, noise, most in (
@@ -640,7 +640,7 @@ def test_a_wave_that_is_not_seen_to_repeat_gives_way_to_a_spring() -> None:
 
 
 def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
-    from isd_gym.diagnosis.estimation.structure import in_line
+    from isd_gym.diagnosis._estimation.structure import in_line
 
     car = Network.load("quarter-car-isd")
     assert in_line(car, ("body", "piston"), ("joint", "wheel"))
@@ -705,7 +705,7 @@ def test_detents_at_the_cars_device_are_named_with_their_pitch() -> None:
 
 
 def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit() -> None:
-    from isd_gym.diagnosis.estimation.noise import floor_of
+    from isd_gym.diagnosis._estimation.noise import floor_of
 
     rng = np.random.default_rng(4)
     step, n = 4e-3, 8000
@@ -718,8 +718,8 @@ def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit() -> None:
 
 
 def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
-    from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
-    from isd_gym.diagnosis.simulation.problem import Problem, Record
+    from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
+    from isd_gym.diagnosis._simulation.problem import Problem, Record
 
     model = Network.load("force-rig").to_dict()
     model["outputs"][0]["noise"] = 12.5
@@ -737,7 +737,7 @@ def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
 
 
 def test_every_mass_and_the_ground_is_a_place_whatever_is_moved() -> None:
-    from isd_gym.diagnosis.hypotheses.library import hypotheses, pairs
+    from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
 
     car = Network.load("quarter-car-isd")
     assert {("body", "ground"), ("wheel", "ground")} <= set(pairs(car))
@@ -747,8 +747,8 @@ def test_every_mass_and_the_ground_is_a_place_whatever_is_moved() -> None:
 
 
 def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
-    from isd_gym.diagnosis.records import split_records
-    from isd_gym.diagnosis.simulation.problem import Record
+    from isd_gym.diagnosis._records import split_records
+    from isd_gym.diagnosis._simulation.problem import Record
 
     t = 1e-2 * np.arange(3000)
     drive = Record("drive", 1e-2, {"u": t}, np.sin(6.0 * t)[:, None])
@@ -777,9 +777,9 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
 
 
 def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out() -> None:
-    from isd_gym.diagnosis.records import split_records
-    from isd_gym.diagnosis.simulation.problem import Problem, Record
-    from isd_gym.diagnosis.workflow import held_from
+    from isd_gym.diagnosis._records import split_records
+    from isd_gym.diagnosis._simulation.problem import Problem, Record
+    from isd_gym.diagnosis._workflow import held_from
 
     net = Network.load("quarter-car-passive")
     t = 0.005 * np.arange(3000)
@@ -801,8 +801,8 @@ def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out() -> Non
 
 
 def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by() -> None:
-    from isd_gym.diagnosis.records import split_records
-    from isd_gym.diagnosis.simulation.problem import Record
+    from isd_gym.diagnosis._records import split_records
+    from isd_gym.diagnosis._simulation.problem import Record
 
     counts = np.zeros(3000)  # an encoder's, which does not flicker
     counts[:4] = [9, -9, 9, -9]
@@ -813,8 +813,8 @@ def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by() -> None:
 
 @pytest.mark.parametrize("thin", [1, 2])
 def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin: int) -> None:
-    from isd_gym.diagnosis.records import LEAD_IN, split_records
-    from isd_gym.diagnosis.simulation.problem import Problem, Record, thinned
+    from isd_gym.diagnosis._records import LEAD_IN, split_records
+    from isd_gym.diagnosis._simulation.problem import Problem, Record, thinned
 
     model = Network.load("force-rig")
     moved, first = model.inputs[0].name, model.outputs[0].between or (model.outputs[0].at, "ground")

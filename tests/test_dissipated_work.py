@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from builders import channel
 
-from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
-from isd_gym.diagnosis.hypotheses.forces import dissipated_work, lossy_share
-from isd_gym.diagnosis.hypotheses.unmodelled_effects import simulate_unmodelled_effects
-from isd_gym.diagnosis.selection.held_out import effect_size
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.diagnosis._estimation.gauss_newton import Fit, Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
+from isd_gym.diagnosis._hypotheses.forces import dissipated_work, lossy_share
+from isd_gym.diagnosis._hypotheses.unmodelled_effects import simulate_unmodelled_effects
+from isd_gym.diagnosis._selection.held_out import effect_size
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
 
 STIFFNESS = 250e3  # [N/m]; the mass is 1 kg, so that a period takes 12.6 ms

@@ -14,8 +14,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
-from isd_gym.common.plugins import COMMANDS, plugins
+from isd_gym import _commands as cli
+from isd_gym._common.plugins import COMMANDS, plugins
 from isd_gym.physics import elements
 
 pytestmark = pytest.mark.tools

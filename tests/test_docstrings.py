@@ -22,13 +22,13 @@ DIAGNOSIS = (
     "isd_gym/contrib/fmi/identification",
 )
 INTERNAL = (
-    "isd_gym/physics/kernel",
+    "isd_gym/physics/_kernel",
     *DIAGNOSIS,
-    "isd_gym/records/formats",
+    "isd_gym/records/_formats",
     *(f"isd_gym/contrib/bench_files/{reader}" for reader in ("mat73", "tdms", "uff", "xlsx")),
     # parts of a picture, which `rendering` puts together
     *(
-        f"isd_gym/view/rendering/{part}"
+        f"isd_gym/view/_rendering/{part}"
         for part in ("canvas", "c", "panel", "quarter", "rigid", "road", "symbols", "wheel")
     ),
 )
@@ -202,10 +202,10 @@ def faults(path):
 
 
 def modules():
-    """Return the public modules of all packages."""
+    """Return the modules with functions that other modules use, also private modules; parts of the program are left out."""
     paths = [p for package in PACKAGES for p in sorted((ROOT / package).rglob("*.py"))]
-    public = [p for p in paths if not p.name.startswith("_") or p.stem == "__init__"]
-    names = [p.relative_to(ROOT).as_posix() for p in public]
+    shared = [p for p in paths if not p.name.startswith("_") or p.parent.name not in ("_commands", "fmi")]
+    names = [p.relative_to(ROOT).as_posix() for p in shared]
     return [name for name in names if not name.startswith(INTERNAL)]
 
 

@@ -11,8 +11,8 @@ import pytest
 from builders import element, friction
 from gymnasium.utils.env_checker import check_env
 
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym._common.errors import InputError
+from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 

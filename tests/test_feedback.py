@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import base_structure
-from isd_gym.diagnosis.records import find_feedback, read_record
-from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.diagnosis.verdict.closed_loop import imitated_share
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._records import find_feedback, read_record
+from isd_gym.diagnosis._simulation.problem import Problem, Record
+from isd_gym.diagnosis._verdict.closed_loop import imitated_share
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 

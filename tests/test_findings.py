@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import pytest
 from test_words import VAGUE, document
 
-from isd_gym.diagnosis.estimation.structure import Hypothesis
-from isd_gym.diagnosis.result_builder import ResultBuilder
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.selection.weights import FREE_FORCE, Statement, WeightedCandidate
-from isd_gym.diagnosis.verdict import measurement
-from isd_gym.diagnosis.verdict.findings import find
-from isd_gym.diagnosis.verdict.gates import confidence
-from isd_gym.diagnosis.verdict.grades import OBSERVED, grade, observed
-from isd_gym.diagnosis.verdict.wording import summary_of
+from isd_gym.diagnosis._estimation.structure import Hypothesis
+from isd_gym.diagnosis._result_builder import ResultBuilder
+from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._selection.weights import FREE_FORCE, Statement, WeightedCandidate
+from isd_gym.diagnosis._verdict import measurement
+from isd_gym.diagnosis._verdict.findings import find
+from isd_gym.diagnosis._verdict.gates import confidence
+from isd_gym.diagnosis._verdict.grades import OBSERVED, grade, observed
+from isd_gym.diagnosis._verdict.wording import summary_of
 
 FRONT, REAR = ("body_front", "wheel_front"), ("body_rear", "wheel_rear")
 NO_LAWS = SimpleNamespace(

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from builders import channel, damper, friction, spring
 
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.sensitivities import tangents
-from isd_gym.diagnosis.estimation.structure import base_structure
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.hypotheses.motion import simulate_variants
-from isd_gym.diagnosis.hypotheses.score_test import build_starts
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.sensitivities import tangents
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._hypotheses.motion import simulate_variants
+from isd_gym.diagnosis._hypotheses.score_test import build_starts
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 

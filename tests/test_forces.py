@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from builders import channel, damper
 
-from isd_gym.common.arrays import rms
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import base_structure
-from isd_gym.diagnosis.hypotheses.forces import PlaceForces, place_forces
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym._common.arrays import rms
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.forces import PlaceForces, place_forces
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 
 if TYPE_CHECKING:
     from isd_gym.physics.network import Network

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import isd_gym
-from isd_gym.common import plugins
+from isd_gym._common import plugins
 
 ROOT = Path(__file__).parents[1]
 #: source folder -> where an installation has it
@@ -163,7 +163,7 @@ def test_other_packages_named_agents_and_baselines(tmp_path):
     code = (
         "import sys, gymnasium, isd_gym.baselines, isd_gym.agents.train, isd_gym.agents.policy\n"
         "gymnasium.make('ISDSuspension-v0').reset(seed=0)\n"
-        "from isd_gym.commands import main\n"
+        "from isd_gym._commands import main\n"
         "sys.argv = ['isd-gym', 'score', 'passive', 'mpc', 'ppo', '--episodes', '1', '--duration', '1']\n"
         "try: main()\n"
         "except SystemExit as end: assert not end.code, end.code\n"

@@ -9,12 +9,12 @@ from builders import channel, damper, element, spring
 from scipy.linalg import expm
 
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import base_structure
-from isd_gym.diagnosis.hypotheses.motion import motions
-from isd_gym.diagnosis.hypotheses.position_spectrum import spectral_pitches, thinning_loses
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.motion import motions
+from isd_gym.diagnosis._hypotheses.position_spectrum import spectral_pitches, thinning_loses
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 

@@ -9,14 +9,14 @@ import pytest
 from builders import channel, element, pushed_mass
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
+from isd_gym import _commands as cli
 from isd_gym import simulate
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import Quantity
-from isd_gym.diagnosis.prediction_errors import prediction_errors, removed_share
-from isd_gym.diagnosis.selection.uncertainty import with_posterior
-from isd_gym.env.environment import ISDSuspensionEnv
-from isd_gym.physics.batch import posterior_ranges, ranges
+from isd_gym.diagnosis._prediction_errors import prediction_errors, removed_share
+from isd_gym.diagnosis._selection.uncertainty import with_posterior
+from isd_gym.env._environment import ISDSuspensionEnv
+from isd_gym.physics._batch import posterior_ranges, ranges
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, write_table
 

@@ -186,7 +186,7 @@ def test_a_case_whose_report_fails_has_no_result(
             (out / "report.html").write_text("<html>")
         return 0
 
-    monkeypatch.setattr("isd_gym.commands.app", app)
+    monkeypatch.setattr("isd_gym._commands.app", app)
     rig = tmp_path / "rigs" / "rig_000"
     rig.mkdir(parents=True)
     for name in ("estimation_0.csv", "validation.csv", "model.json"):

@@ -12,16 +12,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from isd_gym.agents.entry import open_policy
-from isd_gym.agents.memory import Echo, Memory, _Echo
+from isd_gym._common.errors import InputError
+from isd_gym.agents._entry import open_policy
+from isd_gym.agents._memory import Echo, Memory, _Echo
+from isd_gym.agents._wheelbase import car_filter, road_model
 from isd_gym.agents.policy import Head, Policy
 from isd_gym.agents.settings import PPOSettings, SACSettings, tuned
-from isd_gym.agents.wheelbase import car_filter, road_model
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import vehicle
 
 CARS = {"half-car-isd": "ISDHalfCar-v0", "full-car-isd": "ISDFullCar-v0"}
 both = pytest.mark.parametrize("network", CARS)
@@ -213,7 +213,7 @@ def test_the_delay_follows_the_speed():
 
 def test_a_quarter_car_s_model_is_that_of_the_baselines():
     """The whole-car model of a car with one corner: same matrices up to the choice of the state, by its transfer."""
-    from isd_gym.baselines.model import prediction_model
+    from isd_gym.baselines._model import prediction_model
 
     network = Network.load("quarter-car-isd")
     own, known = road_model(network, STEP), prediction_model(network, STEP)
@@ -329,8 +329,8 @@ def brief(monkeypatch):
     """Settings of a training of a few thousand steps, and nothing scored that takes long."""
     if find_spec("stable_baselines3") is None:
         pytest.skip("Stable-Baselines3 (and torch) not installed")
+    import isd_gym.agents._wheelbase as wheelbase
     import isd_gym.agents.train as module
-    import isd_gym.agents.wheelbase as wheelbase
 
     def known(network: Network, *_: object) -> tuple:  # made once for all runs
         own = memory(network.name)

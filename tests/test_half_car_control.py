@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from isd_gym import baselines
-from isd_gym.baselines.decentralised import Decentralised
+from isd_gym._common.errors import InputError
+from isd_gym.baselines._decentralised import Decentralised
 from isd_gym.benchmark.driving import Crew, Entry, Idle, travel
 from isd_gym.benchmark.policies import conventional, find, passive
 from isd_gym.benchmark.scoring import drive, score
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import vehicle
 
 HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")
 KINDS = {"half-car-isd": "half car", "full-car-passive": "full car"}

@@ -16,11 +16,11 @@ from reference import simulate as by_reference
 
 from isd_gym import simulate
 from isd_gym.diagnosis import Diagnosis, SearchSettings, diagnose
-from isd_gym.diagnosis.estimation.structure import in_line
-from isd_gym.diagnosis.hypotheses.forces import _measured_force
-from isd_gym.diagnosis.hypotheses.library import pairs
-from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.physics.elements.base import held_still
+from isd_gym.diagnosis._estimation.structure import in_line
+from isd_gym.diagnosis._hypotheses.forces import _measured_force
+from isd_gym.diagnosis._hypotheses.library import pairs
+from isd_gym.diagnosis._simulation.problem import Problem, Record
+from isd_gym.physics.elements._base import held_still
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 

@@ -11,12 +11,12 @@ from gymnasium.utils.env_checker import check_env
 from scipy.integrate import trapezoid
 from scipy.special import k1
 
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym._common.errors import InputError
+from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import FULL_CAR, HALF_CAR, StageCost
 from isd_gym.physics.network import Network, linearise
 from isd_gym.physics.road import Road, paper_road
-from isd_gym.physics.vehicle import vehicle
 
 CARS = {"ISDHalfCar-v0": 2, "ISDFullCar-v0": 4}
 NETWORKS = {"ISDHalfCar-v0": "half-car-isd", "ISDFullCar-v0": "full-car-isd"}

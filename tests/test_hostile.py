@@ -17,10 +17,10 @@ import pytest
 from program import assert_one_line, run
 from scipy.io import savemat
 
-from isd_gym.agents.convert import array, convert, read_normalize, read_pickle, read_torch
+from isd_gym._common.errors import InputError, markdown, plain, shown
+from isd_gym._common.files import claim_folder, whole, whole_folder
+from isd_gym.agents._convert import array, convert, read_normalize, read_pickle, read_torch
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
-from isd_gym.common.errors import InputError, markdown, plain, shown
-from isd_gym.common.files import claim_folder, whole, whole_folder
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
@@ -108,7 +108,7 @@ def test_names_are_shown_in_one_line_that_steers_nothing():
 def test_a_name_that_no_file_can_have_is_one_line(name, tmp_path):
     from isd_gym.benchmark.policies import find
     from isd_gym.contrib.sweep.grid import Grid
-    from isd_gym.physics.elements.base import register_file
+    from isd_gym.physics.elements._base import register_file
 
     for use in (Network.load, Policy.load, read_table, road, Grid.load, register_file):
         refused(lambda use=use: use(name))
@@ -700,7 +700,7 @@ def test_a_converted_policy_goes_nowhere_but_its_folder(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-import isd_gym.common.files as files
+import isd_gym._common.files as files
 where, when = sys.argv[1], sys.argv[2]
 die = lambda *a: os.kill(os.getpid(), signal.SIGKILL)
 if when == "fallback":  # a system that cannot exchange, killed between the two renames
@@ -751,11 +751,11 @@ def table(tmp_path, suffix, n=100):
 
 
 #: begin of a helper's program whose reader of .mat files is another one
-OTHER = f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); import isd_gym.records.formats.mat as m; "
+OTHER = f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); import isd_gym.records._formats.mat as m; "
 
 
 def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, monkeypatch):
-    from isd_gym.records.data import isolated
+    from isd_gym.records.data import _isolated as isolated
 
     path = table(tmp_path, ".mat")
     isolated._stop()  # a helper that has read many files ends with the next one
@@ -772,7 +772,7 @@ def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, mo
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of a process")
 def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
-    from isd_gym.records.data import isolated
+    from isd_gym.records.data import _isolated as isolated
 
     path = table(tmp_path, ".mat")
     monkeypatch.setattr(isolated, "SECONDS", 0.1)
@@ -873,8 +873,8 @@ def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):
     path = table(tmp_path, ".mf4")
     path.write_bytes(path.read_bytes()[:700] + bytes(4000))
     code = (
-        "import sys, os; from isd_gym.records.data import read_table; from isd_gym.records.data import isolated\n"
-        "from isd_gym.common.errors import InputError\n"
+        "import sys, os; from isd_gym.records.data import read_table; from isd_gym.records.data import _isolated as isolated\n"
+        "from isd_gym._common.errors import InputError\n"
         "for _ in range(3):\n try: read_table(sys.argv[1])\n except InputError as e: pass\n"
         "print(isolated._helper.process.pid)"
     )

@@ -9,10 +9,10 @@ from builders import channel, damper, friction, pushed_mass, spring
 from reference import simulate
 
 from isd_gym.diagnosis import SearchSettings, diagnose
-from isd_gym.diagnosis.estimation.sensitivities import deviations
-from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._estimation.sensitivities import deviations
+from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._selection.uncertainty import intervals, relative_uncertainty
 from isd_gym.diagnosis.result import Quantity
-from isd_gym.diagnosis.selection.uncertainty import intervals, relative_uncertainty
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table

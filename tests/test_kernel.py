@@ -6,7 +6,7 @@ import reference
 from builders import channel, element, friction, network, spring
 from scipy.signal import lsim, sawtooth
 
-from isd_gym.physics.kernel import compiled
+from isd_gym.physics._kernel import compiled
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import paper_road
 from isd_gym.physics.simulate import Plant, simulate
@@ -252,7 +252,7 @@ def test_an_element_of_ones_own_needs_nothing_but_its_class():
 
 
 def test_simulate_refuses_bad_input():
-    from isd_gym.common.errors import InputError
+    from isd_gym._common.errors import InputError
 
     time = np.arange(100) * STEP
     with pytest.raises(InputError, match="input 'current' is missing"):

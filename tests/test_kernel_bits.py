@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from builders import channel, damper, element, friction, network, spring
 
-from isd_gym.physics.batch import Batch
+from isd_gym.physics._batch import Batch
 from isd_gym.physics.network import Channel, Network
 from isd_gym.physics.simulate import Plant
 
@@ -179,7 +179,7 @@ def test_a_copied_batch_goes_on_alike_and_on_its_own(twin):
 @pytest.mark.parametrize("spread", [None, {"body.mass": (0.8, 1.2)}])
 def test_threads_change_nothing(spread):
     """Groups of cars shared by one, two and three threads: observations, rewards and info to the last bit."""
-    from isd_gym.env.environment import ISDSuspensionVectorEnv
+    from isd_gym.env._environment import ISDSuspensionVectorEnv
 
     count = 43
     fleets = [ISDSuspensionVectorEnv(count, road="E", randomize=spread, threads=n) for n in (1, 2, 3)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from isd_gym.diagnosis.estimation.least_squares import bounded_step
+from isd_gym.diagnosis._estimation.least_squares import bounded_step
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -10,9 +10,9 @@ import reference
 from builders import channel
 
 from isd_gym import simulate
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.physics.network import Network, assemble, cut, transfer
-from isd_gym.view.report.schematic import draw
+from isd_gym.view._report.schematic import draw
 
 FREQUENCY = np.geomspace(0.05, 60.0, 60)
 

@@ -10,7 +10,7 @@ import gymnasium.wrappers.vector as vector
 import numpy as np
 import pytest
 
-from isd_gym.env.environment import STEP_INFO
+from isd_gym.env._environment import STEP_INFO
 
 pytestmark = pytest.mark.tools
 

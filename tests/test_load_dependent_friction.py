@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from builders import channel, damper, element
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.forecast import plan
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.selection.settings import SearchSettings
+from isd_gym.diagnosis._selection.settings import SearchSettings
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate

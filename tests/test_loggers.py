@@ -8,16 +8,16 @@ import pytest
 from builders import channel
 from test_inspection import CAR, drive
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.inspection import inspect, lines
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.estimation.clock_lag import align_clocks
-from isd_gym.diagnosis.records import build_record, read_record
-from isd_gym.diagnosis.simulation.problem import Problem
+from isd_gym.diagnosis._estimation.clock_lag import align_clocks
+from isd_gym.diagnosis._records import build_record, read_record
+from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records._loggers import ChannelMap, Recording, Signal
 from isd_gym.records.data import Table
-from isd_gym.records.loggers import ChannelMap, Recording, Signal
 
 NETWORK = Network.load(CAR)
 CHANNELS = (*NETWORK.inputs, *NETWORK.outputs)
@@ -145,8 +145,8 @@ def test_a_rate_below_twice_the_motion_is_refused(truth):
 
 
 def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
+    from isd_gym.records._loggers import runs
     from isd_gym.records.data import write_table
-    from isd_gym.records.loggers import runs
 
     t = even(2.5e-3)
     for name in ("a", "b"):
@@ -164,7 +164,7 @@ def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
 
 
 def test_absolute_stamps_of_two_loggers_share_their_origin(tmp_path):
-    from isd_gym.records.loggers import runs
+    from isd_gym.records._loggers import runs
 
     for name, first, columns in (("a", 0.0, CHANNELS[:1]), ("b", 1.25, CHANNELS[1:])):
         rows = [",".join(["stamp", *(c.name for c in columns)])]

@@ -12,8 +12,8 @@ from builders import channel, damper, element, spring
 from scipy.signal import butter, sosfiltfilt
 
 from isd_gym.diagnosis import SearchSettings, diagnose
-from isd_gym.diagnosis.hypotheses import library
-from isd_gym.diagnosis.selection import screening
+from isd_gym.diagnosis._hypotheses import library
+from isd_gym.diagnosis._selection import screening
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table

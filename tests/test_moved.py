@@ -11,16 +11,16 @@ from builders import channel, damper, element, friction, spring
 from typer.testing import CliRunner
 
 from isd_gym import simulate
-from isd_gym.commands import app
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.initial_states import states_along
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import base_structure
-from isd_gym.diagnosis.hypotheses.library import hypotheses, pairs
-from isd_gym.diagnosis.hypotheses.missing_force import Deconvolution
-from isd_gym.diagnosis.hypotheses.motion import motions
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym._commands import app
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.initial_states import states_along
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
+from isd_gym.diagnosis._hypotheses.missing_force import Deconvolution
+from isd_gym.diagnosis._hypotheses.motion import motions
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network, assemble, linearise
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98

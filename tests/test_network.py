@@ -9,7 +9,7 @@ import pytest
 from builders import channel, friction, network
 from scipy.integrate import solve_ivp, trapezoid
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network, assemble, builtin_networks, linearise
 from isd_gym.physics.simulate import simulate

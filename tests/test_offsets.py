@@ -8,14 +8,14 @@ import pytest
 from builders import channel, damper, spring
 from scipy.optimize import least_squares
 
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.initial_states import motion_rows
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import base_structure
-from isd_gym.diagnosis.hypotheses.score_test import residual_of
-from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.initial_states import motion_rows
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.score_test import residual_of
+from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Channel, Network
 from isd_gym.records.schemas import load
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from builders import channel, damper, model, spring
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
@@ -146,7 +146,7 @@ def test_a_package_offers_elements_through_its_entry_point(monkeypatch) -> None:
 
             return offer
 
-    monkeypatch.setattr("isd_gym.physics.elements.base.entry_points", lambda group: [Entry()])
+    monkeypatch.setattr("isd_gym.physics.elements._base.entry_points", lambda group: [Entry()])
     el.discover.cache_clear()
     try:
         assert any(h.effect == "offered_damper" for h in hypotheses(Network.load(RIG)))

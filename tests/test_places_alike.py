@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 from builders import channel, network, spring
 
-from isd_gym.diagnosis.estimation.structure import Hypothesis
-from isd_gym.diagnosis.selection.equivalent_laws import _places_alike
+from isd_gym.diagnosis._estimation.structure import Hypothesis
+from isd_gym.diagnosis._selection.equivalent_laws import _places_alike
 from isd_gym.physics.elements import Motion
 
 SHAFT = network(

@@ -6,7 +6,7 @@ import pytest
 import random_networks
 from builders import damper, element, friction, spring
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import Channel, Network
 from isd_gym.physics.simulate import Plant, simulate

@@ -9,13 +9,13 @@ from builders import channel, damper, network, spring
 from program import run
 from scipy.io import savemat
 
-from isd_gym.common.errors import InputError
-from isd_gym.common.units import convert
+from isd_gym._common.errors import InputError
+from isd_gym._common.units import convert
 from isd_gym.contrib.inspection import inspect
+from isd_gym.records._loggers import ChannelMap, Recording
+from isd_gym.records._loggers.record_reading import records_of
 from isd_gym.records.data import Table, read_table
-from isd_gym.records.data.table import read_rasters
-from isd_gym.records.loggers import ChannelMap, Recording
-from isd_gym.records.loggers.record_reading import records_of
+from isd_gym.records.data._table import read_rasters
 
 RIG = network(
     "shaker",
@@ -220,7 +220,7 @@ def test_runs_side_by_side_are_two_records(heads, tmp_path):
     check(two, second)
     with pytest.raises(InputError, match="2 tables side by side"):
         read_table(tmp_path / "a.csv")
-    from isd_gym.commands.simulate import command
+    from isd_gym._commands.simulate import command
 
     RIG.save(tmp_path / "rig.json")
     with pytest.raises(InputError, match="holds 2 runs side by side"):

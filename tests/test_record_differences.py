@@ -12,15 +12,15 @@ import pytest
 from builders import channel, damper, element, spring
 
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.recordwise import RecordwiseFitter
-from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.recordwise import RecordwiseFitter
+from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._selection.record_differences import find_record_differences, group_values
+from isd_gym.diagnosis._selection.settings import SearchSettings
+from isd_gym.diagnosis._simulation.problem import Problem, Record
+from isd_gym.diagnosis._verdict.wording import _record_differences, statements_of
 from isd_gym.diagnosis.result import is_far_better
-from isd_gym.diagnosis.selection.record_differences import find_record_differences, group_values
-from isd_gym.diagnosis.selection.settings import SearchSettings
-from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.diagnosis.verdict.wording import _record_differences, statements_of
 from isd_gym.records import schemas
 from isd_gym.records.data import Table
 

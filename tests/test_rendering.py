@@ -13,10 +13,10 @@ import numpy as np
 import picture_checks
 import pytest
 
-from isd_gym.common.errors import InputError, how_to_install
-from isd_gym.view import rendering
-from isd_gym.view.rendering import Renderer, Snapshot, backend, write_video
-from isd_gym.view.rendering.canvas import Canvas
+from isd_gym._common.errors import InputError, how_to_install
+from isd_gym.view import _rendering as rendering
+from isd_gym.view._rendering import Renderer, Snapshot, backend, write_video
+from isd_gym.view._rendering.canvas import Canvas
 
 if TYPE_CHECKING:
     from pathlib import Path

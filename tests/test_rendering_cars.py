@@ -16,18 +16,18 @@ import pytest
 from scipy.ndimage import uniform_filter
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
+from isd_gym import _commands as cli
+from isd_gym._common.errors import InputError
+from isd_gym.benchmark._show import snapshots
 from isd_gym.benchmark.policies import find
-from isd_gym.benchmark.show import snapshots
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.physics.network import Network
-from isd_gym.view import rendering
-from isd_gym.view.rendering import CarSnapshot, CornerSnapshot, Renderer, Snapshot, backend, renderer
-from isd_gym.view.rendering.canvas import Canvas
-from isd_gym.view.rendering.palette import MUTED, PALE
-from isd_gym.view.rendering.rigid_car import RigidCarScene
-from isd_gym.view.rendering.wheel import RUBBER
+from isd_gym.view import _rendering as rendering
+from isd_gym.view._rendering import CarSnapshot, CornerSnapshot, Renderer, Snapshot, backend, renderer
+from isd_gym.view._rendering.canvas import Canvas
+from isd_gym.view._rendering.palette import MUTED, PALE
+from isd_gym.view._rendering.rigid_car import RigidCarScene
+from isd_gym.view._rendering.wheel import RUBBER
 
 if TYPE_CHECKING:
     from pathlib import Path

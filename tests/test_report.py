@@ -19,31 +19,31 @@ from builders import element
 from PIL import Image
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
-from isd_gym.benchmark import show
-from isd_gym.benchmark.comparability import Comparable
+from isd_gym import _commands as cli
+from isd_gym._common.errors import InputError
+from isd_gym.benchmark import _show as show
+from isd_gym.benchmark._comparability import Comparable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
-from isd_gym.common.errors import InputError
 from isd_gym.diagnosis import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import base_structure
-from isd_gym.diagnosis.hypotheses.missing_force import Deconvolution
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.missing_force import Deconvolution
+from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._simulation.problem import Problem, Record
+from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis._verdict.explanation import draw_law as series_law
+from isd_gym.diagnosis._verdict.gates import gates_of
 from isd_gym.diagnosis.result import BestCandidate, Tabulated
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
-from isd_gym.diagnosis.verdict.explanation import draw_law as series_law
-from isd_gym.diagnosis.verdict.gates import gates_of
 from isd_gym.physics.elements import TYPES, CoulombFriction
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records import schemas
 from isd_gym.records.data import Table, read_table
-from isd_gym.view.report import charts, plots
-from isd_gym.view.report import diagnosis as report
-from isd_gym.view.report import score as score_page
+from isd_gym.view._report import charts, plots
+from isd_gym.view._report import diagnosis as report
+from isd_gym.view._report import score as score_page
 
 jsonschema = pytest.importorskip("jsonschema")
 
@@ -682,7 +682,7 @@ def test_the_tables_cut_no_figure(small_score, monkeypatch, width):
 
     import rich.console
 
-    from isd_gym.commands._score_table import print_score
+    from isd_gym._commands._score_table import print_score
 
     rows = [json.loads(json.dumps(row)) for row in small_score.policies]
     for row in rows:

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.signal import csd, welch
 from scipy.special import kv
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.physics import tracks
 from isd_gym.physics.road import Road, bump, iso_road, on_side, paper_road, pothole, road
 from isd_gym.physics.tracks import SUM_STATES, TRACK_STATES, WheelPositions
@@ -251,7 +251,7 @@ def test_drawn_numbers_are_those_of_the_counters():
 
 
 def test_continued_draws_are_one_draw():
-    from isd_gym.physics.kernel.tracks import track_noise
+    from isd_gym.physics._kernel.tracks import track_noise
 
     poles, gains = iso_road("C").track_filters(1.5, 20.0, 1e-3)
     whole, parts = np.empty((2, 100)), (np.empty((2, 37)), np.empty((2, 63)))

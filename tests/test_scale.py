@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from builders import channel, damper, friction, spring
 
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.records import read_record
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._records import read_record
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network, own_time, slowest_time
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, check

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym.commands import app
-from isd_gym.common.errors import InputError
+from isd_gym._commands import app
+from isd_gym._common.errors import InputError
 from isd_gym.physics import elements
 from isd_gym.physics.network import Network, builtin_networks
 from isd_gym.records import schemas

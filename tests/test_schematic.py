@@ -8,10 +8,10 @@ import pytest
 from builders import channel, damper, element, model, spring
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
-from isd_gym.common.errors import InputError
+from isd_gym import _commands as cli
+from isd_gym._common.errors import InputError
 from isd_gym.physics.network import Network, builtin_networks
-from isd_gym.view.report import schematic
+from isd_gym.view._report import schematic
 
 BRIDGE = model(
     "bridge & <co>",

@@ -6,11 +6,11 @@ import shutil
 import numpy as np
 import pytest
 
+from isd_gym._common.errors import InputError
 from isd_gym.agents.policy import SHIPPED
 from isd_gym.benchmark import scoring
 from isd_gym.benchmark.policies import Idle, conventional, find, passive
 from isd_gym.benchmark.scoring import Entry, drive, frequency_weighting, score, weighted_rms
-from isd_gym.common.errors import InputError
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 

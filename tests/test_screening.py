@@ -6,10 +6,10 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.hypotheses.score_test import ScoredStart
-from isd_gym.diagnosis.selection.screening import Screening, amplified, starts
+from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._hypotheses.score_test import ScoredStart
+from isd_gym.diagnosis._selection.screening import Screening, amplified, starts
 from isd_gym.physics.elements import Start
 from isd_gym.physics.network import Network
 

@@ -6,9 +6,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from isd_gym.common.errors import InputError
-from isd_gym.env.environment import ISDSuspensionVectorEnv
-from isd_gym.env.sensors import NOISE, Sensors
+from isd_gym._common.errors import InputError
+from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.env._sensors import NOISE, Sensors
 
 BAD = {"noise": 1.5, "delay": 2, "road_error": 1e-3, "road_lag": 0.01, "road_range": 1.0}
 

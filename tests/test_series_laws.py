@@ -1,7 +1,7 @@
 """Series laws along one line: links of a chain without masses carry the same force."""
 
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.selection.equivalent_laws import _series_alone
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._selection.equivalent_laws import _series_alone
 from isd_gym.physics.network import Network
 
 

@@ -13,14 +13,14 @@ from builders import channel, damper, spring
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure, with_sensor_offsets
-from isd_gym.diagnosis.selection.candidate import Candidate
-from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
-from isd_gym.diagnosis.selection.simulation_fit import fit_simulation_error, run_freely
-from isd_gym.diagnosis.simulation.problem import Problem, Record
-from isd_gym.diagnosis.verdict.wording import summary_of
+from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure, with_sensor_offsets
+from isd_gym.diagnosis._selection.candidate import Candidate
+from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
+from isd_gym.diagnosis._selection.simulation_fit import fit_simulation_error, run_freely
+from isd_gym.diagnosis._simulation.problem import Problem, Record
+from isd_gym.diagnosis._verdict.wording import summary_of
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table

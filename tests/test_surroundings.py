@@ -9,9 +9,9 @@ import textwrap
 
 import pytest
 
-from isd_gym.commands._streams import ALIKE, PLAINER, prepare_streams
-from isd_gym.common.errors import InputError
-from isd_gym.physics.kernel import jit
+from isd_gym._commands._streams import ALIKE, PLAINER, prepare_streams
+from isd_gym._common.errors import InputError
+from isd_gym.physics._kernel import jit
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
 SCORE = f"{sys.executable} -m isd_gym score passive --episodes 1 --duration 0.1"
@@ -71,7 +71,7 @@ def test_without_the_compiler_is_one_line(tmp_path):
 
 FUNCTION = """
     import sys, warnings
-    from isd_gym.physics.kernel.jit import compiled
+    from isd_gym.physics._kernel.jit import compiled
 
     @compiled()
     def twice(x):
@@ -157,7 +157,7 @@ def test_a_full_disk_names_the_file(words, named, tmp_path):
 
 
 def test_errors_of_files_that_are_read_stay_what_they_are(tmp_path):
-    from isd_gym.common.files import whole
+    from isd_gym._common.files import whole
 
     with pytest.raises(FileNotFoundError), whole(tmp_path / "out.txt"):
         (tmp_path / "missing.csv").read_text()
@@ -169,7 +169,7 @@ def test_a_kernel_of_an_unknown_module_is_compiled_again(tmp_path):
     """A law of a notebook or of generated code has no module in another process: numba compiles after an OSError."""
     import importlib
 
-    from isd_gym.physics.kernel.jit import _Files
+    from isd_gym.physics._kernel.jit import _Files
 
     class Foreign:
         def __reduce__(self):

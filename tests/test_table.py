@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isd_gym import baselines, simulate
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.physics.network import Network, linearise
 
 D, V = np.linspace(-0.06, 0.06, 241), np.linspace(-2.0, 2.0, 401)

@@ -8,7 +8,7 @@ from builders import channel, damper, element, model, spring
 
 from isd_gym import simulate
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.selection.free_force import _axis, _directions, fit_in_place_of, force_over
+from isd_gym.diagnosis._selection.free_force import _axis, _directions, fit_in_place_of, force_over
 from isd_gym.physics.elements import Motion, SensorGain, SeriesCompliance
 from isd_gym.physics.network import Network
 from isd_gym.records import schemas

@@ -10,9 +10,9 @@ from builders import channel, damper, element, spring
 from scipy.integrate import solve_ivp
 
 from isd_gym import simulate
-from isd_gym.common.errors import InputError
-from isd_gym.common.units import about_axis, convert
-from isd_gym.diagnosis.estimation.structure import base_structure
+from isd_gym._common.errors import InputError
+from isd_gym._common.units import about_axis, convert
+from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.physics.network import Network
 
 J, G, C = 0.0033, 0.21, 4e-4

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from isd_gym import baselines
-from isd_gym.baselines.car import CarWeights, car_model, car_regulator
+from isd_gym._common.errors import InputError
+from isd_gym.baselines._car import CarWeights, car_model, car_regulator
 from isd_gym.benchmark.driving import Crew, Entry, travel
 from isd_gym.benchmark.policies import find
-from isd_gym.common.errors import InputError
 from isd_gym.contrib.ceilings.bounds import (
     blind_gain,
     ideal_car,
@@ -16,11 +16,11 @@ from isd_gym.contrib.ceilings.bounds import (
     simulated_cost,
     wheelbase_bound,
 )
-from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
-from isd_gym.physics.vehicle import vehicle
 
 STEP = 5e-3
 

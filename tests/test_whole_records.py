@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from builders import channel, damper, friction, spring
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis import _result_builder as builder
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis import result_builder as builder
-from isd_gym.diagnosis.estimation.gauss_newton import Fitter
-from isd_gym.diagnosis.estimation.noise import white_filters
-from isd_gym.diagnosis.estimation.structure import rebuilt
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.records import split_records
-from isd_gym.diagnosis.selection.candidate import Candidate
-from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
-from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import rebuilt
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._records import split_records
+from isd_gym.diagnosis._selection.candidate import Candidate
+from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
+from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
-from isd_gym.view.report import write_report
+from isd_gym.view._report import write_report
 
 STEP = 0.01
 

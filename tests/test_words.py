@@ -7,10 +7,10 @@ from typing import Any, get_args
 
 import pytest
 
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
-from isd_gym.diagnosis.verdict.gates import Reason, decide, gate, gates_of, table_gates
-from isd_gym.diagnosis.verdict.wording import (
+from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis._verdict.gates import Reason, decide, gate, gates_of, table_gates
+from isd_gym.diagnosis._verdict.wording import (
     ADVICE,
     KINDS,
     NOT_BORNE_OUT,

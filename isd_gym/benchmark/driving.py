@@ -8,16 +8,22 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ..common.errors import InputError
-from ..physics.vehicle import CURRENT_LIMIT, kind, vehicle
+from .._common.errors import InputError
+from ..physics._vehicle import CURRENT_LIMIT, kind, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import DTypeLike
 
-    from ..env.environment import ISDSuspensionVectorEnv
+    from ..env._environment import ISDSuspensionVectorEnv
     from ..physics.network import Network
+
+__all__ = [
+    "Controller",
+    "Entry",
+    "cost_of",
+]
 
 
 class Controller(Protocol):
@@ -164,7 +170,7 @@ class Crew:
         return sum(int(getattr(c, "fallbacks", 0)) for c in self.controllers)
 
 
-class Leg(NamedTuple):
+class _Leg(NamedTuple):
     """One control step of all cars.
 
     Attributes:
@@ -191,7 +197,7 @@ def travel(
     first: int = 0,
     dtype: DTypeLike = float,
     progress: Callable[[float], None] | None = None,
-) -> Iterator[Leg]:
+) -> Iterator[_Leg]:
     """Drive all cars from their start; episode i has the road of seed ``seed + first + i``, or scoring road ``first + i``.
 
     Args:
@@ -217,7 +223,7 @@ def travel(
         obs, rewards, terminated, _, _ = env.step(actions)
         if terminated.any():
             raise InputError(f"'{crew.name}' broke the car in episode {int(np.argmax(terminated))}")
-        yield Leg(k, seen, actions, rewards, obs)
+        yield _Leg(k, seen, actions, rewards, obs)
         if progress is not None and (k % 100 == 99 or k == steps - 1):
             progress((k + 1) / steps)
 

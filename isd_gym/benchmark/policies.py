@@ -11,24 +11,24 @@ from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
-from ..common.errors import InputError, shown
-from ..common.plugins import POLICIES, plugins
+from .._common.errors import InputError, shown
+from .._common.plugins import POLICIES, plugins
+from ..physics._vehicle import kind, vehicle
 from ..physics.cost import StageCost
 from ..physics.network import Network
-from ..physics.network.bodies import Point
-from ..physics.vehicle import kind, vehicle
+from ..physics.network._bodies import Point
+from ._own_controller import entry_of_file
 from .driving import Entry, Idle
-from .own_controller import entry_of_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Entry", "Idle", "conventional", "find", "find_all", "passive"]
+__all__ = ["Entry", "Idle", "available", "conventional", "find", "find_all", "passive"]
 
 #: name of the reference of every score
-REFERENCE = "passive"
+_REFERENCE = "passive"
 #: built-in conventional passive cars by number of corners
-CONVENTIONAL = {1: "quarter-car-passive", 2: "half-car-passive", 4: "full-car-passive"}
+_CONVENTIONAL = {1: "quarter-car-passive", 2: "half-car-passive", 4: "full-car-passive"}
 
 
 def conventional(network: Network) -> Network:
@@ -48,11 +48,11 @@ def conventional(network: Network) -> Network:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
     own, count = vehicle(network), len(vehicle(network).corners)
-    if count not in CONVENTIONAL:
+    if count not in _CONVENTIONAL:
         raise InputError(
             f"network '{network.name}' has {count} corners: conventional passive cars have 1, 2 or 4 of them"
         )
-    car = Network.load(CONVENTIONAL[count])
+    car = Network.load(_CONVENTIONAL[count])
     parameters = network.parameters
     shared = {k: parameters[k] for k in car.parameters if k in parameters}
     if count == 1:
@@ -86,7 +86,7 @@ def passive(network: Network) -> Entry:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
     car = conventional(network)
-    return Entry(REFERENCE, lambda: Idle(REFERENCE, car), car)
+    return Entry(_REFERENCE, lambda: Idle(_REFERENCE, car), car)
 
 
 def find(
@@ -128,7 +128,7 @@ def find(
     if trained is not None and name.lower().endswith(".zip"):
         options["trained"] = trained
     car = vehicle(network)
-    if name == REFERENCE:
+    if name == _REFERENCE:
         return passive(network)
     if name == "isd-passive":
         return Entry(name, lambda: Idle(name, network))
@@ -139,7 +139,7 @@ def find(
         )
     if speed is not None and len(car.corners) > 1:
         options["speed"] = speed
-    known = [REFERENCE, "isd-passive"]
+    known = [_REFERENCE, "isd-passive"]
     for point in plugins(POLICIES):
         opener = point.load()
         entry = opener(name, belief, cost, control_step, options)
@@ -173,7 +173,7 @@ def find_all(policies: Sequence[str | Entry], network: Network, **how: Any) -> l
     """
     asked = [p if isinstance(p, str) else p.name for p in policies]
     entries = [find(p, network, **how) if isinstance(p, str) else p for p in policies]
-    count = Counter([REFERENCE, *(e.name for e in entries)])
+    count = Counter([_REFERENCE, *(e.name for e in entries)])
     return [
         entry if count[entry.name] == 1 or entry.name == name else replace(entry, name=name)
         for name, entry in zip(asked, entries, strict=True)
@@ -190,7 +190,7 @@ def available() -> dict[str, str]:
         One-line description by name.
     """
     known = {
-        REFERENCE: "the conventional passive car: spring and damper in parallel; what all are compared with",
+        _REFERENCE: "the conventional passive car: spring and damper in parallel; what all are compared with",
         "isd-passive": "the plant without current",
     }
     for point in plugins(POLICIES):

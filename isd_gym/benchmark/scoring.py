@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.errors import InputError, shown
-from ..common.inputs import check_memory
-from ..common.seeds import generators, named_roads
-from ..env.sensors import Sensors
+from .._common.errors import InputError, shown
+from .._common.inputs import check_memory
+from .._common.seeds import generators, named_roads
+from ..env._sensors import Sensors
+from ..physics._vehicle import Vehicle, vehicle
 from ..physics.cost import StageCost, square
 from ..physics.network import Network
 from ..physics.road import road as find_road
-from ..physics.vehicle import Vehicle, vehicle
-from .comparability import Comparable, comparable
+from ._comparability import Comparable, comparable
 from .driving import Controller, Crew, Entry, Idle, travel
 from .policies import find_all, passive
 
@@ -44,15 +44,15 @@ __all__ = [
 ]
 
 SCHEMA = "isd-score/1"
-RESISTANCE = 3.8  # Ohm, Table 1
+_RESISTANCE = 3.8  # Ohm, Table 1
 LIMITS = {
     "body_acceleration": 5.0,
     "suspension_travel": 0.08,
     "current": 5.0,
     "current_change": 0.5,
 }  # Table 5
-RESAMPLES = 4000
-TIMED = 1500  # number of decisions of a batched policy that are repeated one at a time to measure the time
+_RESAMPLES = 4000
+_TIMED = 1500  # number of decisions of a batched policy that are repeated one at a time to measure the time
 #: Tables 7 and 8: passive, active RMS of acceleration [m/s^2], travel [m], tyre load [N]
 PAPER = {
     "Table 7 (simulation)": ((0.8306, 7.6e-3, 518.0), (0.6565, 6.3e-3, 515.0)),
@@ -241,7 +241,7 @@ def check_size(car: Vehicle, episodes: int, duration: float) -> None:
     Raises:
         InputError: A number is not positive and finite, or the signals do not fit into the memory.
     """
-    from ..env.task import CONTROL_STEP
+    from ..env._task import CONTROL_STEP
 
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")
@@ -267,7 +267,7 @@ def drive(
     cost: StageCost | None = None,
     randomize: dict[str, Any] | None = None,
     sensors: Sensors | None = None,
-    timed: int = TIMED,
+    timed: int = _TIMED,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
     """Drive one policy over all episodes, on consecutive roads.
@@ -293,8 +293,8 @@ def drive(
     Raises:
         InputError: A car breaks, or an argument is invalid.
     """
-    from ..env.environment import ISDSuspensionVectorEnv
-    from ..env.task import CONTROL_STEP
+    from ..env._environment import ISDSuspensionVectorEnv
+    from ..env._task import CONTROL_STEP
 
     plant = entry.network or network
     check_size(vehicle(plant), episodes, duration)
@@ -397,7 +397,7 @@ def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, t
     energy = np.zeros(run.body_acceleration.shape[1])
     for corner in car.driven:
         current, rate = run.signals[corner.named("current")], run.signals[corner.named("device_travel_rate")]
-        power = RESISTANCE * current**2 - car.thrust(corner) * current * rate
+        power = _RESISTANCE * current**2 - car.thrust(corner) * current * rate
         energy = energy + np.sum(power, axis=0) * dt
     found = {
         "cost": run.cost(cost),
@@ -458,7 +458,7 @@ def _pool(name: str, values: np.ndarray) -> np.ndarray:
 def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dict[str, Any]:
     """Return a quantity of a score: the value, and the paired change against a reference with its 95 % interval.
 
-    The interval is that of the ratio of the pooled values over `RESAMPLES` draws of the episodes, with common
+    The interval is that of the ratio of the pooled values over `_RESAMPLES` draws of the episodes, with common
     draws for all quantities and policies.
 
     Args:
@@ -473,7 +473,7 @@ def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dic
     quantity: dict[str, Any] = {"value": float(_pool(name, values)), "unit": unit}
     if np.all(ground > 0):
         episodes = len(values)
-        draws = np.random.default_rng(0).integers(episodes, size=(RESAMPLES, episodes))
+        draws = np.random.default_rng(0).integers(episodes, size=(_RESAMPLES, episodes))
         ratio = _pool(name, values[draws]) / _pool(name, ground[draws]) - 1.0
         low, high = np.quantile(ratio, [0.025, 0.975])
         change = float(_pool(name, values) / _pool(name, ground) - 1.0)

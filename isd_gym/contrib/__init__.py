@@ -7,5 +7,5 @@ units), `hub` (a folder for a model hub), `inspection` (content of loggers' file
 (grids of conditions). `engine` runs the many independent cases of `fleet` and `sweep` on cores and clusters; `progress` shows how
 far they are.
 
-The core reaches a wing by an entry point (`isd_gym.common.plugins`). No wing imports another, but `reproduce` the ceilings.
+The core reaches a wing by an entry point (`isd_gym._common.plugins`). No wing imports another, but `reproduce` the ceilings.
 """

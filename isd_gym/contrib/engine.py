@@ -24,9 +24,9 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.common.errors import InputError, how_to_install
-from isd_gym.common.files import claim_folder, write_text
-from isd_gym.common.inputs import read_json
+from isd_gym._common.errors import InputError, how_to_install
+from isd_gym._common.files import claim_folder, write_text
+from isd_gym._common.inputs import read_json
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from isd_gym.commands.console import SELDOM
+from isd_gym._commands.console import SELDOM
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

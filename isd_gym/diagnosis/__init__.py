@@ -2,23 +2,25 @@
 
 Data go one way, from the first of these packages to the last:
 
-- `simulation`: records and channels, and what a model says of them;
-- `records`: reading, filtering, several rates, feedback, training, validation and test parts;
-- `estimation`: fits of a model with its initial states, clock lags and noise;
-- `hypotheses`: effects that could be missing, at places, with the motion and the forces there;
-- `selection`: which effects predict held-out records best;
-- `verdict`: evidence, what it allows to say, and the words.
+- `_simulation`: records and channels, and what a model says of them;
+- `_records`: reading, filtering, several rates, feedback, training, validation and test parts;
+- `_estimation`: fits of a model with its initial states, clock lags and noise;
+- `_hypotheses`: effects that could be missing, at places, with the motion and the forces there;
+- `_selection`: which effects predict held-out records best;
+- `_verdict`: evidence, what it allows to say, and the words.
 
-`workflow` runs all of it, `result_builder` makes the `result` of what it found, `prediction_errors` judges a model as it is, and
+`_workflow` runs all of it, `_result_builder` makes the `result` of what it found, `_prediction_errors` judges a model as it is, and
 `planning` designs the test that would decide between candidates.
 """
 
+from ._estimation.initial_state_fit import FittedInitialState, initial_state
+from ._hypotheses.library import Hypothesis, hypotheses
+from ._selection.criteria import CRITERIA, Criteria
+from ._selection.settings import SearchSettings
+from ._verdict.evidence import EffectEvidence, Evidence
+from ._verdict.gates import Gate
+from ._workflow import diagnose
 from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
-from .selection.criteria import CRITERIA, Criteria
-from .selection.settings import SearchSettings
-from .verdict.evidence import EffectEvidence, Evidence
-from .verdict.gates import Gate
-from .workflow import diagnose
 
 __all__ = [
     "CRITERIA",
@@ -28,11 +30,15 @@ __all__ = [
     "Effect",
     "EffectEvidence",
     "Evidence",
+    "FittedInitialState",
     "Gate",
+    "Hypothesis",
     "Law",
     "Place",
     "Quantity",
     "SearchSettings",
     "Trace",
     "diagnose",
+    "hypotheses",
+    "initial_state",
 ]

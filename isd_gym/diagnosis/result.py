@@ -11,26 +11,37 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..common.files import claim_folder, write_text
+from .._common.files import claim_folder, write_text
 from ..physics.network import Network
 from ..records.data import Table, write_table
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..common.arrays import Array
+    from .._common.arrays import Array
     from ..contrib.fmi.cosimulation import UnitModel
-    from .estimation.clock_lag import Lag
-    from .records import Feedback
-    from .selection.criteria import Criteria
-    from .selection.settings import SearchSettings
-    from .verdict.evidence import Evidence
-    from .verdict.findings import Finding
-    from .verdict.gates import Gate, Reason
+    from ._estimation.clock_lag import Lag
+    from ._records import Feedback
+    from ._selection.criteria import Criteria
+    from ._selection.settings import SearchSettings
+    from ._verdict.evidence import Evidence
+    from ._verdict.findings import Finding
+    from ._verdict.gates import Gate, Reason
+
+__all__ = [
+    "Contender",
+    "Diagnosis",
+    "Effect",
+    "Law",
+    "Place",
+    "Quantity",
+    "Trace",
+]
+
 
 SCHEMA = "isd-diagnosis/1"
 #: share of the gain of values per record from which on a law is nearly as good
-TIED = 0.8
+_TIED = 0.8
 #: ratio of the squared errors beyond noise that two explanations leave, from which on one is far better; least error that counts
 FAR, LEAST_LEFT = 4.0, 0.01
 #: argument of a force without a known law
@@ -374,7 +385,7 @@ class RecordDifferences:
     def is_tied(self) -> bool:
         """Whether a law removes nearly as much as values per record."""
         law = self.explained_by_law
-        return law is not None and law >= TIED * self.explained and not is_far_better(self.explained, law)
+        return law is not None and law >= _TIED * self.explained and not is_far_better(self.explained, law)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
@@ -528,8 +539,8 @@ class Diagnosis:
 
     def _picture(self) -> str:
         """Return the picture of the signals as HTML; empty where it cannot be drawn, since a notebook shows the tables all the same."""
-        from ..common.errors import ReportError
-        from ..view.report import signal_picture
+        from .._common.errors import ReportError
+        from ..view._report import signal_picture
 
         try:
             return signal_picture(self)
@@ -594,7 +605,7 @@ class Diagnosis:
             ReportError: The report cannot be drawn; the other files are in the folder.
         """
         if report:
-            from ..view.report import write_report
+            from ..view._report import write_report
 
             write_report(self, folder)
             return

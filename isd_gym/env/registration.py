@@ -15,7 +15,7 @@ LEARNING = {
     "ISDHalfCarLearning-v0": "half-car-isd",
     "ISDFullCarLearning-v0": "full-car-isd",
 }
-LEARNING_OPTIONS = {"observation": "history", "reward": "relative", "action": "increment", "hold": 2}
+_LEARNING_OPTIONS = {"observation": "history", "reward": "relative", "action": "increment", "hold": 2}
 #: environment by number of corners
 BY_CORNERS = {1: "ISDSuspension-v0", 2: "ISDHalfCar-v0", 4: "ISDFullCar-v0"}
 EPISODE_STEPS = 4000  # 20 s at 5 ms
@@ -32,13 +32,13 @@ def register() -> None:
     all_ids: list[tuple[str, str, dict[str, object]]] = [
         (name, network, {}) for name, network in ENVIRONMENTS.items()
     ]
-    all_ids += [(name, network, LEARNING_OPTIONS) for name, network in LEARNING.items()]
+    all_ids += [(name, network, _LEARNING_OPTIONS) for name, network in LEARNING.items()]
     for name, network, options in all_ids:
         if name not in registry:
             add(
                 id=name,
-                entry_point="isd_gym.env.environment:ISDSuspensionEnv",
-                vector_entry_point="isd_gym.env.environment:ISDSuspensionVectorEnv",
+                entry_point="isd_gym.env._environment:ISDSuspensionEnv",
+                vector_entry_point="isd_gym.env._environment:ISDSuspensionVectorEnv",
                 reward_threshold=REWARD_THRESHOLDS.get(name),
                 kwargs={"network": network, **options},
             )

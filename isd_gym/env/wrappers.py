@@ -12,8 +12,14 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from ..common.errors import InputError, shown
-from .history import BOUND, History, Remembered
+from .._common.errors import InputError, shown
+from ._history import BOUND, History, Remembered
+
+__all__ = [
+    "HistoryObservation",
+    "Hold",
+    "RelativeReward",
+]
 
 
 class Hold(gym.Wrapper[Any, Any, Any, Any]):
@@ -124,7 +130,7 @@ class RelativeReward(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class HistoryObservation(gym.Wrapper[Any, Any, Any, Any]):
-    """Scaled signals, their changes and leaky integrals, each within ±10 (`isd_gym.env.history`).
+    """Scaled signals, their changes and leaky integrals, each within ±10 (`isd_gym.env._history`).
 
     Args:
         env: Environment whose observation is a vector of signals.

@@ -8,14 +8,23 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from ..common.errors import InputError, shown
+from .._common.errors import InputError, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+__all__ = [
+    "FULL_CAR",
+    "HALF_CAR",
+    "QUARTER_CAR",
+    "StageCost",
+    "square",
+]
+
+
 Signal = TypeVar("Signal", float, np.ndarray)
 MOTIONS = ("acceleration", "pitch", "roll")
-TERMS = (*MOTIONS, "travel", "tyre_load", "current")
+_TERMS = (*MOTIONS, "travel", "tyre_load", "current")
 LARGEST = 1e12  # of weights and references, and of one over a reference
 
 
@@ -82,7 +91,7 @@ class StageCost:
     roll_reference: float = 1.0  # [rad/s^2]
 
     def __post_init__(self) -> None:
-        for name in TERMS:
+        for name in _TERMS:
             weight, reference = getattr(self, name), getattr(self, f"{name}_reference")
             if not (_is_number(weight) and 0.0 <= weight <= LARGEST):
                 raise InputError(f"the weight of {name} must be from 0 to {LARGEST:g}, not {shown(weight)}")
@@ -116,7 +125,7 @@ class StageCost:
             InputError: An attribute does not exist, or an axis with a weight is not an axis of the body.
         """
         if not isinstance(given, StageCost):
-            usual = USUAL.get(axes, QUARTER_CAR)
+            usual = _USUAL.get(axes, QUARTER_CAR)
             means = {
                 name: float(np.mean(value))
                 for name in ("travel_reference", "tyre_load_reference")
@@ -236,7 +245,7 @@ FULL_CAR = StageCost(
     tyre_load_reference=(513.6, 513.6, 515.2, 515.2),
 )
 #: usual stage costs of cars, by the axes about which the body rotates
-USUAL: dict[tuple[str, ...], StageCost] = {
+_USUAL: dict[tuple[str, ...], StageCost] = {
     (): QUARTER_CAR,
     ("pitch",): HALF_CAR,
     ("pitch", "roll"): FULL_CAR,

@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..common.errors import InputError, shown
-from ..common.units import convert
+from .._common.errors import InputError, shown
+from .._common.units import convert
 from .tracks import (
     DIFFERENCE_STATES,
     ONE_WHEEL,
@@ -38,6 +38,21 @@ from .tracks import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+__all__ = [
+    "NAMES",
+    "Road",
+    "bump",
+    "iso_road",
+    "on_side",
+    "paper_road",
+    "pothole",
+    "profiled",
+    "recorded",
+    "road",
+    "sweep",
+]
+
 
 REFERENCE_FREQUENCY = 0.1  # n0 [cycle/m]
 #: ISO 8608:2016 geometric means of G(n0) [m^3]
@@ -235,11 +250,11 @@ class Road:
         count = round(duration / step)
         rough = np.empty((wheels.tracks, count))
         if wheels.tracks == 1:
-            from .kernel.cars import road_noise
+            from ._kernel.cars import road_noise
 
             road_noise(_seed(rng), *self.noise(speed, step), 0.0, rough[0])
         else:
-            from .kernel.tracks import track_noise
+            from ._kernel.tracks import track_noise
 
             states = np.zeros(SUM_STATES + DIFFERENCE_STATES)
             filters = self.track_filters(wheels.width, speed, step)
@@ -390,12 +405,12 @@ def on_side(ground: Road, side: str) -> Road:
     Raises:
         InputError: The side is unknown, or the road has no profile that is equal on both sides.
     """
-    if side not in SIDES:
-        raise InputError(f"no side {shown(side)}: {' or '.join(SIDES)}")
+    if side not in _SIDES:
+        raise InputError(f"no side {shown(side)}: {' or '.join(_SIDES)}")
     if ground.profile is None or ground.has_two_tracks:
         raise InputError(f"road {shown(ground.name)} has no profile that a side could have alone")
     tracks = np.zeros((2, len(ground.profile)))
-    tracks[SIDES.index(side)] = ground.profile
+    tracks[_SIDES.index(side)] = ground.profile
     return replace(ground, name=f"{ground.name}-{side}", profile=tracks)
 
 
@@ -415,7 +430,7 @@ def recorded(path: str | Path) -> Road:
     Raises:
         InputError: The file cannot be read, lacks a column, has three tracks, or holds no plausible road.
     """
-    from ..records.data.table import read_columns
+    from ..records.data._table import read_columns
 
     path = Path(path)
     names: list[str] = []
@@ -527,7 +542,7 @@ def profiled(
     return Road(Path(source).stem, abscissa=x, profile=z, over_time=over_time, shift=True)
 
 
-SIDES = ("left", "right")
+_SIDES = ("left", "right")
 NAMES = (
     "paper, paper-printed, flat, A ... H, bump, pothole, sweep, a file, or a sum such as C+bump; "
     "of one side: bump-left, pothole-right"
@@ -564,7 +579,7 @@ def road(source: str | Path | Road) -> Road:
     if text in named:
         return named[text]()
     shape, _, side = text.rpartition("-")
-    if shape in ("bump", "pothole") and side in SIDES:
+    if shape in ("bump", "pothole") and side in _SIDES:
         return on_side(named[shape](), side)
     if text.upper().removeprefix("ISO-") in ISO_CLASSES:
         return iso_road(text.upper().removeprefix("ISO-"))

@@ -14,16 +14,21 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.linalg import expm
 
-from ..common.arrays import is_smooth
-from ..common.errors import InputError, shown
-from ..common.units import HELD, convert
+from .._common.arrays import is_smooth
+from .._common.errors import InputError, shown
+from .._common.units import HELD, convert
 from . import elements as el
-from .balance import Balance
-from .kernel.layout import CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
+from ._balance import Balance
+from ._kernel.layout import CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+__all__ = [
+    "simulate",
+]
+
 
 PHYSICS_STEP = 1e-3  # s
 #: physics steps over the time scale of the motion in a fit: 126 steps per period. The error by dry friction is of first order: where
@@ -32,18 +37,18 @@ FINE = 0.05
 #: sampling steps over the time scale of the motion above which samples are sparse: fewer than 21 samples per period
 COARSE = 0.3
 #: number of samples below which the time scale of outputs says nothing
-FEWEST = 64
+_FEWEST = 64
 #: course of displacements and forces between samples
 Interpolation = Literal["linear", "smooth", "spline", "auto"]
 #: parts of the base vector for the motion of a node, each the derivative of the preceding part
 PARTS = ("r", "v", "alpha")
-TOLD = dict(zip(MOTIONS, PARTS, strict=True))
-SEPARATE = 1e-6  # relative coupling of devices below which a closed form is used
-AT_ONCE = 1e-12  # smaller velocities are rounding [m/s per N or A]; corresponds to a damper of 1e12 N s/m
+_TOLD = dict(zip(MOTIONS, PARTS, strict=True))
+_SEPARATE = 1e-6  # relative coupling of devices below which a closed form is used
+_AT_ONCE = 1e-12  # smaller velocities are rounding [m/s per N or A]; corresponds to a damper of 1e12 N s/m
 
 
 @dataclass(frozen=True)
-class Discrete:
+class _Discrete:
     """A network at a step: its numbers in the order of the kernel, and the blocks of its matrix.
 
     The state at the end of a step is A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), with the
@@ -93,12 +98,12 @@ def _columns(asm: Assembly) -> list[int]:
 
 def _instant(asm: Assembly) -> bool:
     """Return whether friction or a current moves a massless terminal instantly, in a rate that some law reads."""
-    from .kernel.compiled import law_code
+    from ._kernel.compiled import law_code
 
     c, f = asm.columns("I"), asm.columns("f")
     seen = asm.elongation_rate[~np.array(asm.by_difference, bool)]
     dry = [j for j, e in zip(range(f.start, f.stop), asm.laws, strict=True) if law_code(type(e)) < 0]
-    return bool(np.abs(np.hstack([seen[:, c], seen[:, dry]])).max(initial=0.0) > AT_ONCE)
+    return bool(np.abs(np.hstack([seen[:, c], seen[:, dry]])).max(initial=0.0) > _AT_ONCE)
 
 
 def side_by_side(asm: Assembly) -> tuple[object, ...]:
@@ -131,7 +136,7 @@ def _step_matrices(asm: Assembly, B: np.ndarray, step: float) -> tuple[np.ndarra
     return phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
 
 
-def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
+def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> _Discrete:
     """Return the exact discretisation of the linear part: first-order hold for `columns`, zero-order hold for
     currents and friction.
 
@@ -146,7 +151,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     Raises:
         InputError: The network diverges so fast that its matrices are not finite.
     """
-    from .kernel.compiled import law_code
+    from ._kernel.compiled import law_code
 
     n, laws = asm.size[0], list(asm.laws)
     x, u, c, f = asm.columns("x"), list(columns), asm.columns("I"), asm.columns("f")
@@ -197,7 +202,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     padded = -(-len(rows) // 4) * 4
     sizes = (n, m, nc, nl, ns, way, len(asm.outputs), padded, seen_outside.shape[1], int(differ.any()))
     O = asm.outputs
-    return Discrete(
+    return _Discrete(
         blocks=(Ad, U0, U1, _pad(hold[:, m : m + nc]), G0, G1),
         outputs=(O[:, x], O[:, u], _pad(O[:, c]), O[:, f]),
         yields=(GD, GS),
@@ -251,7 +256,7 @@ def _are_separate(ns: int, GD: np.ndarray, GS: np.ndarray) -> bool:
     across = device[:, None] != device
     for yields in (GD, GS):
         own = np.abs(np.diag(yields))
-        if (np.abs(yields) > SEPARATE * np.sqrt(own[:, None] * own))[across].any():
+        if (np.abs(yields) > _SEPARATE * np.sqrt(own[:, None] * own))[across].any():
             return False
     return True
 
@@ -284,7 +289,7 @@ def _closed_form(
     return closed, bool(rest > 0 and slip < 0)
 
 
-def with_laws(part: Discrete, laws: Sequence[el.Element]) -> Discrete:
+def _with_laws(part: _Discrete, laws: Sequence[el.Element]) -> _Discrete:
     """Return a discrete network with other parameters of its laws; the linear part is unchanged.
 
     Args:
@@ -387,7 +392,7 @@ class Plant:
                 if span.start <= column < span.stop:
                     parts.append((part, channels[column - span.start].name))
         #: part of the base vector of the input at every moved node
-        self.told = {c.name: TOLD[c.quantity] for c in moving}
+        self.told = {c.name: _TOLD[c.quantity] for c in moving}
         self.labels: tuple[tuple[str, str], ...] = tuple(parts)
         #: inputs that are held over a step: currents, then logged channels
         self.currents = [c for kind in HELD for c in first.network.inputs if c.quantity == kind]
@@ -395,11 +400,11 @@ class Plant:
         whole = {}
         for asm in once.values():
             like, discrete = stepped[id(asm.rate)]
-            whole[id(asm)] = discrete if asm is like else with_laws(discrete, asm.laws)
+            whole[id(asm)] = discrete if asm is like else _with_laws(discrete, asm.laws)
         self._pack([whole[id(asm)] for asm in self.assemblies], several)
 
-    def _pack(self, parts: Sequence[Discrete], several: bool) -> None:
-        from .kernel.compiled import kernel_of
+    def _pack(self, parts: Sequence[_Discrete], several: bool) -> None:
+        from ._kernel.compiled import kernel_of
 
         first = parts[0]
         for other in parts[1:]:
@@ -420,7 +425,7 @@ class Plant:
             self.mats = first.numbers[:, None].copy()
         self.kernel = kernel_of(self.at)
 
-    def place(self, mats: np.ndarray, lane: int, part: Discrete) -> None:
+    def place(self, mats: np.ndarray, lane: int, part: _Discrete) -> None:
         """Write the numbers of a lane into an array in which every lane has separate numbers.
 
         Args:
@@ -438,7 +443,7 @@ class Plant:
         return {k: v for k, v in self.__dict__.items() if k != "kernel"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from .kernel.compiled import kernel_of
+        from ._kernel.compiled import kernel_of
 
         self.__dict__.update(state)
         self.kernel = kernel_of(self.at)
@@ -671,7 +676,7 @@ def upsample(values: np.ndarray, every: int, hold: bool = False) -> np.ndarray:
 
 
 #: largest number of steps of a simulation: more than a day at 1 ms suggests a wrong unit of time
-MOST_STEPS = 1e8
+_MOST_STEPS = 1e8
 
 
 def pace(values: np.ndarray, step: float) -> float:
@@ -742,9 +747,9 @@ def simulate(
         raise InputError("time must be uniformly sampled and increasing")
     if not step > 0:
         raise InputError(f"the physics step must be positive, not {step}")
-    if (dt / step) * len(time) > MOST_STEPS:
+    if (dt / step) * len(time) > _MOST_STEPS:
         raise InputError(
-            f"{dt * len(time):.4g} s would take more than {MOST_STEPS:g} steps of {step:g} s: give a larger step"
+            f"{dt * len(time):.4g} s would take more than {_MOST_STEPS:g} steps of {step:g} s: give a larger step"
         )
     if interpolation not in ("linear", "smooth", "spline"):
         return _simulate_as_needed(interpolation, network, time, inputs, step, initial, extra)
@@ -752,7 +757,7 @@ def simulate(
     plant = Plant(network, dt / every, extra=extra)
     if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
         raise InputError(
-            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.records.loggers.start.state_of makes a state from motions of nodes"
+            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.records.state_of makes a state from motions of nodes"
         )
     needs = plant.differentiated
     fine, slopes = {}, {}
@@ -804,7 +809,7 @@ def _simulate_as_needed(
     outputs = simulate(network, time, inputs, step=step, initial=initial, extra=extra, interpolation="smooth")
     dt = (time[-1] - time[0]) / (len(time) - 1)
     scale = min((pace(y, dt) for y in outputs.values()), default=math.inf)
-    if len(time) < FEWEST or dt <= COARSE * scale:
+    if len(time) < _FEWEST or dt <= COARSE * scale:
         return outputs
-    fine = max(min(step, FINE * scale), dt * len(time) / MOST_STEPS)
+    fine = max(min(step, FINE * scale), dt * len(time) / _MOST_STEPS)
     return simulate(network, time, inputs, step=fine, initial=initial, extra=extra, interpolation="spline")

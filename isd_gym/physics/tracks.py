@@ -55,7 +55,15 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ..common.errors import InputError, shown
+from .._common.errors import InputError, shown
+
+__all__ = [
+    "WheelPositions",
+    "delayed",
+    "innovations",
+    "track_filters",
+]
+
 
 #: poles p_i and weights w_i of the normalised cross-spectral density: least maximum of the relative error of 1 - gamma for
 #: 0.03 <= x <= 300 (0.003 to 30 cycle/m at a track width of 1.6 m); `tests/test_road_tracks.py` repeats the fit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.ceilings import bounds
 from isd_gym.physics.road import paper_road
 from isd_gym.physics.simulate import Plant

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from isd_gym.baselines.model import Weights, prediction_model, preview_regulator, regulator
+from isd_gym._common.errors import InputError
+from isd_gym.baselines._model import Weights, prediction_model, preview_regulator, regulator
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive
-from isd_gym.common.errors import InputError
 from isd_gym.contrib.ceilings.ceiling import (
     Ceiling,
     CeilingSettings,

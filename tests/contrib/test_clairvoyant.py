@@ -8,8 +8,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from isd_gym.common.errors import InputError
-from isd_gym.common.seeds import scoring_generator
+from isd_gym._common.errors import InputError
+from isd_gym._common.seeds import scoring_generator
 from isd_gym.contrib.ceilings import clairvoyant as oracle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network

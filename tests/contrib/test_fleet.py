@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym.commands import app
-from isd_gym.common.errors import InputError, ReportError
+from isd_gym._commands import app
+from isd_gym._common.errors import InputError, ReportError
 from isd_gym.contrib.fleet.cases import (
     Case,
     _task,

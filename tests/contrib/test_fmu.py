@@ -13,7 +13,7 @@ import typer
 from builders import channel, damper, spring
 from typer.testing import CliRunner
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.fmi.command import command
 from isd_gym.contrib.fmi.export import Running, base_units, export_fmu, identifier
 from isd_gym.physics.elements import ActuatorLag, SensorGain

@@ -9,8 +9,8 @@ import pytest
 from builders import channel, damper, element, spring
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
-from isd_gym.common.errors import InputError
+from isd_gym import _commands as cli
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.fmi.cosimulation import Unit
 from isd_gym.contrib.fmi.export import export_fmu
 from isd_gym.contrib.fmi.identification import diagnose_unit

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from isd_gym._common.errors import InputError
 from isd_gym.agents.policy import SHIPPED, Policy
-from isd_gym.benchmark import cards
-from isd_gym.common.errors import InputError
+from isd_gym.benchmark import _cards as cards
 from isd_gym.contrib import hub
 
 pytest.importorskip("pygame", reason="films need isd-gym[render]")
@@ -151,7 +151,7 @@ def test_what_is_somebody_else_s_is_left_alone(tmp_path):
 def test_the_command(tmp_path, monkeypatch, capsys):
     import sys
 
-    from isd_gym import commands as cli
+    from isd_gym import _commands as cli
 
     seen = {}
     monkeypatch.setattr(

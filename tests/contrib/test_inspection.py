@@ -11,19 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
-from isd_gym.commands import FiniteCommand
-from isd_gym.common.errors import InputError
+from isd_gym import _commands as cli
+from isd_gym._commands import FiniteCommand
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.inspection import inspect, lines, page
 from isd_gym.contrib.inspection.command import command
 from isd_gym.contrib.inspection.consistency import integral_consistency
 from isd_gym.contrib.inspection.facts import sparkline
-from isd_gym.diagnosis.records import read_record
+from isd_gym.diagnosis._records import read_record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records._loggers import ChannelMap, Column, Logger, mended, rasters, runs
+from isd_gym.records._loggers.record_reading import records_of, road_of
 from isd_gym.records.data import Table, write_table
-from isd_gym.records.loggers import ChannelMap, Column, Logger, mended, rasters, runs
-from isd_gym.records.loggers.record_reading import records_of, road_of
 from isd_gym.records.schemas import load
 
 CAR = builders.model(
@@ -249,7 +249,7 @@ def test_a_picture_shows_the_extremes():
 
 
 def raster(time, **columns):
-    from isd_gym.records.loggers import Raster
+    from isd_gym.records._loggers import Raster
 
     return Raster("rec.csv", np.asarray(time, float), {k: np.asarray(v, float) for k, v in columns.items()})
 
@@ -558,7 +558,7 @@ def test_a_diagnosis_refuses_a_dead_output_in_one_line(tmp_path, run, program):
 def test_the_rate_is_that_of_the_mean_step_without_gaps():
     """Stamps that jitter between 2 and 3 ms, twice as often 2 ms, with a gap: the median step would give 500 Hz."""
     from isd_gym.contrib.inspection import head
-    from isd_gym.records.loggers.recording import Raster
+    from isd_gym.records._loggers.recording import Raster
 
     steps = np.tile([0.002, 0.002, 0.0025], 400)
     steps[600] = 0.5

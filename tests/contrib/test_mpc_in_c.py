@@ -12,7 +12,7 @@ import pytest
 from program import assert_one_line, run
 
 from isd_gym import baselines
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.exports.mpc_in_c import export_c
 
 compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")

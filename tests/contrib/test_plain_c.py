@@ -12,12 +12,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from isd_gym.agents.memory import Memory
+from isd_gym._common.errors import InputError
+from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import SHIPPED, Head, Policy
-from isd_gym.common.errors import InputError
 from isd_gym.contrib.exports.policy_in_c import export_c
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import vehicle
 
 if TYPE_CHECKING:
     from pathlib import Path

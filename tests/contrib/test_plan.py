@@ -12,7 +12,7 @@ import pytest
 from builders import channel, damper, friction, spring
 from typer.testing import CliRunner
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.forecast import plan, read_rivals
 from isd_gym.diagnosis import Criteria, diagnose
 from isd_gym.diagnosis.planning import (
@@ -287,7 +287,7 @@ def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> N
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isd_gym.contrib.forecast.workflow.plan", kept)
         assert "enough" in str(run(str(model), str(log), *named, *more).exception)
-        from isd_gym.common.units import convert
+        from isd_gym._common.units import convert
 
         values, unit = asked["stroke"]
         np.testing.assert_allclose(convert(np.asarray(values), unit or "mm", "mm"), stroke, atol=1e-6)

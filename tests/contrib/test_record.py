@@ -4,12 +4,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from isd_gym._common.errors import InputError
 from isd_gym.benchmark.policies import Idle, find, passive
 from isd_gym.benchmark.scoring import Entry
-from isd_gym.common.errors import InputError
 from isd_gym.contrib.minari.dataset import write_dataset
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import vehicle
 
 pytest.importorskip("h5py")
 minari = pytest.importorskip("minari")

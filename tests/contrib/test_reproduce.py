@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.reproduce import page, rig, show
 from isd_gym.contrib.reproduce.device import device
 from isd_gym.contrib.reproduce.study import SCHEMA

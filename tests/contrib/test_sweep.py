@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from program import assert_one_line, run
 
+from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Entry
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
-from isd_gym.common.errors import InputError
 from isd_gym.contrib import engine
 from isd_gym.contrib.engine import Task
 from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
 from isd_gym.contrib.sweep.grid import Condition, Grid
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import vehicle
 
 GRID = """
 policies = ["isd-passive", "skyhook"]
@@ -401,7 +401,7 @@ def deadly(tmp_path, monkeypatch):
 
 
 def _command(*words: str) -> subprocess.CompletedProcess[str]:
-    code = f"import sys; sys.argv = ['isd-gym', 'sweep', *{list(words)!r}]; from isd_gym.commands import main\nif __name__ == '__main__': main()"
+    code = f"import sys; sys.argv = ['isd-gym', 'sweep', *{list(words)!r}]; from isd_gym._commands import main\nif __name__ == '__main__': main()"
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
 
 

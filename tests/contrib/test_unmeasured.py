@@ -8,18 +8,18 @@ import pytest
 from builders import channel, element, friction
 from typer.testing import CliRunner
 
-from isd_gym import commands as cli
+from isd_gym import _commands as cli
 from isd_gym import simulate
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.contrib.no_road import estimation, identification, identify
 from isd_gym.contrib.no_road.decision import check_fit, compute_coloured_shares, find_plausible_range
 from isd_gym.contrib.no_road.estimation import ModelFit, estimate_uncertainty
 from isd_gym.contrib.no_road.identification import prepare_model
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis.simulation.time_limit import TimeLimit
+from isd_gym.diagnosis._simulation.time_limit import TimeLimit
 from isd_gym.physics.network import Network
+from isd_gym.records._loggers import Recording, Signal
 from isd_gym.records.data import Table, write_table
-from isd_gym.records.loggers import Recording, Signal
 from isd_gym.records.schemas import load
 
 jsonschema = pytest.importorskip("jsonschema")

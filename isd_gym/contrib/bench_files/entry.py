@@ -1,13 +1,13 @@
-"""Formats that `isd_gym.records.data.table` finds by their suffixes."""
+"""Formats that `isd_gym.records.data._table` finds by their suffixes."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from isd_gym.records.data import isolated
-from isd_gym.records.data.columns import TIME
-from isd_gym.records.data.table import Format, binary_format
-from isd_gym.records.data.text import read_text, read_text_rasters
+from isd_gym.records.data import _isolated as isolated
+from isd_gym.records.data._columns import TIME
+from isd_gym.records.data._table import Format, binary_format
+from isd_gym.records.data._text import read_text, read_text_rasters
 
 from .lvm import read_lvm, read_lvm_rasters
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from isd_gym.records.data.columns import Choice, Columns
+    from isd_gym.records.data._columns import Choice, Columns
 
 
 def _sheet(path: Path) -> str:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, MissingColumn, shown
-from isd_gym.records.data.columns import Choice, Columns, did_you_mean, distinct, split_header
-from isd_gym.records.data.text import number_in, read_text, text_of
-from isd_gym.records.formats import Refused
-from isd_gym.records.formats.rasters import joined
+from isd_gym._common.errors import InputError, MissingColumn, shown
+from isd_gym.records._formats import Refused
+from isd_gym.records._formats.rasters import joined
+from isd_gym.records.data._columns import Choice, Columns, did_you_mean, distinct, split_header
+from isd_gym.records.data._text import number_in, read_text, text_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

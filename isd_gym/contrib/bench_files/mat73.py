@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from isd_gym.records.formats import Refused, bearable
-from isd_gym.records.formats.mat import chosen
+from isd_gym.records._formats import Refused, bearable
+from isd_gym.records._formats.mat import chosen
 
 LIBRARIES = ("h5py",)
 EXTRA = "files"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from isd_gym.records.formats import Refused, bearable
-from isd_gym.records.formats.rasters import OWN, joined, own_stamps
+from isd_gym.records._formats import Refused, bearable
+from isd_gym.records._formats.rasters import OWN, joined, own_stamps
 
 LIBRARIES = ("nptdms",)
 EXTRA = "files"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import zipfile
 
-from isd_gym.records.formats import Refused, bearable
+from isd_gym.records._formats import Refused, bearable
 
 LIBRARIES = ("openpyxl",)
 EXTRA = "files"

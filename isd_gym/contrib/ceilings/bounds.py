@@ -20,19 +20,19 @@ import numpy as np
 from scipy.linalg import null_space, solve_continuous_are, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el
+from isd_gym.physics._vehicle import require_quarter_car, vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import REFERENCE_FREQUENCY, Road
 from isd_gym.physics.road import road as find_road
-from isd_gym.physics.vehicle import require_quarter_car, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from isd_gym.baselines.car import CarModel, CarWeights
+    from isd_gym.baselines._car import CarModel, CarWeights
 
 # ============================================================================================ the causal bound
 
@@ -498,7 +498,7 @@ def wheelbase_bound(
     Raises:
         InputError: The road is not white in velocity, or the car has two tracks, whose coherence the model leaves out.
     """
-    from isd_gym.baselines.car import CarWeights, car_model, car_regulator
+    from isd_gym.baselines._car import CarWeights, car_model, car_regulator
     from isd_gym.benchmark.policies import conventional
 
     network, ground = Network.load(network), find_road(road)
@@ -554,7 +554,7 @@ def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float
     Returns:
         Mean cost per step [-].
     """
-    from isd_gym.baselines.model import stationary
+    from isd_gym.baselines._model import stationary
 
     q, r = weights.of(model)
     loop = model.A - model.inputs @ K

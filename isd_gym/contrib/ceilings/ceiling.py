@@ -41,10 +41,10 @@ import numpy as np
 import typer
 from scipy.linalg import expm
 
+from isd_gym._common.errors import InputError
+from isd_gym.baselines._model import Model, Weights, device_reach, prediction_model, statistical_linearisation
 from isd_gym.baselines.controller import steps_ahead
-from isd_gym.baselines.model import Model, Weights, device_reach, prediction_model, statistical_linearisation
 from isd_gym.benchmark.policies import conventional
-from isd_gym.common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
@@ -595,8 +595,8 @@ def command(
     """
     import json
 
-    from isd_gym.commands.console import progress, tell
-    from isd_gym.common.files import check_file, write_text
+    from isd_gym._commands.console import progress, tell
+    from isd_gym._common.files import check_file, write_text
 
     if json_file is not None:
         check_file(json_file)

@@ -31,17 +31,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError
-from isd_gym.common.files import write_text
-from isd_gym.common.seeds import generators
+from isd_gym._common.errors import InputError
+from isd_gym._common.files import write_text
+from isd_gym._common.seeds import generators
 from isd_gym.physics import elements as el
+from isd_gym.physics._kernel.layout import CLOSED
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 from isd_gym.physics.cost import StageCost
-from isd_gym.physics.kernel.layout import CLOSED
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
 from isd_gym.physics.road import road as find_road
 from isd_gym.physics.simulate import PHYSICS_STEP, Plant, discretise
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
 from . import relaxed
 from .descent import ALPHAS, PIECE, Car, Compiled, Objective, Plan, Slopes, backward, compiled

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from isd_gym.physics.kernel import jit
-from isd_gym.physics.kernel.compiled import Kernel, kernel_of
+from isd_gym.physics._kernel import jit
+from isd_gym.physics._kernel.compiled import Kernel, kernel_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from isd_gym.physics.kernel.layout import Layout
+    from isd_gym.physics._kernel.layout import Layout
 
 PIECE = 40  # control steps with a common step length
 CAUTION = 0.5  # additional curvature, as a share of the value function's, of deviations at the end of a piece

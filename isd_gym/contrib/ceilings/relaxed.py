@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isd_gym.physics.kernel import jit
+from isd_gym.physics._kernel import jit
 
 
 class LinearCar(NamedTuple):

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from isd_gym.commands._options import TrainedOption, option
-from isd_gym.common.errors import InputError
-from isd_gym.common.plugins import wing
+from isd_gym._commands._options import TrainedOption, option
+from isd_gym._common.errors import InputError
+from isd_gym._common.plugins import wing
 
 
 def command(
@@ -44,7 +44,7 @@ def command(
 
     Example: isd-gym convert model.zip --normalize norm.pkl --out my-policy
     """
-    from isd_gym.agents.convert import convert, trained_options
+    from isd_gym.agents._convert import convert, trained_options
     from isd_gym.agents.policy import Policy
 
     if out is None and onnx is None and plain_c is None and hub is None:
@@ -72,7 +72,7 @@ def command(
 
         typer.echo(f"ONNX in '{export_onnx(policy, onnx)}'")
     if hub is not None:
-        from isd_gym.commands.console import progress
+        from isd_gym._commands.console import progress
 
         with progress() as update:
             typer.echo(f"'{wing('hub').write(policy, hub, progress=update)}' can be uploaded")

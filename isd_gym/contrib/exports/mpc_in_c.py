@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isd_gym._common.errors import InputError
+from isd_gym._common.files import make_folder, write_text
+from isd_gym.baselines._model import N_SENSORS
 from isd_gym.baselines.friction import FrictionMpc
-from isd_gym.baselines.model import N_SENSORS
-from isd_gym.common.errors import InputError
-from isd_gym.common.files import make_folder, write_text
-from isd_gym.env.environment import MEASURED
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.env._environment import MEASURED
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError
-from isd_gym.common.files import whole
+from isd_gym._common.errors import InputError
+from isd_gym._common.files import whole
 
 if TYPE_CHECKING:
     from isd_gym.agents.policy import Policy

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.files import make_folder, write_text
+from isd_gym._common.files import make_folder, write_text
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import vehicle
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from isd_gym.agents.memory import Memory, Recall
+    from isd_gym.agents._memory import Memory, Recall
     from isd_gym.agents.policy import Policy
 
 HEADER = """\

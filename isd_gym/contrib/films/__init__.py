@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from gymnasium import wrappers
 
-from isd_gym.common.errors import InputError, shown
+from isd_gym._common.errors import InputError, shown
 
 if TYPE_CHECKING:
     import gymnasium as gym

@@ -22,12 +22,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.common.errors import InputError, ReportError, plain, shown
-from isd_gym.common.files import claim_folder, write_text
+from isd_gym._common.errors import InputError, ReportError, plain, shown
+from isd_gym._common.files import claim_folder, write_text
 from isd_gym.contrib.engine import Outcome, Task, stored
 from isd_gym.contrib.engine import run as run_tasks
 from isd_gym.records import schemas
-from isd_gym.records.data.table import suffix_of, suffixes
+from isd_gym.records.data._table import suffix_of, suffixes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -171,8 +171,8 @@ def diagnose_case(
     """
     from isd_gym.diagnosis import SearchSettings, diagnose
     from isd_gym.physics.network import Network
-    from isd_gym.records.loggers import ChannelMap
-    from isd_gym.records.loggers.record_reading import records_of
+    from isd_gym.records._loggers import ChannelMap
+    from isd_gym.records._loggers.record_reading import records_of
 
     del name, files  # part of the task's key only
     network, by = Network.load(model), None
@@ -403,7 +403,7 @@ def page(merged: Mapping[str, Any]) -> str:
     Returns:
         HTML.
     """
-    from isd_gym.view.report.plots import page as fill
+    from isd_gym.view._report.plots import page as fill
 
     rows = [{**r, "told": [_effect(e) for e in r["effects"]]} for r in merged["cases"]]
     trends = [{**t, "picture": _trend(t["points"])} for t in merged["trends"] if len(t["points"]) > 1]
@@ -478,7 +478,7 @@ def check(folder: Path, out: Path) -> None:
     Raises:
         InputError: The results would lie among the cases, or cannot be written.
     """
-    from isd_gym.common.files import check_folder
+    from isd_gym._common.files import check_folder
 
     if out.resolve() == folder.resolve() or folder.resolve() in out.resolve().parents:
         raise InputError(f"--out {shown(str(out))} lies among the cases: name a folder elsewhere")

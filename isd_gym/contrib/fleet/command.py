@@ -7,9 +7,9 @@ from typing import Any
 
 import typer
 
-from isd_gym.commands._diagnose_result import print_page
-from isd_gym.commands.console import write_json
-from isd_gym.common.errors import ReportError
+from isd_gym._commands._diagnose_result import print_page
+from isd_gym._commands.console import write_json
+from isd_gym._common.errors import ReportError
 from isd_gym.contrib.progress import counted, resumable, terminal_columns
 
 from .cases import case_itself, check, fleet, write_page

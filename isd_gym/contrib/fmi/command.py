@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from isd_gym.commands._options import ModelArgument, check_channels
-from isd_gym.commands.console import lines, tell
+from isd_gym._commands._options import ModelArgument, check_channels
+from isd_gym._commands.console import lines, tell
 
 
 def command(

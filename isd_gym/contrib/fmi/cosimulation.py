@@ -18,17 +18,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, hint, how_to_install, shown
-from isd_gym.common.files import write_text
-from isd_gym.common.guarded import Guarded
-from isd_gym.common.inputs import memory_limit, plain_file, too_large
-from isd_gym.common.units import QUANTITIES, convert
+from isd_gym._common.errors import InputError, hint, how_to_install, shown
+from isd_gym._common.files import write_text
+from isd_gym._common.guarded import Guarded
+from isd_gym._common.inputs import memory_limit, plain_file, too_large
+from isd_gym._common.units import QUANTITIES, convert
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import TracebackType
 
-    from isd_gym.common.arrays import Array
+    from isd_gym._common.arrays import Array
 
 SECONDS = 600.0  # limit for one run or for loading [s]
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"

@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, how_to_install
-from isd_gym.common.files import check_file, whole, writing
-from isd_gym.common.units import TABLE, convert
+from isd_gym._common.errors import InputError, how_to_install
+from isd_gym._common.files import check_file, whole, writing
+from isd_gym._common.units import TABLE, convert
 from isd_gym.physics.elements import SensorDelay
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import PHYSICS_STEP, Plant, effective_current, sense

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from isd_gym.commands._options import (
+from isd_gym._commands._options import (
     ColumnsOption,
     ElementsOption,
     MapOption,
@@ -20,8 +20,8 @@ from isd_gym.commands._options import (
     UnitOption,
     channel_names,
 )
-from isd_gym.commands.console import check_file, printer, progress
-from isd_gym.common.errors import InputError, plain, shown
+from isd_gym._commands.console import check_file, printer, progress
+from isd_gym._common.errors import InputError, plain, shown
 
 if TYPE_CHECKING:
     from isd_gym.diagnosis.planning import Rig
@@ -113,7 +113,7 @@ def command(
     """
     from isd_gym.physics import elements as el
     from isd_gym.physics.network import Network
-    from isd_gym.records.loggers import files_of
+    from isd_gym.records._loggers import files_of
 
     from .workflow import plan as run
 
@@ -162,7 +162,7 @@ DECIDED = {
 
 def _check_undecided(after: Path) -> None:
     """Raise `InputError` for a diagnosis without a question for another test."""
-    from isd_gym.common.inputs import read_json
+    from isd_gym._common.inputs import read_json
 
     data = read_json(after)
     verdict = data.get("verdict") if isinstance(data, dict) else None
@@ -172,10 +172,10 @@ def _check_undecided(after: Path) -> None:
 
 def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
     """Return the records of DATA with the inputs of the model, and the outputs if complete."""
-    from isd_gym.common.units import convert
+    from isd_gym._common.units import convert
+    from isd_gym.records._loggers.record_reading import outputs_of, records_of
+    from isd_gym.records._loggers.resampling import inputs_of
     from isd_gym.records.data import Table
-    from isd_gym.records.loggers.record_reading import outputs_of, records_of
-    from isd_gym.records.loggers.resampling import inputs_of
 
     out = []
     for word in data:
@@ -286,7 +286,7 @@ def amounts(
     Raises:
         InputError: A name is unknown, or a value cannot be converted.
     """
-    from isd_gym.common.units import convert
+    from isd_gym._common.units import convert
 
     out = {}
     for text in values or ():

@@ -9,27 +9,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter
-from isd_gym.diagnosis.estimation.initial_states import transfer_states
-from isd_gym.diagnosis.estimation.noise import channel_moments, predicted, white_filters
-from isd_gym.diagnosis.estimation.structure import Hypothesis, Structure, add
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.gauss_newton import Fit, Fitter
+from isd_gym.diagnosis._estimation.initial_states import transfer_states
+from isd_gym.diagnosis._estimation.noise import channel_moments, predicted, white_filters
+from isd_gym.diagnosis._estimation.structure import Hypothesis, Structure, add
+from isd_gym.diagnosis._selection.candidate import is_special_case
+from isd_gym.diagnosis._selection.comparison import Comparison
+from isd_gym.diagnosis._selection.held_out import BLOCKS, effect_size
+from isd_gym.diagnosis._selection.uncertainty import differing_part, relative_uncertainty
+from isd_gym.diagnosis._simulation.problem import BROKEN
+from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence, as_numbers
+from isd_gym.diagnosis._verdict.gates import decide
+from isd_gym.diagnosis._verdict.measurement import find_contradiction
 from isd_gym.diagnosis.result import Quantity
-from isd_gym.diagnosis.selection.candidate import is_special_case
-from isd_gym.diagnosis.selection.comparison import Comparison
-from isd_gym.diagnosis.selection.held_out import BLOCKS, effect_size
-from isd_gym.diagnosis.selection.uncertainty import differing_part, relative_uncertainty
-from isd_gym.diagnosis.simulation.problem import BROKEN
-from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence, as_numbers
-from isd_gym.diagnosis.verdict.gates import decide
-from isd_gym.diagnosis.verdict.measurement import find_contradiction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.simulation.problem import Problem
-    from isd_gym.diagnosis.verdict.gates import Decision
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._simulation.problem import Problem
+    from isd_gym.diagnosis._verdict.gates import Decision
     from isd_gym.physics import elements as el
 
     from .virtual_bench import BenchFit, VirtualBench

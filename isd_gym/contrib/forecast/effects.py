@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.diagnosis.estimation.structure import owner_pair
-from isd_gym.diagnosis.simulation.problem import BROKEN
-from isd_gym.diagnosis.verdict.gates import decide
+from isd_gym.diagnosis._estimation.structure import owner_pair
+from isd_gym.diagnosis._simulation.problem import BROKEN
+from isd_gym.diagnosis._verdict.gates import decide
 from isd_gym.physics.elements import parameter_fields
 
 from .detectability import find_smallest_scale, refit_rival, simulate_effect
@@ -22,9 +22,9 @@ from .virtual_bench import REQUIRED_DEVIANCE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.estimation.structure import Hypothesis
-    from isd_gym.diagnosis.planning.design import Progress
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._estimation.structure import Hypothesis
+    from isd_gym.diagnosis.planning._design import Progress
     from isd_gym.physics.elements import Start
 
     from .detectability import SimulatedEffect

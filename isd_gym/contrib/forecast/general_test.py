@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, shown
-from isd_gym.common.errors import plain as one_line
-from isd_gym.common.inputs import read_json
-from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.planning.design import MAX_RIVALS, Design, Rival
-from isd_gym.diagnosis.planning.excitation import (
+from isd_gym._common.errors import InputError, shown
+from isd_gym._common.errors import plain as one_line
+from isd_gym._common.inputs import read_json
+from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record
+from isd_gym.diagnosis.planning._design import MAX_RIVALS, Design, Rival
+from isd_gym.diagnosis.planning._excitation import (
     Excitation,
     Rig,
     list_excitations,
     make_excitation,
     make_record,
 )
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.simulation.problem import BROKEN, Problem, Record
 
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.planning.design import Progress
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis.planning._design import Progress
     from isd_gym.physics.network import Network
 
 FEW_SAMPLES = 6000  # of a test in the linearised comparison of all hypotheses

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.files import check_file, write_text
-from isd_gym.view.report.plots import (
+from isd_gym._common.files import check_file, write_text
+from isd_gym.view._report.plots import (
     as_picture,
     channel_text,
     figure,
@@ -98,7 +98,7 @@ def size_of(e: EffectForecast, amounts: dict[str, Any]) -> str:
     Returns:
         Text.
     """
-    from isd_gym.diagnosis.verdict.wording import plain_number
+    from isd_gym.diagnosis._verdict.wording import plain_number
 
     def one(key: str) -> str:
         text = f"{channel_text(key)} {plain_number(amounts[key].value)} {unit_text(amounts[key].unit)}"

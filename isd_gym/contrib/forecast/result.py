@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.files import write_text
+from isd_gym._common.files import write_text
 from isd_gym.diagnosis.result import _plain
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.simulation.problem import Record
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._simulation.problem import Record
     from isd_gym.physics.network import Network
 
 #: function that receives the stage and the finished share

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, shown
-from isd_gym.diagnosis.estimation.sensitivities import tangents
-from isd_gym.diagnosis.estimation.structure import Hypothesis, Structure, add, in_line, twin
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.hypotheses.motion import setting, simulate_variants
-from isd_gym.diagnosis.selection.candidate import is_special_case
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.simulation.problem import BROKEN, Problem, bare, deviation_within
+from isd_gym._common.errors import InputError, shown
+from isd_gym.diagnosis._estimation.sensitivities import tangents
+from isd_gym.diagnosis._estimation.structure import Hypothesis, Structure, add, in_line, twin
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._hypotheses.motion import setting, simulate_variants
+from isd_gym.diagnosis._selection.candidate import is_special_case
+from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, bare, deviation_within
 from isd_gym.physics.elements import Start, parameter_fields
 from isd_gym.physics.network import Channel, Network, assemble
 
@@ -29,8 +29,8 @@ from .virtual_bench import REQUIRED_DEVIANCE
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping, Sequence
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.estimation.gauss_newton import Fit
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._estimation.gauss_newton import Fit
 
     from .virtual_bench import VirtualBench
 

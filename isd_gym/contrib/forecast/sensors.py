@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.diagnosis.simulation.problem import BROKEN, bare
+from isd_gym.diagnosis._simulation.problem import BROKEN, bare
 from isd_gym.physics.network import Channel, Network, assemble
 
 from .result import SensorGain
 from .sensitivity import FARTHEST
 
 if TYPE_CHECKING:
-    from isd_gym.diagnosis.planning.design import Progress
+    from isd_gym.diagnosis.planning._design import Progress
 
     from .sensitivity import Sensitivities
 

@@ -12,28 +12,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, shown
-from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter, residuals
-from isd_gym.diagnosis.estimation.initial_states import states_along, transfer_states
-from isd_gym.diagnosis.estimation.noise import floor_of, innovations, white_filters, whitener
-from isd_gym.diagnosis.estimation.structure import Structure, base_structure
-from isd_gym.diagnosis.hypotheses.forces import PlaceForces, place_forces
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.hypotheses.loads import loads_of, tell_gain
-from isd_gym.diagnosis.hypotheses.motion import motions
-from isd_gym.diagnosis.hypotheses.unmodelled_effects import simulate_unmodelled_effects
-from isd_gym.diagnosis.records import differentiate_inputs, split_records
-from isd_gym.diagnosis.selection.candidate import Candidate
-from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
-from isd_gym.diagnosis.selection.held_out import SMALL, HeldOutEvaluator
-from isd_gym.diagnosis.simulation.problem import BROKEN, Problem, Record, bare
+from isd_gym._common.errors import InputError, shown
+from isd_gym.diagnosis._estimation.gauss_newton import Fit, Fitter, residuals
+from isd_gym.diagnosis._estimation.initial_states import states_along, transfer_states
+from isd_gym.diagnosis._estimation.noise import floor_of, innovations, white_filters, whitener
+from isd_gym.diagnosis._estimation.structure import Structure, base_structure
+from isd_gym.diagnosis._hypotheses.forces import PlaceForces, place_forces
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._hypotheses.loads import loads_of, tell_gain
+from isd_gym.diagnosis._hypotheses.motion import motions
+from isd_gym.diagnosis._hypotheses.unmodelled_effects import simulate_unmodelled_effects
+from isd_gym.diagnosis._records import differentiate_inputs, split_records
+from isd_gym.diagnosis._selection.candidate import Candidate
+from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria
+from isd_gym.diagnosis._selection.held_out import SMALL, HeldOutEvaluator
+from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record, bare
 from isd_gym.physics.network import Network, assemble
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.estimation.structure import Hypothesis
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._estimation.structure import Hypothesis
     from isd_gym.physics.elements import Motion
 
 REQUIRED_DEVIANCE = 50.0  # deviance by which a rival must be worse

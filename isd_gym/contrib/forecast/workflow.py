@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError
-from isd_gym.common.units import convert
-from isd_gym.diagnosis.planning.excitation import Excitation, Rig, infer_rig, make_excitation, make_record
-from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
-from isd_gym.diagnosis.simulation.problem import Record
+from isd_gym._common.errors import InputError
+from isd_gym._common.units import convert
+from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria
+from isd_gym.diagnosis._simulation.problem import Record
+from isd_gym.diagnosis.planning._excitation import Excitation, Rig, infer_rig, make_excitation, make_record
 from isd_gym.physics.elements import spoken
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table
@@ -26,9 +26,9 @@ from .virtual_bench import VirtualBench, measured_noise
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.estimation.structure import Hypothesis
-    from isd_gym.diagnosis.planning.design import Progress
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._estimation.structure import Hypothesis
+    from isd_gym.diagnosis.planning._design import Progress
 
 LEAST_SAMPLES = 400  # of a test
 

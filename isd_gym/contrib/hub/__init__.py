@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isd_gym._common.errors import InputError, markdown, plain, shown
+from isd_gym._common.files import check_folder, whole_folder
+from isd_gym._common.plugins import REFERENCES, plugins
 from isd_gym.agents.policy import JSON_NAME, WEIGHTS_NAME, Policy
-from isd_gym.benchmark import cards
+from isd_gym.benchmark import _cards as cards
+from isd_gym.benchmark._show import film
 from isd_gym.benchmark.policies import passive
 from isd_gym.benchmark.scoring import Entry, score
-from isd_gym.benchmark.show import film
-from isd_gym.common.errors import InputError, markdown, plain, shown
-from isd_gym.common.files import check_folder, whole_folder
-from isd_gym.common.plugins import REFERENCES, plugins
 from isd_gym.env.registration import ENVIRONMENTS, EPISODE_STEPS
 from isd_gym.physics.network import Network
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from isd_gym.commands._options import (
+from isd_gym._commands._options import (
     ColumnsOption,
     FileRateOption,
     JsonOption,
@@ -20,8 +20,8 @@ from isd_gym.commands._options import (
     pairs,
     signs_of,
 )
-from isd_gym.commands.console import check_file, write_json
-from isd_gym.common.errors import InputError, shown
+from isd_gym._commands.console import check_file, write_json
+from isd_gym._common.errors import InputError, shown
 from isd_gym.contrib.progress import terminal_columns
 
 FilesArgument = Annotated[
@@ -62,10 +62,10 @@ def command(
 
     Example: isd-gym inspect body.csv wheel.mf4 --model car.json --out map.json
     """
-    from isd_gym.common.files import write_text
+    from isd_gym._common.files import write_text
     from isd_gym.physics.network import Network
-    from isd_gym.records.loggers import ChannelMap, Column
-    from isd_gym.records.loggers.mapping import files_of
+    from isd_gym.records._loggers import ChannelMap, Column
+    from isd_gym.records._loggers.mapping import files_of
 
     from .report import inspect, lines, page
 
@@ -79,7 +79,7 @@ def command(
         name, joined, value = word.rpartition("=")
         if not (name and joined and value):
             raise InputError(f"--unit wants COLUMN=UNIT, not {shown(word)}")
-        from isd_gym.common.units import convert
+        from isd_gym._common.units import convert
 
         convert(1.0, value, value)
         given[name] = value

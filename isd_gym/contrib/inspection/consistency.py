@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import optimize, signal
 
-from isd_gym.common.errors import InputError
+from isd_gym._common.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import welch
 
-from isd_gym.common.errors import InputError
-from isd_gym.common.units import TABLE, UNITS, convert, si_of
-from isd_gym.records.data.quality import QUANTITIES, held_samples
-from isd_gym.records.data.signals import even_stamps, stamp_rounding
-from isd_gym.records.loggers.recording import GAP, Raster, even, rounded
+from isd_gym._common.errors import InputError
+from isd_gym._common.units import TABLE, UNITS, convert, si_of
+from isd_gym.records._loggers.recording import GAP, Raster, even, rounded
+from isd_gym.records.data._quality import QUANTITIES, held_samples
+from isd_gym.records.data._signals import even_stamps, stamp_rounding
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

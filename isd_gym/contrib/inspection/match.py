@@ -12,10 +12,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
-from isd_gym.common.errors import InputError, shown
-from isd_gym.common.units import TABLE, convert
+from isd_gym._common.errors import InputError, shown
+from isd_gym._common.units import TABLE, convert
 from isd_gym.physics.simulate import simulate
-from isd_gym.records.loggers.mapping import ChannelMap, Column, Logger
+from isd_gym.records._loggers.mapping import ChannelMap, Column, Logger
 
 from .consistency import integral_consistency
 from .facts import Facts, factor_hint, si_unit
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from isd_gym.physics.network import Channel, Network
-    from isd_gym.records.loggers.recording import Raster
+    from isd_gym.records._loggers.recording import Raster
 
 COLUMNS = 60  # largest number of columns; with more columns, the best by name and unit
 DRIVES = 40  # largest number of simulated choices of input columns
@@ -327,7 +327,7 @@ def _units(f: Facts, c: Channel) -> list[tuple[str, float]]:
     """Return candidate units of a column as a channel, with the penalty of each unit."""
     if si_unit(f.unit):
         return [(f.unit, 0.0)]
-    from isd_gym.records.data.quality import QUANTITIES
+    from isd_gym.records.data._quality import QUANTITIES
 
     si = c.si
     _, doubtful, _, least = QUANTITIES[c.spoken if c.quantity == "condition" else c.quantity]

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, plain, shown
-from isd_gym.records.data.columns import did_you_mean
-from isd_gym.records.loggers.mapping import Logger
-from isd_gym.records.loggers.recording import EPOCH, Raster, continuous, rasters
+from isd_gym._common.errors import InputError, plain, shown
+from isd_gym.records._loggers.mapping import Logger
+from isd_gym.records._loggers.recording import EPOCH, Raster, continuous, rasters
+from isd_gym.records.data._columns import did_you_mean
 
 from .facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from isd_gym.physics.network import Network
-    from isd_gym.records.loggers.mapping import ChannelMap
+    from isd_gym.records._loggers.mapping import ChannelMap
 
     from .match import Suggestion
 
@@ -324,7 +324,7 @@ def page(found: Inspection) -> str:
     Returns:
         HTML.
     """
-    from isd_gym.view.report.plots import page as fill
+    from isd_gym.view._report.plots import page as fill
 
     rows = []
     for f in found.facts:

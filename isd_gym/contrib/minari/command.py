@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from isd_gym.commands._options import (
+from isd_gym._commands._options import (
     DurationOption,
     NetworkOption,
     PolicyArgument,
@@ -14,7 +14,7 @@ from isd_gym.commands._options import (
     SpeedOption,
     TrainedOption,
 )
-from isd_gym.commands.console import progress, warm_up
+from isd_gym._commands.console import progress, warm_up
 
 
 def command(

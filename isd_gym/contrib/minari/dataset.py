@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.common.errors import InputError, how_to_install
-from isd_gym.common.files import whole_folder
+from isd_gym._common.errors import InputError, how_to_install
+from isd_gym._common.files import whole_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,11 +71,11 @@ def write_dataset(
 
     from isd_gym.benchmark.driving import Crew, travel
     from isd_gym.benchmark.scoring import check_size
-    from isd_gym.env.environment import ISDSuspensionVectorEnv
+    from isd_gym.env._environment import ISDSuspensionVectorEnv
+    from isd_gym.env._task import CONTROL_STEP
     from isd_gym.env.registration import BY_CORNERS
-    from isd_gym.env.task import CONTROL_STEP
+    from isd_gym.physics._vehicle import vehicle
     from isd_gym.physics.network import builtin_networks
-    from isd_gym.physics.vehicle import vehicle
 
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from isd_gym.commands.console import lines, write_json
-from isd_gym.common.errors import plain
+from isd_gym._commands.console import lines, write_json
+from isd_gym._common.errors import plain
 
 from .identification import MAX_SECONDS, identify
 from .result import FOLDER
@@ -38,8 +38,8 @@ def identify_without_road(
         out: Folder of the result.
         json_file: File of the result as JSON; None for none.
     """
-    from isd_gym.common.files import check_folder
-    from isd_gym.records.loggers.record_reading import outputs_of, records_of
+    from isd_gym._common.files import check_folder
+    from isd_gym.records._loggers.record_reading import outputs_of, records_of
 
     check_folder(out, *FOLDER)
     logged = set.intersection(

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.diagnosis.estimation.noise import lagged, predicted
-from isd_gym.diagnosis.estimation.structure import REACH as FAR
-from isd_gym.diagnosis.selection.criteria import CRITERIA
-from isd_gym.diagnosis.verdict.gates import COMPARE, Gate
+from isd_gym.diagnosis._estimation.noise import lagged, predicted
+from isd_gym.diagnosis._estimation.structure import REACH as FAR
+from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._verdict.gates import COMPARE, Gate
 from isd_gym.physics import elements as el
-from isd_gym.physics.network.cut import cut_nodes
+from isd_gym.physics.network._cut import cut_nodes
 
 from .estimation import estimate_uncertainty
 from .result import UnknownInputResult
@@ -21,10 +21,10 @@ from .result import UnknownInputResult
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.estimation.structure import Hypothesis
-    from isd_gym.diagnosis.simulation.time_limit import TimeLimit
-    from isd_gym.diagnosis.verdict.gates import Relation, Verdict
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._estimation.structure import Hypothesis
+    from isd_gym.diagnosis._simulation.time_limit import TimeLimit
+    from isd_gym.diagnosis._verdict.gates import Relation, Verdict
     from isd_gym.physics.network import Network
 
     from .estimation import Estimates, ModelFit

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.arrays import Z95
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.structure import add
+from isd_gym._common.arrays import Z95
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.structure import add
 from isd_gym.diagnosis.result import Quantity
 from isd_gym.physics import elements as el
 
@@ -19,9 +19,9 @@ from .kalman import IMPOSSIBLE, KalmanModel, Prior
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.estimation.structure import Hypothesis, Structure
-    from isd_gym.diagnosis.simulation.time_limit import TimeLimit
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._estimation.structure import Hypothesis, Structure
+    from isd_gym.diagnosis._simulation.time_limit import TimeLimit
     from isd_gym.physics.network import Network
 
     from .kalman import Prediction

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, shown
-from isd_gym.diagnosis.estimation.noise import floors_of
-from isd_gym.diagnosis.estimation.structure import base_structure, unchecked
-from isd_gym.diagnosis.hypotheses.library import hypotheses
-from isd_gym.diagnosis.records import read_record
-from isd_gym.diagnosis.simulation.problem import Problem
-from isd_gym.diagnosis.simulation.time_limit import TimeLimit
+from isd_gym._common.errors import InputError, shown
+from isd_gym.diagnosis._estimation.noise import floors_of
+from isd_gym.diagnosis._estimation.structure import base_structure, unchecked
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._records import read_record
+from isd_gym.diagnosis._simulation.problem import Problem
+from isd_gym.diagnosis._simulation.time_limit import TimeLimit
 from isd_gym.physics.network import Network
-from isd_gym.physics.network.frames import order_told
+from isd_gym.physics.network._frames import order_told
+from isd_gym.records._loggers.recording import Recording
 from isd_gym.records.data import Table
-from isd_gym.records.loggers.recording import Recording
 
 from .decision import decide
 from .estimation import LINEAR, build_model, fit_effect, fit_model

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
-from isd_gym.common.errors import InputError
-from isd_gym.physics.kernel.jit import compiled
+from isd_gym._common.errors import InputError
+from isd_gym.physics._kernel.jit import compiled
 from isd_gym.physics.network import Network, linearise
 
 if TYPE_CHECKING:
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.estimation.structure import Structure
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._estimation.structure import Structure
     from isd_gym.physics.network import StateSpace
 
 #: Settling time of the filter at the beginning of a record, without prediction errors [s].

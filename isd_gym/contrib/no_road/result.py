@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.common.files import claim_folder, write_text
+from isd_gym._common.files import claim_folder, write_text
 from isd_gym.diagnosis.result import _plain
 
 from .estimation import Estimates
@@ -14,8 +14,8 @@ from .estimation import Estimates
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from isd_gym.diagnosis._verdict.gates import Gate, Verdict
     from isd_gym.diagnosis.result import Quantity
-    from isd_gym.diagnosis.verdict.gates import Gate, Verdict
     from isd_gym.physics.network import Network
 
 SCHEMA = "isd-unmeasured/1"

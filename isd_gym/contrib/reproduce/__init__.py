@@ -27,8 +27,8 @@ def command(
 
     Example: isd-gym reproduce --out reproduction
     """
-    from isd_gym.commands.console import check_file, progress, warm_up, write_json
-    from isd_gym.common.files import check_folder
+    from isd_gym._commands.console import check_file, progress, warm_up, write_json
+    from isd_gym._common.files import check_folder
 
     from .page import plain, reproduce
     from .study import KIND, PARTS
@@ -52,7 +52,7 @@ def show(result: dict[str, Any]) -> None:
     from rich import box
     from rich.table import Table as Rich
 
-    from isd_gym.commands.console import printer
+    from isd_gym._commands.console import printer
 
     console = printer()
     console.print(result["lead"])

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from isd_gym.benchmark.scoring import PAPER
 from isd_gym.physics.road import paper_road
-from isd_gym.view.report.plots import LOOKS, figure, number, percent
+from isd_gym.view._report.plots import LOOKS, figure, number, percent
 
 from ..ceilings.bounds import best_acceleration, lq_bound, lq_front
 from ..ceilings.bounds import reference as passive_rms

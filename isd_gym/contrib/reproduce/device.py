@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from isd_gym.view.report.plots import number, percent
+from isd_gym.view._report.plots import number, percent
 
 from .study import Claim, Section, Study
 

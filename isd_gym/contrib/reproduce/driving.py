@@ -11,7 +11,7 @@ from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import Score, drive, score
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
-from isd_gym.view.report.plots import percent
+from isd_gym.view._report.plots import percent
 
 from ..ceilings.clairvoyant import reference as known_optimum
 from .study import SERIES, Study

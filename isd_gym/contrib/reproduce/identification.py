@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from isd_gym.physics.network import Network
-from isd_gym.view.report.plots import number, percent
+from isd_gym.view._report.plots import number, percent
 
 from .rig import identify
 from .study import RIG, RIG_PRINTED, Claim, Section, Study, Table

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.files import check_folder, whole_folder, write_text
-from isd_gym.view.report.plots import page, percent, style
+from isd_gym._common.files import check_folder, whole_folder, write_text
+from isd_gym.view._report.plots import page, percent, style
 
 from .causal_bound import causal_bound
 from .device import device

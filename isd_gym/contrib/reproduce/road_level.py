@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from isd_gym.benchmark.scoring import PAPER
 from isd_gym.physics.road import PRINTED_KAPPA, paper_road
-from isd_gym.view.report.plots import number, percent
+from isd_gym.view._report.plots import number, percent
 
 from ..ceilings.bounds import linear_car, stationary
 from ..ceilings.bounds import reference as passive_rms

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isd_gym._common.seeds import road_name
 from isd_gym.baselines import CONTROLLERS
 from isd_gym.benchmark.scoring import PAPER, Score
-from isd_gym.common.seeds import road_name
-from isd_gym.env.task import CONTROL_STEP
+from isd_gym.env._task import CONTROL_STEP
 from isd_gym.physics.cost import StageCost
-from isd_gym.view.report.plots import LOOKS, Look, density, figure, percent
-from isd_gym.view.report.plots import Picture as PagePicture
+from isd_gym.view._report.plots import LOOKS, Look, density, figure, percent
+from isd_gym.view._report.plots import Picture as PagePicture
 
 from ..ceilings.clairvoyant import clairvoyant
 from ..ceilings.clairvoyant import reference as known_optimum

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.view.report.plots import Picture as PagePicture
-from isd_gym.view.report.plots import as_picture
+from isd_gym.view._report.plots import Picture as PagePicture
+from isd_gym.view._report.plots import as_picture
 
 if TYPE_CHECKING:
     from pathlib import Path

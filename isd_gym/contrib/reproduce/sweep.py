@@ -9,11 +9,11 @@ import numpy as np
 from isd_gym.baselines import make
 from isd_gym.benchmark.driving import Crew, Entry, travel
 from isd_gym.benchmark.scoring import PAPER
-from isd_gym.env.environment import ISDSuspensionVectorEnv
-from isd_gym.env.task import CONTROL_STEP
+from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.env._task import CONTROL_STEP
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
-from isd_gym.view.report.plots import LOOKS, figure, percent
+from isd_gym.view._report.plots import LOOKS, figure, percent
 
 from ..ceilings.bounds import reference as passive_rms
 from ..ceilings.clairvoyant import clairvoyant

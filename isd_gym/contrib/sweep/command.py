@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from isd_gym.commands._columns import print_columns
-from isd_gym.commands._options import EngineOption, JobsOption
-from isd_gym.commands.console import printer
-from isd_gym.common.errors import plain
+from isd_gym._commands._columns import print_columns
+from isd_gym._commands._options import EngineOption, JobsOption
+from isd_gym._commands.console import printer
+from isd_gym._common.errors import plain
 from isd_gym.contrib.progress import counted, resumable
 
 

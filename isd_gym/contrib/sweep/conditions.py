@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.common.errors import InputError, markdown
-from isd_gym.common.files import claim_folder, write_text
-from isd_gym.common.inputs import is_number
-from isd_gym.common.seeds import named_roads
+from isd_gym._common.errors import InputError, markdown
+from isd_gym._common.files import claim_folder, write_text
+from isd_gym._common.inputs import is_number
+from isd_gym._common.seeds import named_roads
 from isd_gym.contrib.engine import Outcome, Task, shard, stored
 from isd_gym.contrib.engine import run as run_tasks
 from isd_gym.physics.network import Network
@@ -22,7 +22,7 @@ from .grid import SCHEMA, Condition, Grid, belongings
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from isd_gym.physics.vehicle import Vehicle
+    from isd_gym.physics._vehicle import Vehicle
 
 RESAMPLES = 4000
 #: kind, mark and parts of the folder of a sweep
@@ -61,8 +61,8 @@ def drive_item(
     """
     from isd_gym.benchmark.policies import find
     from isd_gym.benchmark.scoring import drive, measures
+    from isd_gym.physics._vehicle import vehicle
     from isd_gym.physics.cost import StageCost
-    from isd_gym.physics.vehicle import vehicle
 
     for name, digest in (files or {}).items():
         if belongings([name]).get(name) != digest:
@@ -96,7 +96,7 @@ def drive_item(
 def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
     """Return the policy with counted commands: all, not finite, and outside of the limits of Table 5."""
     from isd_gym.benchmark.driving import Entry
-    from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
+    from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT
 
     currents = [i for i, signal in enumerate(car.measured) if signal.kind == "current"]
 

@@ -21,7 +21,7 @@
     factors = { "body.mass" = [0.8, 1.3] }
 
 A condition may set `network`, `road`, `speed` [m/s], `factors` (on parameters of the plant), `model` (of the
-controllers; by default the unchanged network), `preview` [s], the attributes of `isd_gym.env.sensors.Sensors`
+controllers; by default the unchanged network), `preview` [s], the attributes of `isd_gym.env.Sensors`
 (`noise`, `delay`, `road_error`, `road_lag`, `road_range`), and a smaller number of `episodes` (one is enough
 for a bump). The conventional passive car is driven in each condition, too: changes are paired with the
 passive car.
@@ -42,10 +42,10 @@ from pathlib import Path
 from typing import Any
 
 from isd_gym import benchmark
-from isd_gym.common.errors import InputError, hint, shown
-from isd_gym.common.inputs import is_number, parse_json, read_bytes
+from isd_gym._common.errors import InputError, hint, shown
+from isd_gym._common.inputs import is_number, parse_json, read_bytes
 from isd_gym.contrib.engine import Task
-from isd_gym.env.sensors import Sensors
+from isd_gym.env._sensors import Sensors
 from isd_gym.physics.network import Network
 
 SCHEMA = "isd-sweep/1"

@@ -1,10 +1,10 @@
 """Design of the test that decides between the candidates of a diagnosis.
 
-`excitation` has the test signals of a rig, `design` chooses among them.
+`_excitation` has the test signals of a rig, `_design` chooses among them.
 """
 
-from .design import Design, Rival, design_test, next_experiment, played
-from .excitation import (
+from ._design import Design, Rival, design_test, next_experiment, played
+from ._excitation import (
     KINDS,
     Excitation,
     Limits,

@@ -24,7 +24,7 @@ arguments, that registers the elements). All commands then know the elements.
 
 from __future__ import annotations
 
-from .base import (
+from ._base import (
     GROUND,
     MECHANISMS,
     PROBE,
@@ -43,7 +43,7 @@ from .base import (
     rms,
     spoken,
 )
-from .drives import (
+from ._drives import (
     DRIVE_ORDER,
     ActuatorDelay,
     ActuatorLag,
@@ -52,8 +52,8 @@ from .drives import (
     ThrustSaturation,
     delayed,
 )
-from .friction import AsymmetricFriction, CoulombFriction, StribeckFriction
-from .laws import (
+from ._friction import AsymmetricFriction, CoulombFriction, StribeckFriction
+from ._laws import (
     PERIODS,
     AsymmetricDamping,
     Backlash,
@@ -68,11 +68,11 @@ from .laws import (
     QuadraticDamping,
     TyreLiftOff,
 )
-from .linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
-from .loaded import LoadDependentFriction, transmits
-from .scheduled import ScheduledDamping, ScheduledFriction
-from .sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
-from .table import TabulatedForce
+from ._linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
+from ._loaded import LoadDependentFriction, transmits
+from ._scheduled import ScheduledDamping, ScheduledFriction
+from ._sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
+from ._table import TabulatedForce
 
 __all__ = [
     "DRIVE_ORDER",

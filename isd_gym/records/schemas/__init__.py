@@ -12,7 +12,12 @@ import json
 from importlib import resources
 from typing import Any
 
-from ...common.errors import InputError, plain
+from ..._common.errors import InputError, plain
+
+__all__ = [
+    "load",
+]
+
 
 NAMES = (
     "isd-model-1",

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from isd_gym.common.arrays import Array
-    from isd_gym.diagnosis.simulation.problem import Record
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._simulation.problem import Record
 
     from ..cosimulation import Port, Unit, UnitModel
 

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.arrays import Array, channel_rms
-from isd_gym.common.errors import InputError, shown
-from isd_gym.common.units import convert
-from isd_gym.diagnosis.estimation.noise import Floor, floor_of, noise_of, resolution
+from isd_gym._common.arrays import Array, channel_rms
+from isd_gym._common.errors import InputError, shown
+from isd_gym._common.units import convert
+from isd_gym.diagnosis._estimation.noise import Floor, floor_of, noise_of, resolution
+from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria
+from isd_gym.diagnosis._simulation.problem import Record, deviation_within
+from isd_gym.diagnosis._verdict.evidence import Evidence, as_numbers
+from isd_gym.diagnosis._verdict.explanation import bands, find_condition, near_reversals
+from isd_gym.diagnosis._verdict.gates import decide
+from isd_gym.diagnosis._verdict.wording import unit_summary_of
 from isd_gym.diagnosis.result import Diagnosis, Place, Trace
-from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
-from isd_gym.diagnosis.simulation.problem import Record, deviation_within
-from isd_gym.diagnosis.verdict.evidence import Evidence, as_numbers
-from isd_gym.diagnosis.verdict.explanation import bands, find_condition, near_reversals
-from isd_gym.diagnosis.verdict.gates import decide
-from isd_gym.diagnosis.verdict.wording import unit_summary_of
 from isd_gym.records.data import Table, check, read_table
-from isd_gym.records.data.quality import admit, known_check
+from isd_gym.records.data._quality import admit, known_check
 
 from .comparison import FmuComparison, Progress, Segment
 from .refit import FittedFmu, FmuRefit

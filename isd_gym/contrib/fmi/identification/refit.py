@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.common.errors import InputError
-from isd_gym.diagnosis.estimation.least_squares import bounded_step, damped_step
-from isd_gym.diagnosis.estimation.noise import (
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.least_squares import bounded_step, damped_step
+from isd_gym.diagnosis._estimation.noise import (
     Whitener,
     innovations,
     refined_noise,
@@ -18,13 +18,13 @@ from isd_gym.diagnosis.estimation.noise import (
     white_filters,
     whitener,
 )
-from isd_gym.diagnosis.estimation.structure import Free, base_structure
+from isd_gym.diagnosis._estimation.structure import Free, base_structure
 from isd_gym.diagnosis.result import Quantity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isd_gym.common.arrays import Array
+    from isd_gym._common.arrays import Array
 
     from ..cosimulation import UnitModel
     from .comparison import FmuComparison, Progress, Segment

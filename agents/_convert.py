@@ -1,0 +1,530 @@
+"""Conversion of Stable-Baselines3 policies (.zip, with or without VecNormalize) to policies that need no torch.
+
+An archive of Stable-Baselines3 holds pickles, and other programs execute code from the archive when they load
+a pickle. No code is executed here: `torch.load(weights_only=True)` reads the weights (torch 2.6 or later;
+CVE-2025-32434), and every class or function that a VecNormalize names is replaced by one that does nothing. An
+archive from a stranger is therefore as safe as a policy folder.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import pickle
+import pickletools
+import re
+import warnings
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isd_gym._common.errors import InputError, how_to_install, shown
+from isd_gym._common.inputs import number, parse_json, read_bytes, too_large
+from isd_gym.env._history import BOUND
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
+from isd_gym.physics.network import Network
+
+from ._memory import Memory
+from .policy import Head, Policy
+
+if TYPE_CHECKING:
+    from isd_gym.physics._vehicle import Vehicle
+
+#: limit of the total unpacked size of an archive's parts [bytes]
+ARCHIVE_LIMIT = 512 * 2**20
+
+
+def _unzip(data: bytes, where: str) -> zipfile.ZipFile:
+    """Return a zip archive; raise `InputError` for other data, and for an archive that is too large unpacked."""
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        total = sum(part.file_size for part in archive.infolist())
+    except Exception as error:  # a zip archive can be broken in many ways
+        raise InputError(f"{where}: not a zip archive ({type(error).__name__})") from None
+    if total > ARCHIVE_LIMIT:
+        raise too_large(where, total, ARCHIVE_LIMIT)
+    return archive
+
+
+def _part(archive: zipfile.ZipFile, name: str, where: str) -> bytes:
+    """Return the bytes of a part of an archive, never more than its declared size."""
+    try:
+        return archive.read(name)
+    except Exception as error:
+        raise InputError(f"{where}: part {shown(name)} cannot be read ({type(error).__name__})") from None
+
+
+def read_torch(data: bytes, where: str) -> dict[str, np.ndarray]:
+    """Return the arrays of a state dict saved by `torch.save`, without executing code of the file.
+
+    Args:
+        data: Content of the file.
+        where: Name of the file, for messages.
+
+    Returns:
+        Array by name.
+
+    Raises:
+        InputError: The file holds no weights saved by torch, or torch is not installed.
+    """
+    try:
+        import torch
+    except ImportError:
+        raise InputError(f"{where}: reading weights needs torch: {how_to_install('agents')}") from None
+    _unzip(data, where)  # checks the unpacked size
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of unusual files
+            state = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        if sum(tensor.numel() * tensor.element_size() for tensor in state.values()) > ARCHIVE_LIMIT:
+            raise ValueError("tensors that overlap")
+        return {str(name): tensor.numpy() for name, tensor in state.items()}
+    except Exception as error:  # any error is a fault of the file
+        raise InputError(f"{where}: not weights saved by torch ({type(error).__name__})") from None
+
+
+class _Inert:
+    """Stands for every class and function that a pickle names: keeps arguments and state, and does nothing else."""
+
+    #: module and name in the pickle
+    made = ""
+    arguments: tuple[Any, ...] = ()
+    state: Any = None
+
+    def __new__(cls, *arguments: Any, **_: Any) -> _Inert:
+        made = super().__new__(cls)
+        made.arguments = arguments
+        return made
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        """Skip an item."""
+
+
+class _InertUnpickler(pickle.Unpickler):
+    """Unpickler that calls nothing of what a pickle names."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        return type("_Inert", (_Inert,), {"made": f"{module}.{name}"})
+
+
+#: limits of a pickle: opcodes, and tuples, whose hash is computed recursively
+OPCODES, TUPLES = 1_000_000, 1000
+
+
+def read_pickle(data: bytes) -> Any:
+    """Return the content of a pickle without executing code of the pickle.
+
+    Args:
+        data: The pickle.
+
+    Returns:
+        Plain values; objects keep the arguments of the call (`arguments`) and the state (`state`) alone.
+
+    Raises:
+        InputError: The data are no pickle, or a pickle beyond the limits.
+    """
+    tuples = 0
+    try:
+        for step, (opcode, argument, _) in enumerate(pickletools.genops(data)):
+            tuples += opcode.name.startswith("TUPLE")
+            place = argument if opcode.name.endswith("BINPUT") else 0
+            if max(step, place or 0) > OPCODES or tuples > TUPLES:
+                raise ValueError("too large")
+        return _InertUnpickler(io.BytesIO(data)).load()
+    except Exception as error:  # any error is a fault of the file
+        raise InputError(f"not a pickle that can be read ({type(error).__name__})") from None
+
+
+#: numeric types of pickled arrays
+KINDS: dict[Any, np.dtype[Any]] = {"f4": np.dtype("<f4"), "f8": np.dtype("<f8"), "i8": np.dtype("<i8")}
+
+
+def array(value: Any) -> np.ndarray:
+    """Return a pickled array or number of numpy.
+
+    Args:
+        value: Part of `read_pickle`.
+
+    Returns:
+        The array.
+
+    Raises:
+        InputError: The value is no array of numbers.
+    """
+    shape: Any
+    order: Any
+    try:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return np.array(float(value))
+        shape, order = (), "C"
+        if value.made.endswith("core.multiarray._reconstruct"):
+            _, shape, kind, is_fortran, data = value.state
+            order = "F" if is_fortran is True else "C"
+        elif value.made.endswith("core.multiarray.scalar"):
+            kind, data = value.arguments
+        elif value.made.endswith("core.numeric._frombuffer"):
+            data, kind, shape, order = value.arguments
+        else:
+            raise ValueError(value.made)
+        is_native = kind.state is None or (kind.state[1] in "<|" and not any(kind.state[2:5]))
+        if kind.made != "numpy.dtype" or not is_native:
+            raise ValueError("dtype")
+        return np.frombuffer(bytes(data), KINDS[kind.arguments[0]]).reshape(shape, order=order).copy()
+    except (ArithmeticError, AttributeError, IndexError, KeyError, TypeError, ValueError):
+        raise InputError("not an array of numbers") from None
+
+
+def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the normalisation of the observations in a saved VecNormalize, without executing its pickle.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Mean (n,), scale (n,) and clip.
+
+    Raises:
+        InputError: The file is no saved VecNormalize.
+    """
+    data = read_bytes(path)
+    try:
+        state = getattr(read_pickle(data), "state", None)
+        statistics = getattr(state.get("obs_rms"), "state", None) if isinstance(state, dict) else None
+        if not isinstance(state, dict) or not isinstance(statistics, dict):
+            raise InputError("no running mean of the observations")
+        mean, variance = (array(statistics.get(key)).astype(float) for key in ("mean", "var"))
+        if state.get("norm_obs", True) is not True:
+            return np.zeros_like(mean), np.ones_like(mean), math.inf
+        epsilon, clip = (number(array(state.get(k)).item(), k) for k in ("epsilon", "clip_obs"))
+        if not (np.isfinite(mean).all() and np.isfinite(variance).all() and (variance >= 0).all()):
+            raise InputError("mean and variance are not finite")
+        if not (clip > 0 and epsilon > 0):
+            raise InputError("clip_obs and epsilon are not > 0")
+        return mean, np.sqrt(variance + epsilon), clip
+    except InputError as error:
+        raise InputError(f"'{path}' is not a saved VecNormalize ({error})") from None
+
+
+def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
+    """Return the layers of the deterministic actor in a state dict of Stable-Baselines3.
+
+    Args:
+        state: Array by name.
+
+    Returns:
+        Algorithm ('ppo' includes A2C, 'td3' includes DDPG, or 'sac'), and weights (out, in) and biases (out,)
+            of the layers.
+
+    Raises:
+        InputError: The state dict is no flat MlpPolicy of PPO, SAC or TD3.
+    """
+    if "action_net.weight" in state:
+        kind, hidden, last = "ppo", "mlp_extractor.policy_net.", "action_net"
+    elif "actor.mu.weight" in state:
+        kind, hidden, last = "sac", "actor.latent_pi.", "actor.mu"
+    elif "actor.mu.0.weight" in state:
+        kind, hidden, last = "td3", "actor.mu.", ""
+    else:
+        raise InputError("no MlpPolicy of PPO, SAC or TD3")
+    if any("features_extractor" in key and not key.startswith("critic") for key in state):
+        raise InputError(
+            "its features extractor has weights of its own; only the flat MlpPolicy can be converted"
+        )
+    if any("lstm" in key for key in state):
+        raise InputError("its policy is recurrent; only the flat MlpPolicy can be converted")
+    if kind == "td3" and any(key.startswith("actor.latent_pi.") for key in state):
+        raise InputError(
+            "its SAC explores with gSDE, whose clipped mean is not supported; train without use_sde"
+        )
+    inner = [
+        k.removeprefix(hidden).removesuffix(".weight")
+        for k in state
+        if k.startswith(hidden) and k.endswith(".weight")
+    ]
+    if not all(i.isascii() and i.isdecimal() and len(i) < 4 for i in inner):
+        raise InputError("its layers are not numbered")
+    names = [f"{hidden}{i}" for i in sorted(inner, key=int)] + ([last] if last else [])
+    for name in (f"{n}.{part}" for n in names for part in ("weight", "bias")):
+        if name not in state:
+            raise InputError(f"{shown(name)} is missing")
+    return kind, [(state[f"{n}.weight"], state[f"{n}.bias"]) for n in names]
+
+
+def build(
+    state: Mapping[str, np.ndarray],
+    *,
+    activation: str,
+    memory: Memory,
+    head: Head,
+    high: float = 1.0,
+    **options: Any,
+) -> Policy:
+    """Return the policy of a state dict of Stable-Baselines3.
+
+    Args:
+        state: Array by name.
+        activation: 'tanh' or 'relu'.
+        memory: Features of the observations.
+        head: Conversion of the output to a current.
+        high: Bound of the action space in training.
+        options: Further arguments of `Policy`.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: The weights are unsuitable.
+    """
+    kind, layers = actor_layers(state)
+    if any(value.dtype.kind != "f" for layer in layers for value in layer):
+        raise InputError("weights that are no floats")
+    # PPO's mean is in the unit of the action, that of SAC and TD3 in [-1, 1]
+    if kind == "ppo" and high != 1.0:
+        layers[-1] = (layers[-1][0] / high, layers[-1][1] / high)
+    return Policy(
+        layers,
+        memory=memory,
+        head=head,
+        activation=activation,
+        output="clip" if kind == "ppo" else "tanh",
+        **options,
+    )
+
+
+def _space(data: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
+    space = data.get(name)
+    if not isinstance(space, Mapping) or "Box" not in str(space.get(":type:")):
+        raise InputError(f"{where}: its {name.replace('_', ' ')} is not a Box")
+    return space
+
+
+def _shape(space: Mapping[str, Any]) -> str:
+    shape = space.get("_shape")
+    short = isinstance(shape, list) and len(shape) < 6 and all(isinstance(n, int) for n in shape)
+    return str(shape) if short else shown(shape)
+
+
+def _bounds(space: Mapping[str, Any]) -> set[float]:
+    """Return the different upper bounds of a space; raise `ValueError` for other text than numbers."""
+    return {float(word) for word in str(space.get("high", "[1.]"))[:20_000].strip("[] ").split()}
+
+
+#: options of the training that decide how a policy is run, with their values
+TRAINED = {"observation": ("measured", "history"), "action": ("current", "increment")}
+#: built-in cars, to tell which of them an archive was trained on
+CARS = ("quarter-car-isd", "half-car-isd", "full-car-isd")
+
+
+def trained_options(text: str) -> dict[str, str]:
+    """Return the options of a training from a text such as ``observation=history,action=increment``.
+
+    Args:
+        text: Pairs NAME=VALUE, joined by commas; names are those of `TRAINED`, and `normalize`.
+
+    Returns:
+        Value by name.
+
+    Raises:
+        InputError: A name or a value is unknown.
+    """
+    out = {}
+    for pair in text.split(","):
+        name, _, value = (word.strip() for word in pair.partition("="))
+        if name not in (*TRAINED, "normalize") or not value:
+            raise InputError(
+                f"{shown(pair)} is no option of a training: there are observation=measured or history, "
+                "action=current or increment, normalize=FILE or none"
+            )
+        out[name] = value
+    return out
+
+
+def _features(
+    where: str,
+    car: Vehicle,
+    seen: Mapping[str, Any],
+    acts: Mapping[str, Any],
+    given: Mapping[str, str | None],
+) -> tuple[Memory, Head, float]:
+    """Return features, conversion of the output, and bound of the action space, of an archive for a car.
+
+    The options of the training are the given ones, else those that the environment left in the archive, else
+    those that the spaces of the archive show.
+    """
+    noted = seen.get("isd_gym")
+    noted = noted if isinstance(noted, Mapping) else {}
+    asked: dict[str, Any] = {k: given.get(k) or noted.get(k) for k in TRAINED}
+    step = number(noted.get("control_step", 5e-3), f"{where}: its control step")
+    if not 1e-3 <= step <= 1.0:
+        raise InputError(f"{where}: its control step is {step:g} s")
+    shape = seen.get("_shape")
+    try:
+        high = _bounds(acts)
+        (limit,) = high
+    except ValueError:
+        raise InputError(f"{where}: the bound of its actions is {shown(acts.get('high'))}") from None
+    if asked["observation"] is None:
+        try:
+            is_scaled = _bounds(seen) == {BOUND}
+        except ValueError:
+            is_scaled = False
+        asked["observation"] = (
+            "history" if is_scaled and shape == [_width("history", car, step)] else "measured"
+        )
+    if asked["action"] is None:
+        is_increment = asked["observation"] == "history" and limit == 1.0
+        asked["action"] = "increment" if is_increment else "current"
+    for name, known in TRAINED.items():
+        if asked[name] not in known:
+            raise InputError(
+                f"{where} was trained with {name} {shown(asked[name])}; archives are driven with "
+                f"{' or '.join(known)}"
+            )
+    wanted, currents = _width(asked["observation"], car, step), len(car.driven)
+    if shape != [wanted]:
+        others = [
+            f"{asked['observation']} of {name}"
+            for name in CARS
+            if name != car.network.name
+            and shape == [_width(asked["observation"], vehicle(Network.load(name)), step)]
+        ]
+        others += [
+            f"history of {n}" for n in CARS if shape == [_width("history", vehicle(Network.load(n)), step)]
+        ]
+        fits = f"; it fits {others[0]}, see --network and --trained-with" if others else ""
+        raise InputError(
+            f"{where} was trained on observations of shape {_shape(seen)}, this car gives [{wanted}]{fits}"
+        )
+    if acts.get("_shape") != [currents]:
+        raise InputError(
+            f"{where} was trained for actions of shape {_shape(acts)}, network '{car.network.name}' takes [{currents}]"
+        )
+    if limit not in (1.0, CURRENT_LIMIT):
+        raise InputError(
+            f"{where} was trained for actions up to {limit:g}, neither 1 nor {CURRENT_LIMIT:g} A"
+        )
+    memory = Memory.of(car, step) if asked["observation"] == "history" else Memory(step=step)
+    is_increment = asked["action"] == "increment"
+    return (
+        memory,
+        Head("increment", slew=min(SLEW_RATE * step, CURRENT_LIMIT)) if is_increment else Head(),
+        limit,
+    )
+
+
+def _width(observation: str, car: Vehicle, step: float) -> int:
+    signals = len(car.measured)
+    return Memory.of(car, step).width(signals) if observation == "history" else signals
+
+
+def normalize_beside(archive: Path) -> Path | None:
+    """Return the saved VecNormalize beside an archive.
+
+    Args:
+        archive: The .zip file.
+
+    Returns:
+        The first existing file of: <stem>_vecnormalize.pkl, <stem>.pkl, the name that the `CheckpointCallback` of
+            Stable-Baselines3 gives, vecnormalize.pkl. None without such a file.
+    """
+    stem = archive.stem
+    names = [f"{stem}_vecnormalize.pkl", f"{stem}.pkl"]
+    if parts := re.fullmatch(r"(.*)_(\d+)_steps", stem):
+        names.append(f"{parts[1]}_vecnormalize_{parts[2]}_steps.pkl")
+    found = (archive.with_name(name) for name in (*names, "vecnormalize.pkl"))
+    return next((path for path in found if os.path.isfile(path)), None)
+
+
+def convert(
+    archive: str | Path,
+    *,
+    normalize: str | Path | None = None,
+    network: str | Path | Network | None = "quarter-car-isd",
+    observation: str | None = None,
+    action: str | None = None,
+    name: str | None = None,
+) -> Policy:
+    """Return the deterministic policy of a PPO, A2C, SAC, TD3, DDPG or TQC archive of Stable-Baselines3.
+
+    Nothing of the archive is executed. The environments of this package leave their options in the archive. Without
+    them, observations within ±10 of the right width are a history, whose actions in [-1, 1] are increments;
+    other actions in [-1, 1] are shares of the current's limit.
+
+    Args:
+        archive: The .zip file.
+        normalize: File of its saved VecNormalize; None for a file beside the archive (`normalize_beside`), "none"
+            for no normalisation.
+        network: Network of the training; None if unknown.
+        observation: Observation of the training, 'measured' or 'history'; None to find it.
+        action: Action of the training, 'current' or 'increment'; None to find it.
+        name: Name of the policy; None for the stem of the file.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: The file is no such archive, or was trained for other spaces.
+    """
+    path, where = Path(archive), shown(str(archive), 200)
+    file = _unzip(read_bytes(path, ARCHIVE_LIMIT), where)
+    if "data" not in file.namelist():
+        raise InputError(
+            f"{where} is not an archive of Stable-Baselines3, or not a whole one: it has no part 'data'"
+        )
+    data = parse_json(_part(file, "data", where), where)
+    if not isinstance(data, Mapping):
+        raise InputError(f"{where} is not an archive of Stable-Baselines3: its data is {shown(data)}")
+    seen = _space(data, "observation_space", where)
+    acts = _space(data, "action_space", where)
+    car = vehicle(Network.load(network if network is not None else "quarter-car-isd"))
+    memory, head, high = _features(where, car, seen, acts, {"observation": observation, "action": action})
+    if normalize is None:
+        normalize = normalize_beside(path)
+    elif str(normalize) == "none":
+        normalize = None
+    state = read_torch(_part(file, "policy.pth", where), where)
+    try:
+        kind, _ = actor_layers(state)
+        given = data.get("policy_kwargs", {})
+        given = given if isinstance(given, Mapping) else {}
+        text = str(given.get("activation_fn", "Tanh" if kind == "ppo" else "ReLU"))
+        activation = next(
+            (a for a in ("tanh", "relu") if f".{a}'" in text.lower() or a == text.lower()), None
+        )
+        if activation is None:
+            raise InputError(f"activation {shown(text)} is not supported (Tanh, ReLU)")
+        if given.get("squash_output") is True and kind == "ppo":
+            raise InputError("squash_output of PPO is not supported")
+        extractor = str(given.get("features_extractor_class", "FlattenExtractor"))
+        if "FlattenExtractor" not in extractor:
+            raise InputError(f"features extractor {shown(extractor)} is not supported")
+        bound = BOUND if memory.scale else math.inf  # the environment clips its histories
+        mean, scale, clip = read_normalize(normalize) if normalize else (None, None, math.inf)
+        return build(
+            state,
+            activation=activation,
+            memory=memory,
+            head=head,
+            high=high,
+            mean=mean,
+            scale=scale,
+            clip=clip,
+            bound=bound,
+            name=name or path.stem,
+            network=Network.load(network) if network is not None else None,
+            info={
+                "algorithm": kind,
+                "origin": f"converted from {path.name}",
+                **({"normalisation": Path(normalize).name} if normalize else {}),
+            },
+        )
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if where in text else f"{where}: {text}") from None

@@ -1,0 +1,132 @@
+"""Decentralised control of a car with several corners: one controller of a quarter car per corner, with local measurements.
+
+The corner of a half or full car measures the vertical acceleration of the body above, z - x pitch + y roll,
+its own travels and rates, and its own current. Its model is the quarter car of `Vehicle.quarter_car`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isd_gym.physics._vehicle import vehicle
+from isd_gym.physics.cost import StageCost
+
+from .controller import Controller
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from isd_gym.physics._vehicle import Vehicle
+    from isd_gym.physics.network import Network
+
+#: measured signals of a corner, in the order of a quarter car's observation after the acceleration
+OWN = ("suspension_travel", "suspension_travel_rate", "device_travel", "device_travel_rate", "current")
+
+
+def corner_cost(cost: StageCost) -> StageCost:
+    """Return the stage cost of a quarter car with the weights of a car with several corners.
+
+    The weights of vertical, pitch and roll acceleration are added. The references are those of the quarter
+    car.
+
+    Args:
+        cost: Stage cost of the whole car.
+
+    Returns:
+        Stage cost of a quarter car.
+    """
+    motions = cost.acceleration + cost.pitch + cost.roll
+    return StageCost(
+        acceleration=round(motions, 12),
+        travel=cost.travel,
+        tyre_load=cost.tyre_load,
+        current=cost.current,
+        current_reference=cost.current_reference,
+    )
+
+
+def _corner_view(car: Vehicle) -> np.ndarray:
+    """Return the matrix (corners with a current, 6, signals) from the observation of a car to those of quarter cars."""
+    names = [signal.name for signal in car.measured]
+    view = np.zeros((len(car.driven), 1 + len(OWN), len(names)))
+    for i, corner in enumerate(car.driven):
+        view[i, 0, : 1 + len(car.axes)] = car.arms(corner.x, corner.y)
+        for j, kind in enumerate(OWN, 1):
+            view[i, j, names.index(corner.named(kind))] = 1.0
+    return view
+
+
+def at_each_corner(
+    model: Network, cost: StageCost, make: Callable[[Network, StageCost], Controller]
+) -> list[Controller]:
+    """Return a controller for each corner with a current.
+
+    Args:
+        model: Network of the assumed car.
+        cost: Stage cost of the car.
+        make: Returns the controller of a quarter car from its network and its stage cost.
+
+    Returns:
+        Controllers in the order of the currents.
+    """
+    car = vehicle(model)
+    return [make(car.quarter_car(corner), corner_cost(cost)) for corner in car.driven]
+
+
+class Decentralised(Controller):
+    """Independent controllers at the corners of a car.
+
+    Args:
+        name: Name in scores.
+        model: Network of the assumed car.
+        corners: Controllers of quarter cars for many cars at once, as returned by `at_each_corner`.
+
+    Attributes:
+        corners: Controllers of quarter cars, in the order of the currents.
+    """
+
+    def __init__(self, name: str, model: Network, corners: Sequence[Any]) -> None:
+        """Store the controllers of the corners."""
+        super().__init__(name, model)
+        self.car, self.corners = vehicle(model), list(corners)
+        self._view = _corner_view(self.car)
+        self.reset()
+
+    def reset(self) -> None:
+        self.reset_batch(1)
+
+    def reset_batch(self, count: int) -> None:
+        for c in self.corners:
+            c.reset_batch(count)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        return self.act_batch(np.asarray(observation)[None])[0]
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        own = self.observed(np.asarray(observations, float))
+        currents = [c.act_batch(obs) for c, obs in zip(self.corners, own, strict=True)]
+        self.fallbacks = sum(c.fallbacks for c in self.corners)
+        return np.stack(currents, axis=-1)
+
+    def observed(self, observations: np.ndarray) -> list[np.ndarray]:
+        """Return the local observations of the corners.
+
+        Args:
+            observations: Observations (cars, signals) of the environment, in float64.
+
+        Returns:
+            Observations (cars, 6) of each corner.
+        """
+        seen = observations[:, : self._view.shape[2]]
+        with np.errstate(invalid="ignore"):
+            return [_through(view, seen) for view in self._view]
+
+
+def _through(view: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return ``seen @ view.T``, in which a broken signal breaks only the signals that are made of it."""
+    out = np.zeros((len(seen), len(view)))
+    for i, j in zip(*np.nonzero(view), strict=True):
+        out[:, i] += view[i, j] * seen[:, j]
+    return out

@@ -1,0 +1,713 @@
+"""Model of a controller: the network as a discrete prediction model, and linear-quadratic tools.
+
+Positions are relative to the road (``x~ = x - T r`` with the rigid shift T). The road then enters as white
+velocity only, and the model of equation (9) has no unobservable integrator.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_are
+
+from isd_gym._common.errors import InputError
+from isd_gym.physics import elements as el
+from isd_gym.physics._vehicle import require_quarter_car, state_channels, vehicle
+from isd_gym.physics.network import Network, assemble
+from isd_gym.physics.network._linear import slopes
+from isd_gym.physics.road import paper_road
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.network import Channel
+
+    from ._car import CarModel
+
+PAPER_CAR = "quarter-car-isd"
+# typical rate of the device on the paper's road, at which the level of a friction is evaluated [m/s]
+SLIDING = 0.05
+N_SENSORS = 5  # number of measured signals that depend on the physics; the sixth is the present current
+TYRE = 5  # row of the tyre load among the signals
+#: two-sided intensity of the road's vertical velocity [m^2/s], the paper's road at 20 m/s
+ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20.0
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Standard deviations in a Kalman filter; small, since the environment's sensors are exact by default.
+
+    Attributes:
+        body_acceleration: Body acceleration [m/s^2].
+        suspension_travel: Suspension travel [m].
+        suspension_travel_rate: Rate of the suspension travel [m/s].
+        device_travel: Travel of the device [m].
+        device_travel_rate: Rate of the device [m/s].
+        memory: Time over which the car's absolute speed, which is not measured, is integrated from the
+            acceleration before the mean level of the road dominates [s]. Exact sensors would allow minutes;
+            the bias of an accelerometer does not.
+    """
+
+    body_acceleration: float = 0.02
+    suspension_travel: float = 2e-5
+    suspension_travel_rate: float = 2e-3
+    device_travel: float = 2e-5
+    device_travel_rate: float = 2e-3
+    memory: float = 5.0
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Diagonal covariance (5, 5) of the measured signals."""
+        values = [
+            self.body_acceleration,
+            self.suspension_travel,
+            self.suspension_travel_rate,
+            self.device_travel,
+            self.device_travel_rate,
+        ]
+        return np.diag(np.square(values))
+
+
+class Laws:
+    """States and laws of a model with a state matrix `A` (n, n) and nonlinear `laws`."""
+
+    A: np.ndarray
+    laws: tuple[el.Element, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def friction(self) -> list[int]:
+        """Indices of the laws that are dry friction."""
+        return dry(self.laws)
+
+    def levels(self, rate: float = SLIDING) -> np.ndarray:
+        """Return the friction level of each law at a sliding rate.
+
+        Args:
+            rate: Sliding rate [m/s].
+
+        Returns:
+            Levels (laws,) [N]; 0 for laws that are not dry friction.
+        """
+        out = np.zeros(len(self.laws))
+        for j in self.friction:
+            e = self.laws[j]
+            out[j] = e.bound(np.array(e.law_parameters()), 0.0, rate)  # type: ignore[misc]
+        return out
+
+
+@dataclass(frozen=True)
+class Model(Laws):
+    """One control step of a car: ``x+ = A x + B I + G f + w``, ``y = C x + D I + F f``, ``v = S x + SI I + SF f``.
+
+    x (n,) are states with positions above the road, I [A] the current of the step, f (nl,) [N] the forces of
+    the nonlinear `laws` (friction, stops), w the road, y (6,) the signals of `Vehicle.channels`, and v (nl,)
+    [m/s] the rates of the laws.
+
+    Attributes:
+        network: The network.
+        step: Control step [s].
+        A: State matrix (n, n).
+        B: Response of the state to the current (n,).
+        G: Response of the state to the forces (n, nl).
+        W: Covariance of the road's effect per step (n, n).
+        P: Response of the state to a linear rise of the road by 1 m over the step (n,), for preview.
+        C: Output matrix (6, n).
+        D: Response of the outputs to the current (6,).
+        F: Response of the outputs to the forces (6, nl).
+        S: Rates of the laws by the state (nl, n).
+        SI: Rates of the laws by the current (nl,).
+        SF: Rates of the laws by the forces (nl, nl).
+        E: Elongations of the laws by the state (nl, n).
+        laws: Elements with a nonlinear law.
+        thrust: Force at the terminals of the motor [N/A]; 0 without a motor.
+        motor_rate: Rate of the device by the state (n,).
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+        nodes: Displacement and velocity of every node by the state, in the order of the full observation.
+        lift: State of the assembly when car and road are lifted by 1 m: x = x_assembly - lift r.
+    """
+
+    network: Network
+    step: float
+    A: np.ndarray
+    B: np.ndarray
+    G: np.ndarray
+    W: np.ndarray
+    P: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    F: np.ndarray
+    S: np.ndarray
+    SI: np.ndarray
+    SF: np.ndarray
+    E: np.ndarray
+    laws: tuple[el.Element, ...]
+    thrust: float
+    motor_rate: np.ndarray
+    road_intensity: float
+    nodes: np.ndarray
+    lift: np.ndarray
+
+    @property
+    def heave(self) -> np.ndarray:
+        """State (n,) of a car that rises as a whole at 1 m/s without relative motion."""
+        channels = state_channels(self.network)
+        speed = [
+            i for i, c in enumerate(channels) if c.quantity == "velocity" and c.at in self.network.masses
+        ]
+        height = [i for i, c in enumerate(channels) if c.quantity == "displacement"]
+        rows = np.vstack([self.nodes[speed], self.nodes[height], self.C[1:N_SENSORS]])
+        return np.linalg.lstsq(rows, np.arange(len(rows)) < len(speed), rcond=None)[0]
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """Effect (n, 1) of the current on the state."""
+        return self.B[:, None]
+
+    @property
+    def feedthrough(self) -> np.ndarray:
+        """Effect (6, 1) of the current on the signals."""
+        return self.D[:, None]
+
+
+def dry(laws: Sequence[el.Element]) -> list[int]:
+    """Return the indices of the laws that are dry friction.
+
+    Args:
+        laws: Laws.
+
+    Returns:
+        Indices.
+    """
+    return [j for j, e in enumerate(laws) if e.bound is not None]
+
+
+def equivalent_damping(level: float, rate_rms: float) -> float:
+    """Return the damping that is equivalent to dry friction at a Gaussian rate.
+
+    The quasi-linearisation of section 4.2: the least-squares gain of f sgn(v) on v is f sqrt(2/pi)/sigma.
+
+    Args:
+        level: Level of the friction [N].
+        rate_rms: RMS of the rate [m/s].
+
+    Returns:
+        Damping [N s/m].
+    """
+    return level * math.sqrt(2 / math.pi) / rate_rms
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Linear equations of a car; dry friction and stops are inputs, and other laws are linearised by their slope at rest.
+
+    Columns of all matrices are the base vector of `Assembly`; the columns of linearised laws are zero.
+
+    Attributes:
+        rate: Derivative of the state.
+        out: Channels.
+        E: Elongations [m] of the laws.
+        R: Rates [m/s] of the laws.
+        columns: Columns of the states 'x', displacements 'r' [m] and velocities 'v' [m/s] of the roads, and
+            currents 'I' [A].
+        apart: Columns of the forces of the laws.
+        laws: Dry frictions and stops.
+    """
+
+    rate: np.ndarray
+    out: np.ndarray
+    E: np.ndarray
+    R: np.ndarray
+    columns: dict[str, slice]
+    apart: list[int]
+    laws: tuple[el.Element, ...]
+
+
+def equations(network: Network, channels: Sequence[Channel], damping: Mapping[str, float]) -> Equations:
+    """Return the linear equations of a car.
+
+    Args:
+        network: Network of the car.
+        channels: Outputs.
+        damping: Linear damping [N s/m] by name of a law, instead of the law.
+
+    Returns:
+        The equations.
+    """
+    bare = replace(
+        network,
+        elements=tuple(e for e in network.elements if e.place == "between"),
+        outputs=(),
+        uncertainty={},
+    )
+    asm = assemble(bare, channels)
+    cols = {part: asm.columns(part) for part in ("x", "r", "v", "I", "f")}
+    kept = [
+        j
+        for j, e in enumerate(asm.laws)
+        if (e.bound is not None or isinstance(e, el.BumpStop))
+        and e.name not in damping
+        and not asm.by_difference[j]
+    ]
+    slopes_k, slopes_c = slopes(asm.laws, damping)
+    slopes_k[kept] = slopes_c[kept] = 0.0
+    rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
+    f_all = cols["f"]
+    gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f_all], rows)
+    apart = [f_all.start + j for j in kept]
+    gain[:, f_all] = 0.0
+
+    def close(block: np.ndarray) -> np.ndarray:
+        return block + block[:, f_all] @ gain
+
+    return Equations(
+        rate=close(asm.rate),
+        out=close(asm.outputs),
+        E=close(asm.elongation)[kept],
+        R=close(asm.elongation_rate)[kept],
+        columns=cols,
+        apart=apart,
+        laws=tuple(asm.laws[j] for j in kept),
+    )
+
+
+def lift(network: Network, parts: Equations, roads: np.ndarray, outputs: int) -> np.ndarray:
+    """Return the shift of the state when the roads rise by 1 m without a change of elongations and signals.
+
+    Args:
+        network: Network of the car, for the message.
+        parts: Equations of the car.
+        roads: Rise of each road (roads, rises) [m].
+        outputs: Number of channels that must not change.
+
+    Returns:
+        Shift (n, rises).
+
+    Raises:
+        InputError: An element ties the car to the ground.
+    """
+    x, r = parts.columns["x"], parts.columns["r"]
+    blocks = (parts.rate, parts.out[:outputs], parts.E, parts.R)
+    left = np.vstack([block[:, x] for block in blocks])
+    right = np.vstack([block[:, r] for block in blocks]) @ roads
+    T = np.linalg.lstsq(left, -right, rcond=None)[0]
+    if np.abs(left @ T + right).max() > 1e-6 * np.abs(right).max():
+        raise InputError(f"network '{network.name}' is tied to the ground: a controller's car moves freely")
+    return T
+
+
+def prediction_model(
+    network: Network,
+    step: float,
+    *,
+    damping: Mapping[str, float] | None = None,
+    road_intensity: float = ROAD_INTENSITY,
+) -> Model:
+    """Return the prediction model of a quarter car.
+
+    Dry friction and stops are kept as laws. Every other law is linearised by its slope at rest.
+
+    Args:
+        network: The car.
+        step: Control step [s].
+        damping: Linear damping [N s/m] by name of a law, instead of the law.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+
+    Returns:
+        The model.
+
+    Raises:
+        InputError: The network is no quarter car, or is tied to the ground.
+    """
+    require_quarter_car(network, "the prediction model is that")
+    parts = equations(network, [*vehicle(network).channels, *state_channels(network)], dict(damping or {}))
+    rate, out, R, cols, apart = parts.rate, parts.out, parts.R, parts.columns, parts.apart
+    if cols["r"].stop - cols["r"].start != 1:
+        raise InputError(f"network '{network.name}': a controller's car stands on one road")
+    T = lift(network, parts, np.eye(1), 6)
+    x, v = cols["x"], cols["v"]
+    A = rate[:, x]
+    white = rate[:, v] - T
+    motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
+    current = rate[:, cols["I"]] if motor is not None else np.zeros((len(A), 1))
+    n, k = len(A), len(parts.laws)
+    inputs = np.hstack([current, rate[:, apart], white])
+    big = np.zeros((n + inputs.shape[1],) * 2)
+    big[:n, :n], big[:n, n:] = A * step, inputs * step
+    phi = expm(big)
+
+    def through(block: np.ndarray) -> np.ndarray:
+        return block[:, cols["I"]][:, :1] if motor is not None else np.zeros((len(block), 1))
+
+    return Model(
+        network=network,
+        step=step,
+        A=phi[:n, :n],
+        B=phi[:n, n],
+        G=phi[:n, n + 1 : n + 1 + k],
+        W=white_covariance(A, white, road_intensity, step),
+        P=phi[:n, n + 1 + k] / step,
+        C=out[:6, x],
+        D=through(out)[:6, 0],
+        F=out[:6, apart],
+        S=R[:, x],
+        SI=through(R)[:, 0],
+        SF=R[:, apart],
+        E=parts.E[:, x],
+        laws=parts.laws,
+        thrust=motor.thrust_constant * motor.ratio if motor is not None else 0.0,
+        motor_rate=out[4, x],
+        road_intensity=road_intensity,
+        nodes=out[6:, x],
+        lift=T[:, 0],
+    )
+
+
+def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: float) -> np.ndarray:
+    """Return the covariance that white velocity of the road causes over one step.
+
+    Args:
+        A: Continuous system matrix (n, n).
+        white: Inputs (n, k) of independent white velocities.
+        intensity: Two-sided intensity of each [m^2/s].
+        step: Step [s].
+
+    Returns:
+        Covariance (n, n).
+
+    References:
+        Van Loan, "Computing integrals involving the matrix exponential", IEEE Transactions on Automatic
+            Control, 1978.
+    """
+    n = len(A)
+    loan = expm(np.block([[-A, intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * step)
+    W = loan[n:, n:].T @ loan[:n, n:]
+    return 0.5 * (W + W.T)
+
+
+# ------------------------------------------------------------------------------------ linear-quadratic
+
+
+def device_reach(network: Network) -> float:
+    """Return the travel at which the stop of the motor is met.
+
+    Args:
+        network: The car.
+
+    Returns:
+        Travel [m]; that of the paper's device for a network without a stop.
+    """
+    motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
+    stops = [e for e in network.elements if isinstance(e, el.BumpStop)]
+    beside = [e.clearance for e in stops if motor is not None and set(e.where) == set(motor.where)]
+    return min(beside) if beside else paper_reach()
+
+
+@functools.cache
+def paper_reach() -> float:
+    """Return the travel of the paper's device: the stroke of the deputy cylinder over the area ratio (Table 1).
+
+    Returns:
+        Travel [m].
+    """
+    return next(e.clearance for e in Network.load(PAPER_CAR).elements if isinstance(e, el.BumpStop))
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Quadratic weights of a design.
+
+    Attributes:
+        cost: Stage cost.
+        move: Weight of the change of current per step [1/A^2].
+        effort: Weight of the current [1/A^2].
+        centring: Weight of the device's travel over `reach` [-]; without this weight, the device is free to
+            drift.
+        reach: Travel of the device up to its stop [m], see `device_reach`.
+    """
+
+    cost: StageCost
+    move: float = 0.0
+    effort: float = 0.0
+    centring: float = 0.01
+    reach: float = field(default_factory=paper_reach)
+
+    @property
+    def signals(self) -> np.ndarray:
+        """Diagonal (6,) of the weights of the signals."""
+        a, l, f, _ = self.cost.quadratic
+        return np.array([a, l, 0.0, self.centring / self.reach**2, 0.0, f])
+
+    @property
+    def current(self) -> float:
+        """Weight of the squared current [1/A^2]."""
+        return self.cost.quadratic[3] + self.effort
+
+
+def riccati(network: Network, *matrices: np.ndarray) -> np.ndarray:
+    """Return the solution of a discrete Riccati equation.
+
+    Args:
+        network: Network of the car, for the message.
+        matrices: A, B, Q, R and optionally N, as `scipy.linalg.solve_discrete_are` takes them.
+
+    Returns:
+        Solution (n, n).
+
+    Raises:
+        InputError: The equation has no solution.
+    """
+    try:
+        return solve_discrete_are(*matrices[:4], s=matrices[4] if len(matrices) > 4 else None)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"network '{network.name}' has no linear-quadratic controller: "
+            "something in it neither decays nor can be moved or seen"
+        ) from None
+
+
+def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    """Return the linear-quadratic regulator without friction.
+
+    Args:
+        model: Prediction model.
+        weights: Quadratic weights.
+
+    Returns:
+        Gain K (n,) of ``I = -K x``, and value matrix V (n, n).
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+    """
+    q = weights.signals[:, None]
+    C, D = model.C @ model.A, model.C @ model.B + model.D  # signals at the end of the step
+    Q, R = C.T @ (q * C), np.array([[D @ (q[:, 0] * D) + weights.current]])
+    N = (C.T @ (q[:, 0] * D))[:, None]
+    V = riccati(model.network, model.A, model.B[:, None], Q, R, N)
+    K = np.linalg.solve(R + model.B[None] @ V @ model.B[:, None], model.B[None] @ V @ model.A + N.T)[0]
+    return K, V
+
+
+def preview_regulator(model: Model, weights: Weights, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the linear-quadratic regulator with a known road ahead.
+
+    The value of a state x with known rises is ``x' V x + 2 x' s``; s follows from the rises backwards through
+    the closed loop. K is the gain of `regulator`.
+
+    Args:
+        model: Prediction model.
+        weights: Quadratic weights.
+        points: Number of known control steps.
+
+    Returns:
+        Gains K (n,) and G (points,) [1/m] of ``I = -K x - G . rises``.
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+
+    References:
+        Tomizuka, "Optimal continuous finite preview problem", ASME Journal of Dynamic Systems 97, 1975.
+    """
+    K, V = regulator(model, weights)
+    q = weights.signals[:, None]
+    Mxx = V + model.C.T @ (q * model.C)
+    across = model.B @ Mxx + model.D @ (q * model.C)  # slope by the current due to a change of the next state
+    size = across @ model.B + model.B @ (model.C.T @ (q[:, 0] * model.D))
+    size += model.D @ (q[:, 0] * model.D) + weights.current
+    loop = model.A - np.outer(model.B, K)
+    s = model.A.T @ (Mxx @ model.P) - K * (across @ model.P)
+    G = np.empty(points)
+    for i in range(points):
+        if i == 0:
+            G[i] = across @ model.P / size
+            continue
+        G[i] = model.B @ s / size
+        s = loop.T @ s
+    return K, G
+
+
+def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    """Return the linear-quadratic regulator of the change of current, with the state (x, preceding I).
+
+    Args:
+        model: Prediction model.
+        weights: Quadratic weights.
+
+    Returns:
+        Gain (n+1,), and value matrix (n+1, n+1).
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+    """
+    n = model.n
+    A = np.zeros((n + 1, n + 1))
+    A[:n, :n], A[:n, n], A[n, n] = model.A, model.B, 1.0
+    B = np.append(model.B, 1.0)[:, None]
+    C = np.column_stack([model.C @ model.A, model.C @ model.B + model.D])
+    D = (model.C @ model.B + model.D)[:, None]
+    q = weights.signals[:, None]
+    Q, R, N = C.T @ (q * C), D.T @ (q * D), C.T @ (q * D)
+    Q[n, n] += weights.current
+    R += weights.current + weights.move
+    N[n] += weights.current
+    V = riccati(model.network, A, B, Q, R, N)
+    K = np.linalg.solve(R + B.T @ V @ B, B.T @ V @ A + N.T)[0]
+    return K, V
+
+
+def kalman_gain(model: Model, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
+    """Return the steady gain of ``x += L (y - C x - D I)`` on the measured signals.
+
+    Args:
+        model: Prediction model.
+        sensors: Standard deviations of the measurements.
+        noise: Covariance of the state per step (n, n), in addition to the road's; None for zero.
+
+    Returns:
+        Gain L (n, 5).
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+    """
+    return steady_gain(model, sensors.covariance, sensors.memory, model.heave[:, None], noise)
+
+
+def steady_gain(
+    model: Model | CarModel,
+    covariance: np.ndarray,
+    memory: float,
+    drifts: np.ndarray,
+    noise: np.ndarray | None,
+) -> np.ndarray:
+    """Return the steady gain L of a Kalman filter, ``x += L (y - C x - D I)``.
+
+    Args:
+        model: Model of a car.
+        covariance: Covariance of the errors of the measured signals, the first rows of the model's C.
+        memory: Time constant of the absolute speeds, which are not measured [s].
+        drifts: States (n, k) of a car that moves with the roads at constant speed, without relative motion.
+        noise: Covariance of the state per step, in addition to the road's; None for zero.
+
+    Returns:
+        Gain (n, signals).
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+    """
+    C = model.C[: len(covariance)]
+    W = model.W + (0.0 if noise is None else noise)
+    # rounding may leave W slightly indefinite; a tiny noise on every state keeps the equation well posed
+    W = W + 1e-12 * np.eye(model.n) * max(np.trace(W), 1e-12)
+    # random walk of the absolute speed whose filter, against white road velocity, has this time constant
+    for drift in drifts.T:
+        W = W + model.road_intensity * model.step / memory**2 * np.outer(drift, drift)
+    V = riccati(model.network, model.A.T, C.T, W, covariance)
+    return np.linalg.solve(C @ V @ C.T + covariance, C @ V).T
+
+
+def stationary(A: np.ndarray, W: np.ndarray, doublings: int = 14) -> np.ndarray:
+    """Return the covariance of ``x+ = A x + w`` after 2^doublings steps (80 s at 5 ms), finite even for a drifting device.
+
+    Args:
+        A: State matrix (n, n).
+        W: Covariance of w (n, n).
+        doublings: Binary logarithm of the number of steps.
+
+    Returns:
+        Covariance (n, n).
+    """
+    A, S = A.copy(), W.copy()
+    for _ in range(doublings):
+        S = S + A @ S @ A.T
+        A = A @ A
+    return S
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A model with dampers instead of friction.
+
+    Attributes:
+        model: The model.
+        damping: Damping [N s/m] by name of a law.
+        rate_rms: RMS of the rate [m/s] by name of a law.
+        friction_noise: Covariance of the state per step due to the difference between friction and dampers
+            (n, n).
+    """
+
+    model: Model
+    damping: dict[str, float]
+    rate_rms: dict[str, float]
+    friction_noise: np.ndarray
+
+
+def statistical_linearisation(
+    network: Network,
+    step: float,
+    weights: Weights,
+    *,
+    road_intensity: float = ROAD_INTENSITY,
+    iterations: int = 60,
+) -> Linearised:
+    """Return a model with dampers whose level is consistent with their closed-loop rate (section 4.2, equation 9).
+
+    The RMS rate is that of the linear car under its own linear-quadratic regulator of the current's change.
+    Half steps are taken until the rate no longer changes. A car that tends to stick ends at a large damping
+    (RMS of at least 1 mm/s).
+
+    Args:
+        network: The car.
+        step: Control step [s].
+        weights: Quadratic weights.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+        iterations: Largest number of half steps.
+
+    Returns:
+        Model, dampers and rates.
+
+    Raises:
+        InputError: The network is no car, or the Riccati equation has no solution.
+    """
+    free = prediction_model(network, step, road_intensity=road_intensity)
+    names = [free.laws[j].name for j in free.friction]
+    stops = {e.name: 0.0 for e in free.laws if e.bound is None}
+    rms = {name: 0.1 for name in names}
+    levels = {}
+    for _ in range(iterations):
+        for j in free.friction:
+            name = free.laws[j].name
+            levels[name] = float(free.levels(rms[name])[j])
+        damping = {name: equivalent_damping(levels[name], rms[name]) for name in names}
+        model = prediction_model(network, step, damping=damping | stops, road_intensity=road_intensity)
+        if not names or model.thrust == 0.0:
+            break
+        K, _ = move_regulator(model, weights)
+        A = np.zeros((model.n + 1,) * 2)
+        A[:-1, :-1], A[:-1, -1], A[-1, -1] = model.A, model.B, 1.0
+        B = np.append(model.B, 1.0)
+        W = np.zeros_like(A)
+        W[:-1, :-1] = model.W
+        spread = stationary(A - np.outer(B, K), W)
+        change = 0.0
+        for j in free.friction:
+            row = np.append(free.S[j], 0.0)
+            new = max(math.sqrt(max(row @ spread @ row, 0.0)), 1e-3)
+            name = free.laws[j].name
+            change = max(change, abs(math.log(new / rms[name])))
+            rms[name] = math.sqrt(rms[name] * new)
+        if change < 1e-4:
+            break
+    noise = np.zeros((free.n, free.n))
+    for j in free.friction:
+        residual = levels[free.laws[j].name] * math.sqrt(1 - 2 / math.pi)
+        noise += residual**2 * np.outer(free.G[:, j], free.G[:, j])
+    return Linearised(model, damping, rms, noise)

@@ -1,0 +1,204 @@
+"""Skyhook and acceleration-driven damping, realised by a motor in series with a damper.
+
+Both laws define the force F of the strut between body and wheel. The strut is the device in series with a
+damper c, so that the device must run at ``w = travel rate - F / c``. An inner loop drives the device at this
+rate by inverse dynamics,
+
+    K I = F_now - k_p d - c_p w_now - f sgn(w) - b (w - w_now) / tau,
+
+with F_now from the measured body acceleration, and b, c_p, k_p, f of the elements parallel to the motor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isd_gym.physics import elements as el
+from isd_gym.physics._vehicle import SLEW_RATE, require_quarter_car
+
+from ._model import SLIDING
+from .controller import BatchController
+
+if TYPE_CHECKING:
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.network import Network
+
+
+@dataclass(frozen=True)
+class Strut:
+    """The strut of a car between body and wheel: the elements parallel to the motor, and the damper in series with the motor.
+
+    Attributes:
+        body_mass: Mass of the body [kg].
+        spring: Spring between body and wheel, parallel to the strut [N/m].
+        thrust: Thrust constant at the terminals [N/A]; 0 without a motor.
+        stiffness: Stiffness parallel to the motor [N/m].
+        damping: Damping parallel to the motor [N s/m].
+        inertance: Inertance parallel to the motor [kg].
+        friction: Friction parallel to the motor [N].
+        series: Damping in series with the motor [N s/m]; infinite without a damper.
+    """
+
+    body_mass: float
+    spring: float
+    thrust: float
+    stiffness: float
+    damping: float
+    inertance: float
+    friction: float
+    series: float
+
+    @classmethod
+    def of(cls, network: Network) -> Strut:
+        """Return the strut of a car.
+
+        Args:
+            network: The car.
+
+        Returns:
+            The strut.
+
+        Raises:
+            InputError: The network is no car.
+        """
+        require_quarter_car(network, "the strut is that")
+        body, wheel = list(network.masses)[:2]
+        between = [e for e in network.elements if e.place == "between"]
+        motor = next((e for e in between if isinstance(e, el.Motor)), None)
+        spring = sum(e.linear()[0] for e in between if set(e.between) == {body, wheel})
+        if motor is None:
+            return cls(network.masses[body], spring, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf)
+        parallel = [e for e in between if set(e.between) == set(motor.between)]
+        k, c, b = np.sum([e.linear() for e in parallel], axis=0)
+        level = sum(
+            e.bound(np.array(e.law_parameters()), 0.0, SLIDING) for e in parallel if e.bound is not None
+        )
+        series = [
+            e.linear()[1]
+            for e in between
+            if e not in parallel and e.linear()[1] > 0 and set(e.between) & set(motor.between) - {body, wheel}
+        ]
+        return cls(
+            body_mass=network.masses[body],
+            spring=spring,
+            thrust=motor.thrust_constant * motor.ratio,
+            stiffness=float(k),
+            damping=float(c),
+            inertance=float(b),
+            friction=float(level),
+            series=series[0] if series else np.inf,
+        )
+
+
+@dataclass(frozen=True)
+class StrutSettings:
+    """Settings of skyhook and acceleration-driven damping (ADD).
+
+    Attributes:
+        body: Skyhook damping, or difference of the two dampings of ADD [N s/m].
+        travel: Damping on the suspension's rate [N s/m].
+        forget: High pass of the integrated acceleration [1/s].
+        tau: Time constant of the inner loop [s].
+        width: Rate below which the sign of the friction is smoothed [m/s].
+        softness: Product of acceleration and rate below which the switch of ADD is smoothed [m^2/s^3].
+    """
+
+    body: float
+    travel: float
+    forget: float = 0.5
+    tau: float = 0.02
+    width: float = 0.02
+    softness: float = 0.02
+
+
+class ForceControl(BatchController):
+    """The inner loop; subclasses define the force of the strut.
+
+    Args:
+        model: The network that the controller assumes.
+        cost: Without effect.
+        control_step: Control step [s].
+        settings: Settings; None for the defaults of the class.
+        name: Name in scores.
+    """
+
+    default = StrutSettings(0.0, 1500.0)
+
+    def __init__(
+        self,
+        model: Network,
+        cost: StageCost | None = None,
+        control_step: float = 5e-3,
+        settings: StrutSettings | None = None,
+        name: str = "force-control",
+    ) -> None:
+        super().__init__(name, model)
+        self.slew = SLEW_RATE * control_step
+        self.settings = settings or self.default
+        self.step, self.strut = control_step, Strut.of(model)
+        self.reset()
+
+    def _start(self, count: int) -> None:
+        self.velocity = np.zeros(count)  # high-passed velocity of the body [m/s]
+
+    def _command(self, obs: np.ndarray) -> np.ndarray:
+        s, z = self.strut, self.settings
+        acceleration, travel, rate, device, device_rate = obs[:5]
+        self.velocity = (self.velocity + self.step * acceleration) * (1.0 - z.forget * self.step)
+        if s.thrust == 0.0:
+            return np.zeros(obs.shape[1])
+        wanted = self.force(acceleration, rate)
+        goal = rate - wanted / s.series if np.isfinite(s.series) else rate
+        now = -s.body_mass * acceleration - s.spring * travel
+        thrust = (
+            now
+            - s.stiffness * device
+            - s.damping * device_rate
+            - s.friction * np.tanh(goal / z.width)
+            - s.inertance * (goal - device_rate) / z.tau
+        )
+        return thrust / s.thrust
+
+    def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the wanted force of the strut, positive in tension.
+
+        Args:
+            acceleration: Body acceleration (n,) [m/s^2].
+            rate: Rate of the suspension travel (n,) [m/s].
+
+        Returns:
+            Force (n,) [N].
+        """
+        raise NotImplementedError
+
+
+class Skyhook(ForceControl):
+    """Skyhook damping F = c_body v_body + c_travel (v_body - v_wheel): a damper to the sky, and a damper to the wheel.
+
+    References:
+        Karnopp, Crosby and Harwood, "Vibration control using semi-active force generators", Journal of
+        Engineering for Industry, 1974.
+    """
+
+    default = StrutSettings(body=2500.0, travel=1100.0, forget=0.95, tau=0.006, width=0.012)
+
+    def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        return self.settings.body * self.velocity + self.settings.travel * rate
+
+
+class AccelerationDriven(ForceControl):
+    """Acceleration-driven damping: firm while body acceleration and travel rate have the same sign, soft otherwise.
+
+    References:
+        Savaresi, Silani and Bittanti, "Acceleration-Driven-Damper (ADD): An optimal control algorithm for
+        comfort-oriented semiactive suspensions", Journal of Dynamic Systems, Measurement, and Control, 2005.
+    """
+
+    default = StrutSettings(body=2600.0, travel=2300.0, forget=0.1, tau=0.0016, width=0.012, softness=0.06)
+
+    def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        z = self.settings
+        return (z.travel + 0.5 * z.body * np.tanh(acceleration * rate / z.softness)) * rate

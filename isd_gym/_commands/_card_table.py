@@ -1,0 +1,79 @@
+"""A track of a benchmark card on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from .._common.errors import InputError, plain
+from ._columns import print_columns
+from ._score_bounds import known_ceilings
+from .console import printer
+
+
+def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> None:
+    """Print a track, best first, and the comparisons of each submitted policy."""
+    from rich.text import Text
+
+    from ..benchmark._cards import ranking
+
+    one = next(t for t in card["tracks"] if t["track"] == name)
+    rows = ranking(card, name, scores, _ceilings(one))
+    known = any(row["regret"] is not None for row in rows)
+    console = printer()
+    gap = "\n" if console.width < 98 else " "
+
+    def change(q: Mapping[str, Any]) -> str:
+        if not q.get("change"):
+            return ""
+        return f"{100 * q['change']:+.1f}{gap}[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
+
+    console.print(f"{card['environment']} of {card['date']}, {name}: change against passive [%]")
+    print_columns(
+        {
+            "": [f"{place:2}" for place in range(1, len(rows) + 1)],
+            "policy": [Text(plain(r["policy"], 40), style="bold" if r["submitted"] else "") for r in rows],
+        },
+        {
+            "cost J": [f"{r['cost']['value']:.4f}" for r in rows],
+            **(
+                {"regret": ["" if r["regret"] is None else f"{r['regret']:.4f}" for r in rows]}
+                if known
+                else {}
+            ),
+            "change of J": [change(r["cost"]) for r in rows],
+        },
+        {
+            head: [f"{100 * r[key]['change']:+.1f}" if "change" in r[key] else "" for r in rows]
+            for head, key in (
+                ("accel-\neration", "body_acceleration_rms"),
+                ("travel", "suspension_travel_rms"),
+                ("tyre\nload", "tyre_load_rms"),
+            )
+        },
+    )
+    if known:
+        console.print("Regret: J above the causal ceiling, the least J known for causal controllers.")
+    for row in rows:
+        for rival, q in row.get("against", {}).items():
+            if "change" not in q:
+                continue
+            console.print(
+                f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {100 * q['change']:+.2f} % of J "
+                f"[{100 * q['low']:+.2f}, {100 * q['high']:+.2f}]",
+            )
+
+
+def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | None] | None:
+    """Return a function from preview [s] to the causal ceiling of a track; None where no ceiling may stand beside the track."""
+    from ..benchmark._comparability import comparable
+    from ..physics.network import Network
+    from ..physics.road import road
+
+    speed, duration = one["speed"]["value"], one["duration"]["value"]
+    try:
+        plant, ground = Network.load(one["network"]), road(one["road"])
+    except InputError:  # of a file on another machine
+        return None
+    left_out = comparable(plant, ground, speed, one["episodes"], duration).ceiling
+    return None if left_out else known_ceilings(plant, ground, speed, duration)

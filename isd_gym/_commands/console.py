@@ -1,0 +1,191 @@
+"""Output of commands: progress on stderr, text on stdout, files that were asked for."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from .._common import files
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+
+def write_json(path: Path | None, data: dict[str, Any]) -> None:
+    """Write the results of a command to the file of --json.
+
+    Args:
+        path: File to write; None to write nothing.
+        data: Plain data.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    if path is not None:
+        files.write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def check_file(path: Path | None, *read: str | Path | None) -> None:
+    """Check before long work that an output file can be written.
+
+    Args:
+        path: File to write; None for no check.
+        read: Input files that must not be overwritten.
+
+    Raises:
+        InputError: The file cannot be written, or is an input file.
+    """
+    if path is not None:
+        files.check_file(path, *read)
+
+
+#: interval between lines of progress without a terminal [s]
+SELDOM = 10.0
+#: number of characters per line in a pipe or a file
+PIPED = 80
+
+
+def printer() -> Any:
+    """Return a console on stdout with word wrap at the width of the terminal, or at `PIPED` characters.
+
+    Returns:
+        A console of rich.
+    """
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else PIPED, highlight=False, markup=False)
+
+
+def tell(text: str, *, dim: bool = False) -> None:
+    """Print a sentence on stdout with word wrap.
+
+    Args:
+        text: The sentence.
+        dim: Whether the text is dimmed.
+    """
+    printer().print(text, style="dim" if dim else None)
+
+
+@contextmanager
+def lines() -> Iterator[Callable[[str], None]]:
+    """Give a function that prints lines of progress with the elapsed time on stderr.
+
+    Without a terminal, the current line is printed now and then: after `SELDOM` seconds, and not more often.
+
+    Yields:
+        ``say(line)``.
+    """
+    import time
+
+    from rich.console import Console
+
+    if not sys.stderr.isatty():
+        with _seldom() as say_seldom:
+            yield say_seldom
+        return
+    console, begun = Console(stderr=True), time.monotonic()
+    with console.status("starting") as status:
+
+        def say(line: str) -> None:
+            console.print(
+                f"{time.monotonic() - begun:6.1f} s  {line}", style="dim", highlight=False, markup=False
+            )
+            status.update("working")
+
+        yield say
+
+
+@contextmanager
+def _seldom() -> Iterator[Callable[[str], None]]:
+    """Give a function that receives lines of progress; a thread prints the latest one every `SELDOM` seconds."""
+    import threading
+    import time
+
+    begun, ended = time.monotonic(), threading.Event()
+    latest = ["starting"]
+
+    def tell_now_and_then() -> None:
+        while not ended.wait(SELDOM):
+            try:
+                print(f"{time.monotonic() - begun:.0f} s: {latest[0].strip()}", file=sys.stderr, flush=True)
+            except (OSError, ValueError):  # closed meanwhile
+                return
+
+    def say(line: str) -> None:
+        latest[0] = line
+
+    thread = threading.Thread(target=tell_now_and_then, daemon=True)
+    thread.start()
+    try:
+        yield say
+    finally:
+        ended.set()
+        thread.join()
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[str, float], None]]:
+    """Give a function that updates a progress bar on stderr, one line per task, silent without a terminal.
+
+    Yields:
+        ``update(name, share)`` with a share from 0 to 1.
+    """
+    if not sys.stderr.isatty():  # a disabled bar prints an empty line
+        yield lambda name, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(
+        TextColumn("{task.description:<24}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    tasks: dict[str, Any] = {}
+
+    def update(name: str, share: float) -> None:
+        if name not in tasks:
+            tasks[name] = bar.add_task(name, total=1.0)
+        bar.update(tasks[name], completed=share)
+
+    with bar:
+        yield update
+
+
+def warm_up(update: Callable[[str, float], None]) -> None:
+    """Compile or load the kernel, with a line of progress.
+
+    Args:
+        update: Function of `progress`.
+    """
+    import numpy as np
+
+    from ..env._environment import ISDSuspensionVectorEnv
+
+    update("preparing the kernel", 0.0)
+    env = ISDSuspensionVectorEnv(2)
+    env.reset(seed=0)
+    env.step(np.zeros((2, 1)))
+    update("preparing the kernel", 1.0)
+
+
+def print_names(rows: Mapping[str, str]) -> None:
+    """Print names with their descriptions, wrapped to the width of the terminal.
+
+    Args:
+        rows: Description by name.
+    """
+    from rich.table import Table
+
+    made = Table.grid(padding=(0, 2))
+    made.add_column(no_wrap=True)
+    made.add_column()
+    for name, text in rows.items():
+        made.add_row(name, text)
+    printer().print(made)

@@ -1,0 +1,92 @@
+"""Entry points through which packages offer policies, commands and reference scores.
+
+Installed packages announce entry points as usual. The table below, a copy of the one in pyproject.toml, counts
+where the distribution is not installed (a source tree, a zip archive, a worker's folder), or is an older one.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from typing import Any
+
+from .errors import InputError
+
+POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gym.references"
+#: formats of tables by suffix
+READERS = "isd_gym.readers"
+#: parts of `isd_gym.contrib` that a command of the core reaches by name
+WINGS = "isd_gym.wings"
+OWN = {
+    POLICIES: {
+        "baselines": "isd_gym.baselines._entry:open_policy",
+        "agents": "isd_gym.agents._entry:open_policy",
+    },
+    COMMANDS: {
+        "train": "isd_gym.agents._cli:train",
+        "convert": "isd_gym.contrib.exports.command:command",
+        "export": "isd_gym.contrib.fmi.command:command",
+        "inspect": "isd_gym.contrib.inspection.command:command",
+        "plan": "isd_gym.contrib.forecast.command:command",
+        "record": "isd_gym.contrib.minari.command:command",
+        "sweep": "isd_gym.contrib.sweep.command:command",
+        "reproduce": "isd_gym.contrib.reproduce:command",
+        "ceiling": "isd_gym.contrib.ceilings.ceiling:command",
+    },
+    REFERENCES: {
+        "clairvoyant": "isd_gym.contrib.ceilings.clairvoyant:reachable",
+        "lq_front": "isd_gym.contrib.ceilings.bounds:lq_front",
+        "wheelbase_bound": "isd_gym.contrib.ceilings.bounds:wheelbase_bound",
+        "ceiling": "isd_gym.contrib.ceilings.ceiling:known",
+    },
+    READERS: {
+        "lvm": "isd_gym.contrib.bench_files.entry:lvm",
+        "mat73": "isd_gym.contrib.bench_files.entry:mat73",
+        "tdms": "isd_gym.contrib.bench_files.entry:tdms",
+        "uff": "isd_gym.contrib.bench_files.entry:uff",
+        "unv": "isd_gym.contrib.bench_files.entry:uff",
+        "xlsx": "isd_gym.contrib.bench_files.entry:xlsx",
+    },
+    WINGS: {
+        "fleet": "isd_gym.contrib.fleet.command",
+        "fmi": "isd_gym.contrib.fmi.command",
+        "hub": "isd_gym.contrib.hub",
+        "no_road": "isd_gym.contrib.no_road.command",
+    },
+}
+
+
+def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
+    """Return the entry points of a group, sorted by name.
+
+    Args:
+        group: `POLICIES`, `COMMANDS`, `REFERENCES`, `READERS` or `WINGS`.
+        name: Name of one entry point; None for all.
+
+    Returns:
+        Entry points, possibly none.
+    """
+    found = {
+        p.name: p
+        for p in (EntryPoint(own, value, group) for own, value in OWN[group].items())
+        if find_spec(".".join(p.module.split(".")[:2])) is not None
+    }
+    found |= {p.name: p for p in entry_points(group=group) if p.name not in found}
+    return [found[key] for key in sorted(found) if name in (None, key)]
+
+
+def wing(name: str) -> Any:
+    """Import a part of the package outside its core.
+
+    Args:
+        name: Name of an entry point `WINGS`.
+
+    Returns:
+        The module.
+
+    Raises:
+        InputError: The installation has no such part.
+    """
+    for point in plugins(WINGS, name):
+        return point.load()
+    raise InputError(f"this installation has no '{name}': it lacks isd_gym.contrib.{name}")

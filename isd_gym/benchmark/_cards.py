@@ -1,0 +1,336 @@
+"""Benchmark cards (`isd-card/1`): results of the references of an environment's version, episode by episode.
+
+A card is frozen with a version of the environment. Other scores are paired with the card on the same roads
+without another run of the references: ``isd-gym score my-policy --against ISDSuspension-v0``, or ``isd-gym
+card their-score.json`` for a received file. A fingerprint of every road tells whether the roads are the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._common.errors import InputError, markdown, shown
+from .._common.inputs import read_json
+from .._common.seeds import named_roads
+from ..records.schemas import check
+from .scoring import compare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+SCHEMA, SCORE = "isd-card/1", "isd-score/1"
+BUILT_IN = Path(__file__).parent / "references"
+#: keys that must agree for two scores on the same roads, and tolerance of the roads' fingerprints
+SAME = ("network", "road", "speed", "episodes", "duration", "seed")
+CLOSE = 1e-6
+
+
+def load(name: str | Path) -> dict[str, Any]:
+    """Read a card.
+
+    Args:
+        name: A file, or the name of a built-in card.
+
+    Returns:
+        The card.
+
+    Raises:
+        InputError: The file is no card, or was altered.
+    """
+    path = Path(name)
+    if str(name) in built_in():
+        path = BUILT_IN / f"{name}.json"
+    data = read_json(path, f"cannot read card {shown(str(name))} (built in: {', '.join(built_in())})")
+    if not (isinstance(data, dict) and data.get("schema") == SCHEMA):
+        raise InputError(f"card {shown(str(name))}: its schema is not '{SCHEMA}'")
+    if data.get("digest") != digest(data):
+        raise InputError(f"card {shown(str(name))} was altered: its digest is another")
+    check(data, SCHEMA, f"card {shown(str(name))}")
+    for one in data["tracks"]:
+        for policy, found in one["policies"].items():
+            lengths = {len(values) for values in found["episodes"].values()}
+            if lengths != {one["episodes"]}:
+                raise InputError(
+                    f"card {shown(str(name))}: {shown(policy)} must have {one['episodes']} episodes of each quantity"
+                )
+    return data
+
+
+def read_score(path: str | Path) -> dict[str, Any]:
+    """Read a score for comparison with a card.
+
+    Args:
+        path: The file, as written by ``isd-gym score --json``.
+
+    Returns:
+        The score.
+
+    Raises:
+        InputError: The file is no score, or does not state its conditions.
+    """
+    where = f"score {shown(str(path))}"
+    data = read_json(path, f"{where} cannot be read")
+    if not (isinstance(data, dict) and data.get("schema") == SCORE):
+        raise InputError(f"{shown(str(path))} is no score ({SCORE})")
+    check(data, SCORE, where)
+    for key in SAME:
+        if key not in data:
+            raise InputError(f"{where} has no {shown(key)}; score again with this version")
+    return data
+
+
+def built_in() -> list[str]:
+    """Return the names of the cards in the package.
+
+    Returns:
+        Names, sorted.
+    """
+    return sorted(p.stem for p in BUILT_IN.glob("*.json"))
+
+
+def digest(card: Mapping[str, Any]) -> str:
+    """Return the SHA-256 digest of a card without its digest.
+
+    Args:
+        card: The card.
+
+    Returns:
+        Hexadecimal digits.
+    """
+    text = json.dumps({k: v for k, v in card.items() if k != "digest"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
+    """Return a track of a card from a score.
+
+    Args:
+        score: The score (`isd-score/1`) with its episodes.
+        name: Name of the track.
+        command: Command that reproduces the score.
+
+    Returns:
+        The track.
+
+    Raises:
+        InputError: The score has no episodes.
+    """
+    raw = _episodes(score)
+    rows = {row["policy"]: row for row in score["policies"]}
+    return {
+        "track": name,
+        "command": command,
+        **{key: score[key] for key in SAME},
+        "roads": score["roads"],
+        "policies": {
+            policy: {
+                "preview": rows.get(policy, {}).get("preview", {}).get("value", 0.0),
+                "units": {k: rows[policy][k]["unit"] for k in values if k in rows.get(policy, {})},
+                "episodes": values,
+            }
+            for policy, values in raw.items()
+        },
+    }
+
+
+def make(environment: str, tracks: Sequence[Mapping[str, Any]], date: str) -> dict[str, Any]:
+    """Return a card with its digest.
+
+    Args:
+        environment: Name and version of the environment.
+        tracks: Tracks.
+        date: Date as YYYY-MM-DD.
+
+    Returns:
+        The card.
+
+    Raises:
+        InputError: The tracks cannot be combined.
+    """
+    from .. import __version__
+
+    card = {
+        "schema": SCHEMA,
+        "environment": environment,
+        "date": date,
+        "version": __version__,
+        "tracks": list(tracks),
+    }
+    return {**card, "digest": digest(card)}
+
+
+def _episodes(score: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
+    raw = score.get("raw")
+    if not (isinstance(raw, dict) and isinstance(score.get("roads"), list)):
+        raise InputError("the score holds no single episodes; score again with this version and --json")
+    count = score.get("episodes")
+    for policy, values in raw.items():
+        if not isinstance(values, dict) or not values or "cost" not in values:
+            raise InputError(f"the episodes of {shown(policy)} have no cost")
+        for name, own in values.items():
+            good = isinstance(own, list) and len(own) == count and all(type(v) in (int, float) for v in own)
+            if not (good and np.isfinite(own).all()):
+                raise InputError(f"{shown(policy)}: {shown(name)} must be {count} finite numbers")
+    return raw
+
+
+def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the track of a card with the roads of a score.
+
+    Args:
+        score: The score.
+        card: The card.
+
+    Returns:
+        The track.
+
+    Raises:
+        InputError: No track has the roads of the score; the message tells the differences.
+    """
+    whys = []
+    shown_road = (row.get("preview", {}).get("value", 0.0) for row in score["policies"])
+    ahead = max(shown_road, default=0.0)
+    for one in card["tracks"]:
+        differ = [key for key in SAME if score.get(key) != one[key]]
+        if ahead != max(p["preview"] for p in one["policies"].values()):
+            differ.append("preview")
+        if score.get("sensors"):
+            differ.append("sensors")
+        if differ:
+            whys.append(f"{one['track']}: another {', '.join(differ)}")
+            continue
+        try:
+            own, other = np.array(score["roads"], float), np.array(one["roads"], float)
+        except (KeyError, TypeError, ValueError):
+            raise InputError("the score does not say which roads it is on") from None
+        if own.shape != other.shape or not np.allclose(
+            own, other, rtol=CLOSE, atol=CLOSE * np.abs(other).max()
+        ):
+            raise InputError(f"the score's roads are not those of {card['environment']}")
+        return one
+    raise InputError(f"the score is on no track of {card['environment']} ({'; '.join(whys)})")
+
+
+def regret(cost: Mapping[str, float], ceiling: float) -> float:
+    """Return the cost above the least cost known for causal controllers.
+
+    Args:
+        cost: `value` [-] and relative `change` against the passive car.
+        ceiling: Change of the cost at the causal ceiling.
+
+    Returns:
+        Difference of the costs [-].
+    """
+    return float(cost["value"] / (1.0 + cost["change"]) * (cost["change"] - ceiling))
+
+
+def ranking(
+    card: Mapping[str, Any],
+    name: str,
+    scores: Sequence[Mapping[str, Any]] = (),
+    ceiling: Callable[[float], Mapping[str, Any] | None] | None = None,
+) -> list[dict[str, Any]]:
+    """Return all policies of a track and of scores on the track, best first.
+
+    Quantities are compared with the passive car. Each submitted policy's cost is compared `against` every
+    other policy, paired, with 95 % intervals.
+
+    Args:
+        card: The card.
+        name: Name of the track.
+        scores: Scores on the track.
+        ceiling: Returns the causal ceiling of controllers with a given preview [s] (its `change`), for the
+            `regret`; None where the ceiling is not known. Without it no ceiling is known.
+
+    Returns:
+        One entry per policy.
+
+    Raises:
+        InputError: The card has no such track.
+    """
+    one = next((t for t in card["tracks"] if t["track"] == name), None)
+    if one is None:
+        raise InputError(
+            f"the card has no track {shown(name)}: {', '.join(t['track'] for t in card['tracks'])}"
+        )
+    ground = one["policies"]["passive"]["episodes"]
+    units = {k: unit for p in one["policies"].values() for k, unit in p["units"].items()}
+    held = {policy: p["episodes"] for policy, p in one["policies"].items()}
+    ahead = {policy: p["preview"] for policy, p in one["policies"].items()}
+    theirs: list[str] = []
+    for score in scores:
+        match(score, {**card, "tracks": [one]})
+        shown_road = {row["policy"]: row.get("preview", {}).get("value", 0.0) for row in score["policies"]}
+        for policy, values in _episodes(score).items():
+            if policy in held and np.allclose(values["cost"], held[policy]["cost"], rtol=CLOSE, atol=0.0):
+                continue  # a reference that was driven again, possibly on another machine
+            label = policy if policy not in held else f"{policy} (submitted)"
+            held[label], ahead[label] = values, shown_road.get(policy, 0.0)
+            theirs.append(label)
+    rows = []
+    for policy, values in held.items():
+        row: dict[str, Any] = {"policy": policy, "submitted": policy in theirs}
+        row |= {
+            k: compare(k, np.array(v, float), np.array(ground[k], float), units.get(k, ""))
+            for k, v in values.items()
+            if k in ground
+        }
+        bound = ceiling(ahead[policy]) if ceiling else None
+        known = bound and "change" in row["cost"]
+        row["regret"] = regret(row["cost"], bound["change"]) if bound and known else None
+        if policy in theirs:
+            own = np.array(values["cost"], float)
+            costs = {q: np.array(v["cost"], float) for q, v in held.items() if q != policy}
+            row["against"] = {q: compare("cost", own, c, "-") for q, c in costs.items()}
+        rows.append(row)
+    return sorted(rows, key=lambda row: row["cost"]["value"])
+
+
+def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Return a track as Markdown, best policy first, with date, command and digest.
+
+    Args:
+        card: The card.
+        name: Name of the track.
+        scores: Scores on the track.
+
+    Returns:
+        Text.
+    """
+    one = next(t for t in card["tracks"] if t["track"] == name)
+
+    def cell(q: Mapping[str, Any], digits: int, scale: float = 1.0) -> str:
+        text = f"{scale * q['value']:.{digits}f}"
+        if q.get("change"):
+            text += f"<br>{100 * q['change']:+.1f} % <small>[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]</small>"
+        return text.replace("-", "−")
+
+    heads = ["", "policy", "cost J", "acceleration [m/s²]", "travel [mm]", "tyre load [N]", "current [A]"]
+    lines = ["| " + " | ".join(heads) + " |", "|---:|---" + "|---:" * (len(heads) - 2) + "|"]
+    for place, row in enumerate(ranking(card, name, scores), 1):
+        cells = [
+            str(place),
+            markdown(row["policy"], code=True),
+            cell(row["cost"], 4),
+            cell(row["body_acceleration_rms"], 3),
+            cell(row["suspension_travel_rms"], 2, 1e3),
+            cell(row["tyre_load_rms"], 0),
+            f"{row['current_rms']['value']:.2f}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    what = (
+        f"{markdown(card['environment'], code=True)}, {markdown(one['track'])}: road {markdown(one['road'], code=True)}, {one['speed']['value']:g} m/s, {one['episodes']} × "
+        f"{one['duration']['value']:g} s, {named_roads(one['seed'], one['episodes'])}. RMS; below each, the change "
+        "against `passive` with its 95 % paired interval."
+    )
+    command, date, version = (
+        markdown(x, 400, code=code)
+        for x, code in ((one["command"], True), (card["date"], False), (card["version"], False))
+    )
+    made = f"Made by {command} on {date}, version {version}; card {card['digest'][:16]}."
+    return "\n".join([what, "", *lines, "", made])

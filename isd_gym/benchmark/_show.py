@@ -1,0 +1,187 @@
+"""Live view and films of policies: one car, or two cars side by side on the same road."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._common.errors import InputError
+from ..physics._vehicle import vehicle
+from ..physics.network import Network
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from ..physics.road import Road
+    from ..view._rendering import CarSnapshot, Snapshot
+    from .driving import Entry
+
+#: size of a picture [px] by number of cars
+SIZE = {1: (960, 600), 2: (1200, 640)}
+WIDE = (1400, 600)  # of two cars with a left and a right track, which have two views each
+GIF = 0.75  # factor on the size; a GIF stores every pixel, and has half the frames
+
+
+def snapshots(
+    entries: list[Entry],
+    network: Network | str | Path = "quarter-car-isd",
+    *,
+    road: Road | str = "paper",
+    speed: float = 20.0,
+    seconds: float = 10.0,
+    seed: int = 0,
+) -> Iterator[tuple[Snapshot | CarSnapshot, ...]]:
+    """Drive policies on the same road.
+
+    Args:
+        entries: The policies, on their own plants, if any.
+        network: Plant of policies without a plant of their own.
+        road: The road.
+        speed: Speed [m/s].
+        seconds: Duration [s].
+        seed: Seed of the environment's road.
+
+    Yields:
+        One snapshot per policy, for each control step.
+
+    Raises:
+        InputError: A car breaks, or an argument is invalid.
+    """
+    from ..env._environment import ISDSuspensionEnv
+    from ..env._task import CONTROL_STEP
+
+    _check_length(seconds)
+    network = Network.load(network)
+    cars: list[Any] = []  # name, controller, environment, observation
+    for entry in entries:
+        controller = entry.make()
+        env = ISDSuspensionEnv(
+            network=entry.network or network,
+            road=road,
+            speed=speed,
+            duration=seconds,
+            observation=getattr(controller, "observation", "measured"),
+            preview=getattr(controller, "preview", 0.0) or None,
+            render_mode="rgb_array",
+        )
+        controller.reset()
+        observation, _ = env.reset(seed=seed)
+        cars.append([entry.name, controller, env, observation])
+    yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
+    for k in range(round(seconds / CONTROL_STEP)):
+        for car in cars:
+            name, controller, env, observation = car
+            action = np.atleast_1d(np.asarray(controller.act(observation), dtype=float))
+            car[3], _, terminated, _, _ = env.step(action)
+            if terminated:
+                raise InputError(f"'{name}' broke the car after {(k + 1) * CONTROL_STEP:.2f} s")
+        yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
+
+
+def _check_length(seconds: float) -> None:
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise InputError(f"seconds must be positive, not {seconds}")
+
+
+def _size(network: Network, cars: int) -> tuple[int, int]:
+    """Return width and height of a picture [px]."""
+    return WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
+
+
+@contextmanager
+def _renderer(mode: Any, network: Network, cars: int, scale: float = 1.0) -> Iterator[Any]:
+    from ..view._rendering import Renderer
+
+    width, height = (round(scale * side) for side in _size(network, cars))
+    drawn = Renderer(mode, width=width, height=height, cars=cars)
+    try:
+        yield drawn
+    finally:
+        drawn.close()
+
+
+def film(
+    entries: list[Entry],
+    network: Network | str | Path,
+    path: str | Path,
+    *,
+    progress: Callable[[float], None] | None = None,
+    **drive: Any,
+) -> None:
+    """Write a film of policies: an MP4 with 50 or a GIF with 25 frames per second.
+
+    Args:
+        entries: The policies.
+        network: Plant of policies without a plant of their own.
+        path: File to write (.mp4 or .gif).
+        progress: Called now and then with the finished share.
+        drive: Further arguments of `snapshots`.
+
+    Raises:
+        InputError: A car breaks, an argument is invalid, or the film cannot be written.
+    """
+    from ..env._task import CONTROL_STEP
+    from ..view._rendering import write_video
+
+    _check_length(drive.get("seconds", 10.0))
+    network = Network.load(network)
+    gif = Path(path).suffix.lower() == ".gif"
+    fps = 25.0 if gif else 50.0
+    every = round(1.0 / (fps * CONTROL_STEP))
+    total = max(1, round(drive.get("seconds", 10.0) / CONTROL_STEP))
+
+    def frames(renderer: Any) -> Iterator[NDArray[np.uint8]]:
+        for k, shots in enumerate(snapshots(entries, network, **drive)):
+            if k % every == 0:
+                yield renderer.draw(*shots)
+            if progress is not None and k % 50 == 0:
+                progress(k / total)
+
+    with _renderer("rgb_array", network, len(entries), GIF if gif else 1.0) as renderer:
+        write_video(path, frames(renderer), fps=fps)
+    if progress is not None:
+        progress(1.0)
+
+
+def check_window() -> None:
+    """Check before long work that `live` can open a window.
+
+    Raises:
+        InputError: There is no display, or pygame-ce is missing.
+    """
+    from ..view._rendering import check_display
+
+    try:
+        check_display()
+    except InputError as error:
+        if "window" in str(error):
+            raise InputError(
+                "this machine has no display to open a window on; write a film with --out FILE.mp4"
+            ) from None
+        raise
+
+
+def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> None:
+    """Show policies in a window at the pace of the simulated time, until the end or until the window is closed.
+
+    Args:
+        entries: The policies.
+        network: Plant of policies without a plant of their own.
+        drive: Further arguments of `snapshots`.
+
+    Raises:
+        InputError: A car breaks, an argument is invalid, or there is no display.
+    """
+    check_window()
+    network = Network.load(network)
+    with _renderer("human", network, len(entries)) as renderer:
+        for shots in snapshots(entries, network, **drive):
+            renderer.draw(*shots)
+            if renderer.closed:
+                return

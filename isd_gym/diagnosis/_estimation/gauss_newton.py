@@ -1,0 +1,471 @@
+"""Simulation-error fit: Gauss-Newton with the stated uncertainty of the base parameters as prior (MAP).
+
+Initial states of each record and offsets of the sensors are fitted with the parameters and eliminated from the normal equations.
+The offset of a sensor is one number for all records, unless the model has an offset per record. The training records determine the
+offset, and validation and test records use it (`Structure.offsets`). A computed slope is used again while its steps reduce the cost:
+a slope costs many simulations, a step costs one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.errors import InputError
+from ...physics.network import Network, assemble
+from .._simulation.problem import Problem, bare
+from .initial_states import guess, next_states
+from .least_squares import bounded_step, damped_step
+from .objective import Objective, Point, Slope
+from .sensitivities import tangents
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from ..._common.arrays import Array
+    from .structure import Structure
+
+#: further steps with the same derivatives
+CHORDS = 2
+#: ratio of the cost per sample above which a record is restarted from the final state of the preceding record; largest number of rounds;
+#: largest cost of such a start, as a multiple of the cost of the fit
+UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
+#: ratio of the cost per sample above which a record is restarted near its initial state; smallest number of records; distances of these
+#: starts, as multiples of the deviation over records
+ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
+
+
+@dataclass
+class Fit:
+    """A fitted structure: free parameters `x` (transformed), initial states, offsets and outputs of each record.
+
+    `structure` holds the estimate of the offsets that all records share.
+    """
+
+    structure: Structure
+    x: Array
+    initial: dict[int, Array]
+    offset: dict[int, Array]
+    outputs: dict[int, Array]  # record -> (n, channels), offsets included
+    cost: float  # sum of squares of whitened residuals over its records
+    prior: float
+    hessian: Array | None = None  # of the structure's parameters, initial states and offsets eliminated
+
+    @property
+    def network(self) -> Network:
+        return self.structure.at(self.x)
+
+
+class Fitter(Objective):
+    """Gauss-Newton fits of parameters and initial states, or of initial states alone."""
+
+    def begin(
+        self,
+        structure: Structure,
+        x: Array,
+        initial: Mapping[int, Array] | None,
+        offset: Mapping[int, Array] | None,
+        records: Sequence[int],
+    ) -> Point:
+        net = structure.at(x)
+        n0 = assemble(bare(net)).size[0]
+        given, known, problem = initial or {}, offset or {}, self.problem
+        shared = structure.offsets
+        if known and problem.shared_offset.any():
+            shared = tuple(np.mean([o[: len(problem.channels)] for o in known.values()], axis=0).tolist())
+        out = Point(x.copy(), {}, {})
+        for i in records:
+            there = i in given and len(given[i]) == n0
+            out.initial[i] = given[i].copy() if there else guess(problem, net, i, offsets=shared)
+            out.offset[i] = problem.nothing(i, shared)
+            if i in known:
+                out.offset[i][problem.moves(i)] = known[i][problem.moves(i)]
+        return out
+
+    def with_offsets(
+        self,
+        structure: Structure,
+        x: Array,
+        records: Sequence[int] | None = None,
+        initial: Mapping[int, Array] | None = None,
+    ) -> Structure:
+        """Estimate the sensor offsets that all records share, at fixed parameters.
+
+        The estimate is the mean over records, weighted by information; initial states are eliminated per record.
+
+        Args:
+            structure: The structure.
+            x: Its transformed parameters (parameters,).
+            records: Indices of the records. Default: those to fit by.
+            initial: Initial states to begin with, by record.
+
+        Returns:
+            The structure with its offsets; the same structure where no sensor has an offset for all records.
+        """
+        problem = self.problem
+        own = np.flatnonzero(problem.shared_offset)
+        if not len(own):
+            return structure
+        records = problem.estimation if records is None else records
+        alone = Fitter(problem.loose, self.weights)
+        f = alone.follow(structure, x, records, dict(initial or {}))
+        slopes = alone.slopes(structure, Point(x, f.initial, f.offset), records, False)
+        if slopes is None:
+            raise InputError("the simulation breaks down at the start values")
+        offsets = np.zeros(len(problem.channels))
+        offsets[own] = _weighted_mean(problem.loose, own, f.offset, slopes)
+        return replace(structure, offsets=tuple(offsets.tolist()))
+
+    def fit(
+        self,
+        structure: Structure,
+        x: Array | None = None,
+        initial: Mapping[int, Array] | None = None,
+        offset: Mapping[int, Array] | None = None,
+        *,
+        iterations: int = 8,
+        records: list[int] | None = None,
+        tolerance: float = 1e-4,
+        frozen: bool = False,
+    ) -> Fit:
+        """Fit the structure to the given records (the estimation records by default).
+
+        `frozen`: only initial states and the offsets of each record move; offsets that all records share are those of the
+        structure, or are estimated on the given records.
+        """
+        records = self.problem.estimation if records is None else records
+        x = structure.start if x is None else x
+        if frozen and structure.offsets is None and not offset:
+            structure = self.with_offsets(structure, x, records, initial)
+        at = self.begin(structure, x, initial, offset, records)
+        if frozen:
+            return self._result(structure, self._states(structure, at, records, iterations, tolerance))
+        mean, sigma = structure.mean, structure.sigma
+        slopes = self.slopes(structure, at, records, True)
+        if slopes is None:
+            raise InputError("the simulation breaks down at the start values")
+        at.prior = float(np.sum(((at.x - mean) / sigma) ** 2))
+        hessian, damping = self._hessian(slopes), 1e-4
+        for turn in range(iterations):
+            fresh = slopes if turn == 0 else self.slopes(structure, at, records, True)
+            if fresh is None:
+                break
+            slopes, hessian = fresh, self._hessian(fresh)
+            before, there = at.total, False
+            for again in range(1 + CHORDS):
+                then, damping = self._step(structure, at, slopes, hessian, records, damping, again > 0)
+                if then is None:
+                    break
+                gain, at = 1.0 - then.total / at.total, then
+                # the slope is outdated after a large decrease of the cost
+                there = gain < 0.1 * tolerance and at.total > 0.8 * before
+                if gain < tolerance:
+                    break
+            if there or at.total > (1.0 - tolerance) * before:
+                break
+        return self._result(structure, at, hessian)
+
+    def _hessian(self, slopes: Mapping[int, Slope]) -> Array:
+        """Return the Hessian of half the cost by parameters and shared offsets, nuisances eliminated, without prior."""
+        total: Array | float = 0.0
+        for s in slopes.values():
+            p = len(s.gram) - len(s.own)
+            H = s.gram[:p, :p]
+            if len(s.own):
+                H = H - s.gram[:p, p:] @ np.linalg.solve(s.own, s.gram[p:, :p])
+            total = total + H
+        return np.asarray(total, dtype=np.float64)
+
+    def _step(
+        self,
+        structure: Structure,
+        at: Point,
+        slopes: Mapping[int, Slope],
+        hessian: Array,
+        records: Sequence[int],
+        damping: float,
+        chord: bool,
+    ) -> tuple[Point | None, float]:
+        """Return a point with a smaller cost, or None, and the next damping.
+
+        chord: the slopes are those of an earlier point, and one try is enough.
+        """
+        free = structure.free
+        p, q = len(free), int(self.problem.shared_offset.sum())
+        mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
+        low, high = np.append([f.low for f in free], -none), np.append([f.high for f in free], none)
+        stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in free])
+        wide = np.where(np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(at.x), sigma))
+        wide, here = np.append(wide, none), np.append(at.x, np.zeros(q))
+        down = {i: self._downhill(at, i, s) for i, s in slopes.items()}
+        g = np.append((mean - at.x) / sigma**2, np.zeros(q))
+        for i, s in slopes.items():
+            g = g + down[i][: p + q]
+            if len(s.own):
+                g = g - s.gram[: p + q, p + q :] @ np.linalg.solve(s.own, down[i][p + q :])
+        H = hessian + np.diag(np.append(1.0 / sigma**2, np.zeros(q)))
+
+        def take(damping: float) -> tuple[Point, float]:
+            step = bounded_step(H, g, here, low, high, wide, damping) if p + q else np.zeros(0)
+            moves = {}
+            for i, s in slopes.items():
+                moves[i] = np.linalg.solve(s.own, down[i][p + q :] - s.gram[p + q :, : p + q] @ step)
+            then = self._moved(at, at.x + step[:p], moves, step[p:])
+            then.prior = float(np.sum(((then.x - mean) / sigma) ** 2))
+            return then, self.seen(structure, then, records).total
+
+        then, _, damping = damped_step(take, at.total, damping, tries=1 if chord else 6)
+        return then, damping
+
+    def _states(
+        self, structure: Structure, at: Point, records: Sequence[int], iterations: int, tolerance: float
+    ) -> Point:
+        """Fit initial states and offsets of each record; parameters and shared offsets stay."""
+        left = list(records)
+        for turn in range(max(iterations, 1)):
+            slopes = self.slopes(structure, at, left, False)
+            if slopes is None and turn == 0:
+                raise InputError("the simulation breaks down at the start values")
+            if slopes is None or not iterations or not any(len(s.own) for s in slopes.values()):
+                break
+            before, there = dict(at.costs), dict.fromkeys(left, False)
+            going, share = left, 1.0
+            for _ in range(1 + CHORDS):
+                moves = {
+                    i: share * np.linalg.solve(slopes[i].own, self._downhill(at, i, slopes[i])) for i in going
+                }
+                then = self.seen(structure, self._moved(at, at.x, moves), going)
+                gains = {i: 1.0 - then.costs[i] / max(at.costs[i], 1e-300) for i in going}
+                better = [i for i in going if gains[i] > 0]
+                for i in better:
+                    at.take(then, i)
+                    there[i] = gains[i] < 0.1 * tolerance
+                onward = [i for i in better if gains[i] > tolerance]
+                if not onward:  # records whose cost a full step increases take a part of the step
+                    onward = [i for i in going if i not in better and at.costs[i] == before[i]]
+                    share *= 0.3
+                going = onward
+                if not going:
+                    break
+            left = [i for i in left if not there[i] and at.costs[i] < (1.0 - tolerance) * before[i]]
+            if not left:
+                break
+        return at
+
+    def _result(self, structure: Structure, at: Point, hessian: Array | None = None) -> Fit:
+        known = sum(
+            float(x0 @ self._information(structure, i) @ x0) for i, x0 in at.initial.items() if len(x0)
+        )
+        own = np.flatnonzero(self.problem.shared_offset)
+        if len(own):
+            offsets = np.zeros(len(self.problem.channels))
+            offsets[own] = next(iter(at.offset.values()))[own]
+            structure = replace(structure, offsets=tuple(offsets.tolist()))
+        p = len(at.x)
+        if hessian is not None and len(own):
+            hessian = hessian[:p, :p] - hessian[:p, p:] @ np.linalg.solve(hessian[p:, p:], hessian[p:, :p])
+        return Fit(
+            structure,
+            at.x,
+            at.initial,
+            at.offset,
+            at.outputs,
+            sum(at.costs.values()) - known,
+            at.prior,
+            hessian if p else None,
+        )
+
+    def follow(
+        self,
+        structure: Structure,
+        x: Array,
+        records: Sequence[int],
+        initial: dict[int, Array] | None = None,
+        about: Sequence[Mapping[int, Array]] = (),
+        *,
+        iterations: int = 4,
+    ) -> Fit:
+        """Fit initial states and offsets of records; the parameters stay.
+
+        Shared offsets are those of the structure, or are estimated on the training records. The fit starts from the initial state
+        with the lowest cost among `initial` (or a guess) and `about`. Without `initial`, the final state of the preceding record is a
+        further start for a record that continues it.
+        """
+        problem, net = self.problem, structure.at(x)
+        n0 = assemble(bare(net)).size[0]
+        if structure.offsets is None and problem.shared_offset.any():
+            structure = self.with_offsets(structure, x, problem.estimation or records)
+        shared = structure.offsets
+        given = {i: v for i, v in (initial or {}).items() if len(v) == n0}
+        begun = {i: [given[i] if i in given else guess(problem, net, i, offsets=shared)] for i in records}
+        for known in about:
+            for i, v in known.items():
+                if i in begun and len(v) == n0:
+                    begun[i].append(v)
+        at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
+        pieces = problem.records
+        before = {j: i for i in records for j in records if j not in given and pieces[j].follows(pieces[i])}
+        # a record with a residual like the others' has a good initial state
+        each = [at.costs[i] / len(pieces[i]) for i in records]
+        usual = min(UNUSUAL * float(np.median(each)), NEAR * min(each))  # most of them may be astray
+        before = {j: i for j, i in before.items() if at.costs[j] > usual * len(pieces[j])}
+        for _ in range(ROUNDS if n0 and before else 0):
+            ends = next_states(problem, structure, x, {i: at.initial[i] for i in before.values()})
+            ahead = {j: ends[i] for j, i in before.items()}
+            better = self._again(
+                structure,
+                at,
+                {j: [guess(problem, net, j, s, shared), s] for j, s in ahead.items()},
+                iterations,
+            )
+            before = {j: i for j, i in before.items() if i in better}
+            if not before:
+                break
+        self._recover(structure, at, iterations)
+        return self._result(structure, at)
+
+    def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
+        """Restart the records with far larger errors than the others near their initial states.
+
+        With play or sticking friction, a few of many starts end in a local optimum.
+        """
+        each = {i: cost / len(self.problem.records[i]) for i, cost in at.costs.items()}
+        if len(each) < FEW:
+            return
+        usual = float(np.median(list(each.values())))
+        astray = [i for i, cost in each.items() if not cost < ASTRAY * usual]
+        about = np.std([at.initial[i] for i in each], axis=0)
+        if not astray or len(astray) > len(each) / 2 or not about.any():
+            return
+        steps = [s * a * e for e, a in zip(np.eye(len(about)), about, strict=True) for s in ABOUT]
+        self._again(structure, at, {i: [at.initial[i] + step for step in steps] for i in astray}, iterations)
+
+    def _again(
+        self, structure: Structure, at: Point, begun: Mapping[int, Sequence[Array]], iterations: int
+    ) -> list[int]:
+        """Restart records from the cheapest of several initial states; return the records whose fit has a smaller cost."""
+        there = self._cheapest(structure, at.x, begun)
+        near = [j for j in begun if there.costs[j] < NEAR * at.costs[j]]
+        if not near:
+            return []
+        other = self._states(structure, there, near, iterations, tolerance=1e-4)
+        better = [j for j in near if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
+        for j in better:
+            at.take(other, j)
+        return better
+
+    def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
+        """Return the point with the cheapest of several initial states for each record, offsets at zero."""
+        best = Point(x.copy(), {}, {})
+        for k in range(max(map(len, begun.values()), default=0)):
+            those = {i: s[k] for i, s in begun.items() if k < len(s)}
+            offset = {i: self.problem.nothing(i, structure.offsets) for i in those}
+            at = self.seen(structure, Point(x, those, offset), list(those))
+            for i in those:
+                if i not in best.costs or at.costs[i] < best.costs[i]:
+                    best.take(at, i)
+        return best
+
+    def normal_equations(
+        self,
+        structure: Structure,
+        x: Array,
+        initial: Mapping[int, Array],
+        responses: Mapping[int, Array],
+        *,
+        over: Array | None = None,
+    ) -> tuple[Array, Array, dict[int, tuple[Array, Array]]]:
+        """Return the normal equations of responses in the records, linearised, with initial states and nuisances eliminated.
+
+        Args:
+            structure: The structure.
+            x: Its transformed parameters (parameters,).
+            initial: Initial state by record.
+            responses: Responses (samples, channels, m) by record.
+            over: Steps of central differences (`tangents`).
+
+        Returns:
+            The matrix by parameters and shared offsets (p, p) with the prior, the right-hand sides (p, m), and by record the
+            whitened derivatives (rows, p) and responses (rows, m).
+        """
+        problem = self.problem
+        p, q = len(x), int(problem.shared_offset.sum())
+        H = np.diag(np.append(1 / structure.sigma**2, np.zeros(q)))
+        m = next(iter(responses.values())).shape[2]
+        g = np.zeros((p + q, m))
+        parts = {}
+        begun = {i: initial[i] for i in responses}
+        for i, t in tangents(problem, structure, x, begun, over=over).items():
+            s = responses[i]
+            free = problem.nuisances(i, t.outputs)
+            stack = np.concatenate([t.by_parameter, problem.common(t.outputs), t.by_state, free, s], axis=2)
+            W = self.weights(stack).reshape(-1, stack.shape[2])
+            a, b, c = W[:, : p + q], W[:, p + q : W.shape[1] - m], W[:, W.shape[1] - m :]
+            H[np.arange(p, p + q), np.arange(p, p + q)] += 1e-9 * np.sum(a[:, p:] ** 2, axis=0)
+            if b.shape[1]:
+                Q, _ = np.linalg.qr(b)
+                a, c = a - Q @ (Q.T @ a), c - Q @ (Q.T @ c)
+            H += a.T @ a
+            g += a.T @ c
+            parts[i] = a, c
+        return H, g, parts
+
+    def refit(self, fit: Fit, responses: Mapping[int, Array]) -> tuple[Array, dict[int, Array]]:
+        """Return how a fit would absorb responses (samples, channels, m) in the records, to first order.
+
+        By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
+        """
+        H, g, parts = self.normal_equations(fit.structure, fit.x, fit.initial, responses)
+        shift = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
+        left: dict[int, Array] = {
+            i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
+        }
+        return shift[: len(fit.x)], left
+
+
+def _weighted_mean(
+    problem: Problem, channels: NDArray[np.intp], offset: Mapping[int, Array], slopes: Mapping[int, Slope]
+) -> Array:
+    """Compute the mean over records of the offsets per record, weighted by information.
+
+    Args:
+        problem: Records with an offset per record.
+        channels: Indices of the channels (offsets,).
+        offset: Nuisances by record, at their estimate.
+        slopes: Derivatives at the estimate by record.
+
+    Returns:
+        The mean offsets (offsets,).
+    """
+    total, weighted = np.zeros((len(channels), len(channels))), np.zeros(len(channels))
+    free = np.flatnonzero(problem.record_offset)
+    for i, s in slopes.items():
+        place = len(s.known) + np.searchsorted(free, channels)
+        rest = np.setdiff1d(np.arange(len(s.own)), place)
+        information = s.own[np.ix_(place, place)]
+        if len(rest):
+            cross = s.own[np.ix_(rest, place)]
+            information = information - cross.T @ np.linalg.solve(s.own[np.ix_(rest, rest)], cross)
+        total += information
+        weighted += information @ offset[i][channels]
+    return np.asarray(np.linalg.solve(total, weighted), dtype=np.float64)
+
+
+def residuals(problem: Problem, fit: Fit) -> list[Array]:
+    """Return the residuals of each record of a fit (samples, channels)."""
+    return [problem.records[i].measured - y for i, y in fit.outputs.items()]
+
+
+def gap(problem: Problem, fit: Fit) -> float:
+    """Return the geometric mean over channels of the residual's power over the signal's power.
+
+    The geometric mean limits the influence of a single drifting channel.
+    """
+    r = np.concatenate(residuals(problem, fit))
+    share = np.mean(r**2, axis=0) / problem.deviation(list(fit.outputs)) ** 2
+    return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))

@@ -1,0 +1,174 @@
+"""Initial states: prior, first guess from the first samples, and transfer between structures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...physics.network import Channel, Network, assemble
+from ...physics.network._frames import frames
+from .._simulation.node_motion import motion_rows_of
+from .._simulation.problem import Problem, Record, bare
+from .structure import Structure, offsets_of, twin
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..._common.arrays import Array
+
+
+def motion_rows(problem: Problem, network: Network) -> Array:
+    """Return the rows from states to displacements, and to velocities times the time scale."""
+    return motion_rows_of(assemble(bare(network)), problem.time)
+
+
+def led(network: Network, record: Record) -> tuple[Array, Array]:
+    """Return displacement and velocity of the moved nodes (samples, moved nodes); zero where the inputs do not tell."""
+    still = np.zeros(record.samples)
+    r, v = [], []
+    for c in network.moving:
+        u = record.inputs[c.name]
+        told = c.quantity == "displacement"
+        r.append(u if told else still)
+        v.append(np.gradient(u, record.step) if told else u if c.quantity == "velocity" else still)
+    shape = (record.samples, len(r))
+    return np.stack(r, axis=1) if r else np.zeros(shape), np.stack(v, axis=1) if v else np.zeros(shape)
+
+
+def guess(
+    problem: Problem,
+    network: Network,
+    index: int,
+    about: Array | None = None,
+    offsets: Sequence[float] | None = None,
+) -> Array:
+    """Guess an initial state from the first samples: displacements and slopes as measured, the rest small.
+
+    Where the motion has several resting places (detents, friction), a fit from rest ends in the wrong one.
+    `about` (states,): where a simulation of what came before ended; it is believed to a tenth of the motion.
+    `offsets` (channels,): known offsets of the sensors, in the channels' units.
+    """
+    record = problem.records[index]
+    pure = bare(network)
+    moved = [c for c in pure.outputs if c.quantity == "displacement"]
+    rates = tuple(pure.probe(f"_{c.name}", "velocity", at=c.at, between=c.between) for c in moved)
+    asm = assemble(pure, rates)
+    n0 = asm.size[0]
+    if not n0:
+        return np.zeros(0)
+    rows = motion_rows_of(asm, problem.time)
+    scale = problem.span(index) * (1.0 if about is None else 0.05)
+    centre = np.zeros(n0) if about is None else about
+    A, b = [rows / scale], [rows @ centre / scale]
+    # over a fifth of the time in which the motion changes it is a line
+    count = min(max(5, int(0.2 * problem.time / record.interval)), len(record))
+    t = np.arange(count) * record.interval
+    x, r, f = asm.columns("x"), asm.columns("r"), asm.columns("f")
+    road = led(pure, record)[0][0]
+    for j, c in enumerate(pure.outputs):
+        if c.quantity == "acceleration" or asm.outputs_by_difference[j] or np.any(asm.outputs[j, f]):
+            continue
+        shift = offsets[j] if offsets is not None else 0.0
+        shift += sum(e.bias for e in offsets_of(network, c))
+        y = (record.measured[:count, j] - shift) / problem.factors[j]
+        slope, value = np.polyfit(t, y, 1)
+        sigma = float(np.std(record.measured[:, j])) / problem.factors[j] * 0.02 + 1e-12
+        A.append(asm.outputs[j : j + 1, x] / sigma)
+        b.append(np.array([(value - asm.outputs[j, r] @ road) / sigma]))
+        if c in moved:
+            k = len(pure.outputs) + moved.index(c)
+            if not asm.outputs_by_difference[k]:
+                wide = sigma / max(t[-1], 1e-9) * 2
+                A.append(asm.outputs[k : k + 1, x] / wide)
+                b.append(np.array([slope / wide]))
+    x0 = np.linalg.lstsq(np.vstack(A), np.concatenate(b), rcond=None)[0]
+    return x0 if np.isfinite(x0).all() else np.zeros(n0)
+
+
+def states_along(
+    problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array], at: Sequence[int]
+) -> dict[int, list[Array]]:
+    """Return the states (states,) of each record's simulation at compared samples.
+
+    Negative ones count from the record's end. They are read off the motion of the nodes, so that records can be cut and
+    joined anywhere.
+    """
+    net, time = structure.at(x), problem.time
+    pure = bare(net)
+    nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
+    watched = replace(pure, outputs=tuple(_seen(pure, n) for n in nodes))
+    probe = problem.watching(watched)
+    network = replace(
+        net, outputs=watched.outputs, elements=tuple(e for e in net.elements if e.place != "channel")
+    )
+    asm = assemble(pure)
+    cols = {part: asm.columns(part) for part in ("x", "r", "v")}
+    position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
+    if any(c.quantity != "displacement" for c in pure.moving):  # seen from a frame that moves with them
+        position, velocity = position.copy(), velocity.copy()
+        position[:, cols["r"]] = 0.0
+        for node, j in frames(pure).items():
+            velocity[nodes.index(node), cols["v"].start + j] -= 1.0
+    inverse = np.linalg.pinv(np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]]))
+    begun = {i: x0[:, None] for i, x0 in initial.items()}
+    out: dict[int, list[Array]] = {}
+    for i, y in probe.simulate_all([network], list(initial), begun, like=net).items():
+        record, y = problem.records[i], y[:, :, 0]
+        v = np.gradient(y, record.step, axis=0)
+        r, rate = led(pure, record)
+        out[i] = []
+        for k in at:
+            k = min((k if k >= 0 else len(record) + k) * record.thin, len(y) - 1)
+            rest = [m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k] for m in (position, velocity)]
+            out[i].append(inverse @ np.concatenate([y[k] - rest[0], time * (v[k] - rest[1])]))
+    return out
+
+
+def _seen(network: Network, node: str) -> Channel:
+    """Return the output for a node's displacement in its frame: the ground, or a moved node of unknown position."""
+    riding = frames(network)
+    name = f"_{node}"
+    if node in riding:
+        return network.probe(name, "displacement", between=(node, network.moved_nodes[riding[node]]))
+    return network.probe(name, "displacement", at=node)
+
+
+def next_states(
+    problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array]
+) -> dict[int, Array]:
+    """Return the state (states,) one sample after the end of each record's simulation."""
+    ends = states_along(problem, structure, x, initial, (-2, -1))
+    return {i: 2 * last - before for i, (before, last) in ends.items()}
+
+
+def transfer_states(
+    problem: Problem, network: Network, initial: dict[int, Array], structure: Structure
+) -> dict[int, Array]:
+    """Transfer initial states of a network to the coordinates of another structure; the motion of the nodes stays.
+
+    A node that came in between moves like the terminal it was split from.
+    """
+    source, target = assemble(bare(network)), assemble(bare(structure.network))
+    before, net, time = source.network, target.network, problem.time
+    free = [n for n in net.nodes if n not in net.moved_nodes]
+    own = [n for n in before.nodes if n not in before.moved_nodes]
+    if not target.size[0]:
+        return {i: np.zeros(0) for i in initial}
+    rows, known = motion_rows_of(target, time), motion_rows_of(source, time)
+    inputs = {node: j for j, node in enumerate(net.moved_nodes)}
+    out: dict[int, Array] = {}
+    for i, x0 in initial.items():
+        record = problem.records[i]
+        motion = known @ x0
+        want = np.zeros((2, len(free)))
+        for k, node in enumerate(free):
+            like = twin(node, before.nodes)
+            if like in own:
+                want[:, k] = motion[own.index(like)], motion[len(own) + own.index(like)]
+            elif like in inputs:
+                r, v = led(net, record)
+                want[:, k] = r[0, inputs[like]], time * v[0, inputs[like]]
+        out[i] = np.asarray(np.linalg.lstsq(rows, want.ravel(), rcond=None)[0], dtype=np.float64)
+    return out

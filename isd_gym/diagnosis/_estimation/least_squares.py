@@ -1,0 +1,73 @@
+"""Damped Gauss-Newton steps within limits (Levenberg 1944, Marquardt 1963; active set at the limits)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ..._common.arrays import Array
+
+Point = TypeVar("Point")
+
+
+def damped_step(
+    take: Callable[[float], tuple[Point, float]], cost: float, damping: float, *, tries: int
+) -> tuple[Point | None, float, float]:
+    """Take a step that lowers the cost; increase the damping tenfold after each failure.
+
+    Args:
+        take: Function from a relative damping to the new point and its cost, infinite if the simulation fails.
+        cost: Cost at the current point.
+        damping: Relative damping of the first try.
+        tries: Number of tries. After a single failed try the damping stays.
+
+    Returns:
+        The new point or None, its cost, and the damping for the next step.
+    """
+    for _ in range(tries):
+        found, lower = take(damping)
+        if math.isfinite(lower) and lower < cost:
+            return found, lower, max(damping * 0.2, 1e-6)
+        if tries > 1:
+            damping = max(damping * 10, 1e-3 if math.isfinite(lower) else 1.0)
+    return None, cost, damping
+
+
+def bounded_step(
+    hessian: Array, slope: Array, x: Array, low: Array, high: Array, stride: Array, damping: float
+) -> Array:
+    """Minimise the damped quadratic model of the cost within limits.
+
+    Coordinates at a limit that would leave the permitted range stay at the limit.
+
+    Args:
+        hessian: Second derivatives of half the cost (p, p).
+        slope: Descent direction of half the cost (p,).
+        x: Current point (p,).
+        low: Lower limits (p,).
+        high: Upper limits (p,).
+        stride: Largest permitted step of each coordinate (p,).
+        damping: Relative damping of the diagonal.
+
+    Returns:
+        The step (p,).
+    """
+    p = len(x)
+    damped = hessian + np.diag(damping * np.diag(hessian))
+    free = np.ones(p, bool)
+    step = np.zeros(p)
+    for _ in range(p + 1):
+        index = np.flatnonzero(free)
+        step = np.zeros(p)
+        if len(index):
+            step[index] = np.linalg.solve(damped[np.ix_(index, index)], slope[index])
+        leaves = ((step < 0) & (x <= low + 1e-9)) | ((step > 0) & (x >= high - 1e-9))
+        if not np.any(leaves & free):
+            break
+        free &= ~leaves
+    return np.asarray(np.clip(x + np.clip(step, -stride, stride), low, high) - x, dtype=np.float64)

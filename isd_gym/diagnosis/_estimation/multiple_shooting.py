@@ -1,0 +1,55 @@
+"""Multiple shooting: a fit to brief segments, each with its own initial state, gives the start of a fit to whole records.
+
+A slightly damped motion remembers for many periods. Parameters that are a little off lose its phase, and the error over a whole
+record then has valleys that do not lead to its least; over brief stretches it has one (Bock, Springer Series in Chemical
+Physics 18 (1981) 102; Ljung, System Identification, section 10.4).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.errors import InputError
+from ...physics.network import Network, assemble
+from .._records import cut_segments
+from .._simulation.problem import Problem, bare
+from .gauss_newton import Fitter
+
+if TYPE_CHECKING:
+    from ..._common.arrays import Array
+    from .structure import Structure
+
+#: how long a mode is remembered, in its own time (one over the circular frequency), from which on its phase may be lost: damping
+#: ratios below 0.03
+LONG = 30.0
+STRETCH = 40.0  # length of the stretches, in the rig's own time: some six periods
+LEAST = 60  # samples of one
+
+
+def is_lightly_damped(network: Network) -> bool:
+    """Return whether a mode of the network lasts for many periods."""
+    asm = assemble(bare(network))
+    if not asm.size[0]:
+        return False
+    poles = np.linalg.eigvals(asm.rate[:, asm.columns("x")])
+    swings = poles[np.abs(poles.imag) > 1e-9 * np.abs(poles).max()]
+    return bool(np.any(np.abs(swings) > LONG * np.abs(swings.real)))
+
+
+def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
+    """Fit parameters to brief segments of the training records; None where the fit breaks down.
+
+    weights: a fitter of the same channels, whose weights are used.
+    """
+    pieces = [
+        s for i in problem.estimation for s in cut_segments(problem.records[i], STRETCH * problem.time, LEAST)
+    ]
+    if len(pieces) <= len(problem.estimation):
+        return None
+    brief = problem.with_records(pieces, ["fit"] * len(pieces))
+    try:
+        return Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
+    except (InputError, np.linalg.LinAlgError):
+        return None

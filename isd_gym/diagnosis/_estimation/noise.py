@@ -1,0 +1,273 @@
+"""Noise: estimates from the signal, filters that whiten residuals, and the likelihood under coloured noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.signal import welch
+
+from ...physics._kernel.jit import compiled
+from .input_noise import propagate_input_noise
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..._common.arrays import Array
+    from .._simulation.problem import Problem
+
+#: order of the autoregressive filters
+ORDER = 20
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Autoregressive filters that turn the residuals of each channel into innovations of unit variance."""
+
+    taps: tuple[Array, ...]
+
+    def __call__(self, residual: Array) -> Array:
+        """Return residuals (samples, channels, ...), whitened along time."""
+        wide = residual.reshape(*residual.shape[:2], -1)
+        out = np.empty(wide.shape)
+        for j, a in enumerate(self.taps):
+            _filter(a, wide[:, j], out[:, j])
+        return out.reshape(residual.shape)
+
+
+@compiled(nogil=True)
+def _filter(taps: Array, x: Array, out: Array) -> None:
+    """out[t] = sum over k of taps[k] x[t - k], for every column of x (n, columns)."""
+    for t in range(len(x)):
+        for c in range(x.shape[1]):
+            out[t, c] = taps[0] * x[t, c]
+        for k in range(1, min(len(taps), t + 1)):
+            for c in range(x.shape[1]):
+                out[t, c] += taps[k] * x[t - k, c]
+
+
+def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, int]:
+    """Return the Gram matrix of the lags (order, order), their products with the present (order,), its power, and the number of samples."""
+    gram: Array = np.zeros((order, order))
+    rhs: Array = np.zeros(order)
+    count, total = 0, 0.0
+    for x in series:
+        lags = np.lib.stride_tricks.sliding_window_view(x, order + 1)[:, ::-1]
+        gram += lags[:, 1:].T @ lags[:, 1:]
+        rhs += lags[:, 1:].T @ lags[:, 0]
+        total += float(lags[:, 0] @ lags[:, 0])
+        count += len(lags)
+    return gram, rhs, total, count
+
+
+def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -> tuple[Array, float]:
+    """Return least-squares AR taps (1, -a1, ...) and the innovation deviation from the moments of `lagged`.
+
+    White noise of deviation `least` is added: a band where a record is quieter than any model is credited with has no larger weight.
+    """
+    order = len(rhs)
+    total += count * least**2
+    gram = gram + count * least**2 * np.eye(order)
+    ridge = 1e-9 * float(np.trace(gram)) / order + 1e-300
+    a = np.linalg.solve(gram + ridge * np.eye(order), rhs)
+    variance = max(float(total - 2 * a @ rhs + a @ gram @ a), 1e-300) / max(count, 1)
+    return np.concatenate([[1.0], -a]), math.sqrt(variance)
+
+
+def channel_moments(residuals: Sequence[Array]) -> list[tuple[Array, Array, float, int]]:
+    """Return the moments (`lagged`) of each channel of residuals [(samples, channels), ...] about the means of the records."""
+    order = min(ORDER, min(map(len, residuals)) // 8)
+    every = range(residuals[0].shape[1])
+    return [lagged([r[:, j] - r[:, j].mean() for r in residuals], order) for j in every]
+
+
+def whitener(residuals: Sequence[Array], floor: Array) -> Whitener:
+    """Return filters that whiten residuals [(samples, channels), ...], with white noise `floor` (channels,) added."""
+    found = [predicted(*m, float(s)) for m, s in zip(channel_moments(residuals), floor, strict=True)]
+    return Whitener(tuple(a / max(sigma, 1e-300) for a, sigma in found))
+
+
+def innovations(residuals: Sequence[Array], floor: Array) -> float:
+    """Return -2 log L of residuals under coloured noise: the sum over channels of n log(innovation variance)."""
+    total, samples = 0.0, sum(map(len, residuals))
+    for moments, least in zip(channel_moments(residuals), floor, strict=True):
+        _, sigma = predicted(*moments, float(least))
+        total += 2 * samples * math.log(max(sigma, 1e-300))
+    return total
+
+
+def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool = False) -> Noise:
+    """Estimate coloured noise in residuals (samples,): white plus AR(1), fitted to the spectrum above the motion.
+
+    `time` [s]: in which the motion changes. Up to some three of its frequencies signal and model error cover the
+    noise, so its level there is that of the law found above. The noise is at most the series. `white`: what a
+    low-pass left of the spectrum tells a level, but no colour.
+    """
+    length = min(1024, min(len(x) for x in series))
+    frequency, s, _ = _density(series, step, length)
+    top = frequency[-1]
+    low = max(min(3.0 / (2 * math.pi * time), 0.3 * top), 2 * float(frequency[1]))
+    noise, _ = _noise_above(frequency, s, step, low, (0.7 if white else 0.98) * top, white)
+    share = min(1.0, float(np.var(np.concatenate(series))) / max(noise.deviation**2, 1e-300))
+    return Noise(noise.white * share, noise.drive * share, noise.phi)
+
+
+def _density(series: Sequence[Array], step: float, length: int) -> tuple[Array, Array, float]:
+    """Return frequencies [Hz], mean power density, and the number of averaged spectra."""
+    density, frequency, averages = [], np.zeros(0), 0.0
+    for x in series:
+        n = min(length, len(x))
+        if n < length:
+            continue
+        frequency, s = welch(x - x.mean(), 1.0 / step, nperseg=n)
+        density.append(s * len(x))
+        averages += max(1.0, 1.6 * (len(x) / n) - 0.6)  # halves overlap, Hann window
+    total = sum(len(x) for x in series if len(x) >= length)
+    return frequency, np.maximum(np.sum(density, axis=0) / total, 1e-300), averages
+
+
+def _noise_above(
+    frequency: Array, s: Array, step: float, low: float, high: float, white: bool
+) -> tuple[Noise, float]:
+    """Fit white plus AR(1) noise to a spectrum between two frequencies [Hz]; return the noise and the mean log distance."""
+    w = 2 * np.pi * frequency * step
+    pick = (frequency > low) & (frequency < high)
+    if np.sum(pick) < 4:
+        pick = frequency > 0.5 * frequency[-1]
+    best: tuple[float, Noise] = (math.inf, Noise(0.0, 0.0, 0.0))
+    for phi in (0.0,) if white else (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93):
+        shape = 1.0 / (1 + phi**2 - 2 * phi * np.cos(w[pick]))
+        for share in (1.0,) if phi == 0 else (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9):
+            model = share + (1 - share) * shape * (1 - phi) ** 2
+            logs = np.log(s[pick] / model)
+            # a median: peaks of unexplained motion do not lift the level
+            level = float(np.median(logs))
+            error = float(np.mean(np.minimum(np.abs(logs - level), 1.0)))
+            if error < best[0] - 1e-9:
+                unit = math.exp(level) / (2 * step)
+                best = error, Noise(unit * share, unit * (1 - share) * (1 - phi) ** 2, phi)
+    return best[1], best[0]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White noise and AR(1) noise together: `white` variance, innovation variance `drive`, coefficient `phi`."""
+
+    white: float
+    drive: float
+    phi: float
+
+    @property
+    def deviation(self) -> float:
+        return math.sqrt(self.white + self.drive / (1 - self.phi**2))
+
+    def density(self, w: Array) -> Array:
+        return self.white + self.drive / (1 + self.phi**2 - 2 * self.phi * np.cos(w))
+
+
+def noise_after_filters(W: Whitener, noise: Sequence[Noise]) -> Array:
+    """Return the mean square of pure noise after the filters (channels,)."""
+    w = np.linspace(0, math.pi, 2048)
+    out = []
+    for a, n in zip(W.taps, noise, strict=True):
+        response = np.abs(np.exp(-1j * np.outer(w, np.arange(len(a)))) @ a) ** 2
+        out.append(float(np.mean(response * n.density(w))))
+    return np.array(out)
+
+
+# ------------------------------------------------------------------------------ what is known of it beforehand
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Noise of a channel, estimated before any model is fitted.
+
+    `deviation` [the channel's unit]; `known`: whether the measured signal (or the owner) tells it, or only bounds it.
+    `source`: 'owner', 'spectrum' (above the band of the motion), 'bound', or 'input' (a motion that is differentiated twice).
+    """
+
+    deviation: float
+    known: bool
+    source: str
+
+
+def floor_of(series: Sequence[Array], step: float, *, white: bool = False) -> Floor:
+    """Estimate the noise of a measured channel (segments (samples,)) from the part of the spectrum without signal.
+
+    The band of the motion is the rig's own: the lowest frequency is sought above which the spectrum looks like white or
+    AR(1) noise. Where there is none the motion may reach up to the sampling rate, and the top of the spectrum is a bound.
+    """
+    shortest = min(map(len, series))
+    length = min(1024, max(64, shortest // 2), shortest)
+    frequency, s, averages = _density(series, step, length)
+    top = frequency[-1]
+    chance = 0.8 / math.sqrt(
+        averages
+    )  # mean distance of the logarithm of an averaged periodogram from its law
+    ceiling = (0.7 if white else 0.98) * top
+    for low in np.geomspace(max(0.02 * top, 3 * frequency[1]), 0.6 * top, 12):
+        found, error = _noise_above(frequency, s, step, float(low), ceiling, white)
+        if error < 1.35 * chance + 0.03:
+            return Floor(found.deviation, True, "spectrum")
+    found, _ = _noise_above(frequency, s, step, 0.6 * top, ceiling, True)
+    return Floor(found.deviation, False, "bound")
+
+
+def resolution(series: Sequence[Array]) -> float:
+    """Return the deviation by the resolution of a sensor: its step over the root of twelve."""
+    levels = np.unique(np.concatenate(series))
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-9 * max(float(np.ptp(levels)), 1e-300)]
+    return float(np.quantile(steps, 0.1)) / math.sqrt(12.0) if len(steps) else 0.0
+
+
+def floors_of(problem: Problem) -> list[Floor]:
+    """Estimate the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion.
+
+    The sensor noise is stated in the model file, or follows from the training and validation records.
+
+    Returns:
+        One noise estimate per output. Test records take no part.
+    """
+    out = []
+    for j, propagated in enumerate(propagate_input_noise(problem)):
+        floor = _floor_of_sensor(problem, j)
+        total = math.hypot(floor.deviation, propagated)
+        out.append(
+            Floor(total, True, "input") if propagated > floor.deviation else replace(floor, deviation=total)
+        )
+    return out
+
+
+def _floor_of_sensor(problem: Problem, channel: int) -> Floor:
+    """Estimate the noise of a sensor."""
+    c = problem.network.outputs[channel]
+    if c.noise is not None:
+        return Floor(c.noise, True, "owner")
+    records = [problem.records[i] for i in dict.fromkeys((*problem.estimation, *problem.choosing))]
+    series, first = [r.measured[:, channel] for r in records], records[0]
+    seen = floor_of(series, first.interval, white=first.filtered)
+    grain = resolution(series) if not first.filtered else 0.0
+    return replace(seen, deviation=max(seen.deviation, grain))
+
+
+def white_filters(floors: Array) -> Whitener:
+    """Return filters for white noise of given deviations (channels,)."""
+    return Whitener(tuple(np.array([1 / max(h, 1e-300)]) for h in floors))
+
+
+def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
+    """Return the white noise for whitening a residual (channels,): that of the measurement, or a part of the residual.
+
+    Only noise may be weighed by its spectrum. Missing physics counts as white noise of ten times its power, so that even
+    what is crowded in a tenth of the band is not weighed down against what is small and elsewhere.
+    """
+    square = np.mean(np.concatenate(residuals) ** 2, axis=0)
+    return np.asarray(np.sqrt(np.maximum(floors**2, 10.0 * (square - floors**2))), dtype=np.float64)
+
+
+def refined_noise(least: Array, floors: Array) -> Array:
+    """Return the white noise for comparing fits (channels,): a tenth of the noise of their weights."""
+    return np.asarray(np.maximum(floors, 0.1 * least), dtype=np.float64)

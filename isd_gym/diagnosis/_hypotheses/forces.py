@@ -1,0 +1,250 @@
+"""Typical forces of a rig, measured or computed by a fitted model: the scale for starting values and for small effects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.arrays import rms
+from ..._common.errors import InputError
+from ...physics.network import GROUND
+from .._simulation.problem import deviation_within
+from .library import pairs
+from .motion import motions, with_outputs
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..._common.arrays import Array
+    from ...physics.elements import Motion
+    from ...physics.network import Network
+    from .._estimation.gauss_newton import Fit
+    from .._simulation.problem import Problem
+
+#: kinds of elements that dissipate energy
+DISSIPATIVE = ("dry_friction", "viscous")
+
+
+@dataclass(frozen=True)
+class PlaceForces:
+    """Typical forces of a rig, in N, or N m where nodes turn.
+
+    A measured force is the scale of the whole rig. Without a measured force, the scale at a node is the largest of the computed forces of
+    its elements and the inertia force of its mass.
+    """
+
+    #: Largest root mean square of a force at each node, as the model computes it.
+    by_node: Mapping[str, float]
+    #: Ground and nodes whose motion is an input.
+    prescribed: frozenset[str]
+    #: Measured force: a load cell, a known input, or an acceleration times the largest mass; 0 without a measured force.
+    measured: float = 0.0
+
+    def at(self, where: Sequence[str]) -> float:
+        """Return the typical force of a place.
+
+        A force between two nodes acts on both, so the smaller of the two nodes' forces is the scale. A node with prescribed
+        motion has no force balance and counts only where both nodes are prescribed.
+
+        Args:
+            where: the two nodes of the place, or the name of a motor or of a channel.
+
+        Returns:
+            Force [N], or torque [N m] between rotating nodes; the largest of all nodes for a place without a force.
+        """
+        if self.measured > 0:
+            return self.measured
+        free = [n for n in where if n in self.by_node and n not in self.prescribed]
+        known = free or [n for n in where if n in self.by_node and n != GROUND]
+        forces = [self.by_node[n] for n in known if self.by_node[n] > 0]
+        return min(forces, default=self.largest)
+
+    @property
+    def largest(self) -> float:
+        """Largest typical force of all nodes [N]; 1 N where nothing moves."""
+        return max((f for f in self.by_node.values() if math.isfinite(f)), default=0.0) or 1.0
+
+
+def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> PlaceForces:
+    """Return the typical forces of a rig; the force of the element `without` does not count.
+
+    A simulation that has lost the measured motion is too small or too large; its forces are scaled up by the ratio of the
+    measured to the simulated output deviations.
+    """
+    net = fit.network
+    driven = {str(c.at) for c in net.moving}
+    prescribed = frozenset({GROUND, *driven})
+    if measured := _measured_force(problem):
+        return PlaceForces({}, prescribed, measured)
+    elements = [e for e in net.elements if e.place == "between" and e.name != without]
+    masses = {m: inertia for m, inertia in net.carried.items() if m not in driven}
+    probes = [net.probe(f"_{e.name}", "force", element=e.name) for e in elements]
+    probes += [net.probe(f"_{m}_a", "acceleration", at=m) for m in masses]
+    by_node: dict[str, float] = dict.fromkeys((*net.carried, *driven), 0.0)
+    scale = _lost_motion(problem, fit)
+    for (nodes, factor), values in zip(
+        [*((e.where, 1.0) for e in elements), *(((m,), inertia) for m, inertia in masses.items())],
+        _simulated(problem, fit, with_outputs(net, tuple(probes))),
+        strict=True,
+    ):
+        for node in nodes:
+            by_node[node] = max(by_node.get(node, 0.0), scale * factor * rms(values))
+    by_node.pop(GROUND, None)
+    if not any(by_node.values()):
+        by_node = _inertia_of_data(problem)
+    return PlaceForces(by_node, prescribed)
+
+
+def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str, Array]:
+    """Compute the forces of the elements between two nodes over all records to fit by.
+
+    Args:
+        problem: records and channels.
+        fit: fitted structure with its initial states.
+        where: the two nodes; the sign of each force is that of an element from the first to the second.
+
+    Returns:
+        Force [N] (samples,), or torque [N m], by element.
+
+    Raises:
+        InputError: the simulation breaks down.
+    """
+    net, pair = fit.network, set(where)
+    here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
+    together = _simulate(
+        problem, fit, with_outputs(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
+    )
+    return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
+
+
+def work_share(problem: Problem, fit: Fit, name: str) -> float:
+    """Return the share of an element in the work that all elements of a network dissipate over the records to fit by.
+
+    Args:
+        problem: Records and channels.
+        fit: Fitted structure with its initial states.
+        name: The element.
+
+    Returns:
+        Share from 0 to 1; 0 for an element that stores energy only.
+
+    Raises:
+        InputError: The simulation breaks down.
+    """
+    net = fit.network
+    lossy = [e for e in net.elements if e.place == "between" and e.mechanism in DISSIPATIVE]
+    if name not in {e.name for e in lossy}:
+        return 0.0
+    motion = motions(problem, fit, tuple({e.between for e in lossy} - {*pairs(net)}))
+    forces: dict[str, Array] = {}
+    for pair in {e.between for e in lossy}:
+        forces |= element_forces(problem, fit, pair)
+    work = {e.name: abs(dissipated_work(forces[e.name], motion[e.between])) for e in lossy}
+    return work[name] / max(sum(work.values()), 1e-300)
+
+
+def lossy_share(problem: Problem, fit: Fit) -> float:
+    """Return the largest force of an element that dissipates over the largest force of all elements, as root mean squares over the records to fit by.
+
+    Args:
+        problem: Records and channels.
+        fit: Fitted structure with its initial states.
+
+    Returns:
+        Share from 0 to 1; 1 without an element that dissipates.
+
+    Raises:
+        InputError: The simulation breaks down.
+    """
+    elements = [e for e in fit.network.elements if e.place == "between"]
+    forces: dict[str, Array] = {}
+    for pair in {e.between for e in elements}:
+        forces |= element_forces(problem, fit, pair)
+    size = {e.name: rms(forces[e.name]) for e in elements if e.name in forces}
+    lossy = [size[e.name] for e in elements if e.name in size and e.mechanism in DISSIPATIVE]
+    return max(lossy) / max(*size.values(), 1e-300) if lossy else 1.0
+
+
+def dissipated_work(force: Array, motion: Motion) -> float:
+    """Return the mean power of the equivalent viscous damper of a force: a spring in parallel takes the part that returns.
+
+    Args:
+        force: Force over the motion (samples,) [N].
+        motion: Motion of the force's two nodes.
+
+    Returns:
+        Mean power [W].
+
+    References:
+        Den Hartog: Mechanical Vibrations, 4th edition (1956), section 8.9.
+    """
+    columns = np.stack([motion.v, motion.d, np.ones(len(force))], axis=1)
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    damping = np.linalg.lstsq(columns / size, force, rcond=None)[0][0] / size[0]
+    return float(damping * np.mean(motion.v**2))
+
+
+def _measured_force(problem: Problem) -> float:
+    """Return the largest deviation of a measured force [N]; 0 where no force is measured.
+
+    An acceleration tells the inertia force of the mass or body that it is measured at, and that of the largest mass elsewhere.
+    Torques count only where nothing moves along a line.
+    """
+    net, spread = problem.network, problem.deviation() / problem.factors
+    found, slides = 0.0, net.total_mass > 0
+    for j, c in enumerate(net.outputs):
+        deviation = float(spread[j])
+        if c.quantity == "force":
+            found = max(found, deviation if c.at is not None else 0.5 * deviation)
+        elif c.quantity == "acceleration":
+            nodes = (c.at,) if c.at is not None else c.between or ()
+            if not (slides and any(n in net.rotating for n in nodes)):
+                inertia = net.inertia_at(c.at) if c.at is not None else 0.0
+                found = max(found, deviation * (inertia or net.largest_inertia(*nodes)))
+    for c in net.inputs:
+        if c.quantity in ("force", "current"):
+            pushed = np.concatenate([problem.records[i].inputs[c.name] for i in problem.estimation])
+            motor = net.element(c.elements[0]).law_parameters() if c.quantity == "current" else (1.0,)
+            found = max(found, float(np.prod(motor)) * float(np.std(pushed)))
+    return found
+
+
+def _simulate(problem: Problem, fit: Fit, watched: Network) -> Array:
+    """Simulate a fit with other outputs over all records to fit by: (samples, outputs)."""
+    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
+    seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=fit.network)
+    return np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
+
+
+def _simulated(problem: Problem, fit: Fit, watched: Network) -> list[Array]:
+    """Return the outputs of a network over all training records, one array per output; zero where the simulation breaks down."""
+    if not watched.outputs:
+        return []
+    try:
+        together = _simulate(problem, fit, watched)
+    except (InputError, np.linalg.LinAlgError):
+        return [np.zeros(1) for _ in watched.outputs]
+    return list(np.where(np.isfinite(together), together, 0.0).T)
+
+
+def _lost_motion(problem: Problem, fit: Fit) -> float:
+    """Return the ratio of measured to simulated output deviation, pooled over channels, at least 1."""
+    spread, names = problem.deviation(), [problem.records[i].name for i in problem.estimation]
+    simulated = deviation_within([fit.outputs[i] for i in problem.estimation], names)
+    known = (spread > 1e-300) & np.isfinite(simulated)
+    pooled = rms(simulated[known] / spread[known]) if known.any() else 0.0
+    return max(1.0, 1.0 / pooled) if pooled > 0 else 1.0
+
+
+def _inertia_of_data(problem: Problem) -> dict[str, float]:
+    """Return the inertia force of each mass by the measured motion, for a model that stands still."""
+    acceleration, time = 0.0, problem.time
+    rate = {"acceleration": 1.0, "velocity": 1.0 / time, "displacement": 1.0 / time**2}
+    for j, c in enumerate(problem.network.outputs):
+        if c.quantity in rate:
+            deviation = float(problem.deviation()[j]) / problem.factors[j]
+            acceleration = max(acceleration, deviation * rate[c.quantity])
+    return {m: mass * acceleration for m, mass in problem.network.carried.items()}

@@ -1,0 +1,60 @@
+"""Loads that gears and screws transmit in a fitted simulation, and whether they tell the level of a friction from its gain.
+
+Under a load that swings about zero, or under one constant load, a friction that grows with the load is nearly a friction of a constant
+level. Two records with different mean loads separate the two, such as two payloads.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.arrays import rms
+from ..._common.errors import InputError
+from .motion import with_outputs
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from ..._common.arrays import Array
+    from .._estimation.gauss_newton import Fit
+    from .._estimation.structure import Hypothesis
+    from .._simulation.problem import Problem
+
+#: smallest difference of the magnitudes of two mean loads, as a share of the largest RMS load of a record
+LEAST_DIFFERENCE = 0.3
+
+
+def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> dict[str, list[Array]]:
+    """Return the loads of frictions in the training records, as a fitted simulation computes them.
+
+    Args:
+        problem: Model and records.
+        fit: A fit with the initial states of the training records.
+        candidates: Hypotheses; those without a load do not count.
+
+    Returns:
+        Load of each training record (samples,) [N], or [N m] where nodes turn, by element; empty where the simulation breaks down.
+    """
+    names = list(dict.fromkeys(dict(h.options)["load"] for h in candidates if h.kind.loaded))
+    if not names:
+        return {}
+    network = fit.network
+    watched = with_outputs(network, tuple(network.probe(f"_{n}", "force", element=n) for n in names))
+    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
+    try:
+        seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=network)
+    except (InputError, np.linalg.LinAlgError):
+        return {}
+    return {n: [seen[i][:, k, 0] for i in problem.estimation] for k, n in enumerate(names)}
+
+
+def tell_gain(loads: Sequence[Array]) -> bool:
+    """Return whether loads tell the level of a friction from its gain: the mean loads of two records must differ in magnitude.
+
+    Args:
+        loads: Load of each record (samples,) [N].
+    """
+    means = [abs(float(np.mean(x))) for x in loads]
+    return max(means) - min(means) > LEAST_DIFFERENCE * max(rms(x) for x in loads)

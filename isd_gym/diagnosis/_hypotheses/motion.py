@@ -1,0 +1,131 @@
+"""Motion of every pair of nodes in a fitted simulation, and simulation of many variants of a fitted network side by side."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from ..._common.errors import InputError
+from ...physics.elements import Motion, Setting
+from ...physics.network import MOTIONS, Channel, Network, assemble
+from ...physics.network._frames import order_told
+from ...physics.simulate import pace, side_by_side
+from .._simulation.problem import Problem, bare
+from .library import pairs
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ..._common.arrays import Array
+    from .._estimation.gauss_newton import Fit
+    from .._estimation.structure import Hypothesis
+
+LANES = 48  # number of variants per call of the kernel
+
+
+def motions(
+    problem: Problem, fit: Fit, also: tuple[tuple[str, str], ...] = ()
+) -> dict[tuple[str, str], Motion]:
+    """Return elongation and rate of every pair in the fitted simulation of the records that are fitted by.
+
+    Where the inputs tell the rate of a pair alone, its elongation counts from the start of each record.
+    """
+    out: dict[tuple[str, str], list[Array]] = {}
+    net = fit.network
+    known = {p: order_told(net, p) for p in (*pairs(net), *also)}
+    where = [p for p, order in known.items() if order < 2]
+    extra = tuple(net.probe(f"_{k}", MOTIONS[known[p]], between=p) for k, p in enumerate(where))
+    probe = problem.watching(with_outputs(net, extra))
+    begun = {i: fit.initial[i][:, None] for i in problem.estimation}
+    seen = probe.simulate_all([probe.network], problem.estimation, begun, like=net)
+    for i in problem.estimation:
+        for k, p in enumerate(where):
+            out.setdefault(p, []).append(seen[i][:, k, 0])
+    steps = [problem.records[i].step for i in problem.estimation]
+    motion = {}
+    for p, parts in out.items():
+        if known[p]:
+            v = parts
+            parts = [cumulative_trapezoid(r, dx=h, initial=0.0) for r, h in zip(v, steps, strict=True)]
+        else:
+            v = [np.gradient(d, h) for d, h in zip(parts, steps, strict=True)]
+        a = [np.gradient(x, h) for x, h in zip(v, steps, strict=True)]
+        motion[p] = Motion(np.concatenate(parts), np.concatenate(v), np.concatenate(a))
+    return motion
+
+
+def with_outputs(net: Network, outputs: tuple[Channel, ...]) -> Network:
+    """Return the network with other outputs, without effects of sensors."""
+    kept = tuple(e for e in net.elements if e.place != "channel")
+    return replace(net, outputs=outputs, elements=kept)
+
+
+def setting(
+    problem: Problem,
+    network: Network,
+    h: Hypothesis,
+    motion: Motion | None,
+    force: float,
+    pitches: tuple[float, ...] = (),
+    load: Sequence[Array] | None = None,
+) -> Setting:
+    """Return the setting from which an effect derives the start values of its fit.
+
+    Args:
+        problem: Model and records.
+        network: The fitted model.
+        h: The effect at its place.
+        motion: Motion of the place; None at a motor or a channel.
+        force: Typical force of the place [N].
+        pitches: Periods of travel [m] to begin with.
+        load: Load of a friction in each training record (samples,) [N].
+    """
+    signal, time, samples = 1.0, problem.time, None
+    if h.place == "element":
+        name = next(c.name for c in network.inputs if c.quantity == "current" and c.element == h.where[0])
+        current = np.concatenate([problem.records[i].inputs[name] for i in problem.estimation])
+        signal, samples = max(float(np.std(current)), 1e-9), current
+    elif h.place == "channel":
+        j = problem.channels.index(h.where[0])
+        y = problem.measured()[:, j]
+        signal, samples = max(float(np.std(y)), 1e-12), y
+        time = pace(
+            problem.records[problem.estimation[0]].measured[:, j],
+            problem.records[problem.estimation[0]].interval,
+        )
+    elif h.kind.scheduled:
+        channel = dict(h.options)["channel"]
+        samples = np.concatenate([problem.records[i].inputs[channel] for i in problem.estimation])
+    elif load is not None:
+        samples = np.concatenate(load)
+    return Setting(network, h.where, motion, force, signal, time, dict(h.options), samples, pitches)
+
+
+def simulate_variants(
+    problem: Problem, fit: Fit, networks: Sequence[Network]
+) -> Iterator[tuple[list[int], int, Array]]:
+    """Yield the outputs of many networks over the training records: network indices, record, outputs (samples, channels, lanes).
+
+    Lanes of one structure run together; what breaks down is left out.
+    """
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for k, net in enumerate(networks):
+        asm = assemble(bare(net))
+        outside = tuple(type(e).__name__ for e in net.elements if e.place != "between")
+        groups.setdefault((outside, *side_by_side(asm)), []).append(k)
+    chunks = [m[k : k + LANES] for m in groups.values() for k in range(0, len(m), LANES)]
+    while chunks:
+        chunk = chunks.pop(0)
+        nets = [networks[k] for k in chunk]
+        begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
+        try:
+            seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
+        except (InputError, np.linalg.LinAlgError):
+            half = len(chunk) // 2  # isolate a variant that diverges
+            chunks = [part for part in (chunk[:half], chunk[half:]) if 0 < len(part) < len(chunk)] + chunks
+            continue
+        for i, y in seen.items():
+            yield chunk, i, y

@@ -1,0 +1,67 @@
+"""Responses to small effects that every rig has and no model contains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.errors import InputError
+from ...physics.elements import PROBE
+from ...physics.network import assemble
+from .._estimation.multiple_shooting import is_lightly_damped
+from .._estimation.structure import add
+from .._simulation.problem import bare
+from .forces import DISSIPATIVE, lossy_share, place_forces
+from .library import hypotheses
+from .motion import motions, setting, simulate_variants
+
+if TYPE_CHECKING:
+    from ..._common.arrays import Array
+    from .._estimation.gauss_newton import Fit
+    from .._simulation.problem import Problem
+
+
+def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
+    """Compute what each force law of the library, too small to be named, does to the outputs.
+
+    In a lightly damped structure the forces that dissipate are small beside those that store energy. There a law that dissipates has a share
+    of the former, since the same share of the latter would be a multiple of the damping.
+
+    Args:
+        problem: records and channels; the records to fit by are simulated.
+        fit: fitted structure with its initial states.
+        share: force of each law as a share of the typical force at its place.
+
+    Returns:
+        Change of the outputs by record index, (samples, channels, laws), in the channels' units; zero for a law that makes
+        the simulation break down.
+    """
+    motion, forces = motions(problem, fit), place_forces(problem, fit)
+    lossy = lossy_share(problem, fit) if is_lightly_damped(problem.network) else 1.0
+    networks, sizes = [], []
+    for h in hypotheses(fit.network):
+        simpler = set(h.kind.contains) & {e.type for e in fit.network.elements} or h.kind.replaces
+        if h.place != "between" or h.kind.series or simpler:
+            continue
+        tried = h.kind.starts(
+            setting(problem, fit.network, h, motion.get((h.where[0], h.where[1])), forces.at(h.where))
+        )
+        for start in tried[:: max(1, len(tried) // 2)][:2]:
+            try:
+                built = add(replace(fit.structure, network=fit.network), h, start.ways[0]).network
+                assemble(bare(built))
+            except (InputError, np.linalg.LinAlgError):
+                continue
+            networks.append(built)
+            sizes.append(lossy if h.kind.mechanism in DISSIPATIVE else 1.0)
+    out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
+    point = {i: y for _, i, y in simulate_variants(problem, fit, [fit.network])}
+    for chunk, i, y in simulate_variants(problem, fit, networks):
+        with np.errstate(over="ignore", invalid="ignore"):
+            change = (y - point[i]) * (share / PROBE) * np.array(sizes)[chunk]
+            most = np.abs(change).max(axis=(0, 1))
+        # a diverged variant is no evidence
+        out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
+    return out

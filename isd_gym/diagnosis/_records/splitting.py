@@ -1,0 +1,130 @@
+"""Split of measured records into training, validation and test records."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..._common.arrays import Array
+    from .._simulation.problem import Record, Role
+
+#: Length of validation and test segments as a multiple of the rig's time scale, about 30 periods.
+SEGMENT = 200.0
+LEAST_SEGMENT = 40.0  # least length of the segments of a short record, as a multiple of the rig's time scale
+#: Simulated time before a segment if laws with memory have the only states, as a multiple of the rig's time scale.
+LEAD_IN = 100.0
+WINDOWS = 8  # least number of windows in the search for the end of the motion, and of windows kept
+STILL = 4.0  # ratio to the power of the quietest window below which a window is at rest
+
+
+def split_records(
+    data: list[Record], validate: list[Record], notes: list[str], time: float, lead: float = 0.0
+) -> tuple[list[Record], list[Role]]:
+    """Split records into training, validation and test records.
+
+    Each held-out record is cut into segments, alternately for validation and for test, so that both roles see every record and the
+    order of the records does not matter. Without `validate` the last third of the records is held out, or the last third of the motion
+    of a single record.
+
+    Args:
+        data: Training records; the source of held-out records if `validate` is empty.
+        validate: Records held out by the user.
+        notes: List for a note on the split.
+        time: Time scale of the rig [s].
+        lead: Simulated time before a held-out segment, without comparison [s].
+
+    Returns:
+        The records, training records first, and their roles: "fit" (training), "choose" (validation), "report" (test). Where no
+        held-out record has two segments, all are for validation; no test record is left then.
+    """
+    training, held = data, validate
+    if not held and len(training) > 1:
+        count = max(1, len(training) // 3)
+        training, held = training[:-count], training[-count:]
+        notes.append(f"held out for validation and test: {', '.join(r.name for r in held)}")
+    elif not held:
+        (whole,) = training
+        first, rest = _split_record(whole)
+        training, held = [first], [rest]
+        used = len(first) + len(rest)
+        still = f"; its last {1 - used / len(whole):.0%}, where nothing moves, is left out"
+        notes.append(
+            "held out for validation and test: the last third of the motion of the only record"
+            + still * (used < len(whole))
+        )
+    # sorted by content: sums over records do not depend on the order of the files
+    held = sorted(held, key=lambda r: (r.measured.shape, r.measured.tobytes(), r.name))
+    segments: list[Record] = []
+    roles: list[Role] = []
+    for r in held:
+        own = cut_segments(r, _choose_length(r, time), min(300, len(r) // 2), lead)
+        segments += own
+        roles += ["choose" if k % 2 == 0 else "report" for k in range(len(own))]
+    if "report" in roles:
+        notes.append(
+            f"{len(segments)} held-out segments, alternately for validation (choice of effects) and test (reported figures)"
+        )
+    else:
+        notes.append("too little is held out for test records: the reported figures are those of validation")
+    fitted: list[Role] = ["fit"] * len(training)
+    return [*training, *segments], fitted + roles
+
+
+def _choose_length(record: Record, time: float) -> float:
+    """Return the length [s] of the held-out segments of a record; a short record with inputs gives two to four segments."""
+    if not record.inputs:
+        return SEGMENT * time
+    duration = len(record) * record.interval
+    return min(SEGMENT * time, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration)
+
+
+def _split_record(record: Record) -> tuple[Record, Record]:
+    """Split a record after two thirds of the path of its outputs, since a decay hardly moves in its last third."""
+    y = record.measured - record.measured.mean(axis=0)
+    width = max(1, int(0.2 * record.pace / record.interval))
+    smooth = np.apply_along_axis(lambda x: np.convolve(x, np.ones(width) / width, mode="valid"), 0, y)
+    change = np.abs(np.diff(smooth, axis=0)) / np.maximum(y.std(axis=0), 1e-300)
+    end = _find_rest(record, y)
+    path = np.cumsum(np.sum(change, axis=1))[: max(end - width, 1)]
+    at = int(np.searchsorted(path, 2 / 3 * path[-1])) + width // 2
+    # a steep decay covers most of its path in its first moments
+    at = min(max(at, end // 8, 32), end - max(end // 6, 32))
+    return record.part(0, at, record.name), record.part(at, end, record.name)
+
+
+def _find_rest(record: Record, y: Array) -> int:
+    """Return the sample at which the rest of a record begins, if the rest is more than half of the record.
+
+    Args:
+        record: The record.
+        y: Its outputs without their mean (n, channels).
+    """
+    length = max(16, math.ceil(6 * record.pace / record.interval))
+    count = len(y) // length
+    if count < WINDOWS:
+        return len(y)
+    power = y[: count * length].reshape(count, length, -1).var(axis=1)
+    moving = np.flatnonzero((power > STILL * power.min(axis=0)).any(axis=1))
+    last = (int(moving[-1]) + 1 if len(moving) else count) * length
+    # a part of the rest is kept: a model must predict the rest, too
+    return len(y) if last > len(y) // 2 else max(last + last // 4, WINDOWS * length)
+
+
+def cut_segments(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
+    """Cut a record into segments of equal length.
+
+    Args:
+        record: The record.
+        seconds: Least length of a segment [s].
+        least: Least number of samples of a segment.
+        lead: Simulated time before a segment, without comparison [s].
+    """
+    count = max(1, int(len(record) * record.interval / seconds))
+    count = min(count, max(1, len(record) // least))
+    edges = np.linspace(0, len(record), count + 1).astype(int)
+    before = int(lead / record.interval)
+    return [record.part(a, b, record.name, before) for a, b in pairwise(edges)]

@@ -1,0 +1,458 @@
+"""The result of a diagnosis, put together from a search, its evidence and the decision."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from ..physics.network import assemble
+from ._estimation.gauss_newton import Fitter
+from ._estimation.noise import white_filters
+from ._estimation.structure import base_structure, owner_pair, with_sensor_offsets
+from ._hypotheses.library import hypotheses
+from ._hypotheses.loads import loads_of, tell_gain
+from ._records import LEAD_IN
+from ._selection.candidate import Candidate, parameter_values
+from ._selection.free_force import FreeForce, fit_free_force
+from ._selection.record_differences import find_record_differences
+from ._selection.simulation_fit import fit_simulation_error
+from ._selection.uncertainty import intervals, with_posterior
+from ._selection.weights import weigh_candidates
+from ._simulation.problem import BROKEN, bare
+from ._simulation.time_limit import RESULT, TimeUp
+from ._verdict.explanation import draw_law, draw_table, locate_errors
+from ._verdict.findings import find
+from ._verdict.gates import Decision, confidence, table_gates, with_findings
+from ._verdict.wording import candidate_text, summary_of
+from .planning import next_experiment, played
+from .result import (
+    BestCandidate,
+    Contender,
+    Diagnosis,
+    Effect,
+    Quantity,
+    Remainder,
+    SimulationFit,
+    Stretches,
+    Trace,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from .._common.arrays import Array
+    from ..physics.network import Network
+    from ._estimation.structure import Structure
+    from ._records import Feedback
+    from ._selection.candidate_comparison import CandidateComparison
+    from ._selection.forward_backward import Search
+    from ._simulation.problem import Problem
+    from ._verdict.findings import Finding
+    from ._verdict.measurement import Measurements
+    from .planning import Design
+    from .result import Law, RecordDifferences, Tabulated
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class ResultBuilder:
+    """Builds the result of a diagnosis."""
+
+    search: Search
+    scores: CandidateComparison
+    measured: Measurements
+    #: the whole records
+    whole: Problem
+    #: time from which each whole record takes no part in fitting [s]
+    held_from: tuple[float, ...]
+    seed: int
+    say: Callable[[str], None]
+    #: inputs that follow from outputs
+    feedback: tuple[Feedback, ...] = ()
+    #: parts of the result that could not be made
+    lost: list[str] = field(default_factory=list)
+
+    def build(self, decision: Decision, notes: Sequence[str], over: Stretches | None = None) -> Diagnosis:
+        """Build the result; `over` describes the segments over which records were compared, None for whole records."""
+        search, scores, measured = self.search, self.scores, self.measured
+        p, network, criteria = search.problem, search.problem.network, search.criteria
+        refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable
+        # under feedback a free curve would draw the controller's law
+        is_free = decision.verdict == "unknown_effect" and not self.feedback
+        free = self._free_force() if is_free else FreeForce()
+        no_findings: tuple[Decision, tuple[Finding, ...]] = (decision, ())
+        decision, findings = self._attempt("the probabilities", no_findings, self._findings, decision, free)
+        no_difference: RecordDifferences | None = None
+        what = "a comparison of the parameters of each record"
+        differences = self._attempt(what, no_difference, self._record_differences, decision, free)
+        if differences is not None and decision.verdict == "missing_effect" and differences.is_tied:
+            differences = None
+        if differences is not None and not differences.is_tied:
+            decision, free = replace(decision, verdict="unknown_effect", reason="records_differ"), FreeForce()
+        is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
+        if is_ambiguous:  # a law of the library stands for the force
+            free = FreeForce()
+        # where the records differ, no law stands for the difference
+        is_unknown = decision.verdict == "unknown_effect" and decision.reason == "gates"
+        completes = is_unknown and self._is_supported(free)
+        if completes:
+            free = FreeForce(free.best)
+        # the likeliest law of several that the records do not tell apart, or the best supported one
+        final = scores.foremost if is_named or is_ambiguous or completes else refitted
+        tabulated, final = free.tabulated, free.candidate or final
+        last: SimulationFit | None = None
+        structure, x = final.fit.structure, final.fit.x
+        if final is not refitted and not tabulated and not search.clock.is_over:
+            structure, x, last = self._fit_simulation(final, quantities)
+        is_sum = any(h.kind.is_sum() for h in scores.foremost.hypotheses)
+        probability = confidence(measured.evidence, criteria, is_sum=is_sum)
+        found = self._effects(quantities, probability) if is_named else []
+        rows = self._errors(final)
+        deviation = search.evaluator.validation_deviation
+        noise = scores.noise * deviation
+        posterior = quantities if final is scores.foremost else {}
+        if not is_named:
+            quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
+        posterior = quantities if final is refitted else posterior
+        laws = self._laws(final, found, tabulated)
+        test = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else None
+        result = Diagnosis(
+            verdict=decision.verdict,
+            summary="",
+            tabulated=tabulated,
+            best_table=free.best,
+            best_candidate=self._rejected(decision, rows, completes),
+            reason=decision.reason,
+            remainder=self._remainder(noise, rows) if is_named else None,
+            stretches=over,
+            closed_loop=self.feedback,
+            effects=tuple(found),
+            small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
+            contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
+            findings=findings,
+            where=() if decision.verdict == "no_discrepancy" else locate_errors(p, refitted.fit, noise),
+            parameters={path: q for path, q in quantities.items() if path in network.parameters},
+            gap={stage: self._by_channel(row) for stage, row in rows.items()},
+            closed=None if final is refitted else closed(rows),
+            gates=decision.gates,
+            next_experiment=test.to_dict() if test else None,
+            test=self._attempt("the next test", None, played, network, test.record) if test else None,
+            base=network,
+            refitted=refitted.fit.network,
+            model=self._described(
+                with_posterior(with_sensor_offsets(structure.at(x), structure.offsets), posterior),
+                decision,
+                completes,
+            ),
+            simulation_fit=last,
+            record_differences=differences,
+            traces=self._traces(final),
+            laws=laws,
+            notes=tuple(dict.fromkeys((*notes, *self._tried(), *self.lost))),
+            units={c.name: c.unit for c in network.outputs},
+            evidence=measured.evidence,
+            criteria=criteria,
+            settings=search.settings,
+        )
+        result = replace(result, not_tried=tuple(search.clock.left_out))
+        return replace(result, summary=summary_of(result.to_dict()))
+
+    def _is_supported(self, free: FreeForce) -> bool:
+        """Return whether the foremost candidate, which is not named, completes the model.
+
+        It errs less than the refitted model on validation records, less on test records by a material amount, and less on validation
+        records than the table of a free force. The completed model then predicts the rig better, whatever the name of the effect is.
+        """
+        scores, best = self.scores, self.scores.foremost
+        if not best.hypotheses or not best.well_formed():
+            return False
+        refit, after = scores.score(scores.refitted), scores.score(best)
+        if not after.mean_square < refit.mean_square:
+            return False
+        rows = self._errors(best)
+        less = np.sum(rows["refit"] ** 2 - rows["after"] ** 2)
+        moved = np.max(rows["refit"] ** 2 - rows["after"] ** 2)
+        if not (less > 0.0 and moved >= self.search.criteria.material**2):
+            return False
+        return free.candidate is None or after.mean_square < scores.score(free.candidate).mean_square
+
+    def _described(self, network: Network, decision: Decision, completes: bool) -> Network:
+        """Return a model whose description states that its law is not certain."""
+        if decision.verdict != "ambiguous" and not completes:
+            return network
+        law = "; ".join(h.label for h in self.scores.foremost.hypotheses)
+        text = f"{'Best supported' if completes else 'Likeliest'} law, not certain: {law}."
+        return replace(network, description=f"{network.description} {text}".strip())
+
+    def _attempt(self, what: str, otherwise: T, make: Callable[..., T], *args: Any) -> T:
+        """Return a part of the result, or `otherwise` and a note where its simulation breaks down or the time is up.
+
+        The search is done and must not be lost.
+        """
+        clock = self.search.clock
+        try:
+            with clock.until(RESULT):
+                return make(*args)
+        except TimeUp:
+            clock.leave_out(what)
+            return otherwise
+        except BROKEN as error:
+            self.lost.append(f"{what} could not be made: {error}")
+            return otherwise
+
+    # -- decision -----------------------------------------------------------------------------------------
+    def _free_force(self) -> FreeForce:
+        """Fit a table of the missing force; nothing where the fit breaks down."""
+        self.say("no known law explains it: following the missing force")
+        gates = functools.partial(table_gates, c=self.search.criteria)
+        try:
+            with self.search.clock.until(RESULT):
+                free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
+        except BROKEN:
+            return FreeForce()
+        except TimeUp:
+            self.search.clock.leave_out("a table of the missing force")
+            return FreeForce()
+        return free if free.candidate is None or self.scores.can_score(free.candidate) else FreeForce()
+
+    def _findings(self, decision: Decision, free: FreeForce) -> tuple[Decision, tuple[Finding, ...]]:
+        """Return the decision and the findings, with the free force among the candidates where one was fitted."""
+        scores, measured = self.scores, self.measured
+        if decision.verdict in ("no_discrepancy", "parameters_only") or not scores.foremost.hypotheses:
+            return decision, ()
+        weighted = measured.weighted
+        if free.candidate is not None:
+            weighted = weigh_candidates(self.search, scores, [free.candidate], self.seed)
+        failed = {g.name for g in decision.gates if not g.passed}
+        findings = find(
+            self.search,
+            weighted,
+            measured.evidence,
+            measured.quantities,
+            next(w.statements for w in weighted if w.candidate is scores.foremost),
+            is_named=decision.verdict == "missing_effect",
+            # a single law competes with the free force by its weight
+            is_doubted=bool(self.feedback)
+            or "predicts better" in failed
+            or ("lack of fit" in failed and len(scores.foremost.hypotheses) > 1),
+        )
+        if self.feedback:  # a controller imitates an element: no kind is certain
+            return decision, findings
+        return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
+
+    def _record_differences(self, decision: Decision, free: FreeForce) -> RecordDifferences | None:
+        """Return the parameters that differ between records, if values per record explain more than every candidate."""
+        scores = self.scores
+        if decision.verdict not in ("missing_effect", "ambiguous", "unknown_effect"):
+            return None
+        self.say("comparing the parameters of each record")
+        more = [
+            c for c in (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
+        ]
+        laws = {id(c): (_in_words(c), c.fit.structure, c.fit.x) for c in more if c.hypotheses}
+        if free.candidate is not None:
+            laws[id(free.candidate)] = (
+                "a force without a name",
+                free.candidate.fit.structure,
+                free.candidate.fit.x,
+            )
+        network = self.whole.network
+        lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.whole.time
+        refitted = scores.refitted.fit
+        noise = self.search.evaluator.least_noise
+        return find_record_differences(
+            self.whole, refitted.structure, refitted.x, noise, list(laws.values()), lead
+        )
+
+    def _fit_simulation(
+        self, final: Candidate, quantities: Mapping[str, Quantity]
+    ) -> tuple[Structure, Array, SimulationFit | None]:
+        """Return the completed model fitted to all training data, or as the search fitted it where the last fit gains nothing."""
+        self.say("fitting the completed model to all training data")
+        made = fit_simulation_error(self.search.evaluator, final, self.held_from)
+        if made is None:
+            return final.fit.structure, final.fit.x, None
+        structure, x, last = made
+        outside = {k: q for k, q in quantities.items() if not q.low <= last.values.get(k, q.value) <= q.high}
+        return structure, x, replace(last, outside=outside)
+
+    # -- parts of the result ------------------------------------------------------------------------------
+    def _errors(self, final: Candidate) -> dict[str, Array]:
+        """Return the NRMSE on the test records by stage, (channels,) each."""
+        scores = self.scores
+        after = scores.score(final).test_nrmse
+        return {
+            "before": self.search.evaluator.nominal_nrmse()[1],
+            "refit": scores.score(scores.refitted).test_nrmse,
+            "after": after,
+            "noise_floor": np.minimum(scores.test_noise, after),
+        }
+
+    def _by_channel(self, row: Array) -> dict[str, float]:
+        return {n: float(v) for n, v in zip(self.search.problem.channels, row, strict=True)}
+
+    def _tried(self) -> list[str]:
+        """Return what was tried, in words."""
+        p = self.search.problem
+        every = list(hypotheses(p.network))
+        loads = loads_of(p, self.scores.refitted.fit, every)
+        told = {name for name, load in loads.items() if tell_gain(load)}
+        every = [h for h in every if not h.kind.loaded or dict(h.options)["load"] in told]
+        where = dict.fromkeys("-".join(h.where) for h in every)
+        return [
+            f"tried {len({h.effect for h in every})} effects at {len(where)} places: {', '.join(where)}",
+            *(f"tried {line}" for line in self.scores.notes),
+        ]
+
+    def _effects(self, quantities: Mapping[str, Quantity], probability: float) -> list[Effect]:
+        """Return the effects of the foremost candidate."""
+        best, network, out = self.scores.foremost, self.search.problem.network, []
+        for h, element in zip(best.hypotheses, best.fit.structure.names, strict=True):
+            own = {
+                path.rpartition(".")[2]: q
+                for path, q in quantities.items()
+                if path.rpartition(".")[0] == element
+            }
+            channel = h.where[0] if h.place == "channel" else None
+            out.append(Effect(h.effect, owner_pair(network, h), channel, probability, own, element, h.behind))
+        return out
+
+    def _laws(
+        self, final: Candidate, effects: Sequence[Effect], tabulated: Tabulated | None
+    ) -> tuple[Law, ...]:
+        """Return the laws of the found effects and of the table of a free force, each as a curve."""
+        p, what = self.search.problem, "the picture of a law"
+        no_law: Law | None = None
+        laws = [self._attempt(what, no_law, draw_law, p, final.fit, e.element, e.parameters) for e in effects]
+        if tabulated:
+            laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
+        return tuple(law for law in laws if law is not None)
+
+    def _next_test(self, candidates: Sequence[Candidate], noise: Array) -> Design | None:
+        """Return the test that would decide between candidates."""
+        self.say("designing the test that would decide")
+        return self._attempt("the next test", None, next_experiment, self.whole, candidates, noise)
+
+    def _rejected(
+        self, decision: Decision, rows: Mapping[str, Array], completes: bool
+    ) -> BestCandidate | None:
+        """Return the foremost candidate if it is not named."""
+        best = self.scores.foremost
+        if decision.verdict == "missing_effect" or not best.hypotheses:
+            return None
+        stages = {k: rows[k] for k in ("before", "refit")} | {"after": self.scores.score(best).test_nrmse}
+        return BestCandidate(
+            tuple(h.effect for h in best.hypotheses),
+            tuple(h.where for h in best.hypotheses),
+            tuple(parameter_values(e) for e in best.elements),
+            self.measured.evidence.explained,
+            {k: self._by_channel(row) for k, row in stages.items()},
+            tuple(g for g in decision.gates if not g.passed),
+            completes,
+        )
+
+    def _contenders(self, rivals: Sequence[Candidate], is_tied: bool) -> list[Contender]:
+        """Return the other candidates, and why they are not named; where several are tied, the foremost candidate too."""
+        scores = self.scores
+        refit, best = scores.score(scores.refitted), scores.foremost
+        out = []
+        for r in [best, *rivals] if is_tied else scores.rivals():
+            loss = scores.score(r).mean_square
+            why = "explains less of the held-out records"
+            if r in rivals or is_tied:
+                why = "cannot be told apart on these data"
+            elif loss > refit.mean_square:
+                why = "errs more on the held-out records than the old model does"
+            excess = (loss - scores.noise_score) / max(refit.mean_square - scores.noise_score, 1e-12)
+            out.append(
+                Contender(
+                    tuple(h.effect for h in r.hypotheses),
+                    tuple(h.where for h in r.hypotheses),
+                    excess,
+                    r.deviance - best.deviance,
+                    why,
+                    tuple(parameter_values(e) for e in r.elements),
+                    tuple(h.choices for h in r.hypotheses),
+                )
+            )
+        return out
+
+    def _remainder(self, noise: Array, rows: Mapping[str, Array]) -> Remainder | None:
+        """Return the error beside the named effects; None where it is small."""
+        scores, p = self.scores, self.search.problem
+        found, richest = scores.foremost, scores.richest
+        beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
+        j = int(np.argmax(beyond))
+        if beyond[j] < self.search.criteria.misses**2:
+            return None
+        channel = p.channels[j]
+        place = next(x for x in locate_errors(p, found.fit, noise) if x.channel == channel)
+        left = Remainder(channel, float(rows["after"][j]), float(rows["noise_floor"][j]), place.when)
+        if not set(found.hypotheses) < set(richest.hypotheses):
+            return left
+        more = [h for h in richest.hypotheses if h not in found.hypotheses]
+        then = scores.score(richest).test_nrmse
+        if not then[j] < rows["after"][j]:
+            return left
+        effects, where = tuple(h.effect for h in more), tuple(h.where for h in more)
+        return replace(left, effects=effects, where=where, error=float(then[j]))
+
+    def _traces(self, final: Candidate) -> tuple[Trace, ...]:
+        """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
+        whole, refitted, out = self.whole, self.scores.refitted, []
+        nominal = base_structure(whole.network)
+        models = [
+            (nominal, nominal.start, {}),
+            *((c.fit.structure, c.fit.x, self._first_states(c)) for c in (refitted, final)),
+        ]
+        for i, record in enumerate(whole.records):
+            before, refit, after = (
+                dict(zip(whole.channels, self._trace(*model, i).T, strict=True)) for model in models
+            )
+            measured = {c: record.measured[:, j] for j, c in enumerate(whole.channels)}
+            inputs = {k: record.seen(v) for k, v in record.inputs.items()}
+            since = self.held_from[i]
+            cut = since if math.isfinite(since) else None
+            held_out = since == -math.inf
+            out.append(Trace(record.name, held_out, record.time, inputs, measured, before, refit, after, cut))
+        return tuple(out)
+
+    def _first_states(self, candidate: Candidate) -> dict[int, Array]:
+        """Return the fitted initial states of whole records."""
+        return self.search.evaluator.first_states(candidate.fit, self.scores.score(candidate).fit)
+
+    def _trace(self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int) -> Array:
+        """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""
+        fitter = Fitter(self.whole, white_filters(self.search.least_noise))
+        for begun in ({}, {k: v for k, v in initial.items() if k == index}):
+            try:
+                fit = fitter.fit(structure, x, begun, records=[index], frozen=True, iterations=3)
+            except BROKEN:
+                continue
+            return fit.outputs[index]
+        name = self.whole.records[index].name
+        self.lost.append(f"a model does not simulate the whole record {name}: no curve is drawn there")
+        return np.full_like(self.whole.records[index].measured, np.nan)
+
+
+def _in_words(candidate: Candidate) -> str:
+    """Return the effects of a candidate with their places."""
+    found = candidate.hypotheses
+    return candidate_text({"effects": [h.effect for h in found], "where": [h.where for h in found]})
+
+
+def closed(rows: Mapping[str, Array]) -> float | None:
+    """Return the closed share of the gap: (refit - after) / (refit - noise), of the squares, over all channels.
+
+    Args:
+        rows: NRMSE (channels,) by stage.
+    """
+    top = float(np.sum(rows["refit"] ** 2 - rows["after"] ** 2))
+    bottom = float(np.sum(np.maximum(rows["refit"] ** 2 - rows["noise_floor"] ** 2, 0.0)))
+    return min(1.0, top / bottom) if bottom > 0 and math.isfinite(top) else None

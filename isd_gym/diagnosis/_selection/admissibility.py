@@ -1,0 +1,186 @@
+"""Admissibility of a law at a place: whether the motion of the records can show the law at all.
+
+A force of travel is told from a force of time only if the travel is known or returns. In a coast-down whose speed is measured, the
+angle of each record counts from an unknown start and never returns: a spring with a free start angle is any smooth function of time.
+A force that repeats over travel shows its period only where the samples resolve the period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.errors import InputError
+from ...physics import elements as el
+from ...physics.network import linearise
+from .._hypotheses.motion import motions
+from .._hypotheses.position_spectrum import RESOLVED, typical_advance
+from .._hypotheses.score_test import score_hypotheses
+from .._simulation.problem import bare
+from .criteria import CRITERIA
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from ..._common.arrays import Array
+    from ...physics.network import Network
+    from .._estimation.gauss_newton import Fit, Fitter
+    from .._estimation.structure import Hypothesis
+    from .._hypotheses.score_test import ScoredStart
+    from .._simulation.problem import Problem
+    from .criteria import Criteria
+
+    Pair = tuple[str, str]
+
+#: singular value below which a shift of the travel changes nothing, relative to rows of unit length: rounding
+NO_CHANGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Travel:
+    """What the records tell about the distance between two nodes."""
+
+    #: whether the distance follows from the outputs
+    is_observed: bool
+    #: mean number of passes through each travel within a record
+    passes: float
+    #: range of the distance over all records [m]
+    span: float
+    #: typical change of the distance between compared samples [m]
+    advance: float
+
+    def is_known(self, c: Criteria = CRITERIA) -> bool:
+        """Return whether the travel is observed, or returns within the records."""
+        return self.is_observed or self.passes >= c.passes
+
+    def shows_period(self, period: float, c: Criteria = CRITERIA) -> bool:
+        """Return whether a force with a period over travel can be seen to repeat.
+
+        Args:
+            period: Period [m].
+            c: Limits of the decision.
+        """
+        is_resolved = period >= RESOLVED * self.advance
+        return is_resolved and (self.is_known(c) or self.span >= c.repetitions * period)
+
+
+def is_observed(network: Network, pair: Pair) -> bool:
+    """Return whether the outputs of a network tell the distance between two nodes.
+
+    The distance is unknown if the network rests at any distance with the same outputs: then the start distance of each record is
+    free. The offset of a sensor that is free in each record hides the distance, too.
+
+    Args:
+        network: The model; laws count with their slope at rest.
+        pair: The two nodes.
+    """
+    told = tuple(c for c in network.outputs if c.offset != "record")
+    try:
+        probe = network.probe(network.free_name("travel"), "displacement", between=pair)
+        space = linearise(bare(replace(network, outputs=(*told, probe), uncertainty={})))
+    except (InputError, ArithmeticError, np.linalg.LinAlgError):
+        return True
+    rows = np.vstack([space.A, space.C[:-1]])
+    size = np.linalg.norm(rows, axis=1)
+    rows = rows[size > 0] / size[size > 0, None]
+    if not rows.size:
+        return not np.any(space.C[-1])
+    _, values, directions = np.linalg.svd(rows)
+    rank = int(np.sum(values > NO_CHANGE * values[0]))
+    return bool(np.all(np.abs(directions[rank:] @ space.C[-1]) < NO_CHANGE))
+
+
+def travels(problem: Problem, network: Network, motion: Mapping[Pair, el.Motion]) -> dict[Pair, Travel]:
+    """Return what the training records tell about the distance of every pair of nodes.
+
+    Args:
+        problem: Model and records.
+        network: Network whose outputs count.
+        motion: Simulated motion of each pair over the training records.
+    """
+    edges = np.cumsum([problem.records[i].samples for i in problem.estimation])[:-1]
+    thin = max(problem.records[i].thin for i in problem.estimation)
+    return {pair: _travel(network, pair, np.split(m.d, edges), thin) for pair, m in motion.items()}
+
+
+def _travel(network: Network, pair: Pair, parts: list[Array], thin: int) -> Travel:
+    spans = [float(np.ptp(d)) for d in parts]
+    ways = [float(np.sum(np.abs(np.diff(d)))) for d in parts]
+    return Travel(
+        is_observed=is_observed(network, pair),
+        passes=sum(ways) / max(sum(spans), 1e-300),
+        span=max(spans),
+        advance=typical_advance([d[::thin] for d in parts]),
+    )
+
+
+def needs_travel(kind: type[el.Element]) -> bool:
+    """Return whether the force of an element class depends on the distance between its terminals."""
+    return (
+        kind.place == "between"
+        and kind.plane == "elongation"
+        and not kind.series
+        and kind.mechanism != "constant"
+    )
+
+
+def has_period(kind: type[el.Element]) -> bool:
+    """Return whether the force of an element class repeats over travel."""
+    return kind.periodic is not None or kind.period is not el.Element.period
+
+
+def is_admissible(h: Hypothesis, known: Mapping[Pair, Travel], c: Criteria = CRITERIA) -> bool:
+    """Return whether the motion of the records can show an effect at a place.
+
+    Args:
+        h: The effect and its place.
+        known: What the records tell about the distance of each pair.
+        c: Limits of the decision.
+    """
+    if not needs_travel(h.kind) or has_period(h.kind):
+        return True
+    travel = travel_of(h.where, known)
+    return travel is None or travel.is_known(c)
+
+
+def admissible_starts(
+    problem: Problem,
+    fitter: Fitter,
+    fit: Fit,
+    candidates: Iterable[Hypothesis],
+    lost: bool = False,
+    c: Criteria = CRITERIA,
+) -> list[ScoredStart]:
+    """Return the starts of every admissible effect with its expected gain, largest gain first.
+
+    Args:
+        problem: Model and records.
+        fitter: Fitter with the weights of the score test.
+        fit: Fit to which an effect is added.
+        candidates: Effects at places.
+        lost: Whether the simulation has lost its phase (`score_hypotheses`).
+        c: Limits of the decision.
+    """
+    known = travels(problem, fit.network, motions(problem, fit))
+    admissible = [h for h in candidates if is_admissible(h, known, c)]
+    return [s for s in score_hypotheses(problem, fitter, fit, admissible, lost) if _is_resolved(s, known, c)]
+
+
+def _is_resolved(start: ScoredStart, known: Mapping[Pair, Travel], c: Criteria) -> bool:
+    """Return whether the records can show the period of a start; True for laws without a period."""
+    h = start.hypothesis
+    travel = travel_of(h.where, known)
+    if travel is None or not has_period(h.kind):
+        return True
+    period = h.kind(name="trial", where=h.where, **start.values, **dict(h.options)).period()
+    return period is None or travel.shows_period(period, c)
+
+
+def travel_of(where: tuple[str, ...], known: Mapping[Pair, Travel]) -> Travel | None:
+    """Return what the records tell about a pair, in either order; None for another place."""
+    if len(where) != 2:
+        return None
+    first, second = where
+    return known.get((first, second)) or known.get((second, first))

@@ -1,0 +1,244 @@
+"""A fitted set of effects, and fits that are weighted with the noise of their own residuals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from ...physics import elements as el
+from .._estimation.gauss_newton import Fit, Fitter, residuals
+from .._estimation.noise import innovations, refined_noise, trusted_noise, white_filters, whitener
+from .._estimation.structure import Hypothesis, Structure, rebuilt
+from .._hypotheses.motion import motions
+from .._simulation.problem import BROKEN
+from .admissibility import is_admissible, travels
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..._common.arrays import Array
+    from .._simulation.problem import Problem
+
+#: decrease of the deviance (2 log L) below which a fit with its own noise has converged
+CONVERGED = 2.0
+#: a fit from another shape that ends within this share of the step has returned
+RETURNED = 0.3
+#: cost of a fit from another shape on few samples, over the first fit's, above which the fit is given up
+HOPELESS = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A fitted set of effects."""
+
+    fit: Fit
+    #: -2 log L on the training records, under the coloured noise of the residuals
+    deviance: float
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """Effects and places."""
+        return self.fit.structure.hypotheses
+
+    @property
+    def label(self) -> str:
+        """Effects and places in words."""
+        return " and ".join(h.label for h in self.hypotheses) or "the model refitted"
+
+    @property
+    def elements(self) -> list[el.Element]:
+        """The elements of the effects, with fitted values."""
+        network = self.fit.network
+        return [network.element(name) for name in self.fit.structure.names]
+
+    def well_formed(self, last: bool = False) -> bool:
+        """Return whether the values of the effects agree with the effects' names.
+
+        Args:
+            last: Check the last effect only.
+        """
+        return all(e.well_formed() for e in (self.elements[-1:] if last else self.elements))
+
+
+def deviance(problem: Problem, fit: Fit, noise: Array) -> float:
+    """Return -2 log L of a fit on its records, without constants, the prior of the parameters included.
+
+    White noise `noise` (channels,) is added to the coloured noise of the residuals.
+    """
+    return innovations(residuals(problem, fit), noise) + fit.prior
+
+
+def white_noise(problem: Problem, fit: Fit, least: Array) -> Array:
+    """Return the white noise (channels,) of weights that are taken from the residuals of a fit, at least `least` (channels,)."""
+    return trusted_noise(residuals(problem, fit), least)
+
+
+def settle(
+    problem: Problem,
+    structure: Structure,
+    x: Array,
+    least: Array,
+    fit: Fit | None = None,
+    *,
+    rounds: int = 3,
+    iterations: int = 6,
+    noise: Array | None = None,
+) -> Candidate:
+    """Fit a structure repeatedly, with weights from the residuals, until the deviance stops falling.
+
+    Args:
+        problem: Model and records.
+        structure: The structure.
+        x: Start values (parameters,), transformed.
+        least: Smallest noise (channels,).
+        fit: A fit whose initial states, offsets and residuals are the start.
+        rounds: Largest number of fits.
+        iterations: Largest number of Gauss-Newton steps of a fit.
+        noise: White noise of the weights (channels,); that of the first fit by default.
+    """
+    initial = offset = None
+    if fit is not None:
+        initial, offset = fit.initial, fit.offset
+        noise = white_noise(problem, fit, least) if noise is None else noise
+    filters = (
+        white_filters(least) if fit is None or noise is None else whitener(residuals(problem, fit), noise)
+    )
+    best: Candidate | None = None
+    for _ in range(rounds):
+        f = Fitter(problem, filters).fit(structure, x, initial, offset, iterations=iterations)
+        noise = white_noise(problem, f, least) if noise is None else noise
+        value = deviance(problem, f, refined_noise(noise, least))
+        has_converged = best is not None and value > best.deviance - CONVERGED
+        if best is None or value < best.deviance:
+            best = Candidate(f, value)
+        if has_converged:
+            break
+        x, initial, offset = f.x, f.initial, f.offset
+        filters = whitener(residuals(problem, f), noise)
+    assert best is not None
+    return best
+
+
+def transfer(problem: Problem, fit: Fit, least: Array) -> Fit:
+    """Return a fit, unchanged, on the samples of `problem`: other samples of the same records."""
+    return Fitter(problem, white_filters(least)).fit(
+        fit.structure, fit.x, fit.initial, fit.offset, records=list(fit.initial), iterations=0
+    )
+
+
+def refit_with_other_shape(
+    problem: Problem, candidate: Candidate, index: int | None, factor: float, least: Array, noise: Array
+) -> Candidate | None:
+    """Fit a candidate again from another value of the parameter that shapes a law.
+
+    Args:
+        problem: Model and records.
+        candidate: The candidate.
+        index: Index of the free parameter, a logarithm; None where no parameter shapes the law.
+        factor: Factor on the value.
+        least: Smallest noise (channels,).
+        noise: White noise of the weights (channels,).
+
+    Returns:
+        The new candidate; None where the fit returns to the old value, or ends with a larger error on few samples.
+    """
+    if index is None:
+        return None
+    fitter, fit, x = Fitter(problem.rough, white_filters(noise)), candidate.fit, candidate.fit.x.copy()
+    x[index] += math.log(factor)
+    try:
+        cost = fitter.cost(fit.structure, fit.x, fit.initial, fit.offset, problem.estimation)
+        again = fitter.fit(fit.structure, x, fit.initial, fit.offset, iterations=6)
+        has_returned = abs(again.x[index] - fit.x[index]) < RETURNED * abs(math.log(factor))
+        if has_returned or again.cost + again.prior > HOPELESS * cost + fit.prior:
+            return None
+        f = again if problem.rough is problem else transfer(problem, again, least)
+        return settle(problem, f.structure, f.x, least, f, iterations=4, noise=noise)
+    except BROKEN:
+        return None
+
+
+def deviance_with_noise_of(problem: Problem, candidate: Candidate, best: Candidate, least: Array) -> float:
+    """Return -2 log L of a candidate, with the white noise that the candidate `best` leaves, at least `least` (channels,)."""
+    return deviance(problem, candidate.fit, refined_noise(white_noise(problem, best.fit, least), least))
+
+
+def parameter_values(element: el.Element) -> dict[str, float]:
+    """Return the parameters of an element by name."""
+    return {f.name: getattr(element, f.name) for f in el.parameter_fields(type(element))}
+
+
+def simpler_structures(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, Structure]]:
+    """Return the structures with one effect left out, or replaced by a special case of its law.
+
+    Returns:
+        The effect that is left out or replaced, and the structure.
+    """
+    network = candidate.fit.network
+    found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
+    motion = motions(problem, candidate.fit)
+    known = travels(problem, problem.network, motion)
+    out = []
+    for k, (h, values) in enumerate(found):
+        swaps: list[list[tuple[Hypothesis, dict[str, float]]]] = [[]] if len(found) > 1 else []
+        here = {e.type for e in el.beside(network, h.where)}
+        for simple in h.kind.contains:
+            if simple in here:  # another value of a known parameter
+                continue
+            special = h.kind.special(simple, values, motion.get((h.where[0], h.where[-1])))
+            plainer = replace(
+                h, effect=simple, options=(), behind=h.behind if el.TYPES[simple].series else ""
+            )
+            if plainer.behind and not plainer.stands(problem.network):
+                continue
+            if not is_admissible(plainer, known):
+                continue
+            swaps.append([(plainer, special)])
+        for swap in swaps:
+            try:
+                out.append((h, rebuilt(problem.network, [*found[:k], *swap, *found[k + 1 :]])))
+            except (*BROKEN, KeyError, StopIteration):
+                continue
+    return out
+
+
+def is_special_case(general: Hypothesis, special: Hypothesis) -> bool:
+    """Return whether the law of `special` is a special case of the law of `general`, at the same place."""
+    there = set(general.where) == set(special.where) and general.behind == special.behind
+    return special.effect in general.kind.contains and there
+
+
+def same_effects(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bool:
+    """Return whether two sets of effects are the same in any order; a law and its special case count as the same effect."""
+    rest = list(others)
+    for h in some:
+        match = next((q for q in rest if q == h or is_special_case(q, h) or is_special_case(h, q)), None)
+        if match is None:
+            return False
+        rest.remove(match)
+    return not rest
+
+
+def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[Candidate]:
+    """Move the first special case that fits as well as the best candidate to the front.
+
+    Args:
+        ranked: Candidates, smallest deviance first.
+        chance: Deviance (2 log L) that a law with more parameters gains by chance.
+        sure: Chance gain of a law with values that contradict its name.
+    """
+    if not ranked:
+        return ranked
+    best = ranked[0]
+    for r in ranked[1:]:
+        behind = r.deviance - best.deviance
+        is_imitation = not best.well_formed(last=True) and r.well_formed(last=True) and behind < sure
+        if is_imitation or (is_special_case(best.hypotheses[-1], r.hypotheses[-1]) and behind < chance):
+            return [r, *(q for q in ranked if q is not r)]
+    return ranked
+
+
+def with_fit(candidate: Candidate, fit: Fit, value: float) -> Candidate:
+    """Return a copy of a candidate with a new fit and deviance."""
+    return replace(candidate, fit=fit, deviance=value)

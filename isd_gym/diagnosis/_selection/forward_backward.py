@@ -1,0 +1,387 @@
+"""Search for the missing effects: forward addition, backward elimination, and further starts from the runners-up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._estimation.gauss_newton import gap
+from .._simulation.problem import BROKEN
+from .._simulation.time_limit import EVIDENCE, SEARCH, SELECTION, TimeLimit, TimeUp
+from .candidate import Candidate, deviance_with_noise_of, is_special_case, same_effects, simpler_structures
+from .candidate_comparison import RIVALS, CandidateComparison
+from .candidate_fitter import CandidateFitter
+from .equivalent_laws import equivalent_structures, joint_structures
+from .held_out import HeldOutScore, error_reduction
+from .inclusion_tests import InclusionTests
+from .screening import screen_effects
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from ..._common.arrays import Array
+    from .._estimation.structure import Structure
+    from .._simulation.problem import Problem
+    from .criteria import Criteria
+    from .held_out import HeldOutEvaluator
+    from .settings import SearchSettings
+
+#: stages of forward addition, in words
+ORDINALS = ("a first", "a second", "a third", "a further")
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Search for the effects that a model lacks."""
+
+    evaluator: HeldOutEvaluator
+    settings: SearchSettings
+    criteria: Criteria
+    #: receives a line of progress
+    say: Callable[[str], None]
+    clock: TimeLimit = field(default_factory=TimeLimit)
+
+    @property
+    def problem(self) -> Problem:
+        """Model and records."""
+        return self.evaluator.problem
+
+    @property
+    def least_noise(self) -> Array:
+        """Smallest noise that residuals are weighted with (channels,)."""
+        return self.evaluator.least_noise
+
+    @property
+    def fitter(self) -> CandidateFitter:
+        """Fits of candidates."""
+        return CandidateFitter(self.evaluator, self.criteria)
+
+    @property
+    def tests(self) -> InclusionTests:
+        """Decisions about two candidates."""
+        return InclusionTests(self.evaluator, self.criteria)
+
+    def run(
+        self, refitted: Candidate, is_decided: Callable[[CandidateComparison], bool]
+    ) -> CandidateComparison:
+        """Search from the refitted nominal model.
+
+        Args:
+            refitted: The refitted nominal model.
+            is_decided: Whether a comparison needs no further start.
+        """
+        return self.try_runners_up(self.select(*self.add_effects([refitted])), is_decided)
+
+    # -- forward addition ---------------------------------------------------------------------------------
+    def add_effects(
+        self,
+        path: Sequence[Candidate],
+        stages: Sequence[list[Candidate]] = (),
+        most: int | None = None,
+        is_promising: Callable[[Candidate], bool] = lambda last: True,
+    ) -> tuple[list[Candidate], list[list[Candidate]]]:
+        """Add one effect at a time.
+
+        Args:
+            path: Candidates with one more effect each; the first is the refitted nominal model.
+            stages: Candidates of the stages of the path.
+            most: Largest number of effects; that of the settings by default.
+            is_promising: Whether effects are added to a candidate.
+
+        Returns:
+            The path and its stages after the additions.
+        """
+        path, stages = list(path), list(stages)
+        try:
+            with self.clock.until(SEARCH):
+                self._extend(path, stages, most or self.settings.depth, is_promising)
+        except TimeUp:
+            self.clock.leave_out(f"the search for {ORDINALS[min(len(path), len(ORDINALS)) - 1]} effect")
+        return path, stages
+
+    def _extend(
+        self,
+        path: list[Candidate],
+        stages: list[list[Candidate]],
+        most: int,
+        is_promising: Callable[[Candidate], bool],
+    ) -> None:
+        """Append candidates with one more effect each to a path, and their stages."""
+        c, e = self.criteria, self.evaluator
+        while len(path) <= most and is_promising(path[-1]):
+            now = path[-1]
+            score = e.score_path(path)[-1]
+            excess = score.excess(e.noise_share(score))
+            # a noise that is only bounded must not hide a wide gap
+            is_known = all(
+                k.known or x < c.misses for k, x in zip(e.noise_estimates, score.nrmse, strict=True)
+            )
+            is_within_noise = is_known and excess.max() < c.material
+            is_unmodelled = is_known and bool(np.all(excess < self.tests.unmodelled_envelope(now)))
+            if len(path) > 1 and (is_within_noise or is_unmodelled):
+                break
+            label = "; ".join(h.label for h in now.hypotheses) or "refitted model"
+            self.say(f"looking for what is missing ({label}: excess up to {100 * excess.max():.1f} %)")
+            if is_within_noise:
+                hint = self._hint(now)
+                if hint is None:
+                    break
+                if not self._moves_a_channel(hint, now, score):  # reported, but too small to be named
+                    path.append(hint)
+                    stages.append([hint])
+                    break
+            best = self._add_best(now, stages)
+            if best is None:
+                break
+            try:
+                then = e.score(best, e.whitener(now), (score,))
+            except BROKEN:
+                break
+            path.append(best)
+            if error_reduction(score, then) < c.material:
+                break
+            is_worse = then.mean_square > score.mean_square  # better on the training records alone
+            if len(path) > 2 and (is_worse or not then.compare_with(score).is_better(c)):
+                break
+            is_small = e.effect_sizes(best)[-1] < c.share
+            if is_small and float(then.excess(e.noise_share(then)).mean()) < c.wide_gap:
+                break
+
+    def _hint(self, now: Candidate) -> Candidate | None:
+        """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
+        result = screen_effects(
+            self.problem, now.fit, self.least_noise, replace(self.settings, first_round=3, finals=2)
+        )
+        before = deviance_with_noise_of(
+            self.problem, now, now, np.maximum(self.least_noise, 0.1 * result.noise)
+        )
+        best = next(iter(result.ranked), None)
+        return best if best is not None and before - best.deviance > self.criteria.deviance_gain else None
+
+    def _moves_a_channel(self, candidate: Candidate, now: Candidate, score: HeldOutScore) -> bool:
+        """Return whether a candidate reduces the error of a channel by a material share."""
+        try:
+            then = self.evaluator.score(candidate, self.evaluator.whitener(now), (score,))
+        except BROKEN:
+            return False
+        return error_reduction(score, then) >= self.criteria.material
+
+    def _add_best(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
+        """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
+        p, c = self.problem, self.criteria
+        result = screen_effects(p, now.fit, self.least_noise, self.settings)
+        ranked = list(result.ranked)
+        noise = np.maximum(self.least_noise, 0.1 * result.noise)
+        if not now.hypotheses and self._is_misled(now):
+            ranked = self._with_nominal_start(ranked, now, noise)
+        if not ranked:
+            return None
+        before = deviance_with_noise_of(p, now, now, noise)
+        best = ranked[0]
+        gain = before - best.deviance
+        self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
+        stages.append(ranked)
+        is_weak = gain < c.deviance_gain and c.least_removed * gap(p, now.fit) < gap(p, best.fit)
+        return None if is_weak else best
+
+    def _is_misled(self, refitted: Candidate) -> bool:
+        """Return whether the refitted model errs more on validation records than the nominal model, by a material share.
+
+        Its parameters then stand for the missing effect on the training records, and fits of an effect from there end in local optima.
+        """
+        nominal, _ = self.evaluator.nominal_nrmse()
+        more = self.evaluator.score_alone(refitted).nrmse ** 2 - nominal**2
+        return bool(np.sum(more) > self.criteria.material**2)
+
+    def _with_nominal_start(
+        self, ranked: Sequence[Candidate], refitted: Candidate, noise: Array
+    ) -> list[Candidate]:
+        """Return candidates with those that are fitted from the nominal model: the better one of each hypothesis, best first."""
+        p = self.problem
+        self.say("  again from the nominal values: the refitted model errs more on validation records")
+        again = screen_effects(p, self.fitter.nominal().fit, self.least_noise, self.settings)
+        found = [(deviance_with_noise_of(p, r, refitted, noise), r) for r in (*ranked, *again.ranked)]
+        best: dict[object, Candidate] = {}
+        for _, r in sorted(found, key=lambda each: each[0]):
+            best.setdefault(r.hypotheses, r)
+        return list(best.values())
+
+    # -- backward elimination -----------------------------------------------------------------------------
+    def select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
+        """Select the effects of a path that pass the tests, and the simplest law for each.
+
+        An effect that was not compared with its rivals before the time was up is not selected.
+
+        Args:
+            path: Candidates with one more effect each.
+            stages: Candidates of each stage.
+        """
+        try:
+            with self.clock.until(SELECTION):
+                return self._select(path, stages)
+        except TimeUp:
+            best = "; ".join(h.label for h in path[-1].hypotheses)
+            self.clock.leave_out(
+                "the comparison of the candidates" + (f" (the first was {best})" if best else "")
+            )
+        with self.clock.until(EVIDENCE):
+            return CandidateComparison(self.evaluator, path[:1], [])
+
+    def _select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
+        scores = CandidateComparison(self.evaluator, path, stages)
+        count = len(path) - 1
+        while count > 0 and not self.tests.passes_inclusion(scores, path[count - 1], path[count]):
+            count -= 1
+        scores.foremost = path[max(count, min(1, len(path) - 1))]
+        if not count:
+            return scores
+        chosen = self._merge_laws(scores, self._eliminate(scores, path[count]))
+        simplest = self._take_simplest(scores, chosen)
+        if simplest is not chosen:  # a rival has not been simplified yet
+            simplest = self._eliminate(scores, simplest)
+        scores.chosen = scores.foremost = simplest
+        return scores
+
+    def _eliminate(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
+        """Remove effects, and replace laws by their special cases, as long as the prediction is not worse."""
+        known = [r for stage in scores.stages for r in stage]
+        while True:
+            for gone, structure in simpler_structures(self.problem, chosen):
+                r = self._fit_simpler(structure, chosen, known)
+                if r is None:
+                    continue
+                is_replaced = len(structure.hypotheses) == len(chosen.hypotheses)
+                effect = None if is_replaced else chosen.hypotheses.index(gone)
+                try:
+                    is_needed = self.tests.passes_deletion(scores, chosen, r, effect)
+                except BROKEN:
+                    continue
+                if not is_needed:
+                    gain = self.fitter.deviance_gain(chosen, r)
+                    scores.notes.append(
+                        f"{gone.label}: not needed (without it, twice the log likelihood: {-gain:+.0f})"
+                    )
+                    chosen = r
+                    break
+                stage = scores.stages[len(structure.hypotheses) - 1]
+                if is_replaced and not any(q is r for q in stage):
+                    stage.insert(1, r)
+            else:
+                return chosen
+
+    def _fit_simpler(
+        self, structure: Structure, chosen: Candidate, known: Sequence[Candidate]
+    ) -> Candidate | None:
+        """Return the best fit of a simpler structure: a known candidate, or a new fit from the values of the chosen one.
+
+        A known candidate may have ended in a local optimum, which would make whatever was added to it look needed.
+        """
+
+        def rank(q: Candidate) -> float:
+            return deviance_with_noise_of(self.problem, q, chosen, self.least_noise)
+
+        r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
+        if r is None or rank(r) > rank(chosen) + self.settings.chance:
+            tried = [q for q in (r, self.fitter.refit(structure, chosen)) if q is not None]
+            r = min(tried, key=rank, default=None)
+        return r
+
+    def _merge_laws(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
+        """Return one law for several laws over one plane at one place, where the several laws predict no better."""
+        for structure in joint_structures(self.problem, chosen):
+            r = self.fitter.refit(structure, chosen)
+            if r is None or not r.well_formed() or not scores.can_score(r):
+                continue
+            if not self.tests.passes_deletion(scores, chosen, r, None):
+                several = "; ".join(h.label for h in chosen.hypotheses)
+                scores.notes.append(f"{r.label}: predicts as well as {several} together")
+                scores.stages[len(r.hypotheses) - 1].insert(0, r)
+                return r
+        return chosen
+
+    def _take_simplest(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
+        """Return the simplest of the chosen candidate, its rivals, and other laws for the same force."""
+        stage = scores.stages[len(chosen.hypotheses) - 1]
+        for structure in equivalent_structures(self.problem, chosen, self.criteria):
+            r = self.fitter.refit(structure, chosen, self.settings.worst_equivalent)
+            if r is not None and scores.can_score(r):
+                stage.insert(1, r)
+        others = [r for r in stage if r is not chosen][:RIVALS]
+        best = self.tests.simplest(scores, [chosen, *others])
+        if best is not chosen:
+            stage.append(chosen)
+        return best
+
+    # -- further starts -----------------------------------------------------------------------------------
+    def try_runners_up(
+        self, scores: CandidateComparison, is_decided: Callable[[CandidateComparison], bool]
+    ) -> CandidateComparison:
+        """Search again from the other candidates of the first stage that predict best, where the first search decides nothing.
+
+        Args:
+            scores: Comparison of the first search.
+            is_decided: Whether a comparison needs no further start.
+
+        Returns:
+            The comparison whose chosen candidate predicts best.
+        """
+        if is_decided(scores) or not scores.stages:
+            return scores
+        first = scores.stages[0][0]
+        try:
+            with self.clock.until(SEARCH):
+                runners = scores.runners_up()[: self.settings.turns]
+                refitted = scores.score(scores.refitted).mean_square
+        except TimeUp:
+            self.clock.leave_out("further starts of the search")
+            return scores
+        for score, runner in runners:
+            # the first search went through a special case of the runner-up
+            if is_special_case(first.hypotheses[-1], runner.hypotheses[-1]) or score > refitted:
+                continue
+            self.say(f"starting over with {runner.hypotheses[-1].label}")
+            try:
+                with self.clock.until(SEARCH):
+                    other = self._search_from(scores, runner)
+            except BROKEN:
+                continue
+            except TimeUp:
+                self.clock.leave_out(f"a start from {runner.hypotheses[-1].label}")
+                break
+            if other is not None and self._improves(other, scores):
+                scores = other
+        return scores
+
+    def _search_from(self, scores: CandidateComparison, runner: Candidate) -> CandidateComparison | None:
+        """Search from a runner-up. Return None if the path leads to a known candidate."""
+
+        def leads(candidate: Candidate) -> bool:
+            """Return whether a candidate is new, and no worse than the first path's candidate with as many effects."""
+            count = len(candidate.hypotheses)
+            if count < 2 or count > len(scores.stages):
+                return True
+            there = scores.stages[count - 1][0]
+            if same_effects(candidate.hypotheses, there.hypotheses):  # perhaps from a better local optimum
+                return self.tests.predicts_better(scores, candidate, there)
+            return not self.tests.predicts_better(scores, there, candidate)
+
+        path, stages = self.add_effects([scores.refitted, runner], scores.stages[:1], is_promising=leads)
+        return self._select(path, stages) if leads(path[-1]) else None
+
+    def _improves(self, other: CandidateComparison, best: CandidateComparison) -> bool:
+        """Return whether another comparison's choice predicts better, or no worse with fewer effects.
+
+        Both choices are scored with the filters of the comparison whose richest candidate has the smaller deviance: filters from a poor
+        fit distinguish nothing.
+        """
+        mine, theirs = other.chosen, best.chosen
+        common = min(other, best, key=lambda scores: scores.richest.deviance)
+        if not common.can_score(mine):
+            return False
+        if not common.can_score(theirs):
+            return True
+        if len(mine.hypotheses) < len(theirs.hypotheses):
+            return bool(mine.hypotheses) and not self.tests.predicts_better(common, theirs, mine)
+        return self.tests.predicts_better(common, mine, theirs)

@@ -1,0 +1,480 @@
+"""The free force: a missing force as a smooth function of elongation, of rate or of both, fitted with its band.
+
+The force at the knots of a table is a Gaussian process (Rasmussen and Williams, 2006, chapter 2) that vanishes at rest, written in
+the few directions that carry nearly all of its variance. The coordinates along these directions have unit variance and are fitted like
+parameters, beside the parameters of the model. A part of the force that the sensors do not resolve stays at zero. The curvature of the
+fit gives the band.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..._common.arrays import Z95, Array
+from ..._common.errors import InputError
+from ...physics import elements as el
+from ...physics.elements._starts import generic_starts
+from ...physics.network import Network, assemble
+from ...physics.network._frames import order_told
+from .._estimation.gauss_newton import Fit, Fitter, residuals
+from .._estimation.noise import Whitener, whitener
+from .._estimation.structure import Free, Structure, cells_beside
+from .._hypotheses.curve_matching import match_law
+from .._hypotheses.forces import PlaceForces, place_forces
+from .._hypotheses.library import hypotheses, pairs
+from .._hypotheses.motion import motions, setting
+from .._simulation.problem import BROKEN, Problem, bare
+from ..result import BestTable, Over, Tabulated
+from .admissibility import travels
+from .candidate import Candidate, settle, transfer, white_noise, with_fit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from .._verdict.gates import Gate
+    from .held_out import HeldOutEvaluator
+
+#: knots of a table: a resolution, finer than the shortest correlation length
+KNOTS = {"rate": 33, "elongation": 33, "both": 13}
+#: correlation lengths, as shares of half the motion's range, that are tried in turn
+LENGTHS = {"rate": (0.7, 0.35), "elongation": (0.7, 0.35), "both": (0.7,)}
+#: smallest variance of a direction, as a share of the variance of the strongest direction
+KEPT = 1e-4
+#: largest number of directions
+MAX_DIRECTIONS = {"rate": 12, "elongation": 12, "both": 24}
+#: tables that are fitted with all samples
+FINALS = 3
+#: prior standard deviation of the force, as a multiple of the typical force
+STRONG = 3.0
+#: share of the motion that the knots span
+INSIDE = 0.995
+PLANES: tuple[Over, ...] = ("rate", "elongation")
+#: explained fraction of a table over one argument above which no table over both is fitted
+ENOUGH = 0.9
+#: number of places with a fitted table over both arguments
+BOTH = 2
+#: factor by which a table over both arguments, or with a shorter length, must err less (mean whitened square)
+RICHER = 1.15
+#: points of the motion at which laws are compared: a resolution
+POINTS = 300
+#: points of the motion at which the arguments of a table are separated: a resolution
+MARGINAL = 4000
+
+
+@dataclass(frozen=True)
+class Table(Structure):
+    """A network with a `tabulated_force`; the last free parameters are the coordinates along the directions of the prior."""
+
+    element: str = ""
+    over: Over = "rate"
+    shape: tuple[int, ...] = ()
+    basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def own(self) -> Structure:
+        """The network with its own free parameters alone."""
+        return Structure(self.network, self.free[: len(self.free) - self.basis.shape[1]])
+
+    def at(self, x: Array) -> Network:
+        own = self.own
+        force = self.basis @ x[len(own.free) :]
+        return own.at(x[: len(own.free)]).with_table(self.element, force.reshape(self.shape).tolist())
+
+    @property
+    def start(self) -> Array:
+        return np.append(self.own.start, np.zeros(self.basis.shape[1]))
+
+
+# ---------------------------------------------------------------------------------------------------- the prior
+
+
+def _axis(values: Array, count: int) -> Array:
+    """Knots over a motion, zero among them."""
+    low, high = (float(np.quantile(values, q)) for q in (1 - INSIDE, INSIDE))
+    reach = max(high, -low, 1e-12)
+    low, high = min(low, -0.05 * reach), max(high, 0.05 * reach)
+    below = max(1, round((count - 1) * -low / (high - low)))
+    return np.concatenate([np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, count - below)[1:]])
+
+
+def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -> Array:
+    """Principal directions (knots, directions) [N] of a smooth random force that is zero at rest."""
+    covariance: Any = np.ones((1, 1))
+    for x in axes:
+        scale = length * 0.5 * float(np.ptp(x))
+        covariance = np.kron(covariance, np.exp(-0.5 * ((x[:, None] - x[None, :]) / scale) ** 2))
+    at = int(np.ravel_multi_index([int(np.argmin(np.abs(x))) for x in axes], [len(x) for x in axes]))
+    covariance = covariance - np.outer(covariance[:, at], covariance[at]) / covariance[at, at]
+    values, vectors = np.linalg.eigh(covariance)
+    keep = np.argsort(values)[::-1][:most]
+    keep = keep[values[keep] > KEPT * values[keep[0]]]
+    return np.asarray(sigma * vectors[:, keep] * np.sqrt(values[keep]), dtype=np.float64)
+
+
+def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: float, sigma: float) -> Table:
+    """Return the refitted nominal model with a table between two nodes.
+
+    Args:
+        fit: Fit of the nominal model.
+        pair: The two nodes.
+        over: Argument of the force.
+        m: Motion of the pair.
+        length: Correlation length, as a share of half the range of the motion.
+        sigma: Prior standard deviation of the force [N].
+    """
+    network, base = fit.network, fit.structure
+    motion = {"elongation": m.d, "rate": m.v}
+    axes = {k: _axis(x, KNOTS[over]) for k, x in motion.items() if over in (k, "both")}
+    basis = _directions([*axes.values()], length, sigma, MAX_DIRECTIONS[over])
+    name = network.free_name("missing_force")
+    shape = tuple(map(len, axes.values()))
+    given: dict[str, Any] = {k: tuple(x.tolist()) for k, x in axes.items()}
+    element = el.TabulatedForce(name, pair, force=np.zeros(shape).tolist(), **given)  # type: ignore[call-arg]
+    new = [Free(f"{name}.{k}", False, 0.0, 1.0, -math.inf, math.inf, 0) for k in range(basis.shape[1])]
+    outputs = cells_beside(network, element)
+    built = replace(network, elements=(*network.elements, element), outputs=outputs)
+    assemble(bare(built))
+    free, offsets = (*base.free, *new), base.offsets
+    return Table(built, free, offsets=offsets, element=name, over=over, shape=shape, basis=basis)
+
+
+# ------------------------------------------------------------------------------------------------------ the fit
+
+
+def _start_values(base: Candidate, structure: Table) -> Array:
+    return np.concatenate([base.fit.x, np.zeros(structure.basis.shape[1])])
+
+
+def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) -> float:
+    """Return the decrease of the cost that a table is expected to bring, to first order."""
+    x, fit = _start_values(base, structure), base.fit
+    left = {i: (problem.records[i].measured - fit.outputs[i])[:, :, None] for i in problem.estimation}
+    H, g, _ = fitter.normal_equations(structure, x, fit.initial, left)
+    own = np.delete(np.arange(len(H)), np.s_[len(fit.x) : len(x)])  # without the table
+    gains = (g[k, 0] @ np.linalg.solve(H[np.ix_(k, k)], g[k, 0]) for k in (np.arange(len(H)), own))
+    whole, without = map(float, gains)
+    return whole - without
+
+
+def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForces) -> list[Table]:
+    """Return tables over rate and over elongation at every pair, largest expected gain first, on as few samples as the motion needs."""
+    motion = motions(problem, base.fit)
+    known = travels(problem, base.fit.network, motion)
+    problem, base = problem.rough, _coarse(problem, base, floors)
+    fitter = Fitter(problem, whitener(residuals(problem, base.fit), white_noise(problem, base.fit, floors)))
+    ranked: list[tuple[float, Table]] = []
+    for pair in pairs(base.fit.network):
+        m = motion.get(pair)
+        if m is None or el.rms(m.d) <= 1e-9 or el.rms(m.v) <= 1e-9:
+            continue
+        for over in PLANES:
+            if over == "elongation" and not known[pair].is_known():
+                continue
+            try:
+                built = table(base.fit, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair))
+                ranked.append((gain(problem, fitter, base, built), built))
+            except BROKEN:
+                continue
+    return [s for _, s in sorted(ranked, key=lambda t: -t[0])]
+
+
+def is_told(problem: Problem, fit: Fit, pair: tuple[str, str], motion: el.Motion) -> bool:
+    """Return whether the records show a force over the distance of two nodes."""
+    return (
+        not order_told(fit.network, pair) and travels(problem, fit.network, {pair: motion})[pair].is_known()
+    )
+
+
+@dataclass(frozen=True)
+class FreeForce:
+    """The best table of a force."""
+
+    best: BestTable | None = None
+    #: the model with the table, where the table passes its gates
+    candidate: Candidate | None = None
+    #: description of that table
+    tabulated: Tabulated | None = None
+
+
+def fit_free_force(
+    evaluator: HeldOutEvaluator,
+    base: Candidate,
+    gates: Callable[[float, float, float, float], tuple[Gate, ...]],
+) -> FreeForce:
+    """Fit tables of a force between two nodes and return the table that explains the held-out records best.
+
+    Args:
+        evaluator: Scores on the held-out records.
+        base: The refitted nominal model.
+        gates: Function from the explained fraction, the error reduction, the standard errors of the gain and the explained fraction of the
+            test records to the gates of a table.
+    """
+    problem, floors = evaluator.problem, evaluator.least_noise
+    forces = place_forces(problem, base.fit)
+    ranked = _ranked(problem, base, floors, forces)
+    first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
+    finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
+    tried = [c for s in finals if (c := _fit_table(problem, base, s, floors)) is not None]
+    found = _select_table(evaluator, base, tried)
+    if found is not None and found.gain_over(evaluator, base)[0] < ENOUGH:
+        motion = motions(problem, base.fit)
+        for pair in list(dict.fromkeys(s.network.element(s.element).between for s in ranked))[:BOTH]:
+            if not is_told(problem, base.fit, pair, motion[pair]):
+                continue
+            built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
+            c = _fit_table(problem, base, built, floors)
+            tried += [c] if c is not None else []
+        found = _select_table(evaluator, base, tried)
+    if found is None:
+        return FreeForce()
+    found = _refine_length(evaluator, base, found, forces)
+    explained, *others = found.gain_over(evaluator, base)
+    structure = found.best.fit.structure
+    assert isinstance(structure, Table)
+    pair = structure.network.element(structure.element).between
+    best = BestTable(pair, structure.over, explained, gates(explained, *others))
+    if not best.accepted:
+        return FreeForce(best)
+    try:
+        return FreeForce(best, found.best, _tabulated(problem, floors, found.best, explained))
+    except BROKEN:
+        return FreeForce(best)
+
+
+def fit_in_place_of(
+    evaluator: HeldOutEvaluator, base: Candidate, named: el.Element, over: Over | None = None
+) -> Candidate | None:
+    """Fit a table in the place of a named effect.
+
+    Args:
+        evaluator: Scores on the held-out records.
+        base: The refitted nominal model.
+        named: The effect.
+        over: Arguments of the force; those of the effect's law by default.
+
+    Returns:
+        The refitted nominal model with the table; None where the effect is no force over elongation or rate.
+    """
+    if named.place != "between" or named.series or named.plane not in PLANES:
+        return None
+    problem, pair = evaluator.problem, named.between
+    motion = motions(problem, base.fit).get(pair)
+    if motion is None:
+        return None
+    over, sigma = over or named.plane, STRONG * place_forces(problem, base.fit).at(pair)
+    if over != "rate" and not is_told(problem, base.fit, pair, motion):
+        return None
+    try:
+        return _fit_table(
+            problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), evaluator.least_noise
+        )
+    except BROKEN:
+        return None
+
+
+@dataclass(frozen=True)
+class BestTableSoFar:
+    """The best table so far."""
+
+    best: Candidate
+    #: filters with which all tables are scored
+    filters: Whitener
+
+    def gain_over(self, evaluator: HeldOutEvaluator, base: Candidate) -> tuple[float, float, float, float]:
+        """Return what the table gains over the refitted nominal model.
+
+        Returns:
+            Explained fraction; largest error reduction of a channel; standard errors of the gain; explained fraction of the test records.
+        """
+        after = evaluator.score(self.best, self.filters, (evaluator.score_alone(base),))
+        refit = evaluator.score(base, self.filters, (after,))
+        noise_score = evaluator.expected_noise_score(after, self.filters)
+        noise = evaluator.noise_share(after)
+        weights = 1.0 / np.maximum(noise, 1e-3) ** 2
+        plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
+        plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - noise**2, 0.0) * weights)), 1e-12)
+        whitened = (refit.mean_square - after.mean_square) / max(refit.mean_square - noise_score, 1e-12)
+        moved = float(np.sqrt(np.maximum(refit.nrmse**2 - after.nrmse**2, 0.0)).max())
+        confirmed = after.explained_on_test(refit, evaluator.test_noise(noise), noise_score)
+        return min(max(whitened, plain), 1.0), moved, after.compare_with(refit).errors, confirmed
+
+
+def _coarse(problem: Problem, base: Candidate, floors: Array) -> Candidate:
+    if problem.rough is problem:
+        return base
+    return with_fit(base, transfer(problem.rough, base.fit, floors), base.deviance)
+
+
+def _fit_table(problem: Problem, base: Candidate, structure: Table, floors: Array) -> Candidate | None:
+    """Fit a table with few samples, then with all; None where the fit breaks down."""
+    try:
+        rough, x = _coarse(problem, base, floors), _start_values(base, structure)
+        found = settle(problem.rough, structure, x, floors, rough.fit, rounds=2, iterations=6)
+        if problem.rough is problem:
+            return found
+        f, least = transfer(problem, found.fit, floors), white_noise(problem, base.fit, floors)
+        return settle(problem, structure, f.x, floors, f, rounds=2, iterations=2, noise=least)
+    except BROKEN:
+        return None
+
+
+def _select_table(
+    evaluator: HeldOutEvaluator, base: Candidate, tried: Sequence[Candidate]
+) -> BestTableSoFar | None:
+    """Return the table with the smallest score; a table over both arguments must err clearly less."""
+    if not tried:
+        return None
+    filters = evaluator.whitener(min(tried, key=lambda c: c.deviance))
+    scored = []
+    for c in tried:
+        try:
+            richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
+            scored.append((richer * _mean_square(evaluator, base, c, filters), c))
+        except BROKEN:
+            continue
+    return BestTableSoFar(min(scored, key=lambda t: t[0])[1], filters) if scored else None
+
+
+def _refine_length(
+    evaluator: HeldOutEvaluator, base: Candidate, found: BestTableSoFar, forces: PlaceForces
+) -> BestTableSoFar:
+    """Return the table with a shorter correlation length, where that errs clearly less."""
+    old = found.best.fit.structure
+    assert isinstance(old, Table)
+    pair = old.network.element(old.element).between
+    m = motions(evaluator.problem, found.best.fit, (pair,))[pair]
+    for length in LENGTHS[old.over][1:]:
+        try:
+            shorter = table(base.fit, pair, old.over, m, length, STRONG * forces.at(pair))
+            c = _fit_table(evaluator.problem, base, shorter, evaluator.least_noise)
+            then = math.inf if c is None else _mean_square(evaluator, base, c, found.filters)
+        except BROKEN:
+            continue
+        if c is not None and RICHER * then < _mean_square(evaluator, base, found.best, found.filters):
+            found = BestTableSoFar(c, found.filters)
+    return found
+
+
+def _mean_square(evaluator: HeldOutEvaluator, base: Candidate, table: Candidate, filters: Whitener) -> float:
+    """Return the mean whitened square of a table on the validation records."""
+    return evaluator.score(table, filters, (evaluator.score_alone(base),)).mean_square
+
+
+# ------------------------------------------------------------------------------------------------- what is told
+
+
+def _tabulated(problem: Problem, floors: Array, best: Candidate, explained: float) -> Tabulated:
+    structure = best.fit.structure
+    assert isinstance(structure, Table)
+    W = whitener(residuals(problem, best.fit), white_noise(problem, best.fit, floors))
+    f = Fitter(problem, W).fit(structure, best.fit.x, best.fit.initial, best.fit.offset, iterations=0)
+    assert f.hessian is not None
+    own = len(structure.own.free)
+    covariance = np.linalg.inv(f.hessian + np.diag(1 / structure.sigma**2))[own:, own:]
+    force = structure.basis @ best.fit.x[own:]
+    variance = np.einsum("ij,jk,ik->i", structure.basis, covariance, structure.basis)
+    spread = Z95 * np.sqrt(np.maximum(variance, 0.0))
+    e = best.fit.network.element(structure.element)
+    assert isinstance(e, el.TabulatedForce)
+    force, low, high = (y.reshape(structure.shape) for y in (force, force - spread, force + spread))
+    shares = _shares(problem, best, e) if structure.over == "both" else ()
+    near = tuple(nearest(problem, best, e))
+    over, axes = structure.over, (e.elongation, e.rate)
+    return Tabulated(e.between, over, e.name, explained, *axes, force, low, high, near, shares)
+
+
+def _shares(problem: Problem, best: Candidate, e: el.TabulatedForce) -> tuple[tuple[str, float], ...]:
+    """Shares of the square of a table's force, over the measured motion, that functions of one argument alone give."""
+    m = motions(problem, best.fit, (e.between,))[e.between]
+    thin = slice(None, None, max(1, len(m.d) // MARGINAL))
+    d, v = m.d[thin], m.v[thin]
+    force = e.at(d, v)
+    size = max(float(np.mean(force**2)), 1e-300)
+    out = []
+    for name, x, knots in (("elongation", d, e.elongation), ("rate", v, e.rate)):
+        cell = np.digitize(x, knots)
+        count = np.maximum(np.bincount(cell), 1)
+        mean = (np.bincount(cell, force) / count)[cell]
+        out.append((name, max(0.0, 1.0 - float(np.mean((force - mean) ** 2)) / size)))
+    return tuple(out)
+
+
+def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tuple[str, float]]:
+    """Known laws at the same place, each fitted to the table over the measured motion, with the share of it that they give."""
+    m = motions(problem, best.fit, (e.between,))[e.between]
+    pick = np.linspace(0, len(m.d) - 1, POINTS).astype(int)
+    seen = el.Motion(m.d[pick], m.v[pick], m.a[pick])
+    target = e.at(seen.d, seen.v)
+    size = el.rms(target)
+    out: dict[str, float] = {}
+    base = problem.network
+    for h in hypotheses(base):
+        if (
+            h.place != "between"
+            or h.kind.series
+            or set(h.where) != set(e.between)
+            or h.kind.plane == "time"
+            or h.kind.periodic
+        ):
+            continue
+        at = setting(problem, base, h, seen, size)
+        try:
+            begun = h.kind.starts(at)[:4]
+        except (InputError, StopIteration):
+            begun = generic_starts(h.kind, at)[:4]
+        match = match_law(h.kind, (s.values for s in begun), _misfit(h.kind, at, target, size), mirrored=True)
+        if match is not None:
+            share = 1.0 - float(np.mean(match.residual**2))
+            out[h.effect] = max(out.get(h.effect, 0.0), share)
+    ranked = sorted(out.items(), key=lambda t: -t[1])
+    return [(name, share) for name, share in ranked if share > 0.05][:3]
+
+
+def _misfit(
+    kind: type[el.Element], at: el.Setting, target: Array, size: float
+) -> Callable[[dict[str, float]], Array]:
+    """Return the function from a law's values to its difference from a force.
+
+    Args:
+        kind: Class of the law.
+        at: Place, options and motion of the law.
+        target: The force [N] (samples,).
+        size: Root mean square of the force [N].
+
+    Returns:
+        Function to the relative difference (samples,), which is large for values that contradict the law's name.
+    """
+
+    def misfit(values: dict[str, float]) -> Array:
+        try:
+            e = kind(name="trial", where=at.where, **values, **at.options)
+        except InputError:
+            return np.full(len(target), 1e3)
+        if not e.well_formed():
+            return np.full(len(target), 1e3)
+        return np.asarray((force_over(e, at.moves) - target) / size, dtype=np.float64)
+
+    return misfit
+
+
+def force_over(e: el.Element, m: el.Motion) -> Array:
+    """Force [N] of an element over a motion, (n,)."""
+    out = np.zeros(len(m.d))
+    for part in e.parts() or (e,):
+        p = np.array(part.law_parameters())
+        if type(part).bound is not None:
+            out += np.array([part.bound(p, d, v) * np.sign(v) for d, v in zip(m.d, m.v, strict=True)])  # type: ignore[misc]
+        elif type(part).law is not None:
+            z, last = 0.0, m.d[0]
+            for k, (d, v) in enumerate(zip(m.d, m.v, strict=True)):
+                f, z = part.law(p, d, v, last, z, 1e-3)  # type: ignore[misc]
+                out[k] += f
+                last = d
+        else:
+            k_, c, b = part.linear()
+            out += k_ * m.d + c * m.v + b * m.a
+    return out

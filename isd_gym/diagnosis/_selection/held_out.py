@@ -1,0 +1,462 @@
+"""Scores of candidates on held-out records: errors, noise, log predictive density, and the size of effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.arrays import rms
+from ..._common.errors import InputError
+from ...physics.simulate import effective_current
+from .._estimation.gauss_newton import Fit, Fitter, residuals
+from .._estimation.initial_states import next_states, transfer_states
+from .._estimation.multiple_shooting import is_lightly_damped
+from .._estimation.noise import (
+    Floor,
+    Noise,
+    Whitener,
+    floors_of,
+    noise_after_filters,
+    noise_of,
+    white_filters,
+    whitener,
+)
+from .._estimation.structure import Structure, base_structure
+from .._hypotheses.forces import element_forces, place_forces, work_share
+from .._hypotheses.unmodelled_effects import simulate_unmodelled_effects
+from .._simulation.problem import BROKEN
+from .candidate import Candidate, white_noise
+from .comparison import Comparison, block_edges, compare, log_density
+from .criteria import CRITERIA
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..._common.arrays import Array
+    from ...physics import elements as el
+    from ...physics.network import Network
+    from .._simulation.problem import Problem
+
+#: blocks per record
+BLOCKS = 20
+#: least number of samples in a block
+LEAST_BLOCK = 10
+#: force of each unmodelled effect (one sigma), as a share of the typical force
+SMALL = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutScore:
+    """Score of a candidate on validation, training and test records."""
+
+    candidate: Candidate
+    #: mean whitened square of the residuals on the validation records
+    mean_square: float
+    #: log predictive density of the blocks of the validation records (blocks,) [nats], without constants
+    validation_lpd: Array
+    #: the same of the training records, less one nat per parameter (Akaike 1974), spread over the blocks
+    training_lpd: Array
+    #: RMS error on the validation records over their deviation (channels,)
+    nrmse: Array
+    #: the same on the test records
+    test_nrmse: Array
+    #: the same on the training records, with the initial states of the fit
+    training_nrmse: Array
+    #: mean whitened square on the test records
+    test_mean_square: float
+    #: simulation of the held-out records with initial states from the plain error
+    fit: Fit
+
+    @property
+    def lpd(self) -> Array:
+        """Log predictive density of the blocks of validation and training records (blocks,) [nats]."""
+        return np.concatenate([self.validation_lpd, self.training_lpd])
+
+    def compare_with(self, other: HeldOutScore) -> Comparison:
+        """Compare with the score of another candidate that was whitened by the same filters."""
+        return compare(self.lpd, other.lpd)
+
+    def excess(self, noise: Array) -> Array:
+        """Return the error beyond noise (channels,), as a share of a channel's deviation.
+
+        Args:
+            noise: Noise (channels,), as a share of a channel's deviation.
+        """
+        return np.asarray(np.sqrt(np.maximum(self.nrmse**2 - noise**2, 0.0)), dtype=np.float64)
+
+    def explained_on_test(self, before: HeldOutScore, noise: Array, noise_score: float) -> float:
+        """Return the share of the excess error of another score that this score removes on the test records.
+
+        The whitened error counts, or the plain error where the plain error falls by more. Where the other score is no more than noise, the
+        share is relative to a hundredth of the noise.
+
+        Args:
+            before: The other score, whitened by the same filters.
+            noise: Noise of the test records (channels,), as a share of a channel's deviation.
+            noise_score: Mean whitened square of pure noise.
+        """
+        whitened = before.test_mean_square - self.test_mean_square
+        whitened /= max(before.test_mean_square - noise_score, 0.01 * noise_score)
+        power = noise**2
+        weights = 1.0 / np.maximum(power, 1e-24)
+        top = float(np.sum((before.test_nrmse**2 - self.test_nrmse**2) * weights))
+        excess = float(np.sum(np.maximum(before.test_nrmse**2 - power, 0.0) * weights))
+        return max(whitened, top / max(excess, 0.01))
+
+
+class HeldOutEvaluator:
+    """Scores candidates on the held-out records of a problem.
+
+    Args:
+        problem: Training, validation and test records.
+        least_noise: Smallest noise that residuals are weighted with, as a share of the signal's deviation.
+        whole: The user's records, which every candidate must simulate; None for no such condition.
+    """
+
+    def __init__(
+        self, problem: Problem, least_noise: float = CRITERIA.least_noise, whole: Problem | None = None
+    ):
+        self.problem = problem
+        self.whole = whole
+        #: noise of each channel, as the owner or the signal tells
+        self.noise_estimates: list[Floor] = floors_of(problem)
+        deviation = problem.deviation()
+        #: smallest noise that residuals are weighted with (channels,) [unit of the channel]
+        self.least_noise = np.maximum([f.deviation for f in self.noise_estimates], least_noise * deviation)
+        self.validation_deviation = problem.deviation(problem.choosing)
+        self.test_deviation = problem.deviation(problem.reporting)
+        self.training_deviation = deviation
+        # a stored candidate keeps its identity, which is the key, in use
+        self._envelopes: dict[int, tuple[Candidate, Array]] = {}
+        self._training: dict[int, tuple[Candidate, Array]] = {}
+        self._paths: dict[tuple[int, ...], tuple[Candidate, HeldOutScore]] = {}
+        self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: only the last
+
+    @cached_property
+    def plain_fitter(self) -> Fitter:
+        """Fitter with white noise."""
+        return Fitter(self.problem, white_filters(self.least_noise))
+
+    @cached_property
+    def coarse_fitter(self) -> Fitter:
+        """Fitter with white noise on as few samples as the motion needs."""
+        return Fitter(self.problem.rough, white_filters(self.least_noise))
+
+    def whitener(self, candidate: Candidate) -> Whitener:
+        """Return filters that whiten the training residuals of a candidate."""
+        p = self.problem
+        return whitener(residuals(p, candidate.fit), white_noise(p, candidate.fit, self.least_noise))
+
+    # -- errors -------------------------------------------------------------------------------------------
+    def nrmse(self, fit: Fit, records: Sequence[int], deviation: Array) -> Array:
+        """Return the RMS error over the deviation (channels,)."""
+        r = np.concatenate([self.problem.records[i].measured - fit.outputs[i] for i in records])
+        return np.asarray(np.sqrt(np.mean(r**2, axis=0)) / deviation, dtype=np.float64)
+
+    def training_nrmse(self, candidate: Candidate) -> Array:
+        """Return the NRMSE on the training records (channels,), with initial states and offsets from the plain error.
+
+        A fit under coloured noise may leave slow errors that carried no weight.
+        """
+        if id(candidate) not in self._training:
+            p, fit = self.problem, candidate.fit
+            f = self.plain_fitter.follow(fit.structure, fit.x, p.estimation, fit.initial)
+            self._training[id(candidate)] = candidate, self.nrmse(f, p.estimation, self.training_deviation)
+        return self._training[id(candidate)][1]
+
+    def nominal_nrmse(self) -> tuple[Array, Array]:
+        """Return the NRMSE of the nominal model on the validation and on the test records, (channels,) each; NaN where it breaks down."""
+        p, structure = self.problem, base_structure(self.problem.network)
+        try:
+            f = self.plain_fitter.follow(structure, structure.start, p.held)
+        except BROKEN:
+            unknown = np.full(len(p.channels), np.nan)
+            return unknown, unknown
+        return (
+            self.nrmse(f, p.choosing, self.validation_deviation),
+            self.nrmse(f, p.reporting, self.test_deviation),
+        )
+
+    def score(
+        self, candidate: Candidate, filters: Whitener, similar: Sequence[HeldOutScore] = ()
+    ) -> HeldOutScore:
+        """Score a candidate: parameters as fitted, initial states and offsets from each held-out record.
+
+        Args:
+            candidate: The candidate.
+            filters: Filters that whiten the residuals.
+            similar: Scores of other candidates, whose initial states are starting points beside the candidate's own guesses.
+
+        Returns:
+            The score, a function of the arguments alone.
+
+        Raises:
+            InputError, LinAlgError: The simulation breaks down on a held-out record, or on a whole record of the user that the nominal
+                model simulates.
+        """
+        p, fit = self.problem, candidate.fit
+        nearest = self._nearest_states(similar, fit.structure)
+        f = Fitter(p, filters).follow(
+            fit.structure, fit.x, p.held, None, (self._states_after_training(fit), nearest)
+        )
+        plainly = self.plain_fitter.follow(fit.structure, fit.x, p.held, f.initial, (nearest,))
+        f = self._cheaper(f, plainly, filters)
+        self._check_whole_records(fit, plainly)
+        test = np.concatenate([filters(p.records[i].measured - f.outputs[i]) ** 2 for i in p.reporting])
+        squares, validation = self._score_blocks(p.choosing, f, filters)
+        _, training = self._score_blocks(p.estimation, fit, filters)
+        return HeldOutScore(
+            candidate=candidate,
+            mean_square=float(squares[:, 0].sum() / squares[:, 1].sum()),
+            validation_lpd=validation,
+            training_lpd=training - len(fit.x) / len(training),
+            nrmse=self.nrmse(plainly, p.choosing, self.validation_deviation),
+            test_nrmse=self.nrmse(plainly, p.reporting, self.test_deviation),
+            training_nrmse=self.nrmse(fit, p.estimation, self.training_deviation),
+            test_mean_square=float(test.mean()),
+            fit=plainly,
+        )
+
+    # -- whole records ------------------------------------------------------------------------------------
+    @cached_property
+    def _simulated_by_nominal(self) -> list[int]:
+        """Whole records that the nominal model simulates."""
+        if self.whole is None:
+            return []
+        structure = base_structure(self.problem.network)
+        broken = self._broken_records(structure, structure.start, range(len(self.whole.records)), {})
+        return [i for i in range(len(self.whole.records)) if i not in broken]
+
+    def first_states(self, *fits: Fit) -> dict[int, Array]:
+        """Return the initial states of whole records, from fits of the records that begin with them.
+
+        Args:
+            fits: Fits of one structure, over records of the problem.
+        """
+        out: dict[int, Array] = {}
+        pieces = [(self.problem.records[j], f.initial[j]) for f in fits for j in f.initial]
+        for i, record in enumerate(self.whole.records if self.whole else []):
+            for piece, state in pieces:
+                if piece.name == record.name and abs(piece.start - record.start) < 0.5 * record.interval:
+                    out[i] = state
+        return out
+
+    def _broken_records(
+        self, structure: Structure, x: Array, records: Sequence[int], initial: Mapping[int, Array]
+    ) -> list[int]:
+        """Return the whole records on which a simulation breaks down."""
+        assert self.whole is not None
+        fitter = Fitter(self.whole, white_filters(self.least_noise))
+        out = []
+        for i in records:  # one by one: a record that breaks down must not hide the others
+            at = fitter.begin(structure, x, {k: v for k, v in initial.items() if k == i}, None, [i])
+            if not np.isfinite(fitter.seen(structure, at, [i]).total):
+                out.append(i)
+        return out
+
+    def _check_whole_records(self, fit: Fit, held: Fit) -> None:
+        """Raise InputError for effects that break down on a whole record of the user."""
+        if not fit.structure.hypotheses or self.whole is None:
+            return
+        # a model that breaks down from the start that the first samples tell owes its success to start values that no sensor sees
+        for states in (self.first_states(fit, held), {}):
+            broken = self._broken_records(fit.structure, fit.x, self._simulated_by_nominal, states)
+            if broken:
+                raise InputError(
+                    f"the simulation breaks down on the record {self.whole.records[broken[0]].name}"
+                )
+
+    def _score_blocks(self, records: Sequence[int], fit: Fit, filters: Whitener) -> tuple[Array, Array]:
+        """Return sum and number of whitened squares (blocks, 2), and the log density (blocks,) [nats]."""
+        squares, lpd = [], []
+        gain = np.array([float(taps @ taps) for taps in filters.taps])
+        floor = np.minimum(gain * self.least_noise**2, 1.0)
+        for i in records:
+            y = self.problem.records[i].measured
+            e = filters(y - fit.outputs[i]) ** 2
+            edges = block_edges(y, BLOCKS, LEAST_BLOCK)
+            for a, b in pairwise(edges):
+                squares.append((float(e[a:b].sum()), e[a:b].size))
+                lpd.append(log_density(e[a:b], len(e) / (len(edges) - 1), floor))
+        return np.array(squares), np.array(lpd)
+
+    def score_path(self, path: Sequence[Candidate]) -> tuple[HeldOutScore, ...]:
+        """Score the candidates of a path, each with its own filters and the initial states of the preceding candidates.
+
+        Args:
+            path: Candidates in order of addition; each has one effect more than the preceding candidate.
+        """
+        out: tuple[HeldOutScore, ...] = ()
+        for k, candidate in enumerate(path):
+            key = tuple(id(c) for c in path[: k + 1])
+            if key not in self._paths:
+                self._paths[key] = candidate, self.score(candidate, self.whitener(candidate), out)
+            out = (*out, self._paths[key][1])
+        return out
+
+    def score_alone(self, candidate: Candidate) -> HeldOutScore:
+        """Score a candidate with its own filters."""
+        return self.score_path((candidate,))[0]
+
+    def _cheaper(self, f: Fit, plainly: Fit, filters: Whitener) -> Fit:
+        """Return a fit that starts from the states of another fit in the records where the other fit has smaller whitened errors."""
+
+        def cost(found: Fit, i: int) -> float:
+            return float(np.sum(filters(self.problem.records[i].measured - found.outputs[i]) ** 2))
+
+        worse = {i: plainly.initial[i] for i in f.outputs if cost(plainly, i) < (1.0 - 1e-3) * cost(f, i)}
+        if not worse:
+            return f
+        g = Fitter(self.problem, filters).follow(f.structure, f.x, list(worse), worse)
+        return replace(
+            f, initial=f.initial | g.initial, offset=f.offset | g.offset, outputs=f.outputs | g.outputs
+        )
+
+    def _nearest_states(self, scores: Sequence[HeldOutScore], structure: Structure) -> dict[int, Array]:
+        """Return, for each held-out record, the initial state of the score with the least error, in the coordinates of a structure."""
+        nearest: dict[int, tuple[float, Fit]] = {}
+        for fit in (s.fit for s in scores):
+            for i, y in fit.outputs.items():
+                error = float(np.sum(((self.problem.records[i].measured - y) / self.least_noise) ** 2))
+                if i not in nearest or error < nearest[i][0]:
+                    nearest[i] = error, fit
+        out: dict[int, Array] = {}
+        for fit in {id(f): f for _, f in nearest.values()}.values():
+            own = {i: fit.initial[i] for i, (_, f) in nearest.items() if f is fit}
+            out |= transfer_states(self.problem, fit.network, own, structure)
+        return out
+
+    def _states_after_training(self, fit: Fit) -> dict[int, Array]:
+        """Return the initial states of held-out records that continue a training record: the final states of the simulation."""
+        p = self.problem
+        continues = {j: i for j in p.held for i in p.estimation if p.records[j].follows(p.records[i])}
+        if not continues or not len(next(iter(fit.initial.values()))):
+            return {}
+        ends = next_states(p, fit.structure, fit.x, {i: fit.initial[i] for i in continues.values()})
+        return {j: ends[i] for j, i in continues.items()}
+
+    # -- noise --------------------------------------------------------------------------------------------
+    def channel_noise(self, score: HeldOutScore) -> list[Noise]:
+        """Return each channel's noise: as the owner or the spectrum tells, and no more than is left above the motion.
+
+        A misfit alone is no noise: the measured signal above its band is the bound. Test records take no part.
+        """
+        p, out = self.problem, []
+        first = p.records[p.choosing[0]]
+        for j, known in enumerate(self.noise_estimates):
+            series = [p.records[i].measured[:, j] - score.fit.outputs[i][:, j] for i in p.choosing]
+            left = noise_of(series, first.interval, time=p.time, white=first.filtered)
+            share = 1.0
+            if known.source in ("owner", "input") or left.deviation > known.deviation:
+                share = (known.deviation / max(left.deviation, 1e-300)) ** 2
+            out.append(Noise(left.white * share, left.drive * share, left.phi))
+        return out
+
+    def noise_share(self, score: HeldOutScore) -> Array:
+        """Return the noise as a share of each channel's deviation (channels,), at most the error itself."""
+        deviation = np.array([n.deviation for n in self.channel_noise(score)]) / self.validation_deviation
+        return np.asarray(np.minimum(deviation, score.nrmse), dtype=np.float64)
+
+    def test_noise(self, noise: Array) -> Array:
+        """Return the noise as a share of the deviation on the test records, from that on the validation records (channels,)."""
+        return np.asarray(noise * self.validation_deviation / self.test_deviation)
+
+    def expected_noise_score(self, score: HeldOutScore, filters: Whitener) -> float:
+        """Return the mean whitened square of pure noise."""
+        return min(
+            float(noise_after_filters(filters, self.channel_noise(score)).mean()), 0.999 * score.mean_square
+        )
+
+    # -- sizes --------------------------------------------------------------------------------------------
+    def unmodelled_responses(self, candidate: Candidate) -> dict[int, Array]:
+        """Return the responses of the training records to unmodelled effects: record -> (samples, channels, effects).
+
+        Each effect has `SMALL` of the typical force.
+        """
+        if self._responses is None or self._responses[0] is not candidate:
+            self._responses = candidate, simulate_unmodelled_effects(self.problem, candidate.fit, SMALL)
+        return self._responses[1]
+
+    def unmodelled_envelope(self, candidate: Candidate, size: float, least: float) -> Array:
+        """Return the excess error that unmodelled effects leave beside a refitted candidate (channels,), as a share of the deviation.
+
+        Where a coordinate drifts, or has many positions of rest, a small force may cause a large error.
+
+        Args:
+            candidate: The candidate.
+            size: Force of an unmodelled effect, as a share of the typical force.
+            least: Smallest envelope.
+        """
+        if id(candidate) not in self._envelopes:
+            p = self.problem
+            change = {i: y * (size / SMALL) for i, y in self.unmodelled_responses(candidate).items()}
+            envelope = np.full(len(p.channels), least)
+            if next(iter(change.values())).shape[2]:
+                _, left = self.plain_fitter.refit(candidate.fit, change)
+                r = np.concatenate([*left.values()]) * self.least_noise[:, None]
+                shares = np.sqrt(np.mean(r**2, axis=0)) / p.deviation()[:, None]
+                envelope = np.maximum(least, np.quantile(shares, 0.95, axis=1))
+            self._envelopes[id(candidate)] = candidate, envelope
+        return self._envelopes[id(candidate)][1]
+
+    def effect_sizes(self, candidate: Candidate) -> list[float]:
+        """Return the size of each effect, as a share of the force, current or signal at its place."""
+        return [effect_size(self.problem, candidate.fit, name) for name in candidate.fit.structure.names]
+
+
+def effect_size(problem: Problem, fit: Fit, name: str) -> float:
+    """Return the RMS of what an element does over the RMS of what is there: force, current or signal.
+
+    In a lightly damped structure, forces that dissipate are small beside forces that store energy, and damping decides the motion all the
+    same: there an element has its share of the dissipated work, if that share is larger.
+    """
+    net = fit.network
+    e = net.element(name)
+    if e.place == "channel":
+        return _share_of_signal(problem, fit, e)
+    if e.place == "element":
+        return _share_of_current(problem, net, e)
+    if e.series:
+        return 1.0  # force and deflection are shared in series: the change of the outputs decides
+    try:
+        forces = element_forces(problem, fit, e.where)
+    except InputError:
+        return 1.0
+    part = e.own_share([net.element(x) for x in forces])
+    total = max(rms(np.sum([*forces.values()], axis=0)), _force_around(problem, fit, e), 1e-300)
+    work = work_share(problem, fit, name) if is_lightly_damped(problem.network) else 0.0
+    return part * max(rms(forces[name]) / total, work)
+
+
+def _force_around(problem: Problem, fit: Fit, e: el.Element) -> float:
+    """Return the typical force [N] of the other elements at the nodes of an element without neighbour; else 0."""
+    alone = sum(1 for x in fit.network.elements if x.place == "between" and set(x.where) == set(e.where)) == 1
+    return place_forces(problem, fit, without=e.name).at(e.where) if alone else 0.0
+
+
+def _share_of_signal(problem: Problem, fit: Fit, e: el.Element) -> float:
+    i, j = problem.estimation[0], problem.channels.index(e.where[0])
+    without = problem.simulate(
+        [fit.network.without_element(e.name)], i, fit.initial[i][:, None], like=fit.network
+    )[:, j, 0]
+    change = fit.outputs[i][:, j] - fit.offset[i][j] - without
+    return rms(change) / max(float(np.std(problem.records[i].measured[:, j])), 1e-300)
+
+
+def _share_of_current(problem: Problem, net: Network, e: el.Element) -> float:
+    record = problem.records[problem.estimation[0]]
+    command = next(c.name for c in net.inputs if c.quantity == "current" and c.element == e.where[0])
+    current = record.inputs[command][:, None]
+    others = effective_current(net.without_element(e.name), e.where[0], current, record.step)
+    changed = effective_current(net, e.where[0], current, record.step)
+    return rms(changed - others) / max(rms(others), 1e-300)
+
+
+def error_reduction(before: HeldOutScore, after: HeldOutScore) -> float:
+    """Return the largest share of a channel's deviation by which the error falls, on validation or training records."""
+    pairs = ((before.nrmse, after.nrmse), (before.training_nrmse, after.training_nrmse))
+    return max(float(np.sqrt(np.maximum(a**2 - b**2, 0.0)).max()) for a, b in pairs)

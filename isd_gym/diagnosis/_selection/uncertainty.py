@@ -1,0 +1,231 @@
+"""Uncertainty of fitted parameters: covariance, intervals, and parameters at their limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.arrays import Z95
+from ...physics import elements as el
+from .._estimation.gauss_newton import Fitter
+from .._estimation.sensitivities import deviations
+from .._simulation.problem import BROKEN
+from ..result import Quantity
+from .comparison import block_edges
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..._common.arrays import Array
+    from ...physics.network import Network
+    from .._estimation.structure import Structure
+    from .candidate import Candidate
+    from .held_out import HeldOutEvaluator
+
+#: largest relative standard deviation that a model states
+MOST_UNCERTAIN = 100.0
+#: largest shift of a parameter by an unmodelled effect (transformed units): keeps squares finite
+LARGEST_SHIFT = 1e6
+#: number of times that derivatives are taken over the standard deviations found before
+PASSES = 2
+#: blocks per record whose scores give the sandwich estimate, and their least number of samples
+BLOCKS, LEAST_BLOCK = 20, 10
+
+
+def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | None:
+    """Return the mean square error of the free parameters, transformed (parameters, parameters); None where no parameter is free.
+
+    Four parts, to first order:
+
+    - Noise: the inverse curvature of the cost. Where the scores of blocks of the record scatter more than white noise would, the sandwich
+      estimate replaces the deviation of a parameter (Huber 1967): the residual has a colour that the filters do not remove.
+    - Small effects that no model contains: each has a prior size (`unmodelled_responses`), and the residual reduces its uncertainty.
+      An added effect keeps the prior size: the same residual chose the effect.
+    - Bias: the shift of the parameters by the sizes that the residual shows.
+    - Distance from the optimum: one more step of the fit, with better derivatives. Along a direction in which the outputs hardly change, a fit
+      with dry friction stops early.
+
+    References:
+        Huber, The behavior of maximum likelihood estimates under nonstandard conditions, Proc. 5th Berkeley Symposium (1967) 221.
+        Gelman et al.: Bayesian Data Analysis, 3rd edition (2013), chapter 15 (effects with a common prior).
+    """
+    problem, fit = evaluator.problem, candidate.fit
+    if not len(fit.x):
+        return None
+    fitter = Fitter(problem, evaluator.whitener(candidate))
+    effects = dict(evaluator.unmodelled_responses(candidate))
+    responses = {
+        i: np.concatenate([(problem.records[i].measured - fit.outputs[i])[:, :, None], y], axis=2)
+        for i, y in effects.items()
+    }
+    p = len(fit.x)
+    H, g, parts = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses)
+    for _ in range(PASSES):
+        steps = deviations(fit.structure, fit.x, _inverse(H)[:p, :p])
+        try:
+            found = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses, over=steps)
+        except BROKEN:
+            break
+        if not np.isfinite(found[0]).all():  # the model does not simulate so far away
+            break
+        H, g, parts = found
+    inverse = _inverse(H)
+    shift = inverse @ g[:, 1:]
+    # normal equations of the effects' sizes, parameters eliminated; the prior of each size has variance 1
+    gram, right = np.eye(shift.shape[1]) - g[:, 1:].T @ shift, -g[:, 1:].T @ inverse @ g[:, 0]
+    scores: list[Array] = []
+    for i, (a, c) in parts.items():
+        gram, right = gram + c[:, 1:].T @ c[:, 1:], right + c[:, 1:].T @ c[:, 0]
+        score = (a * c[:, :1]).reshape(len(problem.records[i]), -1, a.shape[1]).sum(axis=1)
+        edges = block_edges(problem.records[i].measured, BLOCKS, LEAST_BLOCK)
+        scores += [score[m:n].sum(axis=0) for m, n in pairwise(edges)]
+    visible = np.sqrt(np.maximum(np.diag(gram) - 1.0, 1e-300))
+    cost = sum(float(np.sum(c[:, 0] ** 2)) for _, c in parts.values())
+    # no effect is larger than the residual allows: a small force moves a free mass far, and the sensors would measure this motion
+    largest = np.clip(shift * np.minimum(1.0, math.sqrt(cost) / visible), -LARGEST_SHIFT, LARGEST_SHIFT)
+    size = np.linalg.solve(gram, right)
+    spread = np.linalg.inv(gram) + np.outer(size, size)
+    block = np.array(scores) - np.mean(scores, axis=0)
+    sandwich = inverse @ (block.T @ block) @ inverse
+    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(inverse), 1.0))
+    down = g[:, 0].copy()
+    down[:p] += (fit.structure.mean - fit.x) / fit.structure.sigma**2
+    step = inverse @ down
+    out = inverse * np.outer(wider, wider) + shift @ spread @ shift.T + np.outer(step, step)
+    whole = np.diag(inverse) + np.sum(largest**2, axis=1)
+    is_added = [
+        any(f.path.startswith(f"{name}.") for name in fit.structure.names) for f in fit.structure.free
+    ]
+    grown = np.ones(len(out))
+    grown[:p] = np.where(is_added, np.sqrt(np.maximum(whole / np.diag(out), 1.0))[:p], 1.0)
+    return np.asarray((out * np.outer(grown, grown))[:p, :p])
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a symmetric positive definite matrix, whatever the units of its rows."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    return np.asarray(
+        scale[:, None] * np.linalg.inv(matrix * np.outer(scale, scale)) * scale, dtype=np.float64
+    )
+
+
+def intervals(
+    evaluator: HeldOutEvaluator, candidate: Candidate, known: Array | None = None
+) -> dict[str, Quantity]:
+    """Return every free parameter with its 95 % interval, by path; no interval is wider than the stated uncertainty.
+
+    Args:
+        evaluator: Records and responses to unmodelled effects.
+        candidate: The candidate.
+        known: The covariance, where it is known already.
+    """
+    problem, f = evaluator.problem, candidate.fit
+    matrix = covariance(evaluator, candidate) if known is None else known
+    out: dict[str, Quantity] = {}
+    if matrix is None:
+        return out
+    variance = np.minimum(np.maximum(np.diag(matrix), 0.0), f.structure.sigma**2)
+    prior = problem.network.parameters
+    for k, q in enumerate(f.structure.free):
+        ends = q.interval(f.x[k], math.sqrt(variance[k]))
+        out[q.path] = Quantity(q.back(f.x[k]), *ends, f.network.unit_of(q.path), prior.get(q.path))
+    return out
+
+
+def with_posterior(network: Network, quantities: Mapping[str, Quantity]) -> Network:
+    """Return a fitted model whose stated uncertainties are those of the fit.
+
+    The uncertainty of a parameter is its relative standard deviation, as `base_structure` reads it: of the logarithm for a positive
+    value, of the value for a negative one. Parameters without an interval keep their uncertainty.
+
+    Args:
+        network: The fitted model.
+        quantities: Fitted parameters with their intervals, by path.
+    """
+    own, found = network.parameters, {}
+    for path, q in quantities.items():
+        if path not in own or q.value == 0 or not math.isfinite(q.low) or not math.isfinite(q.high):
+            continue
+        if q.value > 0 and q.low > 0:
+            sigma = math.expm1(min(0.5 * math.log(q.high / q.low) / Z95, 10.0))
+        else:
+            sigma = 0.5 * (q.high - q.low) / Z95 / abs(q.value)
+        found[path] = float(f"{min(sigma, MOST_UNCERTAIN):.3g}")
+    return replace(network, uncertainty={**network.uncertainty, **found})
+
+
+def parameters_at_limits(candidate: Candidate) -> tuple[str, ...]:
+    """Return the parameters of the nominal model that end at the limit of their stated uncertainty."""
+    return tuple(
+        q.path
+        for q, x in zip(candidate.fit.structure.free, candidate.fit.x, strict=True)
+        if q.owner < 0 and (x <= q.low + 1e-6 * q.sigma or x >= q.high - 1e-6 * q.sigma)
+    )
+
+
+def differing_part(
+    network: Network, structure: Structure, x: Array, element: el.Element, matrix: Array | None
+) -> Quantity | None:
+    """Return the difference of two parameters of a law whose common part could be a parameter of the model.
+
+    Args:
+        network: The nominal model.
+        structure: Structure with the law.
+        x: Free parameters, transformed (parameters,).
+        element: The law.
+        matrix: Covariance of the free parameters.
+
+    Returns:
+        The difference with its interval; None for a law without two such parameters.
+    """
+    here = [e for e in el.beside(network, element.where) if e.name != element.name]
+    pair = element.differing(here)
+    if pair is None or matrix is None:
+        return None
+    free = structure.free
+    paths = [q.path for q in free]
+    wanted = [f"{element.name}.{name}" for name in pair]
+    if any(w not in paths or free[paths.index(w)].log for w in wanted):
+        return None
+    a = np.zeros(len(paths))
+    a[[paths.index(w) for w in wanted]] = 1.0, -1.0
+    value, half = float(a @ x), Z95 * math.sqrt(max(float(a @ matrix @ a), 0.0))
+    return Quantity(value, value - half, value + half, structure.network.unit_of(wanted[0]), None)
+
+
+def relative_uncertainty(
+    element: el.Element, quantities: dict[str, Quantity], difference: Quantity | None = None
+) -> float:
+    """Return half of the widest 95 % interval of a law, as the logarithm of a factor; infinite where the interval holds zero.
+
+    Of several parameters with the same unit the largest counts: an asymmetric damper may be soft in one direction. The parameter that shapes a
+    law (`shaped_by`) does not count beside others: without a certain shape the law is close to a simpler one, with which it is compared.
+
+    Args:
+        element: The law.
+        quantities: Parameters with intervals, by path.
+        difference: Difference of two parameters that counts in their place (`differing_part`).
+    """
+    by_unit: dict[str, tuple[float, float]] = {}
+    # a phase has no size
+    sized = [f for f in el.parameter_fields(type(element)) if not f.metadata["stride"]]
+    fitted = [f for f in sized if f"{element.name}.{f.name}" in quantities]
+    for f in [f for f in fitted if f.name != element.shaped_by] or fitted:
+        q = quantities[f"{element.name}.{f.name}"]
+        neutral = f.default if isinstance(f.default, int | float) else 0.0
+        size = abs(q.value - neutral)
+        half = q.value - q.low if f.metadata["minimum"] >= 0 else 0.5 * abs(q.high - q.low)
+        old = by_unit.get(q.unit, (0.0, 0.0))
+        by_unit[q.unit] = max(old[0], size), max(old[1], half)
+    if difference is not None:
+        by_unit[difference.unit] = abs(difference.value), 0.5 * (difference.high - difference.low)
+    return max((_factor(size, half) for size, half in by_unit.values()), default=0.0)
+
+
+def _factor(size: float, half: float) -> float:
+    """Return the logarithm of the factor by which a value, known to plus or minus `half`, may be too large."""
+    return math.inf if half >= size else -math.log1p(-half / size)

@@ -1,0 +1,194 @@
+"""Weights of candidates by their log predictive density, and the probability of a place, a kind and a law.
+
+The weights are those of pseudo-Bayesian model averaging with the Bayesian bootstrap. The probability of a statement is the sum of the
+weights of the candidates that contain it.
+
+References:
+    Yao, Vehtari, Simpson, Gelman: Using stacking to average Bayesian predictive distributions, Bayesian Analysis 13 (2018), section 3.4.
+    Rubin: The Bayesian bootstrap, Annals of Statistics 9 (1981).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._estimation.structure import owner_pair, twin
+from .candidate import is_special_case
+from .equivalent_laws import is_sound
+from .free_force import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from ..._common.arrays import Array
+    from .._estimation.structure import Hypothesis
+    from .candidate import Candidate
+    from .candidate_comparison import CandidateComparison
+    from .forward_backward import Search
+
+#: draws of the Bayesian bootstrap: the standard error of a weight is at most 0.016
+DRAWS = 1000
+#: word for a force whose law is not in the library
+FREE_FORCE = "free_force"
+
+
+def pseudo_bma_weights(lpd: Array, seed: int = 0, draws: int = DRAWS) -> Array:
+    """Return pseudo-BMA+ weights.
+
+    Args:
+        lpd: Log predictive density of each candidate and block (candidates, blocks) [nats].
+        seed: Seed of the Bayesian bootstrap.
+        draws: Number of bootstrap draws.
+
+    Returns:
+        Weights (candidates,), which add up to one.
+    """
+    lpd = np.asarray(lpd, float)
+    share = np.random.default_rng(seed).dirichlet(np.ones(lpd.shape[1]), size=draws)
+    total = lpd.shape[1] * (share @ lpd.T)
+    odds = np.exp(total - total.max(axis=1, keepdims=True))
+    return np.asarray(np.mean(odds / odds.sum(axis=1, keepdims=True), axis=0))
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Place, kind and law of one effect of a candidate."""
+
+    #: terminals in alphabetical order, or the channel
+    place: tuple[str, ...]
+    kind: str
+    law: str
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedCandidate:
+    """A candidate with its weight and its statements."""
+
+    candidate: Candidate
+    weight: float
+    statements: frozenset[Statement]
+
+
+def place_of(search: Search, h: Hypothesis) -> tuple[str, ...]:
+    """Return the place of a hypothesis in the nodes of the nominal model; terminals in alphabetical order."""
+    network = search.problem.network
+    known = {*network.nodes, "ground"}
+    pair = owner_pair(network, h)
+    if pair is None:
+        return h.where
+    return tuple(sorted(twin(n, known) for n in pair))
+
+
+def statements_of(search: Search, candidate: Candidate, best: Candidate) -> frozenset[Statement]:
+    """Return the statements of a candidate.
+
+    Args:
+        search: The search.
+        candidate: The candidate; a table states a free force at its place.
+        best: The foremost candidate. A candidate with equivalent effects gets the statements of the foremost candidate.
+
+    Returns:
+        One statement per effect.
+    """
+    structure = candidate.fit.structure
+    if isinstance(structure, Table):
+        pair = structure.network.element(structure.element).between
+        return frozenset({Statement(tuple(sorted(pair)), "other", FREE_FORCE)})
+    alike = (
+        candidate is not best
+        and best.hypotheses
+        and len(candidate.hypotheses) == len(best.hypotheses)
+        and candidate.hypotheses[:-1] == best.hypotheses[:-1]
+        and search.tests.states_the_same(candidate, best)
+        and not is_special_case(candidate.hypotheses[-1], best.hypotheses[-1])
+    )
+    chosen = best if alike else candidate
+    return frozenset(Statement(place_of(search, h), h.kind.mechanism, h.effect) for h in chosen.hypotheses)
+
+
+def weigh_candidates(
+    search: Search, scores: CandidateComparison, extra: Iterable[Candidate] = (), seed: int = 0
+) -> tuple[WeightedCandidate, ...]:
+    """Weigh the candidates of a search on the blocks of validation and training records.
+
+    A candidate takes part if its values agree with its names. A candidate with more parameters than the foremost one takes part only
+    if it predicts better by more than the envelope of unmodelled effects. A candidate whose further effects close a gap within this
+    envelope makes no statement.
+
+    Args:
+        search: The search.
+        scores: Scores of the candidates.
+        extra: Further candidates, such as tables of a free force.
+        seed: Seed of the Bayesian bootstrap.
+
+    Returns:
+        Candidates with weights, largest weight first.
+    """
+    best = scores.foremost
+    taking_part: list[Candidate] = [scores.refitted]
+    if best is not scores.refitted:
+        taking_part.append(best)
+    for r in scores.candidates():
+        if (
+            any(r is q for q in taking_part)
+            or not scores.can_score(r)
+            or not is_sound(search.problem, r, search.criteria)
+        ):
+            continue
+        if len(r.fit.x) > len(best.fit.x) and not search.tests.is_worth_more_parameters(scores, r, best):
+            continue
+        if len(r.hypotheses) > len(best.hypotheses) > 0 and not search.tests.exceeds_envelope(
+            scores, r, best
+        ):
+            continue
+        taking_part.append(r)
+    for r in extra:
+        if scores.can_score(r):
+            taking_part.append(r)
+    weights = pseudo_bma_weights(np.stack([scores.score(r).lpd for r in taking_part]), seed)
+    found = [
+        WeightedCandidate(r, float(w), statements_of(search, r, best))
+        for r, w in zip(taking_part, weights, strict=True)
+    ]
+    return tuple(sorted(found, key=lambda c: -c.weight))
+
+
+def probability(candidates: Sequence[WeightedCandidate], **wanted: object) -> float:
+    """Return the sum of the weights of the candidates with a statement whose fields have the wanted values.
+
+    Args:
+        candidates: Weighted candidates.
+        **wanted: Fields of `Statement`.
+    """
+    return float(
+        sum(
+            c.weight
+            for c in candidates
+            if any(all(getattr(s, k) == v for k, v in wanted.items()) for s in c.statements)
+        )
+    )
+
+
+def weight_of_all(candidates: Sequence[WeightedCandidate], best: Candidate) -> float:
+    """Return the sum of the weights of the candidates that state all that the foremost candidate states.
+
+    Args:
+        candidates: Weighted candidates, the foremost one among them.
+        best: The foremost candidate.
+    """
+    own = next(c.statements for c in candidates if c.candidate is best)
+    return float(sum(c.weight for c in candidates if c.statements >= own))
+
+
+__all__ = [
+    "FREE_FORCE",
+    "Statement",
+    "WeightedCandidate",
+    "probability",
+    "pseudo_bma_weights",
+    "weigh_candidates",
+    "weight_of_all",
+]

@@ -1,0 +1,523 @@
+"""Records and a model: measured outputs, and simulations of a network over the same inputs.
+
+`Problem` holds the records in the units of the model's channels and simulates many variants of one network structure
+in a single call of the kernel (one lane each).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.signal import firwin, oaconvolve
+
+from ..._common.errors import InputError
+from ..._common.units import HELD, convert
+from ...physics.network import Network, assemble
+from ...physics.simulate import COARSE, FINE, Plant, effective_current, pace
+from .cache import SimulationCache
+from .interpolation import interpolated, splined_input
+from .node_motion import transfer_matrix
+from .time_limit import check_time
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from ..._common.arrays import Array
+    from ...records._loggers.recording import Recording
+    from .._records.multirate import OutputSampler
+
+#: use of a record: training (fit), validation (choose) or test (report)
+Role = Literal["fit", "choose", "report"]
+
+
+@dataclass(frozen=True)
+class Record:
+    """One measured record, uniformly sampled.
+
+    `inputs` in SI units (n,); `measured` (n, channels) in the channels' units; `slopes`: (velocity, acceleration) of moved nodes.
+    """
+
+    name: str
+    step: float  # [s]
+    inputs: Mapping[str, Array]
+    measured: Array
+    slopes: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    start: float = 0.0  # [s] time of the first sample
+    taps: Array | None = (
+        None  # low-pass filter of simulated and measured outputs, where derivatives need a filter
+    )
+    thin: int = 1  # every `thin`-th sample of the filtered outputs is compared
+    margin: int = 0  # compared samples left out at either end, where the filter extrapolates; inputs cover these samples
+    lead: int = (
+        0  # compared samples of inputs before the first compared sample: laws with memory forget their start
+    )
+    reading: OutputSampler | None = None  # sampler of simulated outputs at the time stamps of each channel
+    clocks: tuple[str, ...] = ()  # clocks whose stamps are late by an unknown lag
+    late: tuple[Array, ...] = ()  # (channels,) for each clock: whether a channel has its stamps
+    lags: Mapping[str, float] = field(default_factory=dict)  # [s] assumed lag of each clock
+    #: RMS white noise of moved nodes' displacements before the low-pass [SI]; without an entry it is estimated
+    input_noise: Mapping[str, float] = field(default_factory=dict)
+    size: int = 0  # samples of the grid, where the compared samples do not tell the number
+    source: Recording | None = None
+
+    def __len__(self) -> int:
+        """Number of compared samples of the outputs."""
+        return len(self.measured)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of the inputs."""
+        return self.size or (len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured))
+
+    @property
+    def interval(self) -> float:
+        """Interval of the compared samples [s]."""
+        return self.step * self.thin
+
+    @property
+    def time(self) -> Array:
+        return np.asarray(self.start + self.interval * (self.before + np.arange(len(self))), dtype=np.float64)
+
+    @property
+    def before(self) -> int:
+        """Number of compared intervals of inputs before the first compared sample."""
+        return self.lead + self.margin
+
+    @cached_property
+    def pace(self) -> float:
+        """Time scale of the motion [s]: the inverse of the circular frequency that halves the power of the outputs."""
+        return min(pace(self.measured[:, j], self.interval) for j in range(self.measured.shape[1]))
+
+    @property
+    def filtered(self) -> bool:
+        """Whether the compared outputs are low-pass filtered."""
+        return self.taps is not None or (self.reading is not None and self.reading.filtered)
+
+    def unread(self) -> Record:
+        """Return the record without filter and sampler: a simulation is compared at every sample of the inputs."""
+        return replace(self, taps=None, thin=1, lead=0, reading=None, clocks=(), late=())
+
+    def seen(self, values: Array) -> Array:
+        """Return the values (samples, ...) at the compared samples."""
+        return values[self.before * self.thin :: self.thin][: len(self)]
+
+    def follows(self, other: Record) -> bool:
+        """Return whether this record starts at the end of `other`."""
+        begin, end = (
+            self.start + self.lead * self.interval,
+            other.start + (other.lead + len(other)) * other.interval,
+        )
+        return self.name == other.name and abs(begin - end) < 0.5 * self.interval
+
+    def read(self, values: Array) -> Array:
+        """Return the compared samples of simulated outputs, filtered like the measurement."""
+        if self.taps is None and not self.lead:
+            return values
+        return self.seen(values if self.taps is None else low_pass(values, self.taps))
+
+    def part(self, first: int, stop: int, name: str, lead: int = 0) -> Record:
+        """Return compared samples first to stop - 1 as a record; at most `lead` samples before the first lead in."""
+        back = 0 if self.reading else min(max(lead, self.lead), self.lead + first)
+        back -= back % WHOLE  # a record can be thinned by each factor up to `MAX_THINNING`
+        begin = self.lead + first - back
+        cut = slice(begin * self.thin, (self.lead + stop - 1 + 2 * self.margin) * self.thin + 1)
+        return replace(
+            self,
+            name=name,
+            inputs={k: v[cut] for k, v in self.inputs.items()},
+            measured=self.measured[first:stop],
+            slopes={k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
+            start=self.start + begin * self.interval,
+            lead=back,
+            reading=None if self.reading is None else self.reading.part(first, stop, cut),
+            size=self.size and cut.stop - cut.start,
+        )
+
+
+def thinned(record: Record, by: int, held: Collection[str]) -> Record:
+    """Return a record with every `by`-th sample; inputs are low-pass filtered, or averaged where they are held."""
+    if record.taps is not None:  # the inputs are filtered already
+        taps = record.taps[(len(record.taps) // 2) % by :: by]
+        return replace(
+            record,
+            step=record.step * by,
+            thin=record.thin // by,
+            taps=taps / taps.sum(),
+            inputs={k: v[::by] for k, v in record.inputs.items()},
+            slopes={k: (v[::by], a[::by]) for k, (v, a) in record.slopes.items()},
+        )
+    taps, n = firwin(8 * by + 1, 0.9 / by, window=("kaiser", 5.0)), record.samples
+    edges = np.arange(0, n, by)
+    inputs = {
+        k: np.add.reduceat(v, edges) / np.diff(np.append(edges, n)) if k in held else low_pass(v, taps, by)
+        for k, v in record.inputs.items()
+    }
+    lead = record.lead // by
+    return replace(record, step=record.step * by, inputs=inputs, lead=lead, measured=record.measured[::by])
+
+
+def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
+    """Zero-phase low-pass along the first axis, ends continued point-symmetrically, every `thin`-th sample kept."""
+    half = len(taps) // 2
+    half_in = min(half, len(values) - 1)
+    head = 2 * values[:1] - values[half_in:0:-1]
+    tail = 2 * values[-1:] - values[-2 : -half_in - 2 : -1]
+    padded = np.concatenate([head, values, tail])
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    return oaconvolve(padded, taps.reshape(shape), mode="same", axes=0)[
+        half_in : half_in + len(values) : thin
+    ]
+
+
+def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array:
+    """Compute the root of the mean variance within groups of series.
+
+    Args:
+        series: Signals (samples, channels).
+        groups: Name of the group of each series.
+
+    Returns:
+        Deviation (channels,) about the means of the groups, at least 1e-300.
+    """
+    parts: dict[object, list[Array]] = {}
+    for y, group in zip(series, groups, strict=True):
+        parts.setdefault(group, []).append(y)
+    joined = [np.concatenate(own) for own in parts.values()]
+    square = sum(len(y) * np.var(y, axis=0) for y in joined) / sum(map(len, joined))
+    return np.maximum(np.sqrt(np.asarray(square, dtype=np.float64)), 1e-300)
+
+
+def bare(network: Network) -> Network:
+    """Return the network without motor and sensor effects, which act outside the kernel."""
+    kept = tuple(e for e in network.elements if e.place == "between")
+    return network if len(kept) == len(network.elements) else replace(network, elements=kept)
+
+
+#: exceptions of a simulation or a fit that breaks down
+BROKEN = (InputError, np.linalg.LinAlgError)
+
+#: largest number of physics steps per sample
+FINEST = 60
+#: largest factor by which a record is thinned, and smallest number of samples of a thinned record
+MAX_THINNING, MIN_SAMPLES = 4, 500
+WHOLE = math.lcm(*range(1, MAX_THINNING + 1))
+#: largest number of samples of all lanes in one call
+LARGEST = 2_000_000
+
+
+class Problem:
+    """A nominal model and measured records.
+
+    Args:
+        network: The nominal model.
+        records: Measured records, training records first.
+        roles: Role of each record. Default: all are training records.
+        step: Largest physics step relative to the time scale of the motion.
+        time: Time scale of the motion [s], if known from other records.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        records: Sequence[Record],
+        roles: Sequence[Role] | None = None,
+        step: float = FINE,
+        time: float | None = None,
+    ):
+        self.network = network
+        self.records = list(records)
+        self.roles: list[Role] = list(roles) if roles is not None else ["fit"] * len(self.records)
+        self.step = step
+        self.channels = [c.name for c in network.outputs]
+        self.factors = np.array([convert(1.0, c.si, c.unit) for c in network.outputs])
+        #: whether all records of a channel share an unknown offset (channels,)
+        self.shared_offset = np.array([c.offset == "free" for c in network.outputs], bool)
+        #: whether each record of a channel has an unknown offset of its own (channels,)
+        self.record_offset = np.array([c.offset == "record" for c in network.outputs], bool)
+        self._time = time
+        self._spans: dict[int, float] = {}
+        self.memory = SimulationCache()
+
+    def _of(self, *roles: Role) -> list[int]:
+        return [i for i, r in enumerate(self.roles) if r in roles]
+
+    @property
+    def estimation(self) -> list[int]:
+        return self._of("fit")
+
+    @property
+    def held(self) -> list[int]:
+        """Validation and test records."""
+        return self._of("choose", "report")
+
+    @property
+    def choosing(self) -> list[int]:
+        return self._of("choose")
+
+    @property
+    def reporting(self) -> list[int]:
+        """Test records; the validation records if there are too few records for both roles."""
+        return self._of("report") or self.choosing
+
+    @cached_property
+    def time(self) -> float:
+        """Time scale of the rig [s]."""
+        return self._time or float(np.median([r.pace for r in self.records]))
+
+    def scale(self, record: Record) -> float:
+        """Return the time scale of a record's motion [s], at most that of the rig."""
+        return min(self.time, record.pace)
+
+    def every(self, record: Record) -> int:
+        """Return the number of physics steps per sample of the inputs."""
+        return min(max(1, math.ceil(record.step / (self.step * self.scale(record)) - 1e-9)), FINEST)
+
+    def _sparse(self, record: Record) -> bool:
+        """Return whether samples are so sparse that linear interpolation reduces the amplitude."""
+        return self.every(record) > 1 and record.step > COARSE * self.scale(record)
+
+    def span(self, index: int) -> float:
+        """Return the prior standard deviation of a record's initial motion [m], from the range of the record."""
+        if index not in self._spans:
+            record, spans = self.records[index], [0.0]
+            lengths = {"displacement": 1.0, "velocity": self.time, "acceleration": self.time**2}
+            for c in self.network.moving:
+                spans.append(float(np.ptp(record.inputs[c.name])) * lengths[c.quantity])
+            for j, c in enumerate(self.network.outputs):
+                if c.quantity in lengths:
+                    reach = float(np.ptp(record.measured[:, j])) / self.factors[j]
+                    spans.append(reach * lengths[c.quantity])
+            self._spans[index] = 2.0 * (max(spans) or 0.01)
+        return self._spans[index]
+
+    def measured(self, records: Sequence[int] | None = None) -> Array:
+        """Return the measured outputs of records (samples, channels), one after the other; of the training records by default."""
+        return np.concatenate(
+            [self.records[i].measured for i in (self.estimation if records is None else records)]
+        )
+
+    def with_records(self, records: Sequence[Record], roles: Sequence[Role] | None = None) -> Problem:
+        """Return the problem with other records; the roles stay unless given."""
+        return Problem(self.network, records, roles or self.roles, self.step, self.time)
+
+    @cached_property
+    def rough(self) -> Problem:
+        """The problem with the fewest samples that resolve the motion; the problem itself if no sample can be left out."""
+        by = [self._spare(r) for r in self.records]
+        if max(by, default=1) < 2:
+            return self
+        held = {c.name for c in self.network.inputs if c.quantity in HELD}
+        records = [thinned(r, k, held) if k > 1 else r for r, k in zip(self.records, by, strict=True)]
+        return Problem(self.network, records, self.roles, 1.01 * COARSE, self.time)
+
+    def _spare(self, record: Record) -> int:
+        """Return the factor by which a record may be thinned."""
+        most = int(min(COARSE * self.scale(record) / record.step, record.samples / MIN_SAMPLES, MAX_THINNING))
+        if record.reading is not None:
+            return 1
+        if record.taps is None:
+            return max(most, 1)
+        return max((k for k in range(1, most + 1) if record.thin % k == 0), default=1)
+
+    def watching(self, network: Network) -> Problem:
+        """Return the problem with the outputs of another network, at every sample of the inputs."""
+        raw = [r.unread() for r in self.records]
+        return Problem(network, raw, self.roles, self.step, self.time)
+
+    @property
+    def free_offset(self) -> NDArray[np.bool_]:
+        """Whether a channel has an unknown offset (channels,)."""
+        return self.shared_offset | self.record_offset
+
+    @cached_property
+    def loose(self) -> Problem:
+        """Return the problem with one offset per record in place of one offset for all records."""
+        outputs = tuple(replace(c, offset="record" if c.offset else None) for c in self.network.outputs)
+        network = replace(self.network, outputs=outputs)
+        return Problem(network, self.records, self.roles, self.step, self.time)
+
+    def deviation(self, records: Sequence[int] | None = None) -> Array:
+        """Compute the root of the mean variance within measured records.
+
+        The distance between the means of two measured records is no motion and does not count. Segments with the name of one measured
+        record count as one record.
+
+        Args:
+            records: Indices of the records. Default: those to fit by.
+
+        Returns:
+            Deviation (channels,) in the channels' units, at least 1e-300.
+        """
+        pick = [self.records[i] for i in (self.estimation if records is None else records)]
+        return deviation_within([r.measured for r in pick], [r.name for r in pick])
+
+    def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
+        """Return the nuisances of a record at the start of a fit.
+
+        Args:
+            index: Index of the record.
+            shared: Known offsets (channels,) of the sensors that all records share.
+
+        Returns:
+            Offsets (channels,) and further lags (clocks,): zero but for `shared`.
+        """
+        out = np.zeros(len(self.channels) + len(self.records[index].clocks))
+        if shared is not None:
+            out[np.flatnonzero(self.shared_offset)] = np.asarray(shared)[self.shared_offset]
+        return out
+
+    def common(self, outputs: Array) -> Array:
+        """Return the derivatives of `outputs` (samples, channels) by the shared offsets (samples, channels, offsets)."""
+        own = np.flatnonzero(self.shared_offset)
+        out = np.zeros((*outputs.shape, len(own)))
+        out[:, own, np.arange(len(own))] = 1.0
+        return out
+
+    def moves(self, index: int) -> NDArray[np.bool_]:
+        """Return which nuisances may move in a single record: offsets per record, and every lag."""
+        return np.concatenate([self.record_offset, np.ones(len(self.records[index].clocks), bool)])
+
+    def nuisances(self, index: int, outputs: Array) -> Array:
+        """Return the derivatives of the outputs of a record by its nuisances (samples, channels, nuisances)."""
+        record, free = self.records[index], np.flatnonzero(self.record_offset)
+        out = np.zeros((*outputs.shape, len(free) + len(record.clocks)))
+        out[:, free, np.arange(len(free))] = 1.0
+        if record.clocks:
+            slope = np.gradient(outputs, record.interval, axis=0)
+            for k, own in enumerate(record.late):
+                out[:, own, len(free) + k] = -slope[:, own]
+        return out
+
+    def shifted(self, index: int, outputs: Array, nuisance: Array) -> Array:
+        """Return outputs (samples, channels, ...) with offsets and lags."""
+        record, ny = self.records[index], len(self.channels)
+        out = outputs + nuisance[:ny].reshape(ny, *[1] * (outputs.ndim - 2))
+        if record.clocks and np.any(nuisance[ny:]):
+            slope = np.gradient(outputs, record.interval, axis=0)
+            for own, lag in zip(record.late, nuisance[ny:], strict=True):
+                out[:, own] -= lag * slope[:, own]
+        return out
+
+    def simulate(
+        self,
+        networks: Sequence[Network],
+        index: int,
+        initial: Array | None = None,
+        *,
+        like: Network | None = None,
+    ) -> Array:
+        """Outputs (n, channels, lanes) in the channels' units of networks of one structure over record `index`.
+
+        `initial` (states, lanes): initial state in the coordinates of the assembly of `like`, mapped to each lane's own
+        coordinates by the motion of the nodes. Without it everything starts at rest at the first sample.
+        """
+        begun = None if initial is None else {index: initial}
+        return self.simulate_all(networks, [index], begun, like=like)[index]
+
+    def simulate_all(
+        self,
+        networks: Sequence[Network],
+        records: Sequence[int],
+        initial: Mapping[int, Array] | None = None,
+        *,
+        like: Network | None = None,
+    ) -> dict[int, Array]:
+        """The same over several records, those of one length side by side in one call of the kernel."""
+        groups: dict[tuple[Any, ...], list[int]] = {}
+        for i in records:
+            r = self.records[i]
+            groups.setdefault((r.samples, r.step, self.every(r), *r.slopes), []).append(i)
+        out: dict[int, Array] = {}
+        for (samples, *_), members in groups.items():
+            size = max(1, LARGEST // (samples * len(networks)))
+            for k in range(0, len(members), size):
+                out |= self._side_by_side(networks, members[k : k + size], initial, like)
+        return {i: out[i] for i in records}
+
+    def _side_by_side(
+        self,
+        networks: Sequence[Network],
+        members: Sequence[int],
+        initial: Mapping[int, Array] | None,
+        like: Network | None,
+    ) -> dict[int, Array]:
+        """Every network over every record of `members`, which are equally long: one lane each, record by record."""
+        check_time()
+        records = [self.records[i] for i in members]
+        record, wide = records[0], len(networks)
+        every = self.every(record)
+        sparse = self._sparse(record)
+        first = networks[0]
+        motored = any(e.place == "element" for e in first.elements)
+        pure = {id(n): bare(n) for n in networks}  # lanes with different initial states share a network
+        h = record.step / every
+        plant = Plant([pure[id(n)] for n in networks] * len(records), h)
+
+        def lanes(columns: Sequence[Array]) -> Array:
+            """A column a record, for all of its lanes."""
+            if len(columns) == 1 and not motored:
+                return columns[0]
+            return np.repeat(np.stack(columns, axis=1), wide, axis=1)
+
+        curves = {name: [self._bent(i, name, every) for i in members] for name in plant.differentiated}
+        inputs: dict[str, Array] = {}
+        for c in first.inputs:
+            held = c.quantity in HELD
+            if c.name in curves:
+                fine = [curve[0] for curve in curves[c.name]]
+            else:
+                fine = [
+                    interpolated(r.inputs[c.name], every, r.step, held=held, sparse=sparse) for r in records
+                ]
+            if motored and c.quantity == "current":
+                made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
+                inputs[c.name] = np.concatenate(made, axis=1)
+            else:
+                inputs[c.name] = lanes(fine)
+        slopes = {n: (lanes([c[1] for c in own]), lanes([c[2] for c in own])) for n, own in curves.items()}
+        start = None
+        if plant.n:
+            given = None
+            if initial is not None:
+                given = np.concatenate([initial[i] for i in members], axis=1)
+            start = self._start(plant, given, like)
+        out = plant.run(inputs, every=every, samples=record.samples, initial=start, derivatives=slopes)
+        out = out * self.factors[:, None]
+        if any(e.place == "channel" for e in first.elements):
+            for lane in range(out.shape[2]):
+                for e in networks[lane % wide].elements:
+                    if e.place == "channel":
+                        j = self.channels.index(e.where[0])
+                        with np.errstate(all="ignore"):  # the caller detects a diverged simulation
+                            out[:, j, lane] = e.apply(out[:, j, lane], record.step)
+        found = {i: out[:, :, k * wide : (k + 1) * wide] for k, i in enumerate(members)}
+        return {
+            i: r.reading(y) if r.reading else r.read(y)
+            for r, (i, y) in zip(records, found.items(), strict=True)
+        }
+
+    def _bent(self, index: int, name: str, every: int) -> tuple[Array, ...]:
+        key = ("input", index, name, every)
+        known = self.memory.get(key)
+        if known is None:
+            r = self.records[index]
+            known = splined_input(r.inputs[name], r.slopes.get(name), r.step, every, sparse=self._sparse(r))
+            self.memory.put(key, r, known)
+        return known
+
+    def _start(self, plant: Plant, initial: Array | None, like: Network | None) -> Array:
+        lanes = len(plant.networks)
+        if initial is None or like is None:
+            return np.zeros((plant.n, lanes))
+        source = assemble(bare(like))
+        # most lanes differ in parameters that the motion of the nodes does not depend on
+        keys = [asm.position.tobytes() + asm.velocity.tobytes() for asm in plant.assemblies]
+        distinct = dict(zip(keys, plant.assemblies, strict=True))
+        maps = {key: transfer_matrix(source, asm, self.time) for key, asm in distinct.items()}
+        return np.stack([maps[key] @ initial[:, k] for k, key in enumerate(keys)], axis=1)

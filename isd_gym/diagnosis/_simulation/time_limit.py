@@ -1,0 +1,116 @@
+"""Limit of the time of a diagnosis: every simulation looks at the clock, and a stage whose time is over ends."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
+
+from ...physics._kernel.jit import compile_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+#: share of the limit at which each stage ends, if it is not finished
+SEARCH, SELECTION, EVIDENCE, RESULT = 0.7, 0.87, 0.94, 0.97
+
+
+class TimeUp(Exception):
+    """The time of a stage is over: its result is not complete and must not be used."""
+
+
+class TimeLimit:
+    """Limit of time from now on. The compilation of kernels, which a machine does once, does not count.
+
+    Args:
+        limit: Limit [s]; None for no limit.
+        clock: Function that returns the time [s]; processor time by default, for the same result on a busy machine.
+        start: Time of the clock at the start [s]; None for now.
+    """
+
+    def __init__(
+        self,
+        limit: float | None = None,
+        clock: Callable[[], float] = time.process_time,
+        start: float | None = None,
+    ) -> None:
+        self._limit, self._clock = limit, clock
+        self._start = clock() if start is None else start
+        self._compiled = compile_seconds()
+        self._deadline: float | None = None
+        #: parts of the work that were left out since the time was up, in words
+        self.left_out: list[str] = []
+
+    @property
+    def seconds(self) -> float:
+        """Time since the start, without the compilation of kernels [s]."""
+        return self._clock() - self._start - (compile_seconds() - self._compiled)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the time is up."""
+        return self.is_past(1.0)
+
+    def is_past(self, share: float) -> bool:
+        """Return whether a share of the time is over."""
+        return self._limit is not None and self.seconds > share * self._limit
+
+    def leave_out(self, what: str) -> None:
+        """Note a part of the work that is left out.
+
+        Args:
+            what: The part, as an object of "not tried:".
+        """
+        if what not in self.left_out:
+            self.left_out.append(what)
+
+    @contextmanager
+    def until(self, share: float) -> Iterator[None]:
+        """Let simulations within the block raise `TimeUp` after a share of the time; an earlier end of an outer block stays.
+
+        Args:
+            share: Share of the limit, from the start.
+
+        Yields:
+            Nothing.
+        """
+        before = self._deadline
+        if self._limit is not None:
+            own = share * self._limit
+            self._deadline = own if before is None else min(own, before)
+        token = _RUNNING.set(self)
+        try:
+            yield
+        finally:
+            self._deadline = before
+            _RUNNING.reset(token)
+
+    def check(self) -> None:
+        """Raise `TimeUp` after the end of the present block."""
+        if self._deadline is not None and self.seconds > self._deadline:
+            raise TimeUp(f"{self._deadline:g} s are over")
+
+
+_RUNNING: ContextVar[TimeLimit | None] = ContextVar("time limit", default=None)
+
+
+def check_time() -> None:
+    """Raise `TimeUp` if the time of the running stage is over."""
+    limit = _RUNNING.get()
+    if limit is not None:
+        limit.check()
+
+
+def running() -> TimeLimit | None:
+    """Return the limit of the running stage, for `adopt` in a thread."""
+    return _RUNNING.get()
+
+
+def adopt(limit: TimeLimit | None) -> None:
+    """Make a limit that of the running thread.
+
+    Args:
+        limit: Result of `running` in the parent thread.
+    """
+    _RUNNING.set(limit)

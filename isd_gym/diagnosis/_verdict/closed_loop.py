@@ -1,0 +1,92 @@
+"""Conditions for a name where an input follows from outputs.
+
+Under feedback a simulation of whole records is no valid comparison: an element that keeps the simulation near the record, such as a
+spring to the ground, takes the place of the disturbances that the controller answered to. Over brief stretches, each from a
+state of its own, the disturbances before a stretch are in its initial state. And an element whose force is a multiple of
+the controller's force cannot be told from an error of the drive.
+
+References:
+    Ljung, System Identification, 2nd ed. (1999), section 13.3 (closed loop and the direct method).
+    Van den Hof, Closed-loop issues in system identification, Annual Reviews in Control 22 (1998) 173.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.errors import InputError
+from .._hypotheses.forces import element_forces
+from .._records.feedback import LINEAR
+from .._selection.criteria import CRITERIA
+from .gates import Decision, gate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ...physics.elements import Element
+    from .._estimation.gauss_newton import Fit
+    from .._records.feedback import Feedback
+    from .._selection.criteria import Criteria
+    from .._simulation.problem import Problem
+
+
+def decide_under_feedback(
+    decision: Decision,
+    problem: Problem,
+    fit: Fit,
+    elements: Sequence[Element],
+    feedback: Sequence[Feedback],
+    brief: bool,
+    c: Criteria = CRITERIA,
+) -> Decision:
+    """Withdraw a name that feedback may have caused.
+
+    Args:
+        decision: The decision as in open loop.
+        problem: The records that were compared.
+        fit: The fit with the named elements.
+        elements: The named elements.
+        feedback: Inputs that follow from outputs; empty in open loop.
+        brief: Whether the records were compared over brief stretches.
+        c: Limits of the decision.
+
+    Returns:
+        The decision with a gate for each condition; `unknown_effect` in place of a name where a gate fails.
+    """
+    if not feedback or decision.verdict != "missing_effect":
+        return decision
+    gates = [*decision.gates]
+    if not brief:
+        worst = max(feedback, key=lambda f: f.share)
+        text = f"share of {worst.input} that past outputs explain; under feedback whole records are no comparison"
+        gates.append(gate("open loop", max(worst.share, LINEAR[0]), "<", LINEAR[0], text))
+    for e in elements:
+        for f in feedback:
+            share = imitated_share(problem, fit, e, f.input)
+            text = f"share of the force of {e.type} that {f.input}, which follows from {' and '.join(f.outputs)}, explains"
+            gates.append(gate("not the controller", share, "<", c.imitation, text))
+    if all(g.passed for g in gates):
+        return replace(decision, gates=tuple(gates))
+    return replace(decision, verdict="unknown_effect", gates=tuple(gates))
+
+
+def imitated_share(problem: Problem, fit: Fit, element: Element, name: str) -> float:
+    """Compute the share of an element's force that an input explains, as a multiple, over the records to fit by.
+
+    Returns:
+        Squared correlation within records; 0 for a fault of a drive or a sensor.
+    """
+    if element.place != "between":
+        return 0.0
+    try:
+        force = element_forces(problem, fit, element.where)[element.name]
+    except InputError:
+        return 0.0
+    inputs = [problem.records[i].inputs[name] for i in problem.estimation]
+    edges = np.cumsum([len(u) for u in inputs])[:-1]
+    parts = [(f - f.mean(), u - u.mean()) for f, u in zip(np.split(force, edges), inputs, strict=True)]
+    f, u = (np.concatenate(p) for p in zip(*parts, strict=True))
+    return float(f @ u) ** 2 / max(float(f @ f) * float(u @ u), 1e-300)

@@ -1,0 +1,521 @@
+"""The workflow from records and a model to a verdict: read, search, measure, decide, report."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time as clock
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from threadpoolctl import threadpool_limits
+
+from .._common.errors import InputError
+from ..physics.network import Network, assemble, rejoin
+from ..physics.network import cut as network_cut
+from ..physics.simulate import pace
+from ..records._loggers.recording import Recording
+from ..records.data import Table
+from ._estimation.clock_lag import align_clocks
+from ._estimation.direct_problem import prefer_direct_problem
+from ._estimation.gauss_newton import Fitter, residuals
+from ._estimation.inverse_problem import invert
+from ._estimation.noise import whitener
+from ._hypotheses.library import hypotheses
+from ._records import (
+    LEAD_IN,
+    Feedback,
+    check_sampling_rates,
+    cut_segments,
+    differentiate_inputs,
+    find_feedback,
+    find_misreading,
+    read_record,
+    split_records,
+    thin_long_record,
+)
+from ._result_builder import ResultBuilder
+from ._selection.admissibility import admissible_starts
+from ._selection.candidate import Candidate, white_noise
+from ._selection.criteria import CRITERIA, Criteria
+from ._selection.forward_backward import Search
+from ._selection.held_out import HeldOutEvaluator
+from ._selection.settings import SearchSettings
+from ._simulation.problem import BROKEN, Problem, Record, Role, bare
+from ._simulation.time_limit import EVIDENCE, RESULT, SEARCH, TimeLimit, TimeUp, running
+from ._verdict.closed_loop import decide_under_feedback
+from ._verdict.gates import decide
+from ._verdict.measurement import Measurements, collect_evidence
+from .result import Diagnosis, Stretches
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from ._selection.candidate_comparison import CandidateComparison
+    from ._verdict.gates import Decision
+
+#: lengths of the segments in which a periodic law is searched, as multiples of the usual length
+SEGMENT_FACTORS = (1.0, 2.0)
+#: hypotheses at the head of the score test among which a periodic law must be
+FIRST = 3
+
+
+def diagnose(
+    data: Sequence[Table | Recording | str | Path],
+    model: Network | str | Path | Mapping[str, Any],
+    *,
+    validate: Sequence[Table | Recording | str | Path] = (),
+    accept: Sequence[str] = (),
+    progress: Callable[[str], None] | None = None,
+    seed: int = 0,
+    settings: SearchSettings | None = None,
+    criteria: Criteria = CRITERIA,
+    cut: str | None = None,
+) -> Diagnosis:
+    """Find where simulation and measurement disagree, and name the physical effect that is missing.
+
+    Args:
+        data: Records to fit by: tables, recordings of loggers, or files.
+        model: The nominal model.
+        validate: Records that take no part in fitting. A part of them chooses between explanations; the reported figures are of the
+            rest. By default whole records of `data`, or the later part of a single record, are held out.
+        accept: Names of data checks that only warn, or 'all'.
+        progress: Function that receives a line per stage.
+        seed: Seed of the Bayesian bootstrap.
+        settings: Settings of the search; returned with the result.
+        criteria: Limits of the decision; returned with the result.
+        cut: A node whose motion an output measures. That motion drives the model on this side of the node; the model behind the node
+            (tyre and road) is left out (`isd_gym.physics.network.cut`).
+
+    Returns:
+        The diagnosis. Parts that the limit of the time left out are its `not_tried`.
+
+    Raises:
+        InputError: The data or the model cannot be used, or the time is up before the nominal model is compared with the records.
+    """
+    steps = settings or SearchSettings()
+    limit = running() or TimeLimit(steps.max_seconds, clock.monotonic)
+    try:
+        with limit.until(math.inf):
+            return _diagnose(data, model, validate, accept, progress, seed, steps, criteria, cut)
+    except TimeUp:
+        raise InputError(
+            f"the time limit of {steps.max_seconds:g} s is over before the nominal model is refitted and compared with the records: "
+            "raise --max-seconds, or give shorter records"
+        ) from None
+
+
+def _diagnose(
+    data: Sequence[Table | Recording | str | Path],
+    model: Network | str | Path | Mapping[str, Any],
+    validate: Sequence[Table | Recording | str | Path],
+    accept: Sequence[str],
+    progress: Callable[[str], None] | None,
+    seed: int,
+    steps: SearchSettings,
+    criteria: Criteria,
+    cut: str | None,
+) -> Diagnosis:
+    """Diagnose as `diagnose` does. Raise `TimeUp` where the time does not suffice for a result."""
+    start, limit = clock.perf_counter(), running() or TimeLimit()
+    whole_network = network = Network.load(model)
+    if not network.outputs:
+        raise InputError(f"model '{network.name}' has no outputs to compare with")
+    notes: list[str] = []
+    if cut is not None:
+        network = network_cut(network, cut)
+        left = [e.name for e in whole_network.elements if e.name not in {x.name for x in network.elements}]
+        notes.append(f"cut at {cut}, which {network.inputs[0].name} moves; left out: {', '.join(left)}")
+    fit = [read_record(d, network, notes, accept) for d in _several(data, "data")]
+    held = (
+        [read_record(d, network, notes, accept) for d in _several(validate, "validate")]
+        if len(validate)
+        else []
+    )
+
+    fit, held = ([thin_long_record(r, network, notes) for r in records] for records in (fit, held))
+    for record in (*fit, *held):
+        check_sampling_rates(record, network)
+    with limit.until(SEARCH):
+        loose, lags = align_clocks([*fit, *held], network, steps.max_lag)
+        direct = prefer_direct_problem(loose, network, len(fit), steps.input_noise, steps.swapped_error)
+    if direct is not None:
+        loose, network, note = direct
+        notes.append(note)
+    feedback = find_feedback(loose, network)
+    whole = _whole(loose, network, len(fit))
+    with limit.until(SEARCH):
+        misreading = find_misreading(whole)
+    if misreading:
+        if not {"sign", "all"} & set(accept):
+            raise InputError(f"{misreading} (--accept sign goes on)")
+        notes.append(misreading)
+    say = progress or (lambda line: None)
+    flow = Workflow.of(whole, notes, say, seed, steps, criteria, feedback, clock=limit)
+    # one thread for linear algebra: sums do not depend on the number of cores
+    with threadpool_limits(1):
+        # where a closed loop is found, brief stretches of the motion come first
+        first = None if feedback else _diagnose_inverse(flow, loose, notes, start)
+        found = first or flow.run(notes, start)
+        if feedback and found.verdict == "unknown_effect":
+            found = _diagnose_inverse(flow, loose, notes, start) or found
+    # the missing effect had a part in the lags
+    if found.verdict == "missing_effect" and lags and isinstance(found.model, Network):
+        # the lags of the nominal model stay where the new ones cannot be found in time
+        with contextlib.suppress(TimeUp, *BROKEN), limit.until(RESULT):
+            known = replace(found.model, uncertainty=network.uncertainty)
+            _, lags = align_clocks(loose, known, previous=lags)
+    found = replace(found, lags=tuple(lags), notes=(*found.notes, *map(str, lags)))
+    if cut is not None and isinstance(found.model, Network):
+        found = replace(found, whole=rejoin(whole_network, found.model))
+    return found
+
+
+def _whole(records: list[Record], network: Network, training: int) -> Problem:
+    """Return whole records with differentiated inputs, the first of them for training."""
+    kept: list[Role] = ["fit"] * training
+    kept += ["report"] * (len(records) - training)
+    return Problem(network, differentiate_inputs(records, network), kept)
+
+
+def _diagnose_inverse(
+    flow: Workflow, records: list[Record], notes: list[str], start: float
+) -> Diagnosis | None:
+    """Diagnose the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away.
+
+    Returns:
+        The diagnosis, with the completed model as `whole`; None where the drift is small, the model has no inverse, or nothing is named.
+    """
+    inverse = invert(flow.network)
+    if inverse is None or any(r.reading is not None for r in records):
+        return None
+    limit = flow.clock
+    try:
+        with limit.until(SEARCH):
+            error = flow.error_of_whole_records
+        if error <= flow.settings.drifted:
+            return None
+        note = (
+            f"{inverse.network.inputs[0].name} is taken as input and {inverse.network.outputs[0].name} as output: no spring holds the motion, "
+            f"and the simulated one errs by {error:.0%}"
+        )
+        whole = _whole(inverse.records(records), inverse.network, len(flow.whole.estimation))
+        own = [*notes, note]
+        # a controller that sets the force changes nothing in the force that a motion needs
+        turned = Workflow.of(whole, own, flow.say, flow.seed, flow.settings, flow.criteria, (), clock=limit)
+        with limit.until(EVIDENCE):
+            found = turned.run(own, start)
+    except TimeUp:
+        limit.leave_out("the force that the measured motion needs")
+        return None
+    except (InputError, *BROKEN):
+        return None
+    model = inverse.restore(found.model) if isinstance(found.model, Network) else None
+    return replace(found, whole=model) if found.verdict == "missing_effect" and model is not None else None
+
+
+def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
+    """Return the time [s] from which each whole record takes no part in fitting; infinite for records that are fitted to the end.
+
+    Args:
+        whole: The whole records.
+        problem: The same records as `split_records` returns them, training records first.
+    """
+    fitted = len(problem.estimation)
+    if len(whole.records) == fitted == 1:
+        return (float(problem.records[1].time[0]),)
+    return tuple(math.inf if i < fitted else -math.inf for i in range(len(whole.records)))
+
+
+def _several(data: Any, name: str) -> list[Any]:
+    """Return a list of sources; raise InputError where there is none."""
+    out = [data] if isinstance(data, Table | Recording | str | Path) else list(data)
+    if not out:
+        raise InputError(f"{name}: no records")
+    return out
+
+
+@dataclass(eq=False)
+class Workflow:
+    """One diagnosis: search, evidence, decision and result."""
+
+    #: training, validation and test records
+    problem: Problem
+    #: the whole records
+    whole: Problem
+    say: Callable[[str], None]
+    seed: int
+    settings: SearchSettings
+    criteria: Criteria
+    #: time from which each whole record takes no part in fitting [s]
+    held_from: tuple[float, ...]
+    #: inputs that follow from outputs
+    feedback: tuple[Feedback, ...] = ()
+    #: whether the records of the problem are segments
+    is_segmented: bool = False
+    clock: TimeLimit = field(default_factory=TimeLimit)
+
+    @classmethod
+    def of(
+        cls,
+        whole: Problem,
+        notes: list[str],
+        say: Callable[[str], None],
+        seed: int,
+        settings: SearchSettings,
+        criteria: Criteria,
+        feedback: tuple[Feedback, ...],
+        clock: TimeLimit,
+    ) -> Workflow:
+        """Return the workflow of whole records, split into training, validation and test records; how is added to the notes."""
+        training = len(whole.estimation)
+        # where the whole motion is prescribed, only the memory of laws needs a lead-in
+        lead = 0.0 if assemble(bare(whole.network)).size[0] else LEAD_IN * whole.time
+        records, roles = split_records(
+            whole.records[:training], whole.records[training:], notes, whole.time, lead
+        )
+        problem = Problem(whole.network, records, roles)
+        held = held_from(whole, problem)
+        return cls(problem, whole, say, seed, settings, criteria, held, feedback, clock=clock)
+
+    def __post_init__(self) -> None:
+        self.network = self.problem.network
+        self.search = Search(
+            HeldOutEvaluator(self.problem, self.criteria.least_noise, self.whole),
+            self.settings,
+            self.criteria,
+            self.say,
+            self.clock,
+        )
+        self._measured: tuple[CandidateComparison, Measurements] | None = None
+
+    def run(self, notes: list[str], start: float) -> Diagnosis:
+        """Run the diagnosis.
+
+        Records are compared whole. Where the refitted model loses the measured motion, records are compared in segments first, each from
+        an initial state of its own. Where whole records give no name, segments are searched for a periodic law.
+
+        Args:
+            notes: Notes so far.
+            start: Start of the work [s].
+        """
+        p = self.problem
+        self.say(
+            f"{len(p.estimation)} record(s) to fit, {len(p.held)} stretches held out; refitting the model"
+        )
+        with self.clock.until(SEARCH):
+            refitted, error = self.refitted, self.error_of_whole_records
+        is_lost = bool(self.feedback) or not error <= self.settings.astray
+        if is_lost:
+            found = self._diagnose_segments(notes, start, error, periodic_only=False)
+            if found is not None:
+                return found
+            scores = self.search.select(*self.search.add_effects([refitted]))
+        else:
+            scores = self.search.run(refitted, self.is_decided)
+        measured = self.measure(scores)
+        decision = self.decide(scores)
+        if decision.verdict == "unknown_effect" and not is_lost:
+            for factor in SEGMENT_FACTORS:
+                found = self._diagnose_segments(notes, start, error, periodic_only=True, factor=factor)
+                if found is not None:
+                    return found
+        return self._result(scores, measured, decision, notes, start)
+
+    def measure(self, scores: CandidateComparison) -> Measurements:
+        """Return the measurements of a search; they are kept for the next call."""
+        if self._measured is None or self._measured[0] is not scores:
+            best = "; ".join(h.label for h in scores.foremost.hypotheses)
+            try:
+                with self.clock.until(EVIDENCE):
+                    found = collect_evidence(self.search, scores, self.seed)
+            except (TimeUp, *BROKEN) as error:  # a candidate that cannot be measured loses
+                if isinstance(error, TimeUp):
+                    self.clock.leave_out(f"the tests of {best or 'the refitted model'}")
+                scores.chosen = scores.foremost = scores.refitted
+                with self.clock.until(1.0):
+                    found = collect_evidence(self.search, scores, self.seed)
+            self._measured = scores, found
+        return self._measured[1]
+
+    def decide(self, scores: CandidateComparison) -> Decision:
+        """Return the decision on a search; under feedback a name has to meet further conditions."""
+        decision, best = decide(self.measure(scores).evidence, self.criteria), scores.foremost
+        return decide_under_feedback(
+            decision,
+            self.problem,
+            best.fit,
+            best.elements,
+            self.feedback,
+            self.is_segmented,
+            self.criteria,
+        )
+
+    def is_decided(self, scores: CandidateComparison) -> bool:
+        """Return whether a search needs no further start.
+
+        Where only the lack-of-fit gate fails, the place is known and the law is not in the library: other names are only other curves.
+        """
+        decision = self.decide(scores)
+        failed = {g.name for g in decision.gates if not g.passed}
+        return failed == {"lack of fit"} or decision.verdict in (
+            "missing_effect",
+            "no_discrepancy",
+            "parameters_only",
+        )
+
+    def _result(
+        self,
+        scores: CandidateComparison,
+        measured: Measurements,
+        decision: Decision,
+        notes: list[str],
+        start: float,
+        over: Stretches | None = None,
+    ) -> Diagnosis:
+        builder = ResultBuilder(
+            self.search, scores, measured, self.whole, self.held_from, self.seed, self.say, self.feedback
+        )
+        result = builder.build(decision, notes, over)
+        return replace(result, seconds=clock.perf_counter() - start)
+
+    # -- segments -----------------------------------------------------------------------------------------
+    def has_free_motion(self) -> bool:
+        """Return whether an input ties the motion to the record, and a motion can start anew."""
+        return bool(self.network.inputs) and assemble(bare(self.network)).size[0] > 0
+
+    @cached_property
+    def refitted(self) -> Candidate:
+        """The refitted nominal model."""
+        return self.search.fitter.refit_nominal()
+
+    @cached_property
+    def error_of_whole_records(self) -> float:
+        """The error of the refitted model over whole records, as a share of the deviation, mean over channels.
+
+        The larger of the errors on training and validation records. NaN where the simulation breaks down; 0 where no motion can start
+        anew.
+        """
+        if not self.has_free_motion():
+            return 0.0
+        try:
+            score = self.search.evaluator.score_alone(self.refitted)
+        except BROKEN:
+            return math.nan
+        return float(max(score.training_nrmse.mean(), score.nrmse.mean()))
+
+    def segmented(self, factor: float | None = None) -> Problem:
+        """Return the problem with the records in segments, each from an initial state of its own.
+
+        Args:
+            factor: Length as a multiple of the usual length, whatever the slowest channel: between positions of rest a channel is slower
+                than the motion within one.
+        """
+        p, s = self.problem, self.settings
+        slowest = max(pace(r.measured[:, j], r.interval) for r in p.records for j in range(len(p.channels)))
+        seconds = s.segment * p.time * (factor or 1.0)
+        seconds = seconds if factor else max(seconds, s.least_segment * slowest)
+        pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
+        for r, role in zip(p.records, p.roles, strict=True):
+            pieces[role] += cut_segments(r, seconds, s.shortest)
+        records: list[Record] = []
+        roles: list[Role] = []
+        for role, own in pieces.items():
+            kept = own[:: max(1, math.ceil(len(own) / s.segments))]
+            records += kept
+            roles += [role] * len(kept)
+        return Problem(self.network, records, roles, p.step, p.time)
+
+    def _diagnose_segments(
+        self,
+        notes: list[str],
+        start: float,
+        error: float,
+        *,
+        periodic_only: bool,
+        factor: float | None = None,
+    ) -> Diagnosis | None:
+        """Diagnose over segments: no simulation follows a rig for long that has many positions of rest, hits stops or drifts.
+
+        Args:
+            notes: Notes so far.
+            start: Start of the work [s].
+            error: Error of the refitted model over whole records.
+            periodic_only: Search for one periodic law only, and return names only.
+            factor: Length of the segments (`segmented`).
+
+        Returns:
+            The diagnosis; None where nothing is decided.
+        """
+        if not self.has_free_motion():
+            return None
+        try:
+            with self.clock.until(EVIDENCE if periodic_only else 1.0):
+                return self._diagnose_in_time(notes, start, error, periodic_only, factor)
+        except TimeUp:
+            what = (
+                "a periodic law over brief stretches"
+                if periodic_only
+                else "a comparison over brief stretches"
+            )
+            self.clock.leave_out(what)
+            return None
+
+    def _diagnose_in_time(
+        self, notes: list[str], start: float, error: float, periodic_only: bool, factor: float | None
+    ) -> Diagnosis | None:
+        problem = self.segmented(factor)
+        over = self._describe_segments(problem, error, periodic_only)
+        self.say(
+            f"comparing over {over.count} stretches of {over.shortest:.2g} to {over.longest:.2g} s, each from its own state"
+        )
+        flow = replace(self, problem=problem, is_segmented=True)
+        search = flow.search
+        try:
+            with self.clock.until(SEARCH):
+                refitted = search.fitter.refit_nominal()
+                if periodic_only and (
+                    flow.is_within_noise(refitted) or not flow.is_perhaps_periodic(refitted)
+                ):
+                    return None
+            if periodic_only:
+                scores = search.select(*search.add_effects([refitted], most=1))
+            else:
+                scores = search.run(refitted, flow.is_decided)
+            measured = flow.measure(scores)
+        except BROKEN:
+            return None
+        decision = flow.decide(scores)
+        is_named = decision.verdict == "missing_effect"
+        # under feedback whole records are no valid comparison
+        is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
+        if not is_named and (periodic_only or not is_final):
+            return None
+        if periodic_only and not scores.foremost.hypotheses[0].kind.periodic:
+            return None
+        return flow._result(scores, measured, decision, notes, start, over)
+
+    def _describe_segments(self, problem: Problem, error: float, periodic_only: bool) -> Stretches:
+        lengths = [len(r) * r.interval for r in problem.records]
+        reason: Literal["diverges", "astray", "unnamed", "feedback"] = "unnamed"
+        if not periodic_only:
+            reason = "astray" if math.isfinite(error) else "diverges"
+        if self.feedback:
+            reason = "feedback"
+        return Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)
+
+    def is_within_noise(self, refitted: Candidate) -> bool:
+        """Return whether the refitted model errs by less than a material share beyond noise."""
+        e = self.search.evaluator
+        score = e.score_alone(refitted)
+        return float(score.excess(e.noise_share(score)).max()) < self.criteria.material
+
+    def is_perhaps_periodic(self, refitted: Candidate) -> bool:
+        """Return whether a law that is periodic in travel is among the first in the score test."""
+        p, least = self.problem, self.search.least_noise
+        filters = whitener(residuals(p, refitted.fit), white_noise(p, refitted.fit, least))
+        scored = admissible_starts(p, Fitter(p, filters), refitted.fit, hypotheses(self.network))
+        first = list(dict.fromkeys(s.hypothesis for s in scored))[:FIRST]
+        return any(h.kind.periodic for h in first)

@@ -1,0 +1,508 @@
+"""Map from the columns of loggers' files to the channels of a model: the file of `isd-gym inspect --out` (`isd-map/1`).
+
+    {"schema": "isd-map/1", "model": "car.json",
+     "loggers": [{"file": "body.csv", "stamps": {"column": "Zeit", "unit": "ms"}}, {"file": "wheel.mf4",
+     "lag": 0.004}],
+     "channels": {"body_acceleration": {"logger": 1, "column": "az_body", "unit": "g", "sign": -1, "sure":
+     0.97}}}
+
+`logger` counts from 1, in the order of a run's files (``body.csv+wheel.mf4``). `lag` [s] is the known delay
+of a logger's time stamps; an unknown delay is fitted. `sure` and `why` are for people.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..._common.errors import InputError, hint, plain, shown
+from ..._common.files import write_text
+from ..._common.inputs import read_json
+from ..._common.units import convert
+from ...physics.network import Channel, Network, without
+from ..data._columns import column_for, did_you_mean
+from ..schemas import check
+from .recording import EPOCH, Raster, Recording, Signal, continuous, mended, rasters, spans
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping as Dict
+    from collections.abc import Sequence
+
+SCHEMA = "isd-map/1"
+JOIN = "+"  # separator between the files of a run
+
+
+@dataclass(frozen=True)
+class Column:
+    """Column of a channel.
+
+    Attributes:
+        column: Name of the column.
+        logger: Number of the logger, from 1.
+        unit: Unit of the column; None for the unit in the file.
+        sign: Factor 1 or -1.
+        sure: Probability of the match, from 0 to 1; None if unknown.
+        why: Reasons for the match.
+    """
+
+    column: str
+    logger: int = 1
+    unit: str | None = None
+    sign: int = 1
+    sure: float | None = None
+    why: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the column as an object of a map file.
+
+        Returns:
+            Plain data.
+        """
+        out: dict[str, Any] = {"logger": self.logger, "column": self.column}
+        if self.unit:
+            out["unit"] = self.unit
+        if self.sign != 1:
+            out["sign"] = self.sign
+        if self.sure is not None:
+            out["sure"] = round(self.sure, 3)
+        return out | ({"why": self.why} if self.why else {})
+
+
+@dataclass(frozen=True)
+class Logger:
+    """A logger.
+
+    Attributes:
+        file: Name of its file, for people.
+        stamp: Column of the time stamps; None to detect the column.
+        unit: Unit of the time stamps; None for the unit in the file, otherwise s.
+        lag: Delay of the time stamps [s]; None if unknown.
+        columns: Names of the columns of a file without a header row.
+        rate: Sampling rate of a file without time stamps [Hz]; None for a file with time stamps.
+    """
+
+    file: str = ""
+    stamp: str | None = None
+    unit: str | None = None
+    lag: float | None = None
+    columns: tuple[str, ...] = ()
+    rate: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the logger as an object of a map file.
+
+        Returns:
+            Plain data.
+        """
+        out: dict[str, Any] = {"file": self.file}
+        stamps = {k: v for k, v in (("column", self.stamp), ("unit", self.unit), ("rate", self.rate)) if v}
+        if self.columns:
+            out["columns"] = list(self.columns)
+        return out | ({"stamps": stamps} if stamps else {}) | ({} if self.lag is None else {"lag": self.lag})
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """Columns of the channels of a model, as `isd-gym inspect` suggests and `--map` reads.
+
+    Attributes:
+        channels: Column by channel.
+        loggers: Loggers, in the order of a run's files.
+        model: File of the model.
+        source: File of the map, for messages.
+    """
+
+    channels: Dict[str, Column]
+    loggers: tuple[Logger, ...] = ()
+    model: str = ""
+    source: str = "the map"
+
+    @classmethod
+    def load(cls, path: str | Path) -> ChannelMap:
+        """Read a map file.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The map.
+
+        Raises:
+            InputError: The file cannot be read or has an invalid entry; the message names the entry.
+        """
+        return cls.from_dict(read_json(path), str(path))
+
+    @classmethod
+    def from_dict(cls, data: Any, source: str = "the map") -> ChannelMap:
+        """Return a map from the content of a map file.
+
+        Args:
+            data: Plain data.
+            source: Origin, for messages.
+
+        Returns:
+            The map.
+
+        Raises:
+            InputError: An entry is invalid; the message names the entry.
+        """
+        check(data, SCHEMA, source)
+        loggers = []
+        for row in data.get("loggers", ()):
+            stamps, lag = row.get("stamps", {}), row.get("lag")
+            loggers.append(
+                Logger(
+                    row.get("file", ""),
+                    stamps.get("column"),
+                    stamps.get("unit"),
+                    None if lag is None else float(lag),
+                    tuple(row.get("columns", ())),
+                    stamps.get("rate"),
+                )
+            )
+        channels = {}
+        for name, row in data["channels"].items():
+            unit = row.get("unit")
+            if unit:
+                try:
+                    convert(1.0, unit, unit)
+                except InputError as error:
+                    raise InputError(f"{source}: channel {shown(name)}: {error}") from None
+            number, sign = int(row.get("logger", 1)), int(row.get("sign", 1))
+            channels[name] = Column(row["column"], number, unit, sign, row.get("sure"), row.get("why", ""))
+        return cls(channels, tuple(loggers), data.get("model", ""), source)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of the map file (`isd-map/1`).
+
+        Returns:
+            Plain data.
+        """
+        return {
+            "schema": SCHEMA,
+            "model": self.model,
+            "loggers": [x.to_dict() for x in self.loggers],
+            "channels": {n: c.to_dict() for n, c in self.channels.items()},
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the map file atomically, one channel per line.
+
+        Args:
+            path: File to write.
+
+        Raises:
+            InputError: The file cannot be written.
+        """
+        loggers = ",\n  ".join(json.dumps(x.to_dict(), ensure_ascii=False) for x in self.loggers)
+        channels = ",\n".join(
+            f"  {json.dumps(n, ensure_ascii=False)}: {json.dumps(c.to_dict(), ensure_ascii=False)}"
+            for n, c in self.channels.items()
+        )
+        head = f'{{"schema": "{SCHEMA}", "model": {json.dumps(self.model)}'
+        text = f'{head},\n "loggers": [\n  {loggers}],\n "channels": {{\n{channels}}}}}\n'
+        write_text(path, text)
+
+    def check(self, network: Network) -> None:
+        """Check that the model has all channels of the map.
+
+        Args:
+            network: The model.
+
+        Raises:
+            InputError: A channel is unknown.
+        """
+        known = [c.name for c in (*network.inputs, *network.outputs)]
+        for name in self.channels:
+            if name not in known:
+                raise InputError(
+                    f"{self.source}: the model has no channel {shown(name)}; {hint(name, known)}"
+                )
+
+    def measured(self, network: Network) -> Network:
+        """Return the model with only the outputs that the map has columns for.
+
+        Args:
+            network: The model.
+
+        Returns:
+            The model with fewer outputs.
+
+        Raises:
+            InputError: The map has a channel that the model lacks, or no output.
+        """
+        self.check(network)
+        found = network.with_outputs(self.channels)
+        if not found.outputs:
+            raise InputError(
+                f"{self.source}: no output of the model has a column ({', '.join(c.name for c in network.outputs)})"
+            )
+        return found
+
+
+# ------------------------------------------------------------------------------------------------ a run's files
+
+
+def files_of(text: str | Path) -> list[Path]:
+    """Return the files of one run.
+
+    Args:
+        text: One file, or several files as ``body.csv+wheel.mf4``. The name of an existing file may contain
+            the separator.
+
+    Returns:
+        Paths in the given order.
+
+    Raises:
+        InputError: A file is named twice.
+    """
+    whole = Path(text)
+    if JOIN not in str(text) or whole.exists():
+        return [whole]
+    out = [Path(p) for p in str(text).split(JOIN) if p]
+    if len({p.resolve() for p in out}) < len(out):
+        raise InputError(f"{text}: a file is named twice")
+    return out
+
+
+@dataclass(frozen=True)
+class _Named:
+    """Columns of channels without a map.
+
+    Attributes:
+        columns: Column by channel, for columns with another name than the channel.
+        units: Unit by channel or by column.
+        signs: Factor 1 or -1 by channel or by column.
+    """
+
+    columns: Dict[str, str]
+    units: Dict[str, str]
+    signs: Dict[str, int]
+
+
+def runs(
+    text: str | Path,
+    network: Network,
+    wanted: Sequence[Channel],
+    *,
+    by: ChannelMap | None = None,
+    rename: Dict[str, str] | None = None,
+    units: Dict[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+    rate: float | None = None,
+    signs: Dict[str, int] | None = None,
+) -> list[Recording]:
+    """Return the records of one or several loggers' files, split at gaps in the time stamps.
+
+    A file with tables side by side, each with all wanted channels, holds several runs. Otherwise the files hold one.
+
+    Args:
+        text: The files, as `files_of` reads them.
+        network: The model.
+        wanted: Channels of the model that are needed.
+        by: Columns of the channels; None for columns with the names of the channels.
+        rename: Column -> channel.
+        units: Unit by channel or by column.
+        columns: Names for files without a header row, unless the map has names.
+        rate: Sampling rate of files without time stamps [Hz], unless the map has a rate.
+        signs: Factor 1 or -1 by channel or by column.
+
+    Returns:
+        Pieces of each run, in order of time.
+
+    Raises:
+        InputError: A column is missing, stamps overlap or run backwards, the loggers have no common time, or
+            all pieces are too short.
+    """
+    files = files_of(text)
+    loggers = by.loggers if by else ()
+    found: list[list[Raster]] = []
+    renamed = {c: n for n, c in (rename or {}).items()}
+    for i, file in enumerate(files):
+        own = loggers[i] if i < len(loggers) else Logger(stamp=renamed.get("time"))
+        there = own.stamp if by is None or i < len(loggers) else None
+        found.append(
+            rasters(
+                file,
+                stamp=there,
+                unit=own.unit or (units or {}).get("time"),
+                units=units,
+                columns=own.columns or columns,
+                rate=own.rate or rate,
+            )
+        )
+    name = JOIN.join(f.stem for f in files)
+    source = {c.name: by.channels[c.name].column for c in wanted if c.name in by.channels} if by else renamed
+    columns_of = {c.name: source.get(c.name, c.name) for c in wanted}
+    named = _Named(renamed, units or {}, signs or {})
+    tables = found[0] if len(files) == 1 else []
+    if len(tables) < 2 or not all(n in r.columns for r in tables for n in columns_of.values()):
+        return _run(str(text), name, files, found, network, wanted, by, named)
+    out = []
+    for k, table in enumerate(tables, 1):
+        out += _run(str(text), f"{name} ({k})", files, [[table]], network, wanted, by, named)
+    return out
+
+
+def _run(
+    text: str,
+    name: str,
+    files: Sequence[Path],
+    found: list[list[Raster]],
+    network: Network,
+    wanted: Sequence[Channel],
+    by: ChannelMap | None,
+    named: _Named,
+) -> list[Recording]:
+    """Return the pieces of one run, in order of time.
+
+    Args:
+        text: The files, for messages.
+        name: Name of the run.
+        files: Files of the loggers.
+        found: Rasters of each file.
+        network: The model.
+        wanted: Channels of the model that are needed.
+        by: Columns of the channels; None for columns with the names of the channels.
+        named: Columns of the channels where there is no map.
+    """
+    loggers = by.loggers if by else ()
+    notes: list[str] = []
+    _common_origin(found, notes)
+    if by is None:
+        by = _by_name(wanted, files, found, named)
+    else:
+        by.check(network)
+        if lost := [c.name for c in wanted if c.name not in by.channels]:
+            kind = "the input " if lost[0] in {c.name for c in network.inputs} else ""
+            raise InputError(f"{by.source}: no column for {kind}{', '.join(lost)}{without(network, lost[0])}")
+    place = {c.name: _find(c, network, by, files, found) for c in wanted}
+    # only used rasters are cut at their gaps
+    cut: dict[tuple[int, int], list[Raster]] = {}
+    for _, at in place.values():
+        if at not in cut:
+            i, k = at
+            used = [by.channels[n].column for n, (_, other) in place.items() if other == at]
+            raster = found[i][k]
+            thin = Raster(
+                raster.source, raster.time, {c: raster.columns[c] for c in used}, raster.units, raster.stamp
+            )
+            cut[at] = mended(thin, notes)
+    whole = spans([[(float(p.time[0]), float(p.time[-1])) for p in pieces] for pieces in cut.values()])
+    if not whole:
+        raise InputError(
+            f"{text}: the loggers have no time in common ("
+            + "; ".join(f"{p[0].name} {p[0].time[0]:.6g} to {p[-1].time[-1]:.6g} s" for p in cut.values())
+            + ")"
+        )
+    lags = {
+        f"{i + 1} {plain(f.name, 40)}": x.lag
+        for i, (f, x) in enumerate(zip(files, loggers, strict=False))
+        if x.lag is not None
+    }
+    out = []
+    for k, (start, stop) in enumerate(whole, 1):
+        signals = {}
+        for channel in wanted:
+            (column, at), source = place[channel.name], by.channels[channel.name]
+            piece = next(
+                (p for p in cut[at] if p.time[0] <= start + 1e-9 and p.time[-1] >= stop - 1e-9), None
+            )
+            if piece is None:
+                break
+            unit = source.unit or piece.units.get(column) or channel.unit
+            try:
+                factor = convert(1.0, unit, channel.si)
+            except InputError as error:
+                raise InputError(
+                    f"{piece.source}: column {shown(column)} as {channel.name}: {error}"
+                ) from None
+            values, note = continuous(channel.name, source.sign * factor * piece.columns[column], channel.si)
+            if note and (told := f"{piece.name}: {note}") not in notes:
+                notes.append(told)
+            margin = 2 * piece.step
+            clock = f"{at[0] + 1} {plain(files[at[0]].name, 40)}"
+            signals[channel.name] = Signal(piece.time, values, channel.si, clock, column).within(
+                start - margin, stop + margin
+            )
+        if len(signals) == len(wanted):
+            title = name if len(whole) == 1 else f"{name} [{k}]"
+            out.append(Recording(title, signals, lags, tuple(notes)))
+    long = [r for r in out if min(len(s.time) for s in r.signals.values()) >= 32]
+    if not long:
+        raise InputError(
+            f"{text}: no piece of the run is long enough: {'; '.join(notes) or 'too few samples'}"
+        )
+    return long
+
+
+def _common_origin(found: list[list[Raster]], notes: list[str]) -> None:
+    """Count absolute stamps from the earliest stamp, and relative stamps of a logger from the logger's first stamp."""
+    starts = [min(r.time[0] for r in group) for group in found]
+    absolute = [bool(s > EPOCH) for s in starts]
+    first = min((s for s, a in zip(starts, absolute, strict=True) if a), default=0.0)
+    for group, start, own in zip(found, starts, absolute, strict=True):
+        origin = first if own else start if any(absolute) else 0.0
+        if any(absolute) and not own:
+            notes.append(
+                f"{group[0].name}: its stamps are not absolute; taken to begin with the other logger's"
+            )
+        if origin:
+            group[:] = [Raster(r.source, r.time - origin, r.columns, r.units, r.stamp) for r in group]
+
+
+def _by_name(
+    wanted: Sequence[Channel],
+    files: Sequence[Path],
+    found: Sequence[Sequence[Raster]],
+    named: _Named,
+) -> ChannelMap:
+    """Return the map of columns with the names of channels."""
+    units, signs = named.units, named.signs
+    channels = {}
+    for c in wanted:
+        column = named.columns.get(c.name, c.name)
+        unit = units.get(c.name) or units.get(column) or c.unit
+        full = [{n for r in g if (n := column_for(column, r.columns, unit)) in r.columns} for g in found]
+        column = next((n for names in full for n in names), column)
+        holders = [i for i, names in enumerate(full, 1) if names]
+        if len(holders) > 1:
+            names = " and ".join(str(files[i - 1]) for i in holders)
+            raise InputError(f"column {shown(column)} is in {names}: choose one with --map FILE")
+        channels[c.name] = Column(
+            column,
+            (holders or [1])[0],
+            units.get(c.name) or units.get(column),
+            signs.get(c.name) or signs.get(column) or 1,
+        )
+    return ChannelMap(channels, source="by name")
+
+
+def _find(
+    channel: Channel,
+    network: Network,
+    by: ChannelMap,
+    files: Sequence[Path],
+    found: Sequence[Sequence[Raster]],
+) -> tuple[str, tuple[int, int]]:
+    """Return (column, (file, raster)) of a channel: in the logger that the map names, or in the only logger with the column."""
+    source = by.channels[channel.name]
+    holders = [
+        (i, k) for i, group in enumerate(found) for k, r in enumerate(group) if source.column in r.columns
+    ]
+    own = [at for at in holders if at[0] == source.logger - 1]
+    if own or len(holders) == 1:
+        return source.column, (own or holders)[0]
+    names = [n for group in found for r in group for n in r.columns]
+    told, helps = JOIN.join(map(str, files)), did_you_mean(source.column, names)
+    if by.source == "by name":
+        raise InputError(
+            f"{told}: no column {shown(source.column)}; {helps} (name the column with --map FILE or --rename COLUMN={channel.name}; "
+            f"isd-gym inspect suggests a map){without(network, channel.name)}"
+        )
+    raise InputError(
+        f"{told}: no column {shown(source.column)}, which {by.source} names for {channel.name}; {helps} "
+        f"(isd-gym inspect makes a map){without(network, channel.name)}"
+    )

@@ -1,0 +1,209 @@
+"""Records from names on a command line: tables for uniform files, recordings for several loggers."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..._common.errors import InputError, MissingColumn, hint, plain, shown
+from ..._common.units import convert
+from ...physics.network import Channel, Network, without
+from ...physics.road import Road, profiled
+from ..data import Table, read_table
+from ..data._columns import split_header
+from ..data._table import format_of
+from ..data._text import SideBySide
+from .mapping import ChannelMap, Column, files_of, runs
+from .recording import Raster, Recording, Signal, continuous, mended, rasters
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+
+def records_of(
+    path: str | Path,
+    network: Network,
+    wanted: Sequence[Channel],
+    *,
+    by: ChannelMap | None = None,
+    rename: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+    rate: float | None = None,
+    signs: Mapping[str, int] | None = None,
+) -> list[Table | Recording]:
+    """Return the records of a name on the command line: one record, the pieces between gaps, or several runs of a file.
+
+    Args:
+        path: A table, or the files of several loggers of one run (``body.csv+wheel.mf4``).
+        network: The model.
+        wanted: Channels of the model that are needed.
+        by: Columns of the channels; None for columns with the names of the channels.
+        rename: Column -> channel.
+        units: Unit by channel or by column.
+        columns: Names for files without a header row.
+        rate: Sampling rate of files without time stamps [Hz].
+        signs: Factor 1 or -1 by channel or by column.
+
+    Returns:
+        Tables or recordings.
+
+    Raises:
+        InputError: A file cannot be read, or lacks a channel; or a unit or a sign is given for a column that no
+            channel is read from.
+    """
+    files = files_of(path)
+    sources = {n: c for c, n in (rename or {}).items()}
+    for option, given in (("--unit", units or {}), ("--sign", signs or {})):
+        _check_used(option, given, files, network, sources, columns)
+    if by is None and rate is None and len(files) == 1 and not format_of(files[0]).has_own_stamps:
+        expected = {c.name: c.unit for c in wanted}
+        try:
+            table = read_table(
+                files[0], rename=rename, units=units, expected=expected, header=columns, signs=signs
+            )
+        except SideBySide:
+            table = None
+        except MissingColumn as error:
+            helps = (
+                f"; --rename COLUMN={error.name} where it has another name, or --map FILE with the columns of all channels "
+                "(isd-gym inspect --out FILE)"
+            )
+            raise InputError(f"{error}{helps}{without(network, error.name)}") from None
+        if table is not None:
+            return _pieces(table, wanted)
+    found = runs(
+        path, network, wanted, by=by, rename=rename, units=units, columns=columns, rate=rate, signs=signs
+    )
+    out: list[Table | Recording] = []
+    for r in found:
+        whole = None if r.notes else r.table()
+        out.append(r if whole is None else whole)
+    return out
+
+
+def _check_used(
+    option: str,
+    given: Mapping[str, object],
+    files: Sequence[Path],
+    network: Network,
+    sources: Mapping[str, str],
+    columns: Sequence[str] | None,
+) -> None:
+    """Raise `InputError` for a name that is neither a channel nor a column that is read: the option would have no effect."""
+    known = {"time", *(c.name for c in (*network.inputs, *network.outputs)), *sources.values()}
+    rest = [name for name in given if name not in known]
+    if not rest:
+        return
+    with suppress(InputError):  # an unreadable file is reported after the slip of the pen
+        known |= {r.stamp for f in files for r in rasters(f, stamp=sources.get("time"), columns=columns)}
+    for name in rest:
+        if name not in known:
+            raise InputError(
+                f"{option}: the model has no channel {shown(name)}, and none is read from such a column; {hint(name, sorted(known))}"
+            )
+
+
+def outputs_of(
+    path: str | Path,
+    network: Network,
+    by: ChannelMap | None = None,
+    rename: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+    rate: float | None = None,
+) -> list[str]:
+    """Return the outputs of a model that the files or the map provide.
+
+    Args:
+        path: A table, or the files of several loggers of one run.
+        network: The model.
+        by: Columns of the channels.
+        rename: Column -> channel.
+        columns: Names for files without a header row.
+        rate: Sampling rate of files without time stamps [Hz].
+
+    Returns:
+        Names of outputs, in the order of the model.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    names = dict(rename or {})
+    there = set(by.channels if by else ())
+    if by is None:
+        stamp = next((c for c, n in names.items() if n == "time"), None)
+        read = [r for f in files_of(path) for r in rasters(f, stamp=stamp, columns=columns, rate=rate)]
+        found = [n for r in read for n in r.columns]
+        there = {names.get(n, n) for full in found for n in (full, split_header(full)[0])}
+    return [c.name for c in network.outputs if c.name in there]
+
+
+def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
+    """Return the road that a logger measured during a drive: the column of the input that moves the model.
+
+    Args:
+        path: The file of the logger with the road, or the files of all loggers.
+        network: The model.
+        by: Columns of the channels.
+
+    Returns:
+        Road height over time.
+
+    Raises:
+        InputError: The model has no single road, the map has no column for the road, or the stamps have gaps.
+    """
+    moved = [c for c in network.moving if c.quantity == "displacement"]
+    if len(moved) != 1:
+        raise InputError(f"model '{network.name}' has no single road that a map could name")
+    source = by.channels.get(moved[0].name)
+    if source is not None and len(files_of(path)) == 1 and source.logger <= len(by.loggers) > 1:
+        found = _of_one_logger(path, network, moved[0], by, source)
+    else:
+        found = runs(path, network, moved, by=by)
+    if len(found) > 1:
+        why = f"there are gaps in time ({found[0].notes[0]})" if found[0].notes else "there are several runs"
+        raise InputError(f"road '{path}': {why}: drive a piece at a time")
+    signal = found[0].signals[moved[0].name]
+    return profiled(str(path), signal.time - signal.time[0], signal.values, over_time=True)
+
+
+def _of_one_logger(
+    path: str | Path, network: Network, channel: Channel, by: ChannelMap, source: Column
+) -> list[Recording]:
+    """Return a channel from one logger's file, by a map of several loggers; raise `InputError` for the file of another logger."""
+    logger = by.loggers[source.logger - 1]
+    alone = replace(by, channels={channel.name: replace(source, logger=1)}, loggers=(logger,))
+    try:
+        return runs(path, network, [channel], by=alone)
+    except InputError as error:
+        raise InputError(
+            f"{path}: cannot be read as logger {source.logger} of {by.source} ({plain(logger.file, 60)}), which has "
+            f"{channel.name}: {error}"
+        ) from None
+
+
+def _pieces(table: Table, wanted: Sequence[Channel]) -> list[Table | Recording]:
+    notes: list[str] = []
+    smooth = {}
+    for c in wanted:
+        smooth[c.name], note = continuous(c.name, table.columns[c.name], table.units.get(c.name) or c.unit)
+        if note:
+            notes.append(f"{Path(table.source).name}: {note}")
+    parts = mended(Raster(table.source, table.time, table.columns | smooth), notes)
+    if not notes:
+        return [table]
+    out: list[Table | Recording] = []
+    stem = Path(table.source).stem
+    for k, part in enumerate(parts, 1):
+        signals = {}
+        for c in wanted:
+            try:
+                factor = convert(1.0, table.units.get(c.name) or c.unit, c.si)
+            except InputError as error:
+                raise InputError(f"{table.source}: column '{c.name}': {error}") from None
+            signals[c.name] = Signal(part.time, factor * part.columns[c.name], c.si, stem, c.name)
+        name = stem if len(parts) == 1 else f"{stem} [{k}]"
+        out.append(Recording(name, signals, {}, tuple(notes) if k == 1 else ()))
+    return out

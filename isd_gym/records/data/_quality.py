@@ -1,0 +1,703 @@
+"""The data gate: checks of a record's quality before a diagnosis."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import signal
+
+from ..._common.errors import InputError, shown
+from ..._common.units import CONDITIONS, convert
+from ._columns import TIME
+from ._signals import even_stamps, stamp_rounding
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from ._table import Table
+
+Level = Literal["error", "warning", "note"]
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A defect of a record, found by `check`.
+
+    Attributes:
+        level: 'error' (the record cannot be used as is), 'warning' (results from the record are doubtful) or
+            'note'.
+        channel: Channel; '' for the whole record.
+        message: One line.
+        where: Spans of time [s] of the defect, at most 20; empty for the whole record.
+        check: Name of the check, of `CHECKS`.
+    """
+
+    level: Level
+    channel: str
+    message: str
+    where: tuple[Span, ...] = ()
+    check: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.level}: {self.channel + ': ' if self.channel else ''}{self.message}"
+
+
+#: quantity -> SI unit; spread above which a record is doubtful, and impossible, for a suspension or its rig;
+#: smallest spread that a sensor could resolve. The spread is the largest distance of 99.5 % of the samples
+#: from the median.
+QUANTITIES: dict[str, tuple[str, float, float, float]] = {
+    "displacement": ("m", 2.0, 5.0, 1e-6),
+    "velocity": ("m/s", 10.0, 100.0, 1e-5),  # a vehicle coasts at 40
+    "acceleration": ("m/s^2", 200.0, 2000.0, 1e-3),
+    "force": ("N", 2e5, 1e6, 1e-2),
+    "current": ("A", 200.0, 1000.0, 1e-4),
+    "angle": ("rad", math.inf, math.inf, 1e-6),  # a rotation may be unlimited
+    "angular_velocity": ("rad/s", 2e3, 2e4, 1e-5),
+    "angular_acceleration": ("rad/s^2", 1e5, 1e7, 1e-3),
+    "torque": ("N m", 1e5, 1e7, 1e-6),
+    "voltage": ("V", 1e3, 1e5, 1e-5),
+    "temperature": ("degC", 1e3, 1e4, 1e-3),
+    "pressure": ("Pa", 1e9, 1e11, 1e-1),
+    "speed": ("m/s", 1e3, 1e5, 1e-4),
+}
+MIN_SAMPLES = 200
+#: samples that suffice for a record of as many periods of the rig
+FEW_SAMPLES, PERIODS = 64, 10
+#: time constant of `QUANTITIES` and of the limits below, if no model gives a rig's own [s]: body of a car on
+#: its springs
+CAR = 0.125
+#: multiples of the rig's time constant: longest and shortest plausible step, longest step without doubt,
+#: longest rest of a channel
+LONGEST, SHORTEST, LONG, REST = 2.0, 8e-6, 0.4, 0.8
+#: share of a channel's power (about its mean), held by clipped samples or missed by frozen samples, from
+#: which a finding is an error. Frozen: 3 % of the deviation, the smallest disagreement that a diagnosis calls
+#: an effect.
+CLIPPED, MISSED = 0.1, 0.001
+STILL = 0.1  # share of a channel's usual power, in spans of equal length, below which the channel rests
+GLITCHES = 3  # samples that may differ in a constant channel
+ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
+SLIP = (600.0, 1600.0)  # factors between a channel and the model's output that a wrong unit causes
+#: names of the checks; an error may be accepted by the name of its check
+CHECKS = (
+    "time", "step", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies", "sign"
+)  # fmt: skip
+#: checks whose errors cannot be accepted: such a record cannot be compared
+UNACCEPTABLE = ("time", "finite", "constant")
+NOT_UNIFORM = "sampling is not uniform"
+_MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels and rods stay below 5
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Time constant and amplitudes of a rig, from its model.
+
+    Attributes:
+        time: Reciprocal of the circular frequency of the slowest oscillation [s].
+        slowest: Time constant of the slowest oscillation or relaxation [s]; infinite if the rig only moves
+            freely, NaN for that of the oscillation.
+        period: Period of the slowest oscillation [s]; infinite if unknown.
+        spread: RMS about the mean of each output in a simulation of the record [SI]; empty if unknown.
+    """
+
+    time: float = CAR
+    slowest: float = math.nan
+    period: float = math.inf
+    spread: Mapping[str, float] = field(default_factory=dict)
+
+    def factor(self, name: str, x: np.ndarray) -> float:
+        """Return the ratio of a channel's measured to simulated amplitude.
+
+        Args:
+            name: Channel.
+            x: Measured samples (n,) [SI].
+
+        Returns:
+            Ratio [-]; NaN if the simulated amplitude is unknown.
+        """
+        said = self.spread.get(name, 0.0)
+        return float(np.std(x)) / said if said > 0 else math.nan
+
+    def explains(self, values: Mapping[str, np.ndarray]) -> bool:
+        """Return whether all simulated outputs have the measured order of magnitude; the inputs are then plausible, too.
+
+        Args:
+            values: Measured samples (n,) [SI] by channel.
+        """
+        factors = [self.factor(n, values[n]) for n in self.spread if n in values]
+        return bool(factors) and all(1 / ALIKE < f < ALIKE for f in factors)
+
+
+def check(
+    table: Table, *, inputs: Mapping[str, str], outputs: Mapping[str, str], scale: Scale | None = None
+) -> list[Finding]:
+    """Judge whether a record can be trusted: the data gate of the diagnosis.
+
+    Every test compares a channel with itself, with the other channels, or with physical limits. Errors that
+    only a model reveals (swapped channels of one kind, shifted time, sign) are not judged.
+
+    A constant output is an error. Clipped and frozen samples are warnings unless enough of the signal is
+    affected:
+
+    - Clipped samples are an error if they hold `CLIPPED` of the channel's power about its mean. Samples at
+      zero are rest, not clipping (a range ends elsewhere), and so are samples during which no other channel
+      moves.
+    - Frozen samples are an error if they miss `MISSED` of the channel's power. The missed power of a stretch
+      is the mean square error of linear interpolation over stretches of the same length elsewhere in the
+      channel, plus a third of the squared jump at the end of the stretch. Stretches during which no other
+      channel moves do not count, nor stretches before and after which the channel stays within its
+      resolution.
+
+    Args:
+        table: The record.
+        inputs: Quantity (a key of `QUANTITIES`) by input channel.
+        outputs: Quantity by output channel.
+        scale: Scale of the rig, from its model; None for the scale of a car.
+
+    Returns:
+        Findings, errors first. A list without errors and warnings means that the record can be trusted.
+
+    Raises:
+        InputError: The table lacks a channel, or a quantity is unknown.
+    """
+    channels = {**inputs, **outputs}
+    values: dict[str, np.ndarray] = {}
+    for name, quantity in channels.items():
+        if quantity not in QUANTITIES:
+            raise InputError(f"'{name}': unknown quantity '{quantity}' (known: {', '.join(QUANTITIES)})")
+        unit = QUANTITIES[quantity][0]
+        values[name] = convert(table[name], table.units.get(name) or unit, unit)
+    scale = scale or Scale()
+    found = _named("time", _check_time(table.time))
+    if not found or found[-1].level != "error":
+        found += _named("length", _check_length(table.time, scale))
+    if any(f.level == "error" for f in found):
+        return found  # the other checks need a time base
+    found += _named("step", _check_step(table.time, scale))
+    time = table.uniform().time
+    chance: dict[str, float] = {}
+    moving: dict[str, bool] = {}
+    found += _check_content(values, inputs, outputs, time)
+    alive = [
+        n for n in values if not any(f.channel == n and f.check in ("finite", "constant") for f in found)
+    ]
+    grains = {n: _grain(values[n]) for n in alive}
+    for name, (noise, resolution) in grains.items():
+        x, quantity = values[name], channels[name]
+        of_model = scale.factor(name, x) if name in outputs else 1.0 if scale.explains(values) else math.nan
+        found += _named("magnitude", _check_magnitude(name, quantity, x, table.step, of_model))
+        if noise > resolution:
+            # probability that two samples are equal at rest
+            chance[name] = min(1.0, resolution / (2.5 * noise))
+        if name in outputs or quantity not in (
+            "current",
+            "force",
+            *CONDITIONS,
+        ):  # drives saturate and hold by design
+            others = [(values[n], grain[0]) for n, grain in grains.items() if n != name]
+            rest, is_input = REST * scale.time, name in inputs
+            held = _named(
+                "held", _check_held(name, quantity, x, time, noise, resolution, is_input, rest, others)
+            )
+            found += held
+            if all(f.level == "note" for f in held):  # a jump may be the end of a frozen stretch
+                grain = max(3 * noise, resolution)
+                command = name in inputs and noise <= resolution
+                found += _named("jumps", _check_spikes(name, quantity, x, time, grain, command))
+        if name in outputs:
+            moving[name] = _moves(x, [values[n] for n in inputs])
+    for name in (n for n, moves in moving.items() if not moves):
+        level: Level = "warning" if any(moving.values()) else "error"
+        text = "holds nothing but noise: no excitation, or not connected?"
+        found.append(Finding(level, name, text, check="silent"))
+    finite = {n: x for n, x in values.items() if np.all(np.isfinite(x))}
+    found += _named("copies", _check_copies(finite, chance, time))
+    return sorted(found, key=lambda f: ("error", "warning", "note").index(f.level))
+
+
+def rises_unevenly(time: np.ndarray) -> bool:
+    """Return whether stamps rise without gaps, but not at uniform steps.
+
+    Args:
+        time: Time stamps (n,) [s].
+    """
+    return any(f.message.startswith(NOT_UNIFORM) for f in _check_time(time))
+
+
+def known_check(name: str) -> None:
+    """Check that the errors of a check can be accepted.
+
+    Args:
+        name: Name of a check, or 'all'.
+
+    Raises:
+        InputError: No such check exists, or its errors cannot be accepted.
+    """
+    if name not in (*CHECKS, "all") or name in UNACCEPTABLE:
+        known = ", ".join(c for c in CHECKS if c not in UNACCEPTABLE)
+        raise InputError(f"no check {shown(name)} that can be accepted (there are {known}, all)")
+
+
+def admit(table: Table, findings: Sequence[Finding], notes: list[str], accept: Sequence[str]) -> None:
+    """Append the findings of the data gate to the notes, and stop at an error that the user has not accepted.
+
+    Args:
+        table: The record.
+        findings: Findings of `check`.
+        notes: Lines for the user; extended in place.
+        accept: Names of checks whose errors become notes, or 'all'.
+
+    Raises:
+        InputError: The record has an error that is not accepted.
+    """
+    for f in findings:
+        message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
+        if f.level == "error" and f.check in UNACCEPTABLE:
+            raise InputError(message)
+        if f.level == "error" and not {f.check, "all"} & set(accept):
+            helps = f"--unit {f.channel}=UNIT says another; " if f.check == "magnitude" else ""
+            raise InputError(f"{message} ({helps}--accept {f.check} goes on)")
+        notes.append(f"{Path(table.source).name}: {f}")
+
+
+def _named(check: str, findings: Iterable[Finding]) -> list[Finding]:
+    return [replace(f, check=check) for f in findings]
+
+
+def _spans(flags: np.ndarray, time: np.ndarray) -> tuple[Span, ...]:
+    edges = np.flatnonzero(np.diff(np.r_[False, flags, False])).reshape(-1, 2)
+    return tuple((float(time[a]), float(time[b - 1])) for a, b in edges[:20])
+
+
+def _check_length(time: np.ndarray, scale: Scale) -> list[Finding]:
+    """Return an error on a record of few samples, unless the record has many periods of the rig."""
+    periods = float(np.ptp(time)) / scale.period
+    least = FEW_SAMPLES if periods >= PERIODS else MIN_SAMPLES
+    if len(time) >= least:
+        return []
+    many = f" (or {FEW_SAMPLES} for {PERIODS} periods)" if least == MIN_SAMPLES else ""
+    return [Finding("error", "", f"too short: {len(time)} samples of at least {least}{many}")]
+
+
+def _check_step(time: np.ndarray, scale: Scale) -> list[Finding]:
+    """Return a finding on a step that suggests another unit than seconds.
+
+    The slowest motion of the rig tells which steps are plausible. A relaxation beyond the record tells no more than the record's
+    length, and a rig that only moves freely tells nothing: a step that is too long for a car is a warning then.
+    """
+    duration = float(np.ptp(time))
+    step = duration / (len(time) - 1)
+    slowest = scale.time if math.isnan(scale.slowest) else max(scale.time, scale.slowest)
+    # a slow step on a fast rig is no wrong unit yet
+    slow, shortest = max(min(slowest, duration), CAR), SHORTEST * min(scale.time, CAR)
+    text = f"a step of {step:.4g} s is implausible: is time in another unit than s?"
+    if not shortest <= step <= LONGEST * slow:
+        return [Finding("error", TIME, text)]
+    if step > LONG * slow or (math.isinf(slowest) and step > LONGEST * CAR):
+        return [Finding("warning", TIME, text)]
+    return []
+
+
+def _check_time(time: np.ndarray) -> list[Finding]:
+    if not np.all(np.isfinite(time)):
+        return [Finding("error", TIME, f"{np.sum(~np.isfinite(time))} time stamps are missing or not finite")]
+    if len(time) < 3:
+        return []
+    found: list[Finding] = []
+    if rounding := stamp_rounding(time):
+        time = even_stamps(time)
+        text = f"time stamps are rounded to {rounding:.2g} s; the step is {time[1] - time[0]:.6g} s"
+        found.append(Finding("note", TIME, text))
+    d = np.diff(time)
+    for bad, what in ((d < 0, "runs backwards"), (d == 0, "repeats")):
+        if bad.any():
+            text = f"time {what} after t = {time[np.argmax(bad)]:.6g} s ({bad.sum()} times)"
+            return [Finding("error", TIME, text, _spans(np.r_[bad, False], time))]
+    step = float(np.median(d))
+    gaps = d > 1.5 * step
+    if gaps.any() and np.mean(gaps) < 0.2 and np.max(np.abs(d[~gaps] - step)) < 0.2 * step:
+        first = int(np.argmax(gaps))
+        text = f"{gaps.sum()} gaps in time, the first of {d[first]:.4g} s after t = {time[first]:.6g} s"
+        where = tuple((float(time[i]), float(time[i + 1])) for i in np.flatnonzero(gaps)[:20])
+        return [Finding("error", TIME, f"{text}, where the step is {step:.4g} s", where)]
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    stray = float(np.ptp(time - step * np.arange(len(time)))) / 2  # deviation from the best uniform grid
+    # stamps with few digits deviate by half the last digit; the ends, and so the step, deviate as much
+    digit = next((10.0**-k for k in range(9) if np.max(np.abs(time - np.round(time, k))) < 1e-3 * step), 0.0)
+    if stray > max(0.1 * step, min(0.76 * digit, step)):
+        worst = time[int(np.argmax(np.abs(d - step)))]
+        text = f"{NOT_UNIFORM}: steps from {d.min():.4g} to {d.max():.4g} s, worst at t = {worst:.6g} s"
+        return [Finding("error", TIME, text)]
+    if stray > 0.01 * step:
+        text = f"time stamps stray by {stray:.2g} s from a step of {step:.6g} s; taken as uniform"
+        found.append(Finding("note", TIME, text))
+    return found
+
+
+def _check_magnitude(name: str, quantity: str, x: np.ndarray, step: float, of_model: float) -> list[Finding]:
+    """Return findings on impossible amplitudes; `of_model` is the ratio to the model's amplitude and has
+    priority (NaN: unknown)."""
+    unit, doubtful, impossible, least = QUANTITIES[quantity]
+    spread = float(np.quantile(np.abs(x - np.median(x)), 0.995))
+    text = f"{quantity} reaches {spread:.4g} {unit}"
+    lag = min(max(1, round(0.02 / step)), len(x) - 1)
+    speed = float(np.std(x[lag:] - x[:-lag])) / (lag * step) if quantity == "displacement" else 0.0
+    if 1 / ALIKE < of_model < ALIKE:
+        doubtful, impossible, least, speed = math.inf, math.inf, 0.0, 0.0
+    if spread > impossible or speed > _MAX_SPEED:
+        text += f" at {speed:.3g} m/s" if speed > _MAX_SPEED else ""
+        return [Finding("error", name, f"{text}, which cannot be: a wrong unit, or columns swapped?")]
+    if SLIP[0] < max(of_model, 1 / of_model) < SLIP[1]:
+        text += f", {'a thousand times' if of_model > 1 else 'a thousandth of'} what the model says for these inputs"
+        return [Finding("warning", name, f"{text}: a wrong unit?")]
+    if spread > doubtful:
+        return [Finding("warning", name, f"{text}: a wrong unit, or columns swapped?")]
+    if np.ptp(x) < 2 * least:
+        return [Finding("warning", name, f"{quantity} stays within {np.ptp(x):.2g} {unit}: a wrong unit?")]
+    if quantity == "acceleration" and abs(abs(np.mean(x)) - 9.81) < 0.3:
+        return [Finding("warning", name, f"has a mean of {np.mean(x):.3g} m/s^2: gravity is still in it")]
+    return []
+
+
+def _check_content(
+    values: Mapping[str, np.ndarray], inputs: Mapping[str, str], outputs: Mapping[str, str], time: np.ndarray
+) -> list[Finding]:
+    """Return findings on samples that are not finite, and on constant channels."""
+    found, idle = [], []
+    for name, x in values.items():
+        bad = ~np.isfinite(x)
+        if bad.any():
+            where = _spans(bad, time)
+            text = f"{bad.sum()} samples are not finite, first at t = {where[0][0]:.6g} s: split the record there"
+            found.append(Finding("error", name, text, where, "finite"))
+        elif (value := _constant(x, 0 if name in inputs else GLITCHES)) is not None and name in inputs:
+            idle.append(name)
+            found.append(Finding("note", name, f"is constant ({value:.6g})", check="constant"))
+        elif value is not None:
+            text = f"is constant ({value:.6g}): a dead sensor, or an empty column? Take it out of the model's outputs"
+            found.append(Finding("error", name, text, check="constant"))
+    if idle and outputs and len(idle) == len(inputs):
+        text = f"no input changes ({', '.join(idle)}): the outputs are compared with free motion"
+        found.append(Finding("warning", "", text, check="constant"))
+    return found
+
+
+def _constant(x: np.ndarray, glitches: int = GLITCHES) -> float | None:
+    """Return the only value of a channel x (n,) apart from some `glitches` [samples]; None for a channel that varies."""
+    value = float(np.median(x)) + 0.0  # no negative zero
+    off = np.abs(x - value) > 1e-12 * np.max(np.abs(x))
+    return value if off.sum() <= glitches else None
+
+
+def _moves(x: np.ndarray, drives: list[np.ndarray]) -> bool:
+    """Return whether a channel holds more than noise: slow, or with a spectrum that is not flat, or coherent with an input."""
+    if np.std(np.diff(x)) < 0.9 * np.std(x):  # white noise has sqrt(2), AR(1) noise of 0.6 still 0.89
+        return True
+    if np.mean((x - x.mean()) ** 4) > 4.5 * np.var(x) ** 2:  # a train of impacts is white but not Gaussian
+        return True
+    options: dict[str, Any] = {"nperseg": min(128, len(x) // 8), "detrend": "linear"}
+    power = signal.welch(x, **options)[1][1:-1]
+    if np.exp(np.mean(np.log(power + 1e-300))) < 0.6 * np.mean(power):  # white 1, AR(1) noise of 0.6 0.64
+        return True
+    least = 0.05 + 3 * options["nperseg"] / len(x)
+    drives = [u for u in drives if np.all(np.isfinite(u)) and np.ptp(u) > 0]
+    return any(np.mean(signal.coherence(u, x, **options)[1][2:-1]) > least for u in drives)
+
+
+def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first index and the length of each run of equal samples."""
+    starts = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
+    return starts, np.diff(np.r_[starts, len(x)])
+
+
+def _grain(x: np.ndarray) -> tuple[float, float]:
+    """Return the noise (standard deviation; 0 if 70 dB below the signal) and the resolution of a channel.
+
+    The noise follows from eighth differences, which suppress signals below a tenth of the sampling rate, in
+    windows of 50 samples outside of rest. Low quantiles over the windows exclude friction and impacts, which
+    are intermittent.
+    """
+    lengths = _runs(x)[1]
+    moving = sliding_window_view(np.repeat(lengths < 5, lengths), 9).all(axis=1)
+    jagged = np.abs(np.diff(x, 8))[moving]
+    gaps = np.diff(np.unique(x))
+    resolution = float(np.quantile(gaps[gaps > 1e-9 * np.ptp(x)], 0.1))
+    if len(jagged) < 50:
+        return 0.0, resolution
+    windows = jagged[: len(jagged) // 50 * 50].reshape(-1, 50)
+    noise = float(np.quantile(np.median(windows, axis=1), 0.05)) / (0.55 * math.sqrt(math.comb(16, 8)))
+    return (noise if noise > 3e-4 * np.std(x) else 0.0), resolution
+
+
+def held_samples(name: str, x: np.ndarray, time: np.ndarray) -> list[Finding]:
+    """Return findings on clipping, frozen stretches and slow sampling of a column of unknown quantity.
+
+    Args:
+        name: Name of the column, for messages.
+        x: Samples (n,) in any unit.
+        time: Even time stamps (n,) [s].
+
+    Returns:
+        Findings; none for a constant column.
+    """
+    if _constant(x) is not None:
+        return []
+    return _check_held(name, "force", x, time, *_grain(x), False, REST * CAR, [])
+
+
+def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) -> bool:
+    """Return whether a channel rests at many levels, possibly its extremes, and leaves each level continuously.
+
+    After a dropout the channel returns at another level.
+    """
+    rests = np.flatnonzero((lengths >= least) & (starts + lengths < len(x)))
+    if len(np.unique(x[starts[rests]])) < 5:
+        return False
+    away = np.abs(x[starts[rests] + lengths[rests]] - x[starts[rests]])
+    steps = np.abs(np.diff(x))
+    return bool(np.median(away) < 2.0 * np.median(steps[steps > 0]))
+
+
+def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int, int], bool]:
+    """Return a function that tells whether one of the `others` moves from a first sample for a number of samples.
+
+    A channel moves if its power, without that of its noise, is at least `STILL` of its usual power in
+    stretches of equal length.
+
+    Args:
+        others: Samples (n,) and standard deviation of the noise of each channel.
+    """
+
+    @functools.cache
+    def usual(channel: int, length: int) -> float:
+        x, noise = others[channel]
+        return float(x[: len(x) // length * length].reshape(-1, length).var(axis=1).mean()) - noise**2
+
+    def moving(first: int, length: int) -> bool:
+        length = max(length, 2)
+        for k, (x, noise) in enumerate(others):
+            here = min(first, len(x) - length)
+            power = float(x[here : here + length].var()) - noise**2
+            if usual(k, length) > 0 and power > STILL * usual(k, length):
+                return True
+        return False
+
+    return moving
+
+
+def _missed_power(x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: np.ndarray) -> float:
+    """Return the share of the power of x (n,) that frozen stretches miss (see `check`).
+
+    Args:
+        x: Samples.
+        held: True for each frozen run, of all runs of equal samples.
+        starts: First sample of each run.
+        lengths: Number of samples of each run.
+    """
+    frozen = np.repeat(held, lengths)
+    sound = np.cumsum(np.r_[0, frozen])
+
+    @functools.cache
+    def by_interpolation(length: int) -> float:
+        at = np.arange(0, len(x) - length, max(1, length // 4))
+        at = at[sound[at + length + 1] == sound[at]]
+        at = at[:: max(1, len(at) // 100)]
+        if len(at) < 3:
+            return float(np.var(x[~frozen])) if not frozen.all() else math.inf
+        windows = x[at[:, None] + np.arange(length + 1)]
+        ramps = windows[:, :1] + (windows[:, -1:] - windows[:, :1]) * np.linspace(0, 1, length + 1)
+        return float(np.mean((windows - ramps) ** 2))
+
+    missed = 0.0
+    for first, length in zip(starts[held].tolist(), lengths[held].tolist(), strict=True):
+        back = float(x[first + length] - x[first]) if first + length < len(x) else 0.0
+        missed += length * (by_interpolation(length) + back**2 / 3)
+    return missed / (len(x) * float(np.var(x)))
+
+
+def _check_held(
+    name: str,
+    quantity: str,
+    x: np.ndarray,
+    time: np.ndarray,
+    noise: float,
+    resolution: float,
+    is_input: bool,
+    rest: float,
+    others: Sequence[tuple[np.ndarray, float]],
+) -> list[Finding]:
+    """Return findings on clipping, frozen sensors, dropouts and slow sampling.
+
+    All are runs of exactly equal samples, longer than `rest` [s] or frequent. In a channel with noise, many
+    equal samples have no innocent cause except a resolution coarser than the momentary noise. A channel
+    without noise (an encoder, a command, a simulation) may rest: only a dead stop in mid-motion is reported.
+    The affected share of the signal separates warnings from errors (see `check`). `others`: samples and noise of each further channel.
+    """
+    n, step = len(x), time[1] - time[0]
+    starts, lengths = _runs(x)
+    usual = int(np.bincount(lengths).argmax())
+    stairs = usual > 1 and np.mean(lengths == usual) > 0.6 and len(np.unique(x)) > 20
+    # an encoder at constant speed also gives stairs, of one resolution each
+    if stairs and np.median(np.abs(np.diff(x[starts]))) > 1.5 * resolution:
+        text = f"holds each value for {usual} samples: sampled more slowly than the table"
+        return [Finding("warning", name, text)]
+    found: list[Finding] = []
+    settled: list[float] = []  # values at which the channel is clipped or rests
+    moving = _moving_during(others)
+    position = quantity in ("displacement", "angle") and not is_input
+
+    def at_end(value: float, what: str, text: str, level: Level) -> None:
+        """Add a finding on samples at the largest or the smallest value."""
+        settled.append(value)
+        longest = int(np.argmax(np.where(x[starts] == value, lengths, 0)))
+        moves = not others or moving(int(starts[longest]), int(lengths[longest]))
+        flags = x == value
+        share = flags.sum() * (value - x.mean()) ** 2 / (n * np.var(x))
+        if abs(value) < 0.5 * resolution:  # at rest, or a sensor of one direction
+            if others and moves and share > CLIPPED:
+                text = f"{flags.sum()} samples are exactly 0, its {what} value, while other channels move"
+                text += ": is one direction alone measured?"
+                found.append(
+                    Finding("warning" if level != "note" else level, name, text, _spans(flags, time))
+                )
+        elif moves:
+            severe = share > CLIPPED and level != "note"
+            found.append(Finding("error" if severe else level, name, text, _spans(flags, time)))
+
+    if noise > resolution:
+        equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, resolution / (2.5 * noise)), 1.0 / n)
+        least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))  # n equal^(least - 1) < 1e-4
+        sticks = _sticks(x, starts, lengths, least)
+        for value, what in _ends(x):
+            count = 0 if sticks else np.sum(x == value)
+            # at neighbouring values
+            beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise
+            if count >= max(least, 5 + 10 * beside):
+                text = f"is clipped: {count} samples sit exactly at the {what} value, {value:.6g}"
+                at_end(value, what, text, "warning")
+        held = (lengths >= least) & ~np.isin(x[starts], settled)
+        held[held] = ~_calm(x, starts[held], lengths[held], min(noise, 2 * resolution))
+        rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1  # simulated stick and slip
+        level: Level = "warning"
+        worst: Level = "warning" if rests or sticks else "error"
+    else:
+        into = np.abs(np.diff(x, prepend=x[0]))[starts]  # last step, compared with the curvature just before
+        second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
+        curved = np.array([np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts])
+        held = (lengths >= 5) & (into > 4 * (curved + resolution))
+        level = "warning" if position else "note"  # no mass stops dead
+        for value, what in _ends(x):
+            if np.sum(held & (x[starts] == value)) > 1:
+                text = f"stops dead at its {what} value, {value:.6g}, time and again: clipped?"
+                at_end(value, what, text, level)
+        held &= (lengths * step > rest) & ~np.isin(x[starts], settled)
+        worst = level
+        if others and not is_input and not _sticks(x, starts, lengths, 5):
+            worst = "error" if position else "warning"
+    if others:
+        held[held] = [moving(int(a), int(k)) for a, k in zip(starts[held], lengths[held], strict=True)]
+    if held.any():
+        flags = np.repeat(held, lengths)
+        where = _spans(flags, time)
+        text = f"does not change for {flags.sum()} samples, first at t = {where[0][0]:.6g} s: frozen, dropped out?"
+        severe = worst != level and _missed_power(x, held, starts, lengths) > MISSED
+        found.append(Finding(worst if severe else level, name, text, where))
+    return found
+
+
+def _calm(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, step: float) -> np.ndarray:
+    """Return True for each run of equal samples before and after which x (n,) changes by at most `step` per sample.
+
+    Such a channel came to rest; a frozen sensor stops in mid-motion.
+    """
+    steps, around = np.abs(np.diff(x)), 10
+
+    def quiet(first: int, stop: int) -> bool:
+        part = steps[max(first, 0) : stop]
+        return not len(part) or float(np.median(part)) <= step
+
+    return np.array(
+        [
+            quiet(a - around, a) and quiet(a + k - 1, a + k - 1 + around)
+            for a, k in zip(starts, lengths, strict=True)
+        ],
+        dtype=bool,
+    )
+
+
+def _ends(x: np.ndarray) -> tuple[tuple[float, str], tuple[float, str]]:
+    """Return the largest and the smallest value of x (n,), without negative zeros, and their names."""
+    return (float(x.max()) + 0.0, "largest"), (float(x.min()) + 0.0, "smallest")
+
+
+def _check_spikes(
+    name: str, quantity: str, x: np.ndarray, time: np.ndarray, grain: float, is_command: bool
+) -> list[Finding]:
+    """Return findings on one to three samples far from their neighbours on both sides, and on jumps of a displacement.
+
+    "Far" means four times any step within ten samples on either side, twelve times the noise, and four times
+    the 97 % quantile of all steps. (Friction makes an acceleration jump to and fro, but by no more than its
+    other jumps.)
+    """
+    n, around = len(x), 10
+    d = np.abs(np.diff(x))
+    largest = sliding_window_view(d, around).max(axis=1)  # [i]: largest of d[i] ... d[i + 9]
+    usual = float(np.quantile(d, 0.97))
+    flags = np.zeros(n, bool)
+    # short pulses are plausible in a command, and in a force or an acceleration: an impact
+    for width in (1,) if is_command or quantity in ("force", "acceleration") else (1, 2, 3):
+        s = np.arange(around + 1, n - width - around)
+        local = np.maximum(largest[s - 1 - around], largest[s + width])
+        before, after = x[s - 1], x[s + width]
+        off = np.array([x[s + k] - before - (after - before) * (k + 1) / (width + 1) for k in range(width)])
+        least = np.where(np.abs(np.sign(off).sum(axis=0)) == width, np.abs(off).min(axis=0), 0.0)
+        back = np.abs(after - before) <= (width + 1) * local
+        hit = s[back & (least > 4 * np.maximum(local, grain)) & (least > 4 * usual)]
+        for k in range(width):
+            flags[hit + k] = True
+    found = []
+    if flags.any():
+        text = f"{flags.sum()} samples are spikes or dropouts, first at t = {time[np.argmax(flags)]:.6g} s"
+        many = flags.mean() > 0.005 and quantity in ("displacement", "velocity")
+        level: Level = "error" if many else "warning"
+        found.append(Finding(level, name, text, _spans(flags, time)))
+    if quantity == "displacement":
+        s = np.arange(around, n - 1 - around)
+        local = np.maximum(largest[s - around], largest[s + 1])
+        at = s[(d[s] > 5 * np.maximum(local, grain)) & (local > 0)]  # a commanded step has rest on both sides
+        if len(at):
+            text = f"jumps by {d[at[0]]:.3g} m in one sample after t = {time[at[0]]:.6g} s: samples lost?"
+            where = tuple((float(time[i]), float(time[i + 1])) for i in at[:20])
+            found.append(Finding("error", name, text, where))
+    return found
+
+
+def _check_copies(values: dict[str, np.ndarray], chance: dict[str, float], time: np.ndarray) -> list[Finding]:
+    """Return findings on identical columns, and on samples that repeat although the channels with a `chance` are noisy."""
+    found = []
+    names = [n for n, x in values.items() if np.ptp(x) > 0]
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            if np.array_equal(values[first], values[second]):
+                found.append(Finding("error", second, f"is the same column as '{first}'"))
+    rows = np.column_stack([values[n] for n in chance] or [np.arange(len(time))])
+    order = np.lexsort(rows.T)
+    same = np.all(rows[order[1:]] == rows[order[:-1]], axis=1)
+    shift, count = np.unique(np.abs(order[1:] - order[:-1])[same], return_counts=True)
+    if len(chance) > 1 and len(shift):
+        by = int(shift[count.argmax()])
+        flags = np.zeros(len(rows), bool)
+        flags[by:] = np.all(rows[by:] == rows[:-by], axis=1)
+        # a periodic simulation without noise repeats throughout
+        twice = np.sum(np.all(rows[2 * by :] == rows[: -2 * by], axis=1))
+        if flags.sum() >= max(5, 3 * twice, 10 * len(rows) * math.prod(chance.values())):
+            where = _spans(flags, time)
+            text = f"{flags.sum()} samples, first at t = {where[0][0]:.6g} s, repeat those {by * (time[1] - time[0]):.4g} s"
+            found.append(Finding("error" if flags.sum() >= 20 else "warning", "", f"{text} earlier", where))
+    return found

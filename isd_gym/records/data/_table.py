@@ -1,0 +1,582 @@
+"""Tables of measured channels: read from text, Parquet, MATLAB and MDF files and from the formats of plugins, packed or not; written."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import os
+import re
+import tempfile
+import warnings
+import zlib
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..._common.errors import InputError, MissingColumn, how_to_install, shown
+from ..._common.files import whole
+from ..._common.inputs import memory_limit, plain_file, too_large
+from ..._common.plugins import READERS, plugins
+from ..._common.units import convert
+from ._columns import (
+    TIME,
+    Choice,
+    Columns,
+    column_for,
+    did_you_mean,
+    distinct,
+    split_header,
+    stamps_of,
+    time_unit,
+)
+from ._signals import even_stamps, stamp_rounding
+from ._text import read_text, read_text_rasters
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    Reader = Callable[[Path, Choice, str, bool, Sequence[str] | None], Columns]
+
+#: suffix of a packed file, such as test.csv.gz
+PACKED = ".gz"
+#: bytes unpacked at a time
+UNPACKED = 1 << 20
+
+
+def _vector(values: Any) -> np.ndarray:
+    out = np.array(values, dtype=np.float64)
+    out.flags.writeable = False
+    return out
+
+
+@dataclass(frozen=True)
+class Table:
+    """Channels over a common time. Arrays are copied and read-only.
+
+    Attributes:
+        time: Time stamps (n,) [s].
+        columns: Samples (n,) by channel, in the unit of `units`.
+        source: Origin, for messages.
+        units: Unit by channel; a channel without a unit has the SI unit of its quantity.
+
+    Raises:
+        InputError: Lengths differ.
+    """
+
+    time: np.ndarray
+    columns: dict[str, np.ndarray]
+    source: str = "table"
+    units: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", _vector(self.time))
+        object.__setattr__(self, "columns", {k: _vector(v) for k, v in self.columns.items()})
+        object.__setattr__(self, "units", dict(self.units))
+        if self.time.ndim != 1:
+            raise InputError(f"{self.source}: time must be one column of numbers")
+        for name, column in self.columns.items():
+            if column.shape != self.time.shape:
+                raise InputError(
+                    f"{self.source}: '{name}' has shape {column.shape}, time has {self.time.shape}"
+                )
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a column (n,).
+
+        Args:
+            name: Name of the column.
+
+        Raises:
+            MissingColumn: No such column; the message names the nearest one.
+        """
+        if name not in self.columns:
+            raise MissingColumn(
+                f"{self.source}: no column {shown(name)}; {did_you_mean(name, self.columns)}", name
+            )
+        return self.columns[name]
+
+    @property
+    def step(self) -> float:
+        """Mean sampling step [s]; for rounded stamps the slope of the fitted line."""
+        return float((self._ends[1] - self._ends[0]) / (len(self) - 1))
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """First and last instant [s] of the uniform sampling."""
+        if len(self) < 2:
+            raise InputError(f"{self.source}: {len(self)} samples have no time step")
+        time = even_stamps(self.time) if stamp_rounding(self.time) else self.time
+        return float(time[0]), float(time[-1])
+
+    def uniform(self) -> Table:
+        """Return the same samples on exactly uniform stamps, without jitter and rounding.
+
+        Returns:
+            Table with the same columns.
+        """
+        time = self._ends[0] + self.step * np.arange(len(self))
+        return Table(time, self.columns, self.source, self.units)
+
+
+# ---------------------------------------------------------------------------------------------------- reading
+def read_columns(
+    path: str | Path,
+    wanted: Choice = None,
+    *,
+    axis: str = TIME,
+    resample: bool = False,
+    columns: Sequence[str] | None = None,
+) -> Columns:
+    """Read the columns of a table file.
+
+    All tables of the project are read here. Separators, decimal commas, preambles and units in a text file
+    are detected. `read_table` adds a time base and channel names.
+
+    Args:
+        path: The file; the suffix gives the format.
+        wanted: Names, or a function that chooses from the available names; None for all.
+        axis: Name of the time column in MATLAB and MDF files.
+        resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster.
+        columns: Names of all columns of a text file without a header row.
+
+    Returns:
+        Values and units by column.
+
+    Raises:
+        InputError: The path is no regular file, the format is unknown, the content cannot be read, or needs
+            more memory than `inputs.memory_limit`.
+    """
+    path = Path(path)
+    kind = format_of(path)
+    if os.path.isdir(path):
+        raise InputError(f"{path}: is a folder, not a table")
+    plain_file(path)
+    try:
+        with unpacked(path) as file:
+            return kind.read(file, wanted, axis, resample, columns)
+    except InputError:
+        raise
+    except ImportError as error:
+        raise InputError(
+            f"{path}: reading {path.suffix} needs {error.name}: {how_to_install('io')}"
+        ) from None
+    except Exception as error:  # any error of a reader is a fault of the file
+        raise InputError(f"{path}: cannot be read ({_one_line(error)})") from None
+
+
+def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list[Columns]:
+    """Return the content of a file, one entry per raster.
+
+    The groups of an MDF or LVM file have their own time stamps, named 'time' [s], and so have tables side by
+    side in a text file (`_columns.side_by_side`). Other formats have one raster.
+
+    Args:
+        path: The file.
+        columns: Names of all columns of a text file without a header row.
+
+    Returns:
+        Values and units by column, for each raster.
+
+    Raises:
+        InputError: The file cannot be read (see `read_columns`).
+    """
+    path = Path(path)
+    kind = format_of(path)
+    if kind.read_rasters is None:
+        return [read_columns(path, columns=columns)]
+    plain_file(path)
+    with unpacked(path) as file:
+        return kind.read_rasters(file, columns)
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix that gives the format of a file, in small letters; of test.csv.gz, the suffix .csv.
+
+    Args:
+        path: The file.
+    """
+    suffix = path.suffix.lower()
+    return Path(path.stem).suffix.lower() if suffix == PACKED else suffix
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """Give the content of a packed file as a temporary file; other files as they are.
+
+    Args:
+        path: The file.
+
+    Yields:
+        Path of the content.
+
+    Raises:
+        InputError: The file cannot be unpacked, or needs more memory than `inputs.memory_limit`. Errors within the block name the packed
+            file.
+    """
+    if path.suffix.lower() != PACKED:
+        yield path
+        return
+    import gzip
+
+    limit, size = memory_limit(), 0
+    with tempfile.TemporaryDirectory() as folder:
+        content = Path(folder) / Path(path.stem).name
+        try:
+            with gzip.open(path) as packed, content.open("wb") as out:
+                while part := packed.read(UNPACKED):
+                    size += len(part)
+                    if size > limit:
+                        raise too_large(str(path), size, limit)
+                    out.write(part)
+        except (OSError, EOFError, zlib.error) as error:
+            raise InputError(f"{path}: cannot be unpacked ({_one_line(error)})") from None
+        try:
+            yield content
+        except InputError as error:
+            error.args = (str(error).replace(str(content), str(path)), *error.args[1:])
+            raise
+
+
+def read_table(
+    path: str | Path,
+    *,
+    rename: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    expected: Mapping[str, str] | None = None,
+    resample: bool = False,
+    header: Sequence[str] | None = None,
+    signs: Mapping[str, int] | None = None,
+) -> Table:
+    """Read a table of channels over time from a file.
+
+    The suffix gives the format: .csv .txt .tsv .dat .lvm .xlsx .parquet .mat .mf4 .mdf .tdms .uff .unv, each
+    also with .gz. No content of a file is executed. Among columns that differ only by their unit, such as "Force (V)" and "Force (N)", the name
+    "Force" means the column whose unit fits the channel.
+
+    Args:
+        path: The file.
+        rename: Column in the file -> channel.
+        units: Unit by channel or by column; has priority over the unit in the file. Time is in 's' by
+            default.
+        expected: Channel -> wanted unit. Exactly these channels are returned, converted; a column without a
+            unit is assumed to have the wanted unit. None for all numeric columns, unconverted.
+        resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster, instead
+            of an error.
+        header: Names of all columns of a text file without a header row, with or without units.
+        signs: Factor 1 or -1 by channel or by column; -1 for a sensor that is turned round.
+
+    Returns:
+        Time stamps [s] and channels.
+
+    Raises:
+        InputError: The file cannot be read, has no time, or holds a unit that cannot be converted.
+        MissingColumn: A wanted channel is missing.
+    """
+    path = Path(path)
+    rename, units = dict(rename or {}), dict(units or {})
+    inverse = {channel: name for name, channel in rename.items()}
+    if len(inverse) < len(rename):
+        raise InputError(f"{path}: two columns are renamed to one channel")
+    wanted = None if expected is None else [inverse.get(c, c) for c in expected]
+    found = read_columns(path, wanted, axis=inverse.get(TIME, TIME), resample=resample, columns=header)
+    columns, file_units = found.values, found.units
+    try:
+        rename = _by_unit(rename, columns, units, expected)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    for name in rename if expected is None else ():
+        if name not in columns:
+            raise InputError(f"{path}: no column {shown(name)} to rename; {did_you_mean(name, columns)}")
+    columns = {rename.get(name, name): values for name, values in columns.items()}
+    file_units = {rename.get(name, name): unit for name, unit in file_units.items()}
+    file_units |= {rename.get(name, name): unit for name, unit in units.items()}
+    if len(columns.get(TIME, ())) < 2 and (TIME not in columns or any(len(x) > 1 for x in columns.values())):
+        columns.pop(TIME, None)  # a single number is a setting
+        other = stamps_of(columns, path, by_name=True)
+        columns[TIME] = columns.pop(other)
+        file_units.setdefault(TIME, file_units.pop(other, time_unit(other)))
+    target = {TIME: "s"} | (dict(expected) if expected is not None else {})
+    out: dict[str, np.ndarray] = {}
+    for name in target if expected is not None else columns:
+        if name not in columns:
+            raise MissingColumn(
+                f"{path}: no column {shown(inverse.get(name, name))}; {did_you_mean(name, columns)}", name
+            )
+        values = np.asarray(columns[name])
+        if values.dtype.kind not in "fiub" or values.ndim != 1:
+            if expected is None and name != TIME:
+                continue
+            raise InputError(f"{path}: column {shown(name)} does not hold plain numbers")
+        try:
+            unit = file_units.get(name) or target.get(name, "")
+            out[name] = convert(values.astype(float), unit, target[name]) if name in target else values
+        except InputError as error:
+            raise InputError(f"{path}: column {shown(name)}: {error}") from None
+    time = out.pop(TIME)
+    if len(time) == 0:
+        raise InputError(f"{path}: no samples")
+    for name in out:
+        if ((signs or {}).get(name) or (signs or {}).get(inverse.get(name, name)) or 1) < 0:
+            out[name] = -np.asarray(out[name], float)
+    kept = target if expected is not None else file_units
+    return Table(time, out, str(path), {n: u for n, u in kept.items() if n in out and u})
+
+
+def _by_unit(
+    rename: dict[str, str],
+    columns: Mapping[str, Any],
+    units: Mapping[str, str],
+    expected: Mapping[str, str] | None,
+) -> dict[str, str]:
+    """Return `rename` (column -> channel) with the full names of columns that differ only by their units.
+
+    Args:
+        rename: Column -> channel.
+        columns: Columns of the file.
+        units: Unit by channel or by column.
+        expected: Channel -> wanted unit; None for all columns unconverted.
+
+    Returns:
+        Column -> channel.
+
+    Raises:
+        InputError: Several columns of one name fit.
+    """
+    if expected is None:
+        return {column_for(name, columns): channel for name, channel in rename.items()}
+    inverse = {channel: name for name, channel in rename.items()}
+    for channel, unit in {TIME: "s", **expected}.items():
+        source = inverse.get(channel, channel)
+        column = column_for(source, columns, units.get(channel) or units.get(source) or unit)
+        if column != source:
+            rename = {n: c for n, c in rename.items() if n != source} | {column: channel}
+    return rename
+
+
+def _one_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
+
+
+# ---------------------------------------------------------------------------------------------------- formats
+
+
+@dataclass(frozen=True)
+class Format:
+    """How files of a format are read.
+
+    Attributes:
+        read: Reader of wanted columns: path, wanted names, time column, whether to resample, names for a file without a header.
+        read_rasters: Reader of all rasters: path, names for a file without a header; None for a format with one raster.
+        has_own_stamps: Whether channels may have time stamps of their own.
+    """
+
+    read: Reader
+    read_rasters: Callable[[Path, Sequence[str] | None], list[Columns]] | None = None
+    has_own_stamps: bool = False
+
+
+def binary_format(reader: str, has_own_stamps: bool = False) -> Format:
+    """Return a format whose reader runs in a separate process.
+
+    Args:
+        reader: Module of the reader (see `isd_gym.records._formats`).
+        has_own_stamps: Whether channels may have time stamps of their own.
+
+    Returns:
+        The format.
+    """
+
+    def read(
+        path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
+    ) -> Columns:
+        return _read_binary(reader, path, wanted, axis, resample)
+
+    def read_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
+        return _read_binary_rasters(reader, path)
+
+    return Format(read, read_rasters if has_own_stamps else None, has_own_stamps)
+
+
+def _read_binary(reader: str, path: Path, wanted: Choice, axis: str, resample: bool) -> Columns:
+    from . import _isolated as isolated
+
+    given = None if callable(wanted) else wanted
+    head, arrays = isolated.read(reader, path, given, axis, resample)
+    if "no_channel" in head:
+        name = head["no_channel"]
+        raise InputError(f"{path}: no channel {shown(name)}; {did_you_mean(name, head['names'])}")
+    out: dict[str, Any] = {}
+    units = dict(head["units"])
+    told = [(name, values) for (name, _), values in zip(head["columns"], arrays, strict=True)]
+    told += [(name, _NO_NUMBERS) for name in head["other"]]
+    full = [name for name, _ in told]
+    pairs = [split_header(name) if reader == _PARQUET else (name, "") for name in full]
+    names = distinct([n for n, _ in pairs], full, [units.get(n, "") for n in full])
+    for (header, values), name, (_, unit) in zip(told, names, pairs, strict=True):
+        if name in out and values is not _NO_NUMBERS:
+            raise InputError(f"{path}: names {shown(name)} twice")
+        out.setdefault(name, values)
+        if header in units:
+            units[name] = units[header]
+        elif unit:
+            units[name] = unit
+    if callable(wanted):
+        wanted(list(out))
+    return Columns(out, units)
+
+
+def _read_binary_rasters(reader: str, path: Path) -> list[Columns]:
+    """Return the rasters of a binary file, each with time stamps of its own; tables without stamps are rasters too."""
+    from . import _isolated as isolated
+
+    head, arrays = isolated.read(reader, path, None, TIME, "own")
+    rasters: dict[str, Columns] = {}
+    for (full, _), values in zip(head["columns"], arrays, strict=True):
+        number, _, name = full.partition(" ")
+        raster = rasters.setdefault(number, Columns({}, {}))
+        if not name:
+            raster.values[TIME], raster.units[TIME] = values, "s"
+            continue
+        raster.values[name] = values
+        if name in head["units"]:
+            rasters[number].units[name] = head["units"][name]
+    return list(rasters.values())
+
+
+def _read_mat(
+    path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
+) -> Columns:
+    """Read a MATLAB file; version 7.3 is another format."""
+    with path.open("rb") as stream:
+        head = stream.read(10)
+    if head == b"MATLAB 7.3":
+        for point in plugins(READERS, "mat73"):
+            found: Columns = point.load().read(path, wanted, axis, resample, columns)
+            return found
+    return _read_binary(f"{_PACKAGE}.mat", path, wanted, axis, resample)
+
+
+_NO_NUMBERS = np.empty(0, object)
+_PACKAGE = "isd_gym.records._formats"
+_PARQUET = f"{_PACKAGE}.parquet"
+_TEXT = Format(read_text, read_text_rasters)
+_MDF = binary_format(f"{_PACKAGE}.mdf", has_own_stamps=True)
+#: formats of the core by suffix; entry points `READERS` announce others
+_FORMATS = {
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat"), _TEXT),
+    ".parquet": binary_format(_PARQUET),
+    ".mat": Format(_read_mat),
+    ".mf4": _MDF,
+    ".mdf": _MDF,
+}
+
+
+@functools.cache
+def suffixes() -> tuple[str, ...]:
+    """Return the suffixes of all files that can be read.
+
+    Returns:
+        Suffixes in small letters, such as '.csv'.
+    """
+    return (*_FORMATS, *(f".{p.name}" for p in plugins(READERS) if p.name != "mat73"))
+
+
+def format_of(path: Path) -> Format:
+    """Return the format of a file by its suffix.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The format.
+
+    Raises:
+        InputError: The format is unknown.
+    """
+    suffix = suffix_of(path)
+    if suffix in _FORMATS:
+        return _FORMATS[suffix]
+    for point in plugins(READERS, suffix.removeprefix(".")):
+        found: Format = point.load()
+        return found
+    known = " ".join(suffixes())
+    raise InputError(
+        f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known}, or with {PACKED})"
+    )
+
+
+# ---------------------------------------------------------------------------------------------------- writing
+def write_table(path: str | Path, table: Table) -> None:
+    """Write a table atomically in the format of the suffix (.csv .txt .tsv .parquet .mat .mf4).
+
+    Numbers are exact. Parquet, .mat and .mf4 files carry the units; a CSV file has bare channel names as
+    header.
+
+    Args:
+        path: File to write.
+        table: Channels over time.
+
+    Raises:
+        InputError: The suffix is unknown, a name is impossible in the format, or the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    names, data = [TIME, *table.columns], [table.time, *table.columns.values()]
+    if suffix not in (".csv", ".txt", ".tsv", ".parquet", ".mat", ".mf4"):
+        raise InputError(
+            f"{path}: cannot write suffix '{path.suffix}' (known: .csv .txt .tsv .parquet .mat .mf4)"
+        )
+    try:
+        with whole(path) as temporary:
+            if suffix in (".csv", ".txt", ".tsv"):
+                with temporary.open("w", newline="", encoding="utf-8") as stream:
+                    writer = csv.writer(
+                        stream, delimiter="\t" if suffix == ".tsv" else ",", lineterminator="\n"
+                    )
+                    writer.writerow(names)
+                    writer.writerows(zip(*(column.tolist() for column in data), strict=True))
+            elif suffix == ".parquet":
+                import pyarrow
+                import pyarrow.parquet as parquet
+
+                units = {TIME: "s"} | table.units
+                fields = [
+                    pyarrow.field(n, pyarrow.float64(), metadata={"unit": units.get(n, "")}) for n in names
+                ]
+                parquet.write_table(pyarrow.Table.from_arrays(data, schema=pyarrow.schema(fields)), temporary)
+            elif suffix == ".mat":
+                from scipy.io import savemat
+
+                for name in names:
+                    if not re.fullmatch(r"[A-Za-z]\w{0,62}", name) or name == "units":
+                        raise InputError(f"{path}: '{name}' is no name for a MATLAB variable")
+                extra = {"units": table.units} if table.units else {}
+                savemat(
+                    temporary,
+                    dict(zip(names, data, strict=True)) | extra,
+                    long_field_names=True,
+                    oned_as="column",
+                )
+            else:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    from asammdf import MDF, Signal
+
+                    with MDF(version="4.10") as mdf:
+                        mdf.append(
+                            [
+                                Signal(v, table.time, name=n, unit=table.units.get(n, ""))
+                                for n, v in table.columns.items()
+                            ]
+                        )
+                        mdf.save(temporary, overwrite=True)
+    except ImportError as error:
+        raise InputError(f"{path}: writing {suffix} needs {error.name}: {how_to_install('io')}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or _one_line(error)})") from None

@@ -1,0 +1,181 @@
+"""Frames of one car or of two cars side by side, as arrays or in a window."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..._common.errors import InputError
+from .backend import NO_WINDOW, pygame, start_display
+from .canvas import Canvas
+from .palette import CAR_COLOURS, PALE, SKY_LOW, SKY_TOP, WHITE, mix
+from .panel import Panel
+from .quarter_car import QuarterCarScene
+from .rigid_car import RigidCarScene
+from .snapshots import CarSnapshot
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from .snapshots import AnySnapshot
+
+EXAGGERATION = (10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
+SMALLEST = (640, 400)  # [px]
+
+
+class Renderer:
+    """Frames of one car, or of two cars of one kind side by side.
+
+    In mode "human", `draw` shows the frame in a window at the pace of the simulated time. Calls that are
+    faster than `fps` per simulated second enter the curves without a new frame, so that a 5 ms control loop
+    may call `draw` at every step.
+
+    Scales only widen over time, for larger motions. A snapshot that is earlier than the last one restarts the
+    curves.
+
+    Args:
+        mode: "rgb_array" for frames without a display, or "human" for a window.
+        width: Width [px], at least 640.
+        height: Height [px], at least 400.
+        cars: Number of cars, 1 or 2.
+        fps: Frames per simulated second, at most 60 in a window.
+
+    Attributes:
+        closed: Whether the viewer has closed the window (its button, Escape or q).
+
+    Raises:
+        InputError: An argument is invalid, pygame-ce is missing, or there is no display for a window.
+    """
+
+    def __init__(
+        self,
+        mode: Literal["human", "rgb_array"],
+        *,
+        width: int = 960,
+        height: int = 600,
+        cars: int = 1,
+        fps: float = 50.0,
+    ) -> None:
+        if mode not in ("human", "rgb_array"):
+            raise InputError(f"render mode must be 'human' or 'rgb_array', got {mode!r}")
+        if cars not in (1, 2):
+            raise InputError(f"cars must be 1 or 2, got {cars}")
+        if width < SMALLEST[0] or height < SMALLEST[1]:
+            raise InputError(f"a picture of {width}x{height} is too small to read; the least is 640x400")
+        if not (math.isfinite(fps) and fps > 0):
+            raise InputError(f"fps must be positive, got {fps}")
+        self.mode, self.width, self.height, self.cars, self.fps = mode, width, height, cars, fps
+        self.closed = False
+        self._now = self._painted = -math.inf  # simulated time [s]
+        self._pg = pygame()
+        self._unit = min(width / 640, height / 400)  # the layout is defined for 640x400
+        self._window: Any = None
+        if mode == "human":
+            self._open_window()
+        self._canvas = Canvas(self._pg, width, height, self._unit)
+        panel = (268 if cars == 1 else 236) * self._unit
+        self._scene_width = (width - panel) / cars
+        self._paint_backdrop()
+        self._restart()
+
+    def draw(self, *snapshots: AnySnapshot) -> NDArray[np.uint8] | None:
+        """Paint the cars.
+
+        Args:
+            snapshots: Snapshot of each car.
+
+        Returns:
+            The frame, uint8 of shape (height, width, 3), in mode "rgb_array"; None in mode "human".
+
+        Raises:
+            InputError: The number of snapshots is wrong, or the cars are of different kinds.
+        """
+        if len(snapshots) != self.cars:
+            raise InputError(
+                f"this renderer draws {self.cars} car(s) and was given {len(snapshots)} snapshot(s)"
+            )
+        if len({tuple(trace.title for trace, _ in shot.traces) for shot in snapshots}) > 1:
+            raise InputError("cars side by side must be of one kind: two quarter, two half or two full cars")
+        now = snapshots[0].time
+        if now < self._now:
+            self._restart()
+        self._panel.add(snapshots)
+        since, self._now = now - self._painted, now
+        if self.mode == "human" and (self.closed or since < (1 - 1e-6) / min(self.fps, 60.0)):
+            return None
+        self._painted = now
+        self._paint(snapshots)
+        if self.mode == "rgb_array":
+            return self._canvas.pixels()
+        self._show(since)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if any; afterwards the renderer cannot be used in mode "human"."""
+        if self._window is not None:
+            self._pg.display.quit()
+            self._window = None
+        self.closed = True
+
+    # --- window -----------------------------------------------------------------------------------
+
+    def _open_window(self) -> None:
+        start_display(self._pg)
+        try:
+            self._window = self._pg.display.set_mode((self.width, self.height))
+        except self._pg.error as error:
+            raise InputError(NO_WINDOW.format(str(error).strip().splitlines()[0])) from None
+        self._pg.display.set_caption("isd-gym")
+        self._clock = self._pg.time.Clock()
+
+    def _show(self, since: float) -> None:
+        for event in self._pg.event.get():
+            if event.type == self._pg.QUIT or (
+                event.type == self._pg.KEYDOWN and event.key in (self._pg.K_ESCAPE, self._pg.K_q)
+            ):
+                self.close()
+                return
+        self._window.blit(self._canvas.frame, (0, 0))
+        self._pg.display.flip()
+        if since < 1.0:
+            self._clock.tick(1.0 / since)
+
+    # --- picture ----------------------------------------------------------------------------------
+
+    def _restart(self) -> None:
+        self._now = self._painted = -math.inf
+        left = self._scene_width * self.cars
+        self._panel = Panel(self._canvas, left, self.width, self.height, self.cars)
+        self._factor = 0  # index into EXAGGERATION
+
+    def _paint_backdrop(self) -> None:
+        canvas, width = self._canvas, self._scene_width * self.cars
+        for y in range(2 * self.height):
+            canvas.row(y, 2 * width, mix(SKY_TOP, SKY_LOW, min(1.0, y / (1.6 * self.height))))
+        canvas.rect(WHITE, width, 0, self.width - width, self.height)
+        canvas.keep_backdrop()
+
+    def _paint(self, snapshots: Sequence[AnySnapshot]) -> None:
+        canvas = self._canvas
+        canvas.start()
+        views: list[QuarterCarScene | RigidCarScene] = []
+        for index, snapshot in enumerate(snapshots):
+            place = (index * self._scene_width, self._scene_width, CAR_COLOURS[index])
+            if isinstance(snapshot, CarSnapshot):
+                views.append(RigidCarScene(canvas, snapshot, *place))
+            else:
+                views.append(QuarterCarScene(canvas, snapshot, *place, self.cars == 1))
+        # both cars have the road and the scale of the first, so that they can be compared
+        needed = max(view.needed(views[0].reference) for view in views)
+        room = min(views[0].most, 1.0 / needed if needed else math.inf)
+        while self._factor < len(EXAGGERATION) - 1 and EXAGGERATION[self._factor] > room:
+            self._factor += 1
+        for view in views:
+            view.paint(views[0].reference, EXAGGERATION[self._factor])
+        for index in range(1, self.cars + 1):
+            canvas.rect(PALE, index * self._scene_width - 0.5, 0, 1, self.height)
+        self._panel.paint(snapshots)
+        canvas.finish()

@@ -1,0 +1,258 @@
+"""Content of a frame of a car: plain numbers, independent of the simulation.
+
+Signs are those of the model. A displacement is positive upwards, a travel is positive in extension, and a
+positive current pulls the terminals of the device together (force positive in tension). Axes are those of ISO
+8855: x forward, y to the left; pitch is positive nose down, roll positive right side down.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..._common.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+
+class Trace(NamedTuple):
+    """A quantity with a live curve.
+
+    Attributes:
+        title: Title of the plot.
+        unit: Unit of the plot.
+        factor: Value in the unit of the plot per SI unit.
+        scale: Smallest unit of the axis, which has a range of three units [unit].
+        digits: Number of decimals of the RMS.
+    """
+
+    title: str
+    unit: str
+    factor: float
+    scale: float
+    digits: int
+
+
+VERTICAL = Trace("Body acceleration", "m/s²", 1.0, 1.0, 2)
+TRAVEL = Trace("Suspension travel", "mm", 1e3, 10.0, 1)
+PITCH = Trace("Pitch acceleration", "rad/s²", 1.0, 1.0, 2)
+ROLL = Trace("Roll acceleration", "rad/s²", 1.0, 1.0, 2)
+
+
+def _check_finite(shot: Any, where: str) -> None:
+    for each in fields(shot):
+        value = getattr(shot, each.name)
+        if isinstance(value, int | float) and not math.isfinite(value):
+            raise InputError(f"{where}: {each.name} is {value}, not a finite number")
+
+
+def _check_positive(shot: Any, where: str, *names: str) -> None:
+    for name in names:
+        value = getattr(shot, name)
+        if value is not None and value <= 0.0:
+            raise InputError(f"{where}: {name} must be positive, got {value}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CornerSnapshot:
+    """A wheel and its suspension in one frame. Displacements are absolute, upwards, about static equilibrium.
+
+    Raises:
+        InputError: A number is not finite, a limit is not positive, or a piston has no joint.
+    """
+
+    # name of the corner; '' in a quarter car
+    name: str = ""
+    # distance in front of the centre of gravity [m]
+    x: float = 0.0
+    # distance to the left of the centre of gravity [m]
+    y: float = 0.0
+    # body above the suspension [m]
+    body: float
+    # [m]
+    wheel: float
+    # node between oil spring and inerter [m]; None: the model has none
+    piston: float | None = None
+    # node between inerter and damper [m]; None without a device
+    joint: float | None = None
+    # [A]
+    current: float = 0.0
+    # [A]; None without a motor
+    current_limit: float | None = None
+    # dynamic tyre load [N], in addition to the static load
+    tyre_load: float
+    # [N]; if given, an unloaded tyre is drawn above the road
+    static_tyre_load: float | None = None
+    # end stop of the device [m]; None without end stop
+    device_travel_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        where = f"snapshot, corner '{self.name}'" if self.name else "snapshot"
+        _check_finite(self, where)
+        _check_positive(self, where, "current_limit", "device_travel_limit")
+        if self.piston is not None and self.joint is None:
+            raise InputError(f"{where}: piston without joint; give both, only joint, or neither")
+
+    @property
+    def device_travel(self) -> float | None:
+        """Extension of the device [m]; None without a device."""
+        if self.joint is None:
+            return None
+        return (self.body if self.piston is None else self.piston) - self.joint
+
+    @property
+    def has_lifted(self) -> bool:
+        """Whether the tyre carries no load."""
+        return self.static_tyre_load is not None and self.tyre_load <= -self.static_tyre_load
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Snapshot(CornerSnapshot):
+    """A quarter car in one frame: its only corner, the road, and the values of the panel.
+
+    Raises:
+        InputError: A number is not finite, a length or limit is not positive, or a piston has no joint.
+    """
+
+    # [s]
+    time: float
+    # height of the road from behind the wheel to ahead [m], shape (n,)
+    road_profile: NDArray[np.float64]
+    # distance of two samples of the profile [m]
+    road_step: float
+    # length of the profile behind the wheel [m]; None for a wheel in the middle
+    road_behind: float | None = None
+    # [m/s]
+    speed: float
+    # [m/s^2]
+    body_acceleration: float
+    # [m]
+    suspension_travel: float
+    # mean cost so far
+    cost: float | None = None
+    # name above the picture
+    label: str = ""
+    # time [s], body acceleration [m/s^2] and suspension travel [m] of earlier moments, for the curves;
+    # otherwise the curves connect the drawn moments
+    past: Sequence[tuple[float, ...]] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "road_profile", _checked_road(self.road_profile, 1))
+        _check_positive(self, "snapshot", "road_step")
+
+    @property
+    def corners(self) -> tuple[CornerSnapshot, ...]:
+        """The only corner."""
+        return (self,)
+
+    @property
+    def traces(self) -> tuple[tuple[Trace, float], ...]:
+        """Quantities with a live curve, and their values in SI units."""
+        return (VERTICAL, self.body_acceleration), (TRAVEL, self.suspension_travel)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CarSnapshot:
+    """A car with a rigid body and any number of corners in one frame. Displacements are absolute, about static equilibrium.
+
+    Raises:
+        InputError: A number is not finite, a length is not positive, there is no corner, or the tracks do not fit the corners.
+    """
+
+    # [s]
+    time: float
+    # displacement of the body at its centre of gravity [m]
+    heave: float
+    # angle [rad]; None for a body without pitch
+    pitch: float | None = None
+    # angle [rad]; None for a body without roll
+    roll: float | None = None
+    # wheels with their suspensions; wheels with y < 0 run in the right track
+    corners: tuple[CornerSnapshot, ...]
+    # name and place (x, y) [m] of other points of the body
+    points: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # height of each track from behind the rearmost wheel to ahead of the foremost one [m], shape (1, n) or (2, n), left first
+    road_profiles: NDArray[np.float64]
+    # distance of two samples of a profile [m]
+    road_step: float
+    # length of the profiles behind the foremost wheel [m]
+    road_behind: float
+    # [m/s]
+    speed: float
+    # vertical acceleration at the centre of gravity [m/s^2]
+    body_acceleration: float
+    # [rad/s^2]; None for a body without pitch
+    pitch_acceleration: float | None = None
+    # [rad/s^2]; None for a body without roll
+    roll_acceleration: float | None = None
+    # mean cost so far
+    cost: float | None = None
+    # name on the body
+    label: str = ""
+    # time [s] and accelerations of earlier moments, in the order of `traces` [SI], for the curves
+    past: Sequence[tuple[float, ...]] = ()
+
+    def __post_init__(self) -> None:
+        _check_finite(self, "snapshot")
+        if not self.corners:
+            raise InputError("snapshot: corners is empty; give each wheel a CornerSnapshot")
+        roads = _checked_road(self.road_profiles, 2)
+        tracks = 2 if self.is_wide else 1
+        if len(roads) != tracks:
+            raise InputError(
+                f"snapshot: road_profiles has {len(roads)} track(s), and the corners run in {tracks}"
+            )
+        object.__setattr__(self, "road_profiles", roads)
+        _check_positive(self, "snapshot", "road_step")
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether the car has left and right wheels."""
+        return len({corner.y for corner in self.corners}) > 1
+
+    @property
+    def is_long(self) -> bool:
+        """Whether the car has more than one axle."""
+        return len({corner.x for corner in self.corners}) > 1
+
+    @property
+    def traces(self) -> tuple[tuple[Trace, float], ...]:
+        """Quantities with a live curve, and their values in SI units."""
+        every = (
+            (VERTICAL, self.body_acceleration),
+            (PITCH, self.pitch_acceleration),
+            (ROLL, self.roll_acceleration),
+        )
+        return tuple((trace, value) for trace, value in every if value is not None)
+
+    def height(self, x: float, y: float) -> float:
+        """Return the displacement of a point of the body.
+
+        Args:
+            x: Distance in front of the centre of gravity [m].
+            y: Distance to the left of the centre of gravity [m].
+
+        Returns:
+            Displacement upwards [m].
+        """
+        return self.heave - x * (self.pitch or 0.0) + y * (self.roll or 0.0)
+
+
+AnySnapshot = Snapshot | CarSnapshot
+
+
+def _checked_road(given: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
+    road = np.asarray(given, dtype=np.float64)
+    if road.ndim != dimensions or road.size == 0 or not np.isfinite(road).all():
+        name, what = (
+            ("road_profile", "a row") if dimensions == 1 else ("road_profiles", "a row for each track")
+        )
+        raise InputError(f"snapshot: {name} must be {what} of finite heights, got shape {road.shape}")
+    return road

@@ -1,0 +1,321 @@
+"""Forces between two nodes over the motion of the nodes: measured, reconstructed from residuals, and simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.errors import InputError
+from ..._common.units import convert
+from ...diagnosis._hypotheses.missing_force import Deconvolution, pair_motion
+from ...diagnosis.result import Law
+from ...physics import elements as el
+from ...physics.network import GROUND, Network
+from ...physics.simulate import pace
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from ..._common.arrays import Array
+    from ...diagnosis._hypotheses.missing_force import PairMotion
+    from ...diagnosis.result import Diagnosis, Effect, Trace
+
+#: share of a record at either end in which the reconstruction fades out
+TAPER = 20
+#: points of a law over its axis
+GRID = 1601
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A force over the motion of its terminals, sample by sample.
+
+    Attributes:
+        travel: Elongation (n,) [m].
+        rate: Rate of elongation (n,) [m/s].
+        force: Force (n,) [N], positive in tension.
+    """
+
+    travel: Array
+    rate: Array
+    force: Array
+
+    def part(self, samples: slice) -> Curve:
+        """Return the curve of some samples.
+
+        Args:
+            samples: The samples.
+        """
+        return Curve(self.travel[samples], self.rate[samples], self.force[samples])
+
+
+@dataclass(frozen=True)
+class Loops:
+    """The force between two nodes in the measurement and in the models, over the motion of the nodes.
+
+    Attributes:
+        name: Name of the force in words.
+        pair: The two nodes.
+        samples: Samples of the record that the curves contain.
+        measured: Measured force, or the force that the residuals require.
+        nominal: Force of the model as given; None where it cannot be simulated.
+        new: Force of the completed model, or of the refitted model where nothing is added.
+        is_measured: Whether a channel measures the force.
+    """
+
+    name: str
+    pair: tuple[str, str]
+    samples: slice
+    measured: Curve
+    nominal: Curve | None
+    new: Curve
+    is_measured: bool
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Force between two nodes that the measurements require, sample by sample, over the motion of the nodes.
+
+    Attributes:
+        pair: The two nodes.
+        law: Force of the completed model's elements minus that of the refitted model's elements, over rate or
+            travel, with its band; None without a law over the motion of the pair.
+        effects: Names of the effects.
+        travel: Elongation (n,) [m].
+        rate: Rate of elongation (n,) [m/s].
+        before: Force in addition to the refitted model (n,) [N].
+        after: Force in addition to the model with the result (n,) [N]; None without a result.
+        loops: The whole force between the nodes.
+    """
+
+    pair: tuple[str, str]
+    law: Law | None
+    effects: tuple[str, ...]
+    travel: Array
+    rate: Array
+    before: Array
+    after: Array | None
+    loops: Loops
+
+
+def clouds(d: Diagnosis, trace: Trace) -> list[Cloud]:
+    """Return a cloud for every pair of nodes with an effect, or for the best candidate.
+
+    Args:
+        d: The result.
+        trace: The record.
+
+    Returns:
+        Clouds.
+    """
+    laws = {law.element: law for law in d.laws}
+    pairs: dict[tuple[str, str], list[Effect]] = {}
+    for e in d.effects:
+        kind = el.TYPES.get(e.effect)
+        if e.between is not None and e.element in laws and kind is not None and kind.place == "between":
+            pairs.setdefault((e.between[0], e.between[1]), []).append(e)
+    if d.tabulated is not None and d.tabulated.element in laws:
+        pairs[d.tabulated.between] = []
+    elif not d.effects:
+        first = d.best_candidate or next(iter(d.contenders), None)
+        where = first.where[-1] if first else ()
+        if len(where) == 2:
+            pairs[(where[0], where[1])] = []
+    out = []
+    for pair, effects in pairs.items():
+        try:
+            names = [e.element for e in effects] or ([d.tabulated.element] if d.tabulated else [])
+            cloud = _cloud(d, trace, pair, [laws[n] for n in names], effects)
+        except (InputError, np.linalg.LinAlgError):
+            continue
+        if cloud is not None:
+            out.append(cloud)
+    return out
+
+
+def _cloud(
+    d: Diagnosis, trace: Trace, pair: tuple[str, str], laws: list[Law], effects: list[Effect]
+) -> Cloud | None:
+    base, refitted, model = d.base, d.refitted, d.model
+    if not (isinstance(base, Network) and isinstance(refitted, Network) and isinstance(model, Network)):
+        return None
+    if not set(pair) <= {*refitted.nodes, GROUND}:
+        return None
+    names = [c.name for c in refitted.outputs if c.name in trace.refit]
+    noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
+    response = Deconvolution.of(refitted, pair, trace.time, {n: trace.measured[n] for n in names})
+    before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
+    after, is_new = None, bool(d.effects or d.tabulated)
+    if is_new:
+        after, _ = response.force({n: trace.measured[n] - trace.after[n] for n in names}, noise)
+    series = [e.element for e in effects if el.TYPES[e.effect].series]
+    seen = pair_motion(model if is_new else refitted, trace, pair, series)
+    travel, rate, whole = seen.travel, seen.rate, seen.force
+    if after is not None:
+        whole = whole + after
+    else:  # motion of the old model, plus the motion due to the missing force
+        travel, rate = travel + moved[:, 0], rate + moved[:, 1]
+        whole = whole + before + _static(refitted, pair, travel, rate)
+        whole = whole - _static(refitted, pair, seen.travel, seen.rate)
+    edge = max(1, len(trace.time) // TAPER)
+    keep = slice(edge, len(trace.time) - edge)
+    loops = Loops(
+        "force", pair, keep, Curve(travel, rate, whole).part(keep), _nominal(base, trace, pair, keep),
+        Curve(seen.travel, seen.rate, seen.force).part(keep), is_measured=False,
+    )  # fmt: skip
+    law = None if series else _difference(refitted, model, pair, laws)
+    kinds = tuple(e.effect for e in effects)
+    rest = None if after is None else after[keep]
+    return Cloud(pair, law, kinds, travel[keep], rate[keep], before[keep], rest, loops)
+
+
+def _nominal(base: Network, trace: Trace, pair: tuple[str, str], keep: slice) -> Curve | None:
+    """Return the force of the model as given between two nodes; None where the simulation breaks down."""
+    try:
+        seen = pair_motion(base, trace, pair)
+    except (InputError, np.linalg.LinAlgError):
+        return None
+    return Curve(seen.travel, seen.rate, seen.force).part(keep)
+
+
+def _over(network: Network, pair: tuple[str, str], kind: str, axis: Array) -> Array:
+    """Return the sum of the forces between two nodes that depend on rate, or on travel, alone."""
+    plane, total = {"rate": "rate", "travel": "elongation"}[kind], np.zeros(len(axis))
+    for e in network.elements:
+        if e.place == "between" and e.plane == plane and not e.series:
+            if e.where == pair:
+                total = total + e.curve(axis)
+            elif e.where == pair[::-1]:
+                total = total - e.curve(-axis)
+    return total
+
+
+def _static(network: Network, pair: tuple[str, str], travel: Array, rate: Array) -> Array:
+    """Return the force of the elements between two nodes at a motion, without elements with memory."""
+    total = np.zeros(len(travel))
+    for kind, x in (("travel", travel), ("rate", rate)):
+        axis = np.linspace(float(x.min()), float(x.max()) + 1e-12, GRID)
+        total = total + np.interp(x, axis, _over(network, pair, kind, axis))
+    return total
+
+
+def _difference(refitted: Network, model: Network, pair: tuple[str, str], laws: list[Law]) -> Law | None:
+    """Return the force that the completed model has in addition to the refitted model, with the bands of the laws.
+
+    A law that replaces an element counts as its difference to that element, and so do parallel elements with other parameters.
+    """
+    same = [law for law in laws if law.kind == laws[0].kind]
+    if not same:
+        return None
+    axis, kind = same[0].axis, same[0].kind
+    parts = [np.stack([np.interp(axis, w.axis, y - w.force) for y in (w.low, w.high)]) for w in same]
+    low, high = np.sum(parts, axis=0)
+    own = np.sum([np.interp(axis, w.axis, w.force) for w in same], axis=0)
+    added = [e.name for e in model.elements if e.name in {w.element for w in same}]
+    others = [e for e in model.elements if e.name not in added]
+    kept = (
+        model if not added else Network.load({**model.to_dict(), "elements": [e.to_dict() for e in others]})
+    )
+    force = own + _over(kept, pair, kind, axis) - _over(refitted, pair, kind, axis)
+    return Law(same[0].element, kind, axis, force, force + low, force + high, same[0].visited)
+
+
+# --------------------------------------------------------------------------------------------- measured forces
+
+
+def measured_loops(d: Diagnosis, trace: Trace) -> list[Loops]:
+    """Return the loops of every measured force whose terminals have a measured or simulated motion.
+
+    Args:
+        d: The result.
+        trace: The record.
+
+    Returns:
+        Loops, in the order of the channels.
+    """
+    out = []
+    if isinstance(d.base, Network) and isinstance(d.model, Network):
+        for name, pair, factor in _force_channels(d.base):
+            if name not in trace.measured:
+                continue
+            try:
+                out.append(_loops_of(d, trace, name, pair, factor))
+            except (InputError, np.linalg.LinAlgError):
+                continue
+    return out
+
+
+def _force_channels(network: Network) -> Iterator[tuple[str, tuple[str, str], float]]:
+    """Yield the measured forces: channel, terminals, and SI value of its unit."""
+    driven = {c.at for c in network.moving}
+    for c in network.outputs:
+        if c.quantity != "force":
+            continue
+        places = {network.element(e).between for e in c.elements}
+        if len(places) == 1:
+            yield c.name, places.pop(), convert(1.0, c.unit, c.si)
+        elif not places and c.at in driven:
+            yield c.name, (str(c.at), GROUND), convert(1.0, c.unit, c.si)
+
+
+def _loops_of(d: Diagnosis, trace: Trace, name: str, pair: tuple[str, str], factor: float) -> Loops:
+    assert isinstance(d.base, Network) and isinstance(d.model, Network)
+    step = float(trace.time[1] - trace.time[0])
+    simulated = pair_motion(d.model, trace, pair)
+    at = _displacement(d.base, pair)
+
+    def curve(values: dict[str, Array], motion: PairMotion) -> Curve:
+        travel, rate = motion.travel, motion.rate
+        if at is not None and at[0] in values:
+            travel = at[1] * values[at[0]]
+            rate = _rate(travel, step)
+        return Curve(travel, rate, factor * values[name])
+
+    try:
+        nominal = curve(trace.before, pair_motion(d.base, trace, pair))
+    except (InputError, np.linalg.LinAlgError):
+        nominal = None
+    return Loops(
+        name, pair, slice(0, len(trace.time)), curve(trace.measured, simulated), nominal,
+        curve(trace.after, simulated), is_measured=True,
+    )  # fmt: skip
+
+
+def _displacement(network: Network, pair: tuple[str, str]) -> tuple[str, float] | None:
+    """Return the output that measures the elongation of a pair, and its SI value with the sign of the pair."""
+    for c in network.outputs:
+        ends = c.between or ((c.at, GROUND) if c.at is not None and not c.axis else None)
+        if c.quantity == "displacement" and ends is not None and set(ends) == set(pair):
+            return c.name, convert(1.0, c.unit, c.si) * (1.0 if tuple(ends) == pair else -1.0)
+    return None
+
+
+def _rate(travel: Array, step: float) -> Array:
+    """Return the rate of a measured travel, smoothed over a tenth of the period of the motion."""
+    from scipy.signal import savgol_filter
+
+    width = 2 * round(0.1 * np.pi * pace(travel, step) / step) + 1
+    width = min(max(width, 5), len(travel) - 1 + len(travel) % 2)
+    return np.asarray(savgol_filter(travel, width, 2, deriv=1, delta=step), np.float64)
+
+
+def loops_of(d: Diagnosis, trace: Trace, found: Iterable[Cloud]) -> list[Loops]:
+    """Return the loops to draw: measured forces, and the forces at the places of the finding that no channel measures.
+
+    Args:
+        d: The result.
+        trace: The record.
+        found: Clouds of the record.
+
+    Returns:
+        Loops; those at the places of the finding first.
+    """
+    own = measured_loops(d, trace)
+    at = [set(cloud.pair) for cloud in found]
+    return [
+        *(x for x in own if set(x.pair) in at),
+        *(cloud.loops for cloud in found if set(cloud.pair) not in [set(x.pair) for x in own]),
+        *(x for x in own if set(x.pair) not in at),
+    ]

@@ -1,0 +1,490 @@
+"""Figures in one style, printed numbers, and self-contained pages.
+
+The colours are those of Okabe and Ito (Color Universal Design, 2008). Every line also has a dash pattern or a
+marker, so that a black-and-white print remains readable. No figure changes matplotlib's global state.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import math
+import platform
+import re
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from html import escape
+from importlib import metadata, resources
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..._common.units import TABLE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+INK, MUTED, PALE = "#262b30", "#606870", "#dfe3e7"
+BLACK, BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, OLIVE = (
+    "#262b30", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7A4B2A", "#8A8A00",
+)  # fmt: skip
+DPI = 160
+#: colours of the figures in print, and on a dark page
+THEMED = {
+    "#262b30": "#e4e8ec", "#606870": "#a0a8b0", "#dfe3e7": "#3c444c", "#ffffff": "#14181c", "#0072b2": "#56aef0",
+    "#d55e00": "#ff8a3d", "#009e73": "#2fcf9f", "#cc79a7": "#e79bc6", "#e69f00": "#ffbf3a", "#56b4e9": "#8fd3ff",
+    "#7a4b2a": "#c9946b", "#8a8a00": "#c8c83c",
+}  # fmt: skip
+
+STYLE: dict[str, Any] = {
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "grid.color": PALE,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "text.color": INK,
+    "lines.linewidth": 1.3,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "legend.handlelength": 2.8,
+    "legend.fontsize": 9.0,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "isd_gym",
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """Style of a series; no two series share all of colour, line and marker.
+
+    Attributes:
+        colour: Colour.
+        line: Dash pattern of matplotlib.
+        marker: Marker of matplotlib.
+        width: Line width [pt].
+    """
+
+    colour: str
+    line: Any
+    marker: str
+    width: float = 1.3
+
+
+COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, OLIVE)
+LINES = (
+    "-",
+    (0, (5.5, 1.6)),
+    (0, (6, 1.5, 1.2, 1.5)),
+    (0, (3, 1.2)),
+    (0, (6, 1.2, 1.2, 1.2, 1.2, 1.2)),
+    (0, (9, 2)),
+    (0, (1.6, 1.6)),
+)
+MARKERS = ("o", "D", "^", "v", "P", "X", "<", ">", "h", "d", "*")
+#: the first style belongs to the reference of a comparison
+LOOKS = (
+    Look(BLACK, (0, (1.2, 1.2)), "s", 1.2),
+    *(Look(c, LINES[i % len(LINES)], MARKERS[i], 1.4) for i, c in enumerate(COLOURS)),
+)
+
+
+def looks(names: Sequence[str]) -> dict[str, Look]:
+    """Return a style for each name; no two of the first 57 share colour and line, or colour and marker.
+
+    Args:
+        names: Names; the first is the reference.
+
+    Returns:
+        Style by name.
+    """
+    others = (
+        Look(COLOURS[i % len(COLOURS)], LINES[i % len(LINES)], MARKERS[i % len(MARKERS)], 1.4)
+        for i in range(len(names))
+    )
+    return dict(zip(names, (LOOKS[0], *others), strict=False))
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Apply the project's style to figures that are made and saved within the block.
+
+    Yields:
+        Nothing.
+    """
+    from matplotlib import rc_context
+
+    with rc_context(STYLE):  # type: ignore[arg-type]
+        yield
+
+
+def figure(width: float = 7.2, height: float = 4.0) -> Figure:
+    """Return an empty figure outside of matplotlib's global list.
+
+    Args:
+        width: Width [inch].
+        height: Height [inch].
+
+    Returns:
+        The figure.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    fig = Figure(figsize=(width, height))
+    FigureCanvasAgg(fig)
+    return fig
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure on a page.
+
+    Attributes:
+        stem: Stem of the file name.
+        title: Title.
+        alt: Text for readers who cannot see the figure.
+        caption: Caption.
+        drawing: SVG text.
+        width: Width at which the text has the size of the page's small print [CSS pixel].
+        notes: Text that the page shows where the pointer rests on an element, by the element's identifier.
+        others: Further pictures of the figure by name, such as those of other records.
+    """
+
+    stem: str
+    title: str
+    alt: str
+    caption: str
+    drawing: str
+    width: int
+    notes: Mapping[str, str] = field(default_factory=dict)
+    others: Mapping[str, Picture] = field(default_factory=dict)
+
+    @property
+    def data(self) -> str:
+        """Data URI of the picture, for an image element."""
+        return "data:image/svg+xml;base64," + base64.b64encode(self.drawing.encode()).decode("ascii")
+
+    @property
+    def inline(self) -> str:
+        """The picture as an element of a page, in the colours of the page."""
+        text = self.drawing
+        for colour in THEMED:
+            text = text.replace(colour, f"var(--c{colour[1:]}, {colour})")
+        for name, note in self.notes.items():
+            text = text.replace(f'<g id="{name}">', f"<g><title>{escape(note)}</title>")
+        head = f'<svg class="chart" style="width:{self.width}px" role="img" aria-label="{escape(self.alt)}"'
+        return text.replace("<svg", head, 1)
+
+    def save(self, folder: Path) -> None:
+        """Write the picture as an SVG file.
+
+        Args:
+            folder: Folder of the file.
+        """
+        (folder / f"{self.stem}.svg").write_text(self.drawing + "\n", encoding="utf-8")
+
+
+def as_picture(
+    fig: Figure, stem: str, title: str, alt: str, caption: str, notes: Mapping[str, str] | None = None
+) -> Picture:
+    """Return a figure as a picture of a page; equal figures give equal texts. To be called within `style`.
+
+    Args:
+        fig: The figure.
+        stem: Stem of the file name.
+        title: Title.
+        alt: Text for readers who cannot see the figure.
+        caption: Caption.
+        notes: Text by identifier of an element of the figure.
+
+    Returns:
+        The picture.
+    """
+    whole = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    fig.savefig(whole, format="svg", dpi=DPI, metadata=nothing)
+    text = whole.getvalue()
+    text = text[text.index("<svg") :].strip()
+    text = re.sub(r'<g id="[\w.]+">', "<g>", text)  # names that matplotlib gives in every figure
+    text = re.sub(r'\b(d|x|y|transform)="[^"]*"', lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]), text)
+    width = round(122 * fig.get_size_inches()[0])
+    return Picture(stem, title, alt, caption, text, width, notes or {})
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with a true minus sign, if possible without an exponent.
+
+    Args:
+        value: The number; None for a dash.
+        digits: Number of significant digits.
+
+    Returns:
+        Text.
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    size = abs(value)
+    if 1e-4 <= size < 1e6:
+        places = max(0, digits - 1 - math.floor(math.log10(size)))
+        text = f"{value:.{places}f}"
+    else:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+    return text.replace("-", "−")
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def percent(share: float | None, digits: int = 1, *, sign: bool = True) -> str:
+    """Return a fraction as percent, such as ``−12.3 %``.
+
+    Args:
+        share: The fraction; None for a dash.
+        digits: Number of decimals.
+        sign: Whether a plus sign is written.
+
+    Returns:
+        Text.
+    """
+    if share is None or not math.isfinite(share):
+        return "–"
+    value = round(100 * share, digits) + 0.0
+    return f"{value:{'+' if sign and value else ''}.{digits}f}\u00a0%".replace("-", "−")
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit in print: ``m/s^2`` -> m/s², ``-`` -> nothing.
+
+    Args:
+        unit: The unit.
+
+    Returns:
+        Text.
+    """
+    if unit in ("", "-"):
+        return ""
+    return (
+        unit.replace("^2", "²")
+        .replace("^3", "³")
+        .replace("N m", "N·m")
+        .replace("N·m s", "N·m·s")
+        .replace("N s", "N·s")
+        .replace("deg", "°")
+    )
+
+
+#: names that units are made of, and a unit after a number in a sentence
+_PARTS = "|".join(
+    sorted({part for unit in TABLE for part in re.findall(r"[A-Za-z]+", unit)}, key=len, reverse=True)
+)
+_STATED = re.compile(rf"(?<=\d )(?:{_PARTS})(?:\^\d)?(?:[ /](?:{_PARTS})(?:\^\d)?)*(?!\w)")
+
+
+def units_text(sentence: str) -> str:
+    """Return a sentence with the units after its numbers in print; words that only look like a unit stay.
+
+    Args:
+        sentence: The sentence.
+
+    Returns:
+        Text.
+    """
+    return _STATED.sub(lambda unit: unit_text(unit[0]), sentence)
+
+
+def channel_text(name: str) -> str:
+    """Return the name of a channel in print.
+
+    Args:
+        name: The name.
+
+    Returns:
+        Text.
+    """
+    return name.replace("_", " ")
+
+
+def sentence(text: str) -> str:
+    """Return a text with a capital first letter; all other letters are unchanged (Hz stays Hz).
+
+    Args:
+        text: The text.
+
+    Returns:
+        Text.
+    """
+    return text[:1].upper() + text[1:]
+
+
+def page(template: str, **context: Any) -> str:
+    """Return the HTML of one of the package's templates; all values are escaped. The page fetches nothing.
+
+    Args:
+        template: File name of the template.
+        context: Values of the template.
+
+    Returns:
+        HTML.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    env = Environment(
+        loader=PackageLoader(__package__),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    script = (resources.files(__package__) / "templates" / "page.js").read_text(encoding="utf-8")
+    env.globals.update(
+        number=number,
+        sentence=sentence,
+        percent=percent,
+        unit=unit_text,
+        channel=channel_text,
+        versions=versions(),
+        zip=zip,
+        script=script,
+        # the page's policy allows this script alone
+        digest=base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii"),
+        themed=THEMED,
+    )
+    return env.get_template(template).render(**context)
+
+
+def versions() -> list[tuple[str, str]]:
+    """Return the versions that a result depends on: this package, Python and the numerical libraries.
+
+    Returns:
+        Name and version of each.
+    """
+    out = [("Python", platform.python_version())]
+    for name in ("isd-gym", "numpy", "scipy", "numba"):
+        try:
+            out.append((name, metadata.version(name)))
+        except metadata.PackageNotFoundError:
+            continue
+    return out
+
+
+# ------------------------------------------------------------------------------------------------ on a figure
+
+
+def halo() -> list[Any]:
+    """Return a white rim that keeps text on a line legible.
+
+    Returns:
+        Path effects of matplotlib.
+    """
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=2.5, foreground="white")]
+
+
+def density(signal: np.ndarray, step: float, window: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the averaged power spectral density of the columns of a signal.
+
+    Hann windows with half overlap; lines are averaged to twelve per octave.
+
+    Args:
+        signal: Samples (n,) or (n, columns).
+        step: Sampling step [s].
+        window: Length of a window [s].
+
+    Returns:
+        Frequencies [Hz] and densities [unit²/Hz].
+    """
+    from scipy.signal import welch
+
+    length = min(len(signal), round(window / step))
+    f, p = welch(signal, 1.0 / step, nperseg=length, axis=0, detrend="constant")
+    f, p = f[1:], (p.mean(axis=1) if p.ndim > 1 else p)[1:]
+    # with twelve points per octave, each point averages more lines and scatters less
+    index = np.floor(12 * np.log2(f / f[0]) + 1e-6).astype(int)
+    count = np.bincount(index)
+    some = count > 0
+    return np.bincount(index, f)[some] / count[some], np.bincount(index, p)[some] / count[some]
+
+
+def label_points(
+    fig: Figure,
+    ax: Axes,
+    points: Sequence[tuple[float, float, str, str]],
+    spans: Sequence[tuple[float, float, float, float]] = (),
+) -> None:
+    """Write labels beside points without covering other labels, points or spans.
+
+    Args:
+        fig: The figure.
+        ax: The axes.
+        points: x, y, text and colour of each point.
+        spans: Regions (x0, y0, x1, y1) to keep free.
+    """
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    fig.canvas.draw()  # computes the layout of the axes
+    renderer = fig.canvas.get_renderer()  # type: ignore[attr-defined]
+    to_screen = ax.transData.transform
+    marks = np.array([to_screen((x, y)) for x, y, _, _ in points])
+    area = ax.get_window_extent()
+    unit = fig.dpi / 72
+    taken: list[Any] = []
+    bars = [Bbox([to_screen(s[:2]), to_screen(s[2:])]).padded(unit) for s in spans]
+    for x, y, text, colour in points:
+        best: tuple[float, Any, Any] | None = None
+        for reach in (9, 16, 26, 40, 58, 84, 115):
+            for angle in (0, 180, 30, -30, 150, -150, 60, -60, 120, -120, 90, -90):
+                dx, dy = reach * math.cos(math.radians(angle)), reach * math.sin(math.radians(angle))
+                ha = "center" if abs(dx) < 1 else "left" if dx > 0 else "right"
+                label = ax.annotate(
+                    text, (x, y), xytext=(dx, dy), textcoords="offset points", ha=ha, va="center", fontsize=8,
+                    color=colour, zorder=6, path_effects=halo(),
+                    arrowprops=dict(arrowstyle="-", color=colour, lw=0.6, shrinkB=3) if reach > 9 else None,
+                )  # fmt: skip
+                label.update_positions(renderer)
+                box = Text.get_window_extent(label).padded(1.5 * unit)  # without its leader line
+                clash = sum(box.overlaps(b) for b in (*taken, *bars))
+                clash += sum(box.contains(*m) for m in marks)
+                start, end = np.array(to_screen((x, y))), 0.5 * (box.p0 + box.p1)
+                path = [start + w * (end - start) for w in np.linspace(0.0, 1.0, 15)]
+                clash += sum(
+                    any(b.contains(*q) for q in path) for b in taken
+                )  # a leader line across another label
+                outside = box.x0 < area.x0 or box.x1 > area.x1 or box.y0 < area.y0 or box.y1 > area.y1
+                value = 10 * clash + 20 * outside + 0.02 * reach
+                if best is None or value < best[0]:
+                    if best is not None:
+                        best[1].remove()
+                    best = (value, label, box)
+                else:
+                    label.remove()
+            if best is not None and best[0] < 5:
+                break
+        assert best is not None
+        taken.append(best[2])

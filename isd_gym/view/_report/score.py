@@ -1,0 +1,618 @@
+"""Page of a score, to explore on screen and to print."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..._common.files import check_folder, whole_folder, write_text
+from ..._common.seeds import road_name
+from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, picture
+from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ...benchmark.scoring import Score
+
+SCORE_KIND = "score report"
+SCORE_PARTS = ("index.html", "score.json", "*.svg")
+#: column of the table -> heading, unit, scale, decimals
+COLUMNS = {
+    "cost": ("cost J", "", 1.0, 3),
+    "body_acceleration_rms": ("body acceleration", "m/s²", 1.0, 3),
+    "suspension_travel_rms": ("travel", "mm", 1e3, 2),
+    "tyre_load_rms": ("tyre load", "N", 1.0, 0),
+}
+#: kind of signal -> heading, unit, scale
+SIGNALS = {
+    "body_acceleration": ("body acceleration", "m/s²", 1.0),
+    "pitch_acceleration": ("pitch acceleration", "rad/s²", 1.0),
+    "roll_acceleration": ("roll acceleration", "rad/s²", 1.0),
+    "suspension_travel": ("suspension travel", "mm", 1e3),
+    "tyre_load": ("dynamic tyre load", "kN", 1e-3),
+    "current": ("motor current", "A", 1.0),
+}
+WELCH = 8.0  # window of the spectra [s]
+
+
+def score_report(score: Score, folder: str | Path) -> Path:
+    """Write the page of a score: ``index.html`` (self-contained), its figures as SVG, and ``score.json``.
+
+    The folder is written atomically; an earlier report is replaced.
+
+    Args:
+        score: The score.
+        folder: A new or empty folder, or an earlier report.
+
+    Returns:
+        Path of the page.
+
+    Raises:
+        InputError: The folder holds other files, or cannot be written.
+    """
+    folder = Path(folder)
+    shown = Shown(score)
+    with style(), whole_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS) as place:
+        charts = (make(shown) for make in (trade_off, histories, spectra, distribution, limits))
+        pictures = [picture(chart, place) for chart in charts if chart is not None]
+        write_text(place / "score.json", json.dumps(score.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_text(place / "index.html", page("score.html", shown=shown, score=score, pictures=pictures))
+    return folder / "index.html"
+
+
+def check_report(folder: str | Path) -> None:
+    """Check before long work that `score_report` can write to a folder.
+
+    Args:
+        folder: The folder.
+
+    Raises:
+        InputError: The folder holds other files, or cannot be written.
+    """
+    check_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS)
+
+
+class Shown:
+    """A score prepared for drawing: the style of each policy, and the reference.
+
+    Args:
+        score: The score.
+    """
+
+    def __init__(self, score: Score) -> None:
+        self.score = score
+        self.reference = next(iter(score.runs))  # the reference is driven first
+        for row in score.policies:
+            if row["cost"].get("change") == 0.0 and row["cost"].get("low") == row["cost"].get("high") == 0.0:
+                self.reference = row["policy"]
+                break
+        self.rows = {row["policy"]: row for row in score.policies}
+        self.names = [self.reference, *(n for n in score.runs if n != self.reference)]
+        self.looks = looks(self.names)
+        self.runs = score.runs
+        self.step = score.runs[self.reference].control_step
+        self.car = score.runs[self.reference].car
+        self.costs = {n: run.cost(score.cost) for n, run in self.runs.items()}
+        self.best = min(self.names, key=lambda n: self.costs[n].mean())
+
+    @property
+    def signals(self) -> dict[str, tuple[str, str, float]]:
+        """Signals of the body and of each corner by name: heading, unit, scale."""
+        out = {}
+        for kind, (head, unit, scale) in SIGNALS.items():
+            for name, corner in {c.named(kind): c.name for c in self.car.corners}.items():
+                if name in self.runs[self.reference].signals:
+                    words = f"{corner.replace('_', ' ')} {head.removeprefix('suspension ').removeprefix('dynamic ')}"
+                    out[name] = (words if corner else head, unit, scale)
+            if kind in self.runs[self.reference].signals:
+                out[kind] = (head, unit, scale)
+        return out
+
+    @property
+    def corner_tables(self) -> list[dict[str, tuple[str, str, int, float]]]:
+        """Tables of axes and corners: heading, unit, decimals and scale by measure; none of a quarter car."""
+        from ...benchmark.scoring import corner_measures
+
+        return [
+            {
+                name: (head.split("\n")[0], head.split("\n")[1], digits, scale)
+                for name, (head, digits, scale) in group.items()
+            }
+            for group in corner_measures(self.score.policies[0])
+        ]
+
+    @property
+    def cost_words(self) -> str:
+        """Sentence on the stage cost."""
+        cost, axes, count = self.score.cost, self.car.axes, len(self.car.corners)
+        if count == 1:
+            return (
+                "mean over the steps of 0.6 (a / 0.8306 m/s²)² + 0.3 (l / 7.6 mm)², of body acceleration a and suspension travel "
+                "l: the paper's weights over its passive car, so a passive car costs about 0.9"
+            )
+        parts = [f"{cost.acceleration:g} (a / {cost.acceleration_reference:g} m/s²)²"]
+        parts += [
+            f"{getattr(cost, axis):g} ({axis} acceleration / {getattr(cost, f'{axis}_reference'):g} rad/s²)²"
+            for axis in axes
+        ]
+        return (
+            f"mean over the steps of {' + '.join(parts)} + {cost.travel:g} (l / l₀)² in the mean over the {count} corners, of the body's "
+            "vertical acceleration a and the suspension travels l; each reference is the RMS of the passive car on the paper's "
+            "road at 20 m/s, so a passive car costs about 0.9 there"
+        )
+
+    @property
+    def bounds(self) -> list[str]:
+        """Sentences on the bounds of these conditions."""
+        told = self.score.references
+        named = ("clairvoyant", "causal_bound") if self.score.comfort else ("clairvoyant",)
+        return [text for key, text in told.items() if key.startswith("ceiling_") or key in named]
+
+    @property
+    def left_out(self) -> str:
+        """Omitted bounds and published figures with the reasons; '' if nothing is omitted."""
+        return self.score.references.get("left_out") or self.score.comparable.left_out or ""
+
+    def few(self, count: int) -> tuple[list[str], str]:
+        """Return the reference and the best policies, since many curves are unreadable.
+
+        Args:
+            count: Number of policies besides the reference.
+
+        Returns:
+            Names, and a sentence on the omitted policies.
+        """
+        others = sorted((n for n in self.names if n != self.reference), key=lambda n: self.costs[n].mean())
+        kept = [n for n in self.names if n == self.reference or n in others[:count]]
+        gone = [n for n in self.names if n not in kept]
+        return kept, f" Not in the picture: {', '.join(gone)}." if gone else ""
+
+    @property
+    def level(self) -> list[str]:
+        """Policies that are indistinguishable from the best: the 95 % paired interval of the difference in cost includes zero."""
+        if self.score.episodes < 2:
+            return []
+        draws = np.random.default_rng(0).integers(self.score.episodes, size=(2000, self.score.episodes))
+        out = []
+        for name in self.names:
+            if name not in (self.best, self.reference):
+                gap = (self.costs[name] - self.costs[self.best])[draws].mean(axis=1)
+                if np.quantile(gap, 0.025) <= 0.0:
+                    out.append(name)
+        return out
+
+    def interval(self, q: dict[str, Any]) -> str:
+        """Return the 95 % interval of a change, such as ``[−24.3, −21.9] %``.
+
+        Args:
+            q: Quantity of a score.
+
+        Returns:
+            Text; '' without an interval.
+        """
+        if self.score.episodes < 2 or q.get("low") is None or q["low"] == q["high"] == 0.0:
+            return ""
+        return f"[{percent(q['low'])[:-2]}, {percent(q['high'])[:-2]}]"
+
+    @property
+    def headline(self) -> str:
+        """Main result of the score, in a sentence."""
+        row = self.rows.get(self.best)
+        if row is None or self.best == self.reference or "change" not in row["cost"]:
+            return f"No policy shown here costs less than {self.reference}."
+        q = row["cost"]
+        parts = [
+            f"{COLUMNS[k][0]} {percent(row[k]['change'])}" for k in list(COLUMNS)[1:] if "change" in row[k]
+        ]
+        share = row["share_of_reachable_gain"]
+        reached = (
+            ""
+            if share is None
+            else f" That is {percent(share, 0, sign=False)} of the gain that is reachable on these roads."
+        )
+        if self.score.episodes < 2:
+            return (
+                f"On this one road {self.best} costs {percent(-q['change'], sign=False)} less than {self.reference}: "
+                f"{', '.join(parts)}.{reached} One episode has no interval: roads differ by more than policies do."
+            )
+        if q["high"] >= 0.0:
+            return (
+                f"No policy is shown to beat {self.reference}: the cost of {self.best}, the best, changes by "
+                f"{percent(q['change'])} (95 % interval {percent(q['low'])} to {percent(q['high'])})."
+            )
+        level = (
+            f" Level with it, as far as these episodes tell: {', '.join(self.level)}." if self.level else ""
+        )
+        return (
+            f"{self.best} costs {percent(-q['change'], sign=False)} less than {self.reference} (95 % interval "
+            f"{percent(-q['high'], sign=False)} to {percent(-q['low'], sign=False)}): {', '.join(parts)}.{reached}{level}"
+        )
+
+    def change(self, name: str, key: str) -> np.ndarray:
+        """Return the change of each episode against the same episode of the reference.
+
+        Args:
+            name: Policy.
+            key: Quantity.
+
+        Returns:
+            Changes (episodes,), as fractions.
+        """
+        own, base = (self._by_episode(n, key) for n in (name, self.reference))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return own / base - 1.0
+
+    def _by_episode(self, name: str, key: str) -> np.ndarray:
+        if key == "cost":
+            return self.costs[name]
+        signals = self.runs[name].of(key.removesuffix("_rms"))
+        return np.sqrt(sum(np.mean(signal**2, axis=0) for signal in signals) / len(signals))
+
+
+def histories(shown: Shown) -> Chart:
+    """Return the chart of four seconds around the reference's worst moment: the best policy in a median episode and in the hardest, then others.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart.
+    """
+    base = shown.runs[shown.reference]
+    order = np.argsort(shown.costs[shown.reference])
+    middle, hardest = int(order[len(order) // 2]), int(order[-1])
+    steps = len(base.body_acceleration)
+    width = min(steps, round(4.0 / shown.step))
+    few, left_out = shown.few(1)
+    signals = shown.signals
+    moved = [
+        k
+        for k in signals
+        if not k.startswith("current") or any(np.any(r.signals.get(k, 0)) for r in shown.runs.values())
+    ]
+    time = shown.step * np.arange(steps, dtype=np.float64)
+
+    def panels(episode: int, names: Sequence[str]) -> list[Panel]:
+        peak = int(np.argmax(np.max([np.abs(load[:, episode]) for load in base.of("tyre_load")], axis=0)))
+        first = max(0, min(peak - width // 2, steps - width))
+        begin, end = float(time[first]), float(time[first]) + width * shown.step
+        window = Axis("time", "s", low=begin, high=end)
+        out = []
+        for key in moved:
+            head, unit, scale = signals[key]
+            lines = []
+            for name in names:
+                own = shown.runs[name].signals.get(key)
+                if own is None or (key.startswith("current") and not np.any(own)):
+                    continue
+                values = own[first : first + width, episode] * scale
+                lines.append(Line(name, time[first : first + width], values, shown.looks[name]))
+            inside = [np.abs(i.y).max() for i in lines]
+            top = 1.08 * max([*inside, 1e-9])
+            words = head.replace(" ", "\n", 1)
+            out.append(
+                Panel(window, Axis(words, unit, low=-top, high=top), (*lines, Rule("y", 0.0)), link="time")
+            )
+        return out
+
+    median = f"the median by the cost of {shown.reference}"
+    pictures = [(middle, median, few), (hardest, f"the hardest for {shown.reference}", few)][
+        : 1 + (hardest != middle)
+    ]
+    pictures += [(middle, name, [shown.reference, name]) for name in shown.names if name not in few]
+    choices, captions = {}, {}
+    for episode, words, names in pictures:
+        road = road_name(shown.score.seed, episode)
+        choices[f"{road}: {words}"] = panels(episode, names)
+        about = words if names is few else f"{median}, with {words}"
+        captions[f"{road}: {words}"] = (
+            f"Episode on {road}, {about}: the {width * shown.step:g} s around the largest tyre load. Travel is "
+            f"positive in extension, tyre load in compression.{left_out if names is few else ''}"
+        )
+    return Chart(
+        "histories",
+        "In time",
+        "Signals of one episode over time",
+        next(iter(captions.values())),
+        choices,
+        size=(7.2, 1.35 * len(moved) + 0.5),
+        captions=captions,
+    )
+
+
+def spectra(shown: Shown) -> Chart | None:
+    """Return the chart of the power spectral densities, and of their ratios to the reference.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart; None for short or constant signals.
+    """
+    from ...benchmark.scoring import frequency_weighting
+
+    units = {"body_acceleration": "(m/s²)²/Hz", "suspension_travel": "mm²/Hz", "tyre_load": "N²/Hz"}
+    for axis in shown.car.axes:
+        units[f"{axis}_acceleration"] = "(rad/s²)²/Hz"
+    scales = dict.fromkeys(units, 1.0) | {"suspension_travel": 1e3}
+    if not all(np.any(shown.runs[shown.reference].of(key)) for key in units):
+        return None  # no motion
+    few, left_out = shown.few(3)
+    marks = tuple((t, f"{t:g}") for t in (0.5, 1, 2, 5, 10, 20, 50))
+    x = Axis("frequency", "Hz", log=True, low=0.4, high=50.0, ticks=marks)
+    halves = ((0.125, "⅛"), (0.25, "¼"), (0.5, "½"), (1.0, "1"), (2.0, "2"), (4.0, "4"), (8.0, "8"))
+    top, below = [], []
+    for key, unit in units.items():
+        density_of = {
+            n: density(scales[key] * np.hstack(shown.runs[n].of(key)), shown.step, WELCH) for n in few
+        }
+        f, base = density_of[shown.reference]
+        keep = (f >= 0.4) & (f <= 50.0)
+        if not keep.any():
+            return None  # too short for a spectrum
+        lines, ratios = [], []
+        for name in few:
+            p = density_of[name][1]
+            lines.append(Line(name, f[keep], p[keep], shown.looks[name]))
+            ratios.append(Line(name, f[keep], (p / base)[keep], shown.looks[name]))
+        seen = np.concatenate([i.y for i in lines])
+        least, most = base[keep & (f < 25.0)].min(), seen.max()
+        low, high = max(0.5 * least, 1e-6 * most), 2 * most
+        title = SIGNALS[key][0]
+        extra: tuple[Item, ...] = ()
+        if key == "body_acceleration":  # drawn from the axis to a decade above
+            w = low * 10 ** (0.25 * np.log10(high / low) * frequency_weighting(f[keep]))
+            extra = (Line("W_k: sensitivity of a seated person", f[keep], w, LOOKS[0], fill=True),)
+        y = Axis("density", unit, log=True, low=low, high=high, ticks=decades(low, high))
+        top.append(Panel(x, y, (*lines, *extra), title=title, link=key, tall=1.7))
+        y = Axis(f"ratio to {shown.reference}", log=True, low=0.125, high=8.0, ticks=halves)
+        below.append(Panel(x, y, (*ratios, Rule("y", 1.0)), link=key))
+    window = min(WELCH, len(shown.runs[shown.reference].body_acceleration) * shown.step)
+    corners = " Travel and tyre load: the mean of all corners." if len(shown.car.corners) > 1 else ""
+    return Chart(
+        "spectra",
+        "In frequency",
+        "Power spectral densities over frequency",
+        f"One-sided power spectral densities, averaged over all {shown.score.episodes} episodes (Welch, Hann windows of {window:g} s "
+        f"half overlapping, averaged to twelve points per octave). Below: their ratio to {shown.reference}. Grey: the weighting W_k of "
+        f"ISO 2631-1 for a seated person, on a separate scale.{corners}{left_out}",
+        {"all episodes": [*top, *below]},
+        columns=len(units),
+        size=(2.8 * len(units), 4.8),
+    )
+
+
+def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
+    """Return the causal bound in the plane of travel and acceleration for several tyre loads, if its conditions hold.
+
+    Args:
+        score: The score.
+
+    Returns:
+        Change of the tyre load, and curve (k, 2) of travel change and acceleration change.
+    """
+    from ..._common.errors import InputError
+    from ..._common.plugins import REFERENCES, plugins
+
+    if score.plant is None or score.comparable.lq_bound:
+        return []
+    for point in plugins(REFERENCES, "lq_front"):
+        travel = np.array([-0.5, -0.4, -0.35, -0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3])
+        out = []
+        for tyre in (0.0, 0.03):
+            try:
+                out.append(
+                    (
+                        tyre,
+                        point.load()(tyre, travel, network=score.plant, speed=score.speed, road=score.ground),
+                    )
+                )
+            except InputError:  # a road or a car without such a bound
+                return []
+        return [(tyre, curve) for tyre, curve in out if len(curve) > 2]
+    return []
+
+
+def trade_off(shown: Shown) -> Chart:
+    """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart.
+    """
+    marks = [*_policy_marks(shown), *_published_marks(shown)]
+    xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
+    curves = fronts(shown.score)
+    lines = []
+    for (tyre, curve), dashes in zip(curves, ("-", (0, (5, 2))), strict=False):
+        label = f"causal bound at tyre load {percent(tyre, 0)}"
+        lines.append(Line(label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, dashes, "", 1.1)))
+    left, right = min(-22.0, min(xs) - 6), max(6.0, max(xs) + 6)
+    bottom, top = min(-26.0, min(ys) - 4), max(5.0, max(ys) + 5)
+    panel = Panel(
+        Axis(f"change of suspension travel against {shown.reference}", "%", low=left, high=right),
+        Axis("change of body acceleration", "%", low=bottom, high=top),
+        (Rule("x", 0.0), Rule("y", 0.0), *marks, *lines),
+    )
+    return Chart(
+        "trade_off",
+        "The trade-off",
+        "Change of acceleration over change of travel, by policy",
+        _trade_off_caption(shown.score, has_bound=bool(curves)),
+        {"all": [panel]},
+        size=(7.2, 4.6),
+    )
+
+
+def _mark(
+    name: str,
+    travel: float,
+    acceleration: float,
+    tyre: float | None,
+    look: Look,
+    more: str = "",
+    **style: Any,
+) -> Marks:
+    """Return the point of a policy, from its changes as fractions."""
+    x, y = 100 * travel, 100 * acceleration
+    text, note = name, f"{name}: travel {percent(x / 100)}, acceleration {percent(y / 100)}"
+    if tyre is not None:
+        text, note = f"{name}, tyre {percent(tyre)}", f"{note}, tyre load {percent(tyre)}"
+    return Marks(name, [x], [y], look, texts=[text], notes=[note + more], quiet=True, **style)
+
+
+def _policy_marks(shown: Shown) -> list[Marks]:
+    """Return the points of the policies of a score, with intervals."""
+    marks = []
+    for name in shown.names:
+        look, row = shown.looks[name], shown.rows.get(name)
+        if row is None or name == shown.reference:
+            marks.append(_mark(name, 0.0, 0.0, None, look))
+            continue
+        a, l, t = (row[k] for k in list(COLUMNS)[1:])
+        if "change" not in a or "change" not in l:
+            continue
+        spans = {}
+        if shown.interval(a) and shown.interval(l):
+            spans = {f"{k}_interval": ([100 * q["low"]], [100 * q["high"]]) for k, q in (("x", l), ("y", a))}
+        more = ""
+        if "change" in row["cost"]:
+            more = f"; cost J {percent(row['cost']['change'])} {shown.interval(row['cost'])}"
+        marks.append(_mark(name, l["change"], a["change"], t.get("change"), look, more, **spans))
+    return marks
+
+
+def _published_marks(shown: Shown) -> list[Marks]:
+    """Return the points of the paper's tables and of the clairvoyant optimum, where they apply to the score."""
+    from ...benchmark.scoring import PAPER
+
+    marks = []
+    if not shown.score.comparable.tables:
+        for (name, (before, after)), marker in zip(PAPER.items(), ("*", "p"), strict=True):
+            a, l, t = (q / p - 1 for p, q in zip(before, after, strict=True))
+            label, look = f"paper's {name.split(' (')[0]}", Look(MUTED, "-", marker)
+            marks.append(_mark(label, l, a, t, look, open=True, size=9.0))
+    if known := shown.score.references.get("clairvoyant_point"):
+        a, l, t = (known[f"{k}_change"] for k in ("body_acceleration", "suspension_travel", "tyre_load"))
+        marks.append(_mark("clairvoyant", l, a, t, Look(INK, "-", "o"), open=True, size=8.0))
+    return marks
+
+
+def _trade_off_caption(score: Score, *, has_bound: bool) -> str:
+    """Return the caption of `trade_off`."""
+    parts = ["Better policies are lower and further left."]
+    if score.episodes > 1:
+        parts.append(f"Crosses are 95 % paired intervals over {score.episodes} episodes; the")
+    else:
+        parts.append("One episode has no interval. The")
+    parts.append("label of each point has the change of RMS tyre load.")
+    if not score.comparable.tables:
+        parts.append("Two points are the results of the paper.")
+    if has_bound:
+        parts.append(
+            "Lines: the causal LQ bound, the optimum of an unlimited force between body and wheel without friction, at the stated tyre "
+            "load. In the mean over roads, no controller that does not see the road ahead is below the line of its tyre load."
+        )
+    if score.references.get("clairvoyant_point"):
+        parts.append(
+            "The clairvoyant optimum knows these roads in advance, which no controller does. It is the best solution of a search."
+        )
+    return " ".join(parts)
+
+
+def distribution(shown: Shown) -> Chart | None:
+    """Return the chart of the changes of all episodes against the reference on the same road.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart; None for a single episode.
+    """
+    names = [n for n in shown.names if n != shown.reference and n in shown.rows]
+    if not names or shown.score.episodes < 2:
+        return None
+    order = np.arange(shown.score.episodes)
+    # spread by the golden angle: reproducible, with distant neighbours
+    lift = 0.22 * (2 * np.mod(order * 0.61803398875, 1.0) - 1)
+    panels = []
+    for key, (title, _, _, _) in COLUMNS.items():
+        items: list[Item] = [Rule("x", 0.0)]
+        for i, name in enumerate(names):
+            look, q = shown.looks[name], shown.rows[name][key]
+            values = 100 * shown.change(name, key)
+            notes = [
+                f"{name}, {road_name(shown.score.seed, k)}: {title} {percent(v / 100)}"
+                for k, v in enumerate(values)
+            ]
+            dot = Look(look.colour, "-", "o")
+            items.append(Marks("", list(values), list(i + lift), dot, notes=notes, size=2.2))
+            if "change" in q:
+                spans = ([100 * q["low"]], [100 * q["high"]])
+                note = f"{name}: {title} {percent(q['change'])} {shown.interval(q)}"
+                items.append(
+                    Marks(
+                        "", [100 * q["change"]], [i], look, spans, notes=[note], open=True, size=6.0, bar=3.5
+                    )
+                )
+        panels.append(Panel(Axis("change", "%"), Axis(rows=tuple(names)), tuple(items), title=title))
+    return Chart(
+        "episodes",
+        "Episode by episode",
+        "Paired changes of every episode, by policy",
+        f"Each dot is the change against {shown.reference} on one road. The open marker is the change of the value pooled over all "
+        "episodes. The bar is its 95 % interval (paired bootstrap over episodes).",
+        {"all": panels},
+        columns=len(panels),
+        size=(7.8, 0.9 + 0.42 * len(names)),
+    )
+
+
+def limits(shown: Shown) -> Chart:
+    """Return the chart of the share of time that a signal spends above a value, up to and beyond the limit.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart.
+    """
+    from ...benchmark.scoring import LIMITS
+
+    few, left_out = shown.few(3)
+    least = max(0.5 / shown.runs[shown.reference].current.size, 1e-6)
+    panels = []
+    for key in ("body_acceleration", "suspension_travel", "current"):
+        head, unit, scale = SIGNALS[key]
+        limit = LIMITS[key] * scale
+        reach = max(
+            [1.22 * limit, *(1.02 * scale * np.abs(getattr(r, key)).max() for r in shown.runs.values())]
+        )
+        x = np.linspace(0.0, reach, 400)
+        items: list[Item] = []
+        for name in few:
+            values = np.sort(np.abs(getattr(shown.runs[name], key)).ravel()) * scale
+            if not values.any():
+                continue
+            share = 1.0 - np.searchsorted(values, x, side="right") / len(values)
+            keep = np.where(share > 0, share, np.nan)
+            items.append(Line(name, x, keep, shown.looks[name]))
+        items.append(Rule("x", limit, "limit", Look(INK, "-", "", 1.0)))
+        y = Axis("share of time above", log=True, low=least, high=1.0, ticks=decades(least, 1.0))
+        panels.append(Panel(Axis("|value|", unit, low=0.0, high=reach), y, tuple(items), title=head))
+    return Chart(
+        "limits",
+        "Exceedances",
+        "Share of time above a value, by policy",
+        "Share of time that each signal is above a value (exceedance). The vertical line is the limit of the paper's Table 5. A "
+        f"curve crosses the line at the share of time above the limit.{left_out}",
+        {"all": panels},
+        columns=3,
+        size=(7.8, 2.9),
+    )
