@@ -12,6 +12,7 @@ from .._common.errors import InputError
 from ..physics.network import Network
 from ._estimation.clock_lag import align_clocks
 from ._estimation.gauss_newton import Fitter
+from ._estimation.initial_state_fit import ITERATIONS
 from ._estimation.noise import floors_of, white_filters
 from ._estimation.structure import base_structure
 from ._records import differentiate_inputs, read_record
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 #: smallest noise that residuals are weighted with, as a share of the signal's deviation
 LEAST_NOISE = 1e-3
-#: iterations of the fit of initial states: the phase of a stiffening decay follows its amplitude over many periods
-ITERATIONS = 12
 #: error, as a multiple of the noise, up to which a model errs by noise: the noise is estimated to about a tenth
 ABOVE_NOISE = 1.2
 

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...records._loggers.recording import Recording
 
+#: iterations of a fit to a whole record: the phase of a stiffening decay follows its amplitude over many periods
+ITERATIONS = 12
+
 
 @dataclass(frozen=True)
 class FittedInitialState:
@@ -80,7 +83,7 @@ def initial_state(
     problem = Problem(network, [record])
     structure = base_structure(network)
     noise = np.array([f.deviation for f in floors_of(problem)])
-    fit = Fitter(problem, white_filters(noise)).follow(structure, structure.start, [0], iterations=12)
+    fit = Fitter(problem, white_filters(noise)).follow(structure, structure.start, [0], iterations=ITERATIONS)
     if not np.isfinite(fit.outputs[0]).all():
         raise InputError(f"initial state: model '{network.name}' breaks down over {record.name}")
     over = transfer_matrix(assemble(bare(network)), assemble(Network.load(model)), problem.time)

@@ -32,9 +32,7 @@ POINTS = 240  # of the motion at which forces are compared: a resolution
 NEAR = 0.5  # largest error of a match, as a share of the force
 MAX_MATCHES = 3  # matches per effect
 STARTS = 6  # of a law at most
-ALIKE = (
-    0.25  # largest difference of two motions that count as alike, as a share of the motion: a fit bridges it
-)
+ALIKE = 0.25  # largest difference of two motions that a fit bridges, as a share of the motion
 
 
 def equivalent_structures(
