@@ -18,7 +18,7 @@ from ..._common.files import check_folder, whole_folder, write_text
 from ..._common.units import practical
 from ...diagnosis._estimation.structure import offsets_of
 from ...diagnosis._verdict.grades import grade, observed
-from ...diagnosis._verdict.wording import is_gain, statements_of, unit_statements_of
+from ...diagnosis._verdict.wording import is_gain, statements_of
 from ...diagnosis.result import FOLDER, Effect
 from ...physics import elements as el
 from ...physics.network import Network
@@ -191,7 +191,7 @@ class View:
         self.changed = self.named or d.tabulated is not None or d.verdict == "ambiguous" or completes
         self.inside = isinstance(d.base, Network)
         document = d.to_dict()
-        told = (statements_of if self.inside else unit_statements_of)(document)
+        told = statements_of(document, is_fmu=not self.inside)
         self.title = self.printed(told.title)
         self.finding, self.remarks, self.steps = (
             [self.printed(s) for s in part] for part in (told.finding, told.remarks, told.next_steps)

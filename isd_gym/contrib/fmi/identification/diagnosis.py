@@ -19,7 +19,7 @@ from isd_gym.diagnosis._simulation.problem import Record, deviation_within
 from isd_gym.diagnosis._verdict.evidence import Evidence, as_numbers
 from isd_gym.diagnosis._verdict.explanation import bands, find_condition, near_reversals
 from isd_gym.diagnosis._verdict.gates import decide
-from isd_gym.diagnosis._verdict.wording import unit_summary_of
+from isd_gym.diagnosis._verdict.wording import summary_of
 from isd_gym.diagnosis.result import Diagnosis, Place, Trace
 from isd_gym.records.data import Table, check, read_table
 from isd_gym.records.data._quality import admit, known_check
@@ -99,7 +99,7 @@ def diagnose_unit(
     )
     result = _diagnosis(refit, errors, criteria, notes)
     result = replace(result, seconds=clock.perf_counter() - start)
-    return replace(result, summary=unit_summary_of(result.to_dict()))
+    return replace(result, summary=summary_of(result.to_dict(), is_fmu=True))
 
 
 # ------------------------------------------------------------------------------------------------------- reading
