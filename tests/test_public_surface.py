@@ -58,9 +58,6 @@ isd_gym.benchmark.scoring
 isd_gym.diagnosis
     CRITERIA Contender Criteria Diagnosis Effect EffectEvidence Evidence FittedInitialState Gate Hypothesis
     Law Place Quantity SearchSettings Trace diagnose hypotheses initial_state
-isd_gym.diagnosis.planning
-    Design Excitation KINDS Limits Rig Rival design_test infer_rig list_excitations make_excitation
-    make_record next_experiment played
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
     also BestCandidate BestTable DifferingParameter FOLDER Over RecordDifferences Remainder SCHEMA

@@ -15,7 +15,7 @@ from .errors import InputError
 POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gym.references"
 #: formats of tables by suffix
 READERS = "isd_gym.readers"
-#: parts of `isd_gym.contrib` that a command of the core reaches by name
+#: parts of `isd_gym.contrib` that the core reaches by name
 WINGS = "isd_gym.wings"
 OWN = {
     POLICIES: {
@@ -50,6 +50,7 @@ OWN = {
     WINGS: {
         "fleet": "isd_gym.contrib.fleet.command",
         "fmi": "isd_gym.contrib.fmi.command",
+        "forecast": "isd_gym.contrib.forecast.planning",
         "hub": "isd_gym.contrib.hub",
         "no_road": "isd_gym.contrib.no_road.command",
     },

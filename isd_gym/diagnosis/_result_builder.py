@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from .._common.plugins import wing
 from ..physics.network import assemble
 from ._estimation.gauss_newton import Fitter
 from ._estimation.noise import white_filters
@@ -28,7 +29,6 @@ from ._verdict.explanation import draw_law, draw_table, locate_errors
 from ._verdict.findings import find
 from ._verdict.gates import Decision, confidence, table_gates, with_findings
 from ._verdict.wording import candidate_text, summary_of
-from .planning import next_experiment, played
 from .result import (
     BestCandidate,
     Contender,
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     from .._common.arrays import Array
     from ..physics.network import Network
+    from ..records.data import Table
     from ._estimation.structure import Structure
     from ._records import Feedback
     from ._selection.candidate_comparison import CandidateComparison
@@ -53,7 +54,6 @@ if TYPE_CHECKING:
     from ._simulation.problem import Problem
     from ._verdict.findings import Finding
     from ._verdict.measurement import Measurements
-    from .planning import Design
     from .result import Law, RecordDifferences, Tabulated
 
 
@@ -121,7 +121,7 @@ class ResultBuilder:
             quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
         posterior = quantities if final is refitted else posterior
         laws = self._laws(final, found, tabulated)
-        test = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else None
+        test, played = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else (None, None)
         result = Diagnosis(
             verdict=decision.verdict,
             summary="",
@@ -141,8 +141,8 @@ class ResultBuilder:
             gap={stage: self._by_channel(row) for stage, row in rows.items()},
             closed=None if final is refitted else closed(rows),
             gates=decision.gates,
-            next_experiment=test.to_dict() if test else None,
-            test=self._attempt("the next test", None, played, network, test.record) if test else None,
+            next_experiment=test,
+            test=played,
             base=network,
             refitted=refitted.fit.network,
             model=self._described(
@@ -334,10 +334,19 @@ class ResultBuilder:
             laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
         return tuple(law for law in laws if law is not None)
 
-    def _next_test(self, candidates: Sequence[Candidate], noise: Array) -> Design | None:
-        """Return the test that would decide between candidates."""
+    def _next_test(
+        self, candidates: Sequence[Candidate], noise: Array
+    ) -> tuple[dict[str, Any] | None, Table | None]:
+        """Return the test that would decide between candidates, and its inputs."""
         self.say("designing the test that would decide")
-        return self._attempt("the next test", None, next_experiment, self.whole, candidates, noise)
+        no_test: tuple[dict[str, Any] | None, Table | None] = (None, None)
+
+        def design() -> tuple[dict[str, Any] | None, Table | None]:
+            planning = wing("forecast")
+            found = planning.next_experiment(self.whole, candidates, noise)
+            return (found.to_dict(), planning.played(self.whole.network, found.record)) if found else no_test
+
+        return self._attempt("the next test", no_test, design)
 
     def _rejected(
         self, decision: Decision, rows: Mapping[str, Array], completes: bool

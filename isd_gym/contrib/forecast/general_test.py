@@ -15,15 +15,15 @@ from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record
-from isd_gym.diagnosis.planning._design import MAX_RIVALS, Design, Rival
-from isd_gym.diagnosis.planning._excitation import (
+
+from .planning._design import MAX_RIVALS, Design, Rival
+from .planning._excitation import (
     Excitation,
     Rig,
     list_excitations,
     make_excitation,
     make_record,
 )
-
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise
 
@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from isd_gym._common.arrays import Array
-    from isd_gym.diagnosis.planning._design import Progress
     from isd_gym.physics.network import Network
+
+    from .planning._design import Progress
 
 FEW_SAMPLES = 6000  # of a test in the linearised comparison of all hypotheses
 
