@@ -398,7 +398,7 @@ class ResultBuilder:
         found, richest = scores.foremost, scores.richest
         beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
         j = int(np.argmax(beyond))
-        if beyond[j] < self.search.criteria.misses**2:
+        if beyond[j] < self.search.criteria.wide_gap**2:
             return None
         channel = p.channels[j]
         place = next(x for x in locate_errors(p, found.fit, noise) if x.channel == channel)

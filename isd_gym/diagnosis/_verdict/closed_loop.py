@@ -67,7 +67,7 @@ def decide_under_feedback(
         for f in feedback:
             share = imitated_share(problem, fit, e, f.input)
             text = f"share of the force of {e.type} that {f.input}, which follows from {' and '.join(f.outputs)}, explains"
-            gates.append(gate("not the controller", share, "<", c.imitation, text))
+            gates.append(gate("not the controller", share, "<", c.least_removed, text))
     if all(g.passed for g in gates):
         return replace(decision, gates=tuple(gates))
     return replace(decision, verdict="unknown_effect", gates=tuple(gates))

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._common.units import practical
 from ...physics.elements import TYPES, spoken
+from .grades import REPORTED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -501,8 +502,9 @@ class Facts:
 
     def stated_laws(self, finding: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         """Return the likeliest law of a finding, and a second law that is worth a mention."""
-        laws, least = finding["laws"][:LAWS], self.d["criteria"]["reported"]
-        return [law for k, law in enumerate(laws) if k == 0 or law["probability"] >= least]
+        return [
+            law for k, law in enumerate(finding["laws"][:LAWS]) if k == 0 or law["probability"] >= REPORTED
+        ]
 
     @property
     def likeliest_law(self) -> str | None:

@@ -14,7 +14,7 @@ from isd_gym._common.arrays import Array, channel_rms
 from isd_gym._common.errors import InputError, shown
 from isd_gym._common.units import convert
 from isd_gym.diagnosis._estimation.noise import Floor, floor_of, noise_of, resolution
-from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria
+from isd_gym.diagnosis._selection.criteria import CRITERIA, LEAST_NOISE, Criteria
 from isd_gym.diagnosis._simulation.problem import Record, deviation_within
 from isd_gym.diagnosis._verdict.evidence import Evidence, as_numbers
 from isd_gym.diagnosis._verdict.explanation import bands, find_condition, near_reversals
@@ -234,7 +234,7 @@ def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
     step = c.records[0].step
     measured = [c.records[s.record].measured[s.first : s.stop] for s in refit.segments]
     known = [_noise_floor([m[:, j] for m in measured], step) for j in range(len(c.channels))]
-    least = CRITERIA.least_noise * _deviation(refit, held_out=False)
+    least = LEAST_NOISE * _deviation(refit, held_out=False)
     floors = np.maximum([k.deviation for k in known], least)
     found = refit.fit(floors, progress)
     deviation = _deviation(refit, held_out=True)

@@ -13,7 +13,7 @@ import numpy as np
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter, residuals
 from isd_gym.diagnosis._estimation.noise import innovations, white_filters
-from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._selection.criteria import LEAST_NOISE
 from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record, bare
 from isd_gym.physics.network import assemble
 from isd_gym.records.data import Table, write_table
@@ -139,9 +139,7 @@ class RivalComparison:
         if not all(np.isfinite(y).all() and np.abs(y).max() <= 1e12 for y in self.outputs):
             raise InputError("the simulation of a rival fails")
         self.problem = Problem(network, [replace(record, measured=self.outputs[0])])
-        level = np.maximum(
-            noise, CRITERIA.least_noise * np.max([y.std(axis=0) for y in self.outputs], axis=0)
-        )
+        level = np.maximum(noise, LEAST_NOISE * np.max([y.std(axis=0) for y in self.outputs], axis=0))
         self.noise = np.where(level > 0, level, 1.0)
 
     def linear_distance(self) -> float:
