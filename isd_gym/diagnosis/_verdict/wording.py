@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import json
 import re
 from dataclasses import dataclass
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,18 +22,11 @@ if TYPE_CHECKING:
 
 #: an addition that makes the error on the test records larger
 NOT_BORNE_OUT = "On the test records the error is larger with this addition."
-#: what to do about a failed gate, most urgent first
-ADVICE = {
-    "sensor": "check the zero, the scale and the clock of the sensor before you trust a fault of it",
-    "distinguishable": "record another excitation: other amplitudes, speeds or frequencies",
-    "lack of fit": "compare the curve of the missing force with a law of your own (--elements): no known law has its shape",
-    "adequate": "record slow motions, steps and other loads, and log further inputs: the candidate alone does not explain the records",
-    "confirmed": "repeat the test: the test records do not confirm the candidate",
-    "determined": "record a test in which the effect is larger, or state smaller uncertainties of the parameters that you know",
-    "probable": "record more data of the same kind: several candidates share the probability",
-    "material": "record larger amplitudes: the effect is small in these records",
-    "predicts better": "record more data of the same kind: the gain is within its statistical error",
-}
+WORDS: dict[str, dict[str, str]] = json.loads(
+    (resources.files(__package__) / "templates" / "words.json").read_text(encoding="utf-8")
+)
+#: what to do about a failed gate, most urgent first; kinds of effects in words; test on the rig that shows whether an effect of a kind is there
+ADVICE, KINDS, TESTS = WORDS["advice"], WORDS["kinds"], WORDS["tests"]
 #: error of which a candidate removes a share (`Evidence.explained`)
 EXCESS = "the squared held-out error beyond noise"
 RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
@@ -44,54 +39,6 @@ POSSIBLE, PERHAPS = 0.2, 0.4
 MOST_GROUPS, MOST_NAMES = 4, 5
 #: ratio of the amplitudes of two groups of records from which on the groups differ in amplitude
 UNLIKE = 1.3
-#: test on the rig that shows whether an effect of a kind is there
-TESTS = {
-    "dry_friction": "move {parts} against each other slowly, at two or three constant speeds in both directions, and log the force: dry "
-    "friction turns its sign with the motion and does not grow with the speed",
-    "viscous": "move {parts} against each other at several constant speeds in both directions and log the force: a viscous force follows "
-    "the speed, not the travel",
-    "elastic": "move {parts} against each other slowly through the whole travel, out and back, and log the force: an elastic force is the "
-    "same both ways",
-    "play": "turn a slow motion of {parts} round at several positions and log the force: with play the travel changes and the force does not",
-    "inertial": "shake {parts} with one amplitude at several frequencies and log the force: an inertia force grows with the square of the "
-    "frequency",
-    "position_periodic": "move {parts} against each other slowly and steadily through several periods and log the force: its pattern "
-    "repeats with the position",
-    "series_compliance": "load {parts} in steps and measure the deflection of each link between them: the compliance gives way under the load",
-    "drive": "hold the mechanism, command steps and slow ramps of several sizes, and log the force: it must follow the command as the model says",
-    "sensor": "compare the sensor with a reference at rest and in slow motion: zero, scale, sign and clock",
-    "constant": "bring {parts} to rest from both sides and log the force: a constant force is the mean of both",
-}
-#: kinds of effects in words
-KINDS = {
-    "dry_friction": "Dry friction",
-    "viscous": "A viscous force",
-    "elastic": "An elastic force",
-    "play": "Play",
-    "inertial": "An inertia force",
-    "position_periodic": "A force that is periodic in position",
-    "series_compliance": "A compliance in series",
-    "drive": "A fault of the drive",
-    "sensor": "A fault of the sensor",
-    "constant": "A constant force",
-    "other": "A force of another kind",
-}
-
-
-#: what a failed gate means, by name and relation; the subject is 'it'
-FAILURES = {
-    ("predicts better", ">"): "its better prediction may be chance",
-    ("material", ">"): "its part in the error is too small",
-    ("material", ">="): "it is too small",
-    ("adequate", "<"): "it leaves more than the small effects that every rig has",
-    ("adequate", "<="): "the fitted records do not agree with it",
-    ("determined", "<="): "its values contradict its name",
-    ("lack of fit", "<"): "another curve in its place fits better",
-    ("confirmed", "<"): "it leaves more of the test records than the small effects that every rig has",
-    ("sensor", ">="): "a force explains nearly as much as the fault of a sensor",
-    ("open loop", "<="): "the law of a controller may look like it",
-    ("open loop", "<"): "the law of a controller may look like it",
-}
 
 
 @dataclass(frozen=True)
@@ -294,7 +241,8 @@ def _failure(g: Mapping[str, Any]) -> str:
         return f"{value:.0f} other {'laws predict' if value > 1 else 'law predicts'} as well"
     if value is not None and name == "not the controller":
         return f"the controller's input explains {_percent(value, 0)} of its force (less than {_percent(limit, 0)} needed)"
-    known = FAILURES.get((name, g["relation"]))
+    # what the gate means; the subject is 'it'
+    known = WORDS["failures"].get(f"{name} {g['relation']}")
     return (
         known
         or f"{name} is {plain_number(value, 3)} (needed {RELATIONS[g['relation']]} {plain_number(limit, 3)})"
@@ -429,17 +377,12 @@ class Facts:
         """Whether the refitted model errs more on held-out data than the mean of each record."""
         return _square(self.held_out["refit"][self.widest]) > 1.0
 
-    def is_noise_known(self, channel: str) -> bool:
-        """Return whether the noise of a channel is known; otherwise it is only bounded."""
-        e = self.d["evidence"]
-        return bool(dict(zip(e["channels"], e["noise_known"], strict=True)).get(channel, True))
-
     @property
-    def bounded(self) -> list[tuple[str, float]]:
+    def bounded(self) -> dict[str, float]:
         """Channels whose noise is only bounded, with the bound."""
         e = self.d["evidence"]
         rows = zip(e["channels"], e["noise"], e["noise_known"], strict=True)
-        return [(name, floor) for name, floor, known in rows if not known]
+        return {name: floor for name, floor, known in rows if not known}
 
     @property
     def excess(self) -> list[dict[str, Any]]:
@@ -473,20 +416,10 @@ class Facts:
         return all((x["share"] or 0.0) < least for x in self.d["evidence"]["effects"])
 
     @property
-    def shifted(self) -> list[str]:
-        """Channels whose error is mostly a constant offset."""
-        return [n for n, share in self.d["constant"].items() if share is not None and share > 0.5]
-
-    @property
     def kinds(self) -> list[Mapping[str, Any]]:
         """Findings whose kind is probable."""
         least = self.d["criteria"]["probable"]
         return [f for f in self.d["findings"] if f["kind"] != "other" and f["kind_probability"] >= least]
-
-    @property
-    def is_kind_certain(self) -> bool:
-        """Whether a kind is certain."""
-        return any(f["kind_probability"] >= self.d["criteria"]["certain"] for f in self.kinds)
 
     @property
     def possible_kind(self) -> Mapping[str, Any] | None:
@@ -505,11 +438,6 @@ class Facts:
         return [
             law for k, law in enumerate(finding["laws"][:LAWS]) if k == 0 or law["probability"] >= REPORTED
         ]
-
-    @property
-    def likeliest_law(self) -> str | None:
-        """The likeliest law of the likeliest kind."""
-        return next((law["effect"] for f in self.kinds[:1] for law in f["laws"][:1]), None)
 
     @property
     def further_kinds(self) -> dict[str, list[Mapping[str, Any]]]:
