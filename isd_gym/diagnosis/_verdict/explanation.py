@@ -47,15 +47,9 @@ def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float
 
 
 def find_condition(residual: Array, width: int, conditions: Iterable[tuple[NDArray[np.bool_], str]]) -> str:
-    """Find the condition under which the energy of a residual is highest.
+    """Return the words of the condition under which the energy of a residual, averaged over `width` samples, is highest.
 
-    Args:
-        residual: The residual (n,).
-        width: Samples of the moving average of the energy.
-        conditions: Samples (n,) where each condition is true, and the condition in words.
-
-    Returns:
-        The words of the best condition, or "everywhere" if no condition raises the mean energy by a factor of 1.6.
+    "everywhere" if no condition raises the mean energy by a factor of 1.6. A condition is a mask of samples (n,) and its words.
     """
     energy = residual**2
     if not energy.mean() > 0:
@@ -77,17 +71,7 @@ def near_reversals(rate: Array, width: int) -> NDArray[np.bool_]:
 def conditions(
     problem: Problem, motion: dict[tuple[str, str], Motion], n: int, width: int
 ) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """Yield conditions on the motion of node pairs and on currents, in the first fitted record.
-
-    Args:
-        problem: Model and records.
-        motion: Motion by pair of nodes.
-        n: Number of compared samples.
-        width: Samples around a reversal of the motion.
-
-    Yields:
-        The samples (n,) where the condition is true, and the condition in words.
-    """
+    """Yield conditions on the motion of node pairs and on currents in the first fitted record: masks of samples (n,) and their words."""
     record = problem.records[problem.estimation[0]]
     for (a, b), m in motion.items():
         turns = {a, b} & problem.network.rotating

@@ -77,21 +77,11 @@ def find(
     is_named: bool,
     is_doubted: bool,
 ) -> tuple[Finding, ...]:
-    """Sum the weights of candidates to probabilities of places, kinds and laws.
+    """Sum the weights of candidates to probabilities of places, kinds and laws; return findings, largest probability of the kind first.
 
-    A kind that several places share, and that is certain at none of them, is a further finding with an open place.
-
-    Args:
-        search: The search.
-        candidates: Candidates with weights.
-        evidence: Evidence of the foremost candidate, which tells how reliable statements are.
-        quantities: Parameters of the foremost candidate with intervals, by path.
-        own: Statements of the foremost candidate. Further effects of richer candidates did not pass the inclusion test.
-        is_named: Whether the verdict names the foremost candidate's effects.
-        is_doubted: Whether a free curve or a controller explains the force of the foremost candidate as well.
-
-    Returns:
-        Findings, largest probability of the kind first.
+    A kind that several places share, and that is certain at none of them, is a further finding with an open place. `own` has the statements
+    of the foremost candidate: further effects of richer candidates did not pass the inclusion test. `is_doubted` tells whether a free curve or
+    a controller explains the force of the foremost candidate as well.
     """
     c = search.criteria
     share = functools.partial(share_mistaken, e=evidence, c=c, is_named=is_named)

@@ -235,12 +235,8 @@ def table_gates(
 ) -> tuple[Gate, ...]:
     """Return the conditions for a force without a name to be stated as a table.
 
-    Args:
-        explained: Share of the held-out excess error that the table removes.
-        moved: Largest share of a channel's standard deviation by which the error falls.
-        errors: Difference of the log predictive density to the refitted model in standard errors.
-        confirmed: Share of the excess error that the table removes on the test records.
-        c: Limits of the decision.
+    `explained` and `confirmed` are shares of the excess error on held-out and test records, `moved` is the largest fall of an error as a share
+    of a channel's deviation, `errors` the difference of the log predictive density in standard errors.
     """
     density = "standard errors by which the log predictive density exceeds the refitted model's"
     return (
@@ -258,12 +254,7 @@ def table_gates(
 
 
 def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
-    """Return the verdict.
-
-    Args:
-        e: Evidence of the foremost candidate.
-        c: Limits of the decision.
-    """
+    """Return the verdict that follows from the evidence of the foremost candidate."""
     agreed: Verdict = "no_discrepancy" if e.agrees_before else "parameters_only"
     gates = gates_of(e, c) if e.effects else ()
     failed = {g.name for g in gates if not g.passed}
@@ -295,14 +286,7 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
 def with_findings(
     decision: Decision, findings: Sequence[Finding], e: Evidence, c: Criteria = CRITERIA
 ) -> Decision:
-    """Return 'ambiguous' in place of 'unknown_effect' if the kind of the foremost candidate's effect is certain.
-
-    Args:
-        decision: Decision by the gates.
-        findings: Findings, with the free force among the candidates.
-        e: Evidence of the foremost candidate.
-        c: Limits of the decision.
-    """
+    """Return 'ambiguous' in place of 'unknown_effect' if the kind of the foremost candidate's effect is certain."""
     if decision.verdict != "unknown_effect" or not e.effects:
         return decision
     failed = {g.name for g in decision.gates if not g.passed}
@@ -312,11 +296,5 @@ def with_findings(
 
 
 def confidence(e: Evidence, c: Criteria = CRITERIA, *, is_sum: bool = False) -> float:
-    """Return the probability of a name: the weight of the candidates with the name, times the share of such names that are right.
-
-    Args:
-        e: Evidence of the candidate.
-        c: Limits of the decision.
-        is_sum: Whether one of its laws is the sum of two others.
-    """
+    """Return the probability of a name: the weight of the candidates with the name, times the share of such names that are right."""
     return (1.0 - share_mistaken("law", e, c, is_sum=is_sum)) * e.probability

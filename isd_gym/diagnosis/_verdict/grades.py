@@ -57,14 +57,10 @@ def grade(probability: float) -> Grade:
 def share_mistaken(
     level: str, e: Evidence, c: Criteria = CRITERIA, *, is_named: bool = True, is_sum: bool = False
 ) -> float:
-    """Return the share of statements of a level that are wrong although no resampling shows it.
+    """Return the share of statements of a level (place, kind or law) that are wrong although no resampling shows it.
 
-    Args:
-        level: 'place', 'kind' or 'law'.
-        e: Evidence of the foremost candidate. Another law may remove a wide rest.
-        c: Limits of the decision.
-        is_named: Whether the foremost candidate passed every gate.
-        is_sum: Whether the law is the sum of two others (`Element.is_sum`): no record tells them apart.
+    `is_named` tells whether the foremost candidate passed every gate, `is_sum` whether the law is the sum of two others (`Element.is_sum`):
+    no record tells them apart. Another law may remove a wide rest.
     """
     is_doubtful = e.explained < c.alone_removes or e.width_after > c.wide_gap or e.support < SUPPORT
     own = MISTAKEN[level]
@@ -74,15 +70,7 @@ def share_mistaken(
 
 
 def observed(level: str, name: Grade) -> str:
-    """Return how often statements of a level and a grade were true, such as ``true: 248 of 264 on simulated rigs``.
-
-    Args:
-        level: place, kind or law.
-        name: The grade.
-
-    Returns:
-        A phrase; empty where there were no such statements.
-    """
+    """Return how often statements of a level and a grade were true, such as ``true: 248 of 264 on simulated rigs``; empty if there were none."""
     counts = {rigs: rows[level][name] for rigs, rows in OBSERVED.items()}
     told = [f"{true} of {stated} on {rigs} rigs" for rigs, (stated, true) in counts.items() if stated]
     return f"true: {', '.join(told)}" if told else ""

@@ -31,8 +31,8 @@ ADVICE, KINDS, TESTS = WORDS["advice"], WORDS["kinds"], WORDS["tests"]
 EXCESS = "the squared held-out error beyond noise"
 RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
 OVER = {"rate": "their rate", "elongation": "their distance", "both": "their distance and rate"}
-#: parameters whose change is stated; laws of a kind that are stated
-CHANGES, LAWS = 2, 2
+#: parameters whose change is stated
+CHANGES = 2
 #: probability from which on a further kind is mentioned, and from which on the title mentions a kind
 POSSIBLE, PERHAPS = 0.2, 0.4
 #: groups of records whose values are stated one by one; records of a group that are named
@@ -61,28 +61,12 @@ class Statements:
 
 
 def summary_of(document: Mapping[str, Any], *, is_fmu: bool = False) -> str:
-    """Return the summary of a diagnosis: the finding, the limits of the data, and what to do next.
-
-    Args:
-        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
-        is_fmu: Whether the model is an FMU.
-
-    Returns:
-        Sentences.
-    """
+    """Return the summary of a diagnosis: the finding, the limits of the data, and what to do next."""
     return statements_of(document, is_fmu=is_fmu).text
 
 
 def statements_of(document: Mapping[str, Any], *, is_fmu: bool = False) -> Statements:
-    """Return the sentences about a diagnosis.
-
-    Args:
-        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
-        is_fmu: Whether the model is an FMU.
-
-    Returns:
-        Sentences by their use.
-    """
+    """Return the sentences about the JSON document of a diagnosis (`isd-diagnosis/1`); its `summary` is not read."""
     d = {"not_tried": [], "closed_loop": [], "record_differences": None, "simulation_fit": None, **document}
     uses: dict[str, dict[str, None]] = {"title": {}, "finding": {}, "remark": {}, "next": {}}
     rendered = _template().render(d=d, facts=Facts(d), is_fmu=is_fmu)
@@ -106,30 +90,14 @@ def _template() -> Template:
         lstrip_blocks=True,
         finalize=lambda value: re.sub(r"\s+", " ", value) if isinstance(value, str) else value,
     )  # plain text: nothing is escaped
-    env.filters |= {
-        "amount": plain_value,
-        "between": _between,
-        "candidate": candidate_text,
-        "capital": _capital,
-        "described": described,
-        "failures": failures,
-        "in_unit_of": _in_unit_of,
-        "kind": lambda finding: _lower(KINDS[finding["kind"]]),
-        "number": plain_number,
-        "parameter": _parameter,
-        "parameter_name": _parameter_name,
-        "percent": _percent,
-        "placed": _placed,
-        "spoken": spoken,
-        "spot": _spot,
-        "square": _square,
-        "test_of_kind": _test_of_kind,
-        "test_of_law": _test_of_law,
-        "values_by_group": _values_by_group,
-        "without": _without,
-    }
+    filters = (
+        candidate_text, described, failures, plain_number, plain_value, spoken, _between, _capital, _in_unit_of, _kind, _parameter,
+        _parameter_name, _percent, _placed, _spot, _square, _test_of_kind, _test_of_law, _values_by_group, _without,
+    )  # fmt: skip
+    env.filters |= {f.__name__.removeprefix("_"): f for f in filters}
     env.globals |= {
-        "CHANGES": CHANGES, "EXCESS": EXCESS, "NOT_BORNE_OUT": NOT_BORNE_OUT, "OVER": OVER, "UNLIKE": UNLIKE,
+        "CHANGES": CHANGES, "EXCESS": EXCESS, "NOT_BORNE_OUT": NOT_BORNE_OUT, "OVER": OVER, "PERHAPS": PERHAPS, "REPORTED": REPORTED,
+        "UNLIKE": UNLIKE,
     }  # fmt: skip
     return env.get_template("statements.txt")
 
@@ -295,6 +263,10 @@ def _test_of_law(finding: Mapping[str, Any]) -> str:
     return _lower(test.format_map(known)) if known and test else ""
 
 
+def _kind(finding: Mapping[str, Any]) -> str:
+    return _lower(KINDS[finding["kind"]])
+
+
 def _test_of_kind(finding: Mapping[str, Any]) -> str:
     return f"{TESTS[finding['kind']].format(parts=' and '.join(finding['place']))}."
 
@@ -303,11 +275,7 @@ def _test_of_kind(finding: Mapping[str, Any]) -> str:
 
 
 def is_gain(candidate: Mapping[str, Any] | None) -> bool:
-    """Return whether a candidate reduces the error on validation records, and on test records over all channels.
-
-    Args:
-        candidate: Entry `best_candidate` of the JSON document; None without a candidate.
-    """
+    """Return whether a candidate (`best_candidate`) reduces the error on validation records, and on test records over all channels."""
     if candidate is None or not (candidate["explained"] or 0.0) > 0.0:
         return False
     before, after = (sum(map(_square, candidate["error"][s].values())) for s in ("refit", "after"))
@@ -326,56 +294,25 @@ class Facts:
 
     def __init__(self, document: Mapping[str, Any]):
         self.d = document
-
-    @property
-    def held_out(self) -> Mapping[str, Mapping[str, float]]:
-        """Errors on held-out data by stage and channel."""
-        held_out: Mapping[str, Mapping[str, float]] = self.d["gap"]["held_out"]
-        return held_out
+        #: error of the refitted model on held-out data by channel
+        self.refit: Mapping[str, float] = document["gap"]["held_out"]["refit"]
 
     @property
     def widest(self) -> str:
         """The channel with the largest error of the refitted model."""
-        return max(self.held_out["refit"], key=lambda c: _square(self.held_out["refit"][c]))
-
-    @property
-    def above_noise(self) -> str:
-        """The channel in which the refitted model errs most beyond noise."""
-        return most_gained(self.held_out, "refit", "noise_floor")
-
-    @property
-    def is_agreement(self) -> bool:
-        """Whether no effect is missing."""
-        return self.d["verdict"] in ("no_discrepancy", "parameters_only")
+        return max(self.refit, key=lambda c: _square(self.refit[c]))
 
     @property
     def agrees(self) -> bool:
         """Whether the refitted model errs by no material amount more than the noise."""
-        gap, c = self.held_out, self.above_noise
-        return (
-            _square(gap["refit"][c]) - _square(gap["noise_floor"][c]) <= self.d["criteria"]["material"] ** 2
-        )
-
-    @property
-    def is_open(self) -> bool:
-        """Whether an effect is missing and neither its name nor its kind is certain."""
-        return self.d["verdict"] in ("ambiguous", "unknown_effect") and self.d["reason"] != "kind_certain"
+        gap, least = self.d["gap"]["held_out"], self.d["criteria"]["material"]
+        c = most_gained(gap, "refit", "noise_floor")
+        return _square(gap["refit"][c]) - _square(gap["noise_floor"][c]) <= least**2
 
     @property
     def is_gain(self) -> bool:
-        """Whether the best candidate reduces the error (`is_gain`)."""
+        """Whether the best candidate reduces the error."""
         return is_gain(self.d["best_candidate"])
-
-    @property
-    def is_table_refuted(self) -> bool:
-        """Whether the table of the missing force makes the error on the test records larger."""
-        closed = self.d["gap"]["closed"]
-        return closed is not None and closed < 0
-
-    @property
-    def is_worse_than_constant(self) -> bool:
-        """Whether the refitted model errs more on held-out data than the mean of each record."""
-        return _square(self.held_out["refit"][self.widest]) > 1.0
 
     @property
     def bounded(self) -> dict[str, float]:
@@ -410,34 +347,16 @@ class Facts:
         return sorted(moved, key=lambda item: -abs(item[1]["value"] / item[1]["prior"] - 1.0))
 
     @property
-    def are_small(self) -> bool:
-        """Whether every effect that was found is too small to be named."""
-        least = self.d["criteria"]["share"]
-        return all((x["share"] or 0.0) < least for x in self.d["evidence"]["effects"])
-
-    @property
     def kinds(self) -> list[Mapping[str, Any]]:
         """Findings whose kind is probable."""
         least = self.d["criteria"]["probable"]
         return [f for f in self.d["findings"] if f["kind"] != "other" and f["kind_probability"] >= least]
 
     @property
-    def possible_kind(self) -> Mapping[str, Any] | None:
-        """The first finding with a kind and a place, if the kind is probable enough for the title."""
-        first = next((f for f in self.d["findings"] if f["kind"] != "other" and f["place"]), None)
-        return first if first is not None and first["kind_probability"] >= PERHAPS else None
-
-    @property
     def places(self) -> dict[tuple[str, ...], float]:
         """Places that are certain, with their probabilities."""
         found, least = self.d["findings"], self.d["criteria"]["certain"]
         return {tuple(f["place"]): f["place_probability"] for f in found if f["place_probability"] >= least}
-
-    def stated_laws(self, finding: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-        """Return the likeliest law of a finding, and a second law that is worth a mention."""
-        return [
-            law for k, law in enumerate(finding["laws"][:LAWS]) if k == 0 or law["probability"] >= REPORTED
-        ]
 
     @property
     def further_kinds(self) -> dict[str, list[Mapping[str, Any]]]:
@@ -454,11 +373,8 @@ class Facts:
         ]
         rest = 1.0 - max((f["kind_probability"] for f in kinds), default=0.0)
         beside = [f for f in others if f["kind_probability"] > 2.0 * rest]
-        return (
-            {"Perhaps beside it": beside, "Also possible": [f for f in others if f not in beside]}
-            if kinds
-            else {}
-        )
+        told = {"Perhaps beside it": beside, "Also possible": [f for f in others if f not in beside]}
+        return told if kinds else {}
 
     @property
     def shared(self) -> dict[str, list[Any]] | None:
@@ -502,10 +418,7 @@ class Facts:
 
     @property
     def advice(self) -> str:
-        """What to do about the most urgent failed gate."""
+        """What to do about the most urgent failed gate; empty where none failed."""
         best = self.d["best_candidate"]
         failed = {g["gate"] for g in best["failed_gates"] if not g["passed"]} if self.is_gain else set()
-        unknown = (
-            "log further motions or inputs: the missing force may depend on a quantity that is not measured"
-        )
-        return next((text for name, text in ADVICE.items() if name in failed), unknown)
+        return next((text for name, text in ADVICE.items() if name in failed), "")
