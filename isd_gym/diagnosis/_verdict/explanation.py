@@ -124,13 +124,10 @@ def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]
 def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) -> Law | None:
     """Return the force of an effect over travel or rate, with a band from the intervals of its parameters."""
     e = fit.network.element(name)
-    if e.place != "between" or e.plane == "time":
+    motion = motions(problem, fit, (e.between,)).get(e.between) if e.place == "between" else None
+    if motion is None or e.plane == "time":
         return None
-    motion = motions(problem, fit, (e.between,)).get(e.between)
-    if motion is None:
-        return None
-    rate = e.plane == "rate"
-    visited = motion.v if rate else motion.d
+    visited = motion.v if e.plane == "rate" else motion.d
     reach = float(np.quantile(np.abs(visited), 0.999)) or 1e-6
     axis = np.linspace(-reach, reach, 1601)  # a cogging may have dozens of periods
     middle = e.curve(axis)
@@ -142,17 +139,19 @@ def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quanti
             except InputError:
                 continue
             spread = np.maximum(spread, np.abs(changed.curve(axis) - middle))
-    thin = visited[:: max(1, len(visited) // 2000)]
-    return Law(name, "rate" if rate else "travel", axis, middle, middle - spread, middle + spread, thin)
+    return _law(name, e.plane == "rate", axis, (middle, middle - spread, middle + spread), visited)
 
 
 def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
     """Return a tabulated force over rate or elongation; a force of both over elongation at zero rate."""
     motion = motions(problem, fit, (t.between,))[t.between]
-    rate = t.over == "rate"
+    is_rate = t.over == "rate"
     still = int(np.argmin(np.abs(t.rate))) if t.over == "both" else slice(None)
     force, low, high = (x[:, still] if t.over == "both" else x for x in (t.force, t.low, t.high))
-    visited = motion.v if rate else motion.d
-    axis = np.array(t.rate if rate else t.elongation)
-    thin = visited[:: max(1, len(visited) // 2000)]
-    return Law(t.element, "rate" if rate else "travel", axis, force, low, high, thin)
+    axis = np.array(t.rate if is_rate else t.elongation)
+    return _law(t.element, is_rate, axis, (force, low, high), motion.v if is_rate else motion.d)
+
+
+def _law(name: str, is_rate: bool, axis: Array, curves: tuple[Array, Array, Array], visited: Array) -> Law:
+    """Return a curve with its band, and some of the operating points."""
+    return Law(name, "rate" if is_rate else "travel", axis, *curves, visited[:: max(1, len(visited) // 2000)])

@@ -257,20 +257,20 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     """Return the verdict that follows from the evidence of the foremost candidate."""
     agreed: Verdict = "no_discrepancy" if e.agrees_before else "parameters_only"
     gates = gates_of(e, c) if e.effects else ()
-    failed = {g.name for g in gates if not g.passed}
+    failed, excess = {g.name for g in gates if not g.passed}, e.excess(e.refit)
     is_there = bool(gates) and not failed & {"predicts better", "determined"}
     if gates and not failed:
         return Decision("missing_effect", gates)
     credible = e.has_credible_noise(c.wide_gap)
     narrow = credible and e.width < c.wide_gap  # a wide gap is no agreement
-    if credible and all(x < c.material for x in e.excess_refit):
+    if credible and all(x < c.material for x in excess):
         return Decision(agreed, gates, is_there, "immaterial")
     # no effect predicts better, and the excess error is below the noise
     is_found = bool(gates) and "predicts better" not in failed
-    if narrow and not is_found and all(x < f for x, f in zip(e.excess_refit, e.noise, strict=True)):
+    if narrow and not is_found and all(x < f for x, f in zip(excess, e.noise, strict=True)):
         return Decision(agreed, gates, reason="noise")
     # unmodelled effects make gaps as large, or effects too small to be named close the gap
-    if narrow and all(x < w for x, w in zip(e.excess_refit, e.envelope, strict=True)):
+    if narrow and all(x < w for x, w in zip(excess, e.envelope, strict=True)):
         return Decision(agreed, gates, is_there, "small_effects")
     if narrow and gates and e.closed_by_small(c.share):
         return Decision(agreed, gates, is_there, "closed_by_small")
