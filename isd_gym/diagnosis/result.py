@@ -41,7 +41,7 @@ __all__ = [
 
 SCHEMA = "isd-diagnosis/1"
 #: entries of the JSON document in their order: fields of `Diagnosis`, or made of them
-DOCUMENT = (
+_DOCUMENT = (
     "schema", "verdict", "summary", "effects", "findings", "small_effects", "alternatives", "where", "parameters", "gap", "gates", "reason",
     "best_candidate", "best_table", "remainder", "record_differences", "simulation_fit", "stretches", "constant", "closed_loop",
     "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
@@ -525,7 +525,7 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document (`isd-diagnosis/1`)."""
-        own = {k: getattr(self, k, None) for k in DOCUMENT}
+        own = {k: getattr(self, k, None) for k in _DOCUMENT}
         clocks = [
             {
                 "record": x.record,
