@@ -109,7 +109,8 @@ class Effect:
             out["between"] = list(self.between) if self.between else None
         if self.behind:
             out["behind"] = self.behind
-        return out | {"confidence": self.confidence, "parameters": self.parameters}
+        parameters = {k: q.to_dict() for k, q in self.parameters.items()}
+        return out | {"confidence": self.confidence, "parameters": parameters}
 
 
 @dataclass(frozen=True)

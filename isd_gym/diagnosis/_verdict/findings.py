@@ -35,7 +35,7 @@ class LawProbability:
             "effect": self.effect,
             "probability": self.probability,
             "grade": grade(self.probability),
-            "parameters": self.parameters,
+            "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
         }
 
 
@@ -56,15 +56,9 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON file."""
-        return {
-            "place": list(self.place),
-            "place_probability": self.place_probability,
-            "kind": self.kind,
-            "kind_probability": self.kind_probability,
-            "grade": {"place": grade(self.place_probability), "kind": grade(self.kind_probability)},
-            "laws": self.laws,
-            "named": self.named,
-        }
+        levels = {"place": grade(self.place_probability), "kind": grade(self.kind_probability)}
+        head = {k: v for k, v in vars(self).items() if k not in ("laws", "named")}
+        return head | {"grade": levels, "laws": [law.to_dict() for law in self.laws], "named": self.named}
 
 
 def find(
