@@ -120,13 +120,10 @@ class Criteria:
     )
 
     def least_explained(self, effects: int) -> float:
-        """Return the least share of the excess error that a name must explain.
+        """Return the least share of the excess error that a name of so many effects must explain.
 
         Each effect removes at least `least_removed` of what is left, which leaves half**effects. A name must leave no more than half of that: 0.75
         must be explained with one effect, 0.875 with two.
-
-        Args:
-            effects: Number of effects of the name.
         """
         return float(1.0 - self.least_removed ** (effects + 1))
 
@@ -140,14 +137,8 @@ def is_material(
     """Return whether an effect is large enough to be named.
 
     A large force is. So is a smaller force that closes a wide gap, such as slight friction in a slightly damped rig: but not a force as
-    small as those that every rig has.
-
-    Args:
-        removed: Share of the excess error without the effect that the effect removes.
-        width: Excess error without the effect, mean over channels, as a share of the deviation.
-        beyond_small: Whether that excess is larger in a channel than unmodelled effects make it.
-        size: Share of the force, current or signal at the effect's place.
-        c: Limits of the decision.
+    small as those that every rig has. `removed` and `width` are those of the excess error without the effect, `beyond_small` tells whether that
+    excess is larger in a channel than unmodelled effects make it, `size` is the share of the force at the place.
     """
     is_wide = width > c.wide_gap or (beyond_small and size > c.small_effect)
     return size >= c.share or (removed >= c.alone_removes and is_wide)
