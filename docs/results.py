@@ -608,7 +608,9 @@ def gate_sets() -> str:
 
 def mistaken() -> str:
     """Shares of statements that are wrong although no resampling shows it."""
-    return markdown(["statement", "mistaken"], [[f"`{k}`", f"{v:.2f}"] for k, v in grades.MISTAKEN.items()], "lr")
+    return markdown(
+        ["statement", "mistaken"], [[f"`{k}`", f"{v:.2f}"] for k, v in grades.MISTAKEN.items()], "lr"
+    )
 
 
 def shares() -> str:
