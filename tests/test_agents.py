@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 
 from isd_gym._common.errors import InputError
-from isd_gym.agents._convert import convert, read_torch
 from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import (
@@ -31,8 +30,9 @@ from isd_gym.agents.policy import (
     Policy,
     read_safetensors,
 )
-from isd_gym.agents.settings import MEMORY, SETTINGS
 from isd_gym.benchmark.policies import conventional
+from isd_gym.contrib.exports.archives import convert, read_torch
+from isd_gym.contrib.training.settings import MEMORY, SETTINGS
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
@@ -52,7 +52,7 @@ def small_policy(rng: np.random.Generator, head: Head | None = None, memory: Mem
 @cache
 def filtered() -> Memory:
     """The memory with the LQG's estimate of the default car."""
-    from isd_gym.agents._estimate import lqg_filter
+    from isd_gym.contrib.training.estimate import lqg_filter
 
     return replace(MEMORY, filter=lqg_filter(Network.load("quarter-car-isd")))
 
@@ -322,7 +322,7 @@ def test_the_adapter_is_the_single_environment(sb3):
 
 @needs_sb3
 def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
-    from isd_gym.agents._vec import Remember
+    from isd_gym.contrib.training.environment import Remember
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(
@@ -413,8 +413,8 @@ def test_onnx_is_the_policy(rng, tmp_path, mode, output):
 @pytest.fixture
 def brief(monkeypatch):
     """Training that takes a second: few steps, short validation."""
-    import isd_gym.agents.train as module
-    from isd_gym.agents.settings import PPOSettings, SACSettings
+    import isd_gym.contrib.training.train as module
+    from isd_gym.contrib.training.settings import PPOSettings, SACSettings
 
     monkeypatch.setattr(module, "VALIDATION_EPISODES", 2)
     monkeypatch.setattr(module, "SCORE_EPISODES", 2)
@@ -443,7 +443,7 @@ class Killed(Exception):
 
 @pytest.mark.parametrize(("algorithm", "least"), [("ppo", 327680), ("sac", 4096)])
 def test_fewer_steps_than_a_rollout_are_refused_at_once(sb3, algorithm, least, tmp_path):
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     with pytest.raises(InputError, match=f"1000 steps are less than one rollout .*: give {least} or more"):
         train(algorithm, tmp_path / "run", steps=1000)
@@ -452,7 +452,7 @@ def test_fewer_steps_than_a_rollout_are_refused_at_once(sb3, algorithm, least, t
 
 
 def test_a_short_run_of_sac_says_that_its_policy_stays_the_imitation(sb3, tmp_path, monkeypatch):
-    import isd_gym.agents.train as module
+    import isd_gym.contrib.training.train as module
 
     lines = []
     monkeypatch.setattr(module.Run, "go", lambda self: {})
@@ -467,7 +467,7 @@ def test_a_short_run_of_sac_says_that_its_policy_stays_the_imitation(sb3, tmp_pa
 @pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn of themselves
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     settings, out = brief[algorithm], tmp_path / "run"
     lines: list[str] = []
@@ -494,7 +494,7 @@ def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
     assert policy.info["score"]["episodes"] == 2
     assert policy.info["training"]["seconds"] > kept["seconds"]
     # these settings cannot be typed
-    assert policy.info["training"]["command"].startswith("isd_gym.agents.train")
+    assert policy.info["training"]["command"].startswith("isd_gym.contrib.training.train")
     again: list[str] = []
     train(algorithm, out, settings=settings, say=again.append)
     assert [row["steps"] for row in Policy.load(out / "policy").info["training"]["curve"]] == steps
@@ -515,7 +515,7 @@ def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
 
     import torch
 
-    import isd_gym.agents.train as module
+    import isd_gym.contrib.training.train as module
 
     settings, out = brief[algorithm], tmp_path / "run"
     models = []
@@ -630,7 +630,7 @@ def save(tensors: dict[str, np.ndarray]) -> bytes:
 @pytest.mark.filterwarnings("ignore")
 def test_training_deletes_nothing_but_its_own_checkpoints(sb3, brief, tmp_path):
     """Copies and notes of the user stay, also within a checkpoint that is replaced by the next."""
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     settings, out = replace(brief["ppo"], teacher=None), tmp_path / "run"
     train("ppo", out, settings=settings, say=lambda line: None)
@@ -652,7 +652,7 @@ def test_training_deletes_nothing_but_its_own_checkpoints(sb3, brief, tmp_path):
 @needs_sb3
 @pytest.mark.filterwarnings("ignore")
 def test_a_training_that_diverges_or_has_nothing_to_learn_is_one_line(sb3, brief, tmp_path):
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     settings = replace(brief["ppo"], teacher=None)
     with pytest.raises(InputError, match="does not move the car"):
@@ -664,7 +664,7 @@ def test_a_training_that_diverges_or_has_nothing_to_learn_is_one_line(sb3, brief
 @needs_sb3
 def test_two_trainings_do_not_share_a_folder(sb3, tmp_path):
     from isd_gym._common.files import claim_folder, held
-    from isd_gym.agents.train import FOLDER, train
+    from isd_gym.contrib.training.train import FOLDER, train
 
     taken = held(claim_folder(tmp_path / "run", *FOLDER), "training run")
     with taken, pytest.raises(InputError, match="another process"):
@@ -674,7 +674,7 @@ def test_two_trainings_do_not_share_a_folder(sb3, tmp_path):
 
 @needs_sb3
 def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     (tmp_path / "thesis.tex").write_text("mine")
     with pytest.raises(InputError, match="not empty"):
@@ -689,10 +689,10 @@ def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(sb3, brief, tmp_path, monkeypatch, algorithm):
     """Progress begins at once, never passes the whole, and what was done counts when the run goes on."""
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     # a brief training is over before the next word
-    monkeypatch.setattr("isd_gym.agents.train.SHOW_EVERY", 0.0)
+    monkeypatch.setattr("isd_gym.contrib.training.train.SHOW_EVERY", 0.0)
     told: list[tuple[str, float]] = []
     lines: list[str] = []
 
@@ -723,7 +723,7 @@ def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(sb3, brief, tmp_path, mo
 @pytest.mark.filterwarnings("ignore")
 def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
     """A few hundred updates are enough to be far better than no current at all."""
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     settings = replace(
         brief["sac"],
@@ -744,8 +744,8 @@ def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
 @needs_sb3
 @pytest.mark.filterwarnings("ignore")
 def test_a_spread_of_cars_and_another_road_can_be_trained_on(sb3, brief, tmp_path):
-    from isd_gym.agents.settings import robust
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.settings import robust
+    from isd_gym.contrib.training.train import train
 
     lines: list[str] = []
     settings = replace(brief["ppo"], steps=256, teacher=None)
@@ -765,8 +765,8 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
     import torch
     from gymnasium import spaces
 
-    from isd_gym.agents._ppo import PPOPolicy
-    from isd_gym.agents._sac import SACPolicy
+    from isd_gym.contrib.training.ppo import PPOPolicy
+    from isd_gym.contrib.training.sac import SACPolicy
 
     box = spaces.Box(-1.0, 1.0, (6,), np.float32)
     action = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -782,7 +782,7 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
 
 @needs_sb3
 def test_on_a_spread_every_road_counts_the_same(sb3):
-    from isd_gym.agents._vec import Remember
+    from isd_gym.contrib.training.environment import Remember
     from isd_gym.sb3 import make_vec_env
 
     def cost(even, **options):
@@ -808,9 +808,9 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
     import torch
     from gymnasium import spaces
 
-    from isd_gym.agents._ppo import GroupBuffer
-    from isd_gym.agents._sac import GroupReplayBuffer
-    from isd_gym.agents._vec import Remember
+    from isd_gym.contrib.training.environment import Remember
+    from isd_gym.contrib.training.ppo import GroupBuffer
+    from isd_gym.contrib.training.sac import GroupReplayBuffer
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(
@@ -902,7 +902,7 @@ def test_a_real_kill_costs_one_interval_at_most(sb3, tmp_path):
     """kill -9 in the middle; the same call ends the run, with the checkpoint's curve kept."""
     code = (
         "import warnings; warnings.simplefilter('ignore')\n"
-        "import isd_gym.agents.train as t\nfrom isd_gym.agents.settings import PPOSettings\n"
+        "import isd_gym.contrib.training.train as t\nfrom isd_gym.contrib.training.settings import PPOSettings\n"
         "t.BASELINES = ()\nt.VALIDATION_EPISODES = t.SCORE_EPISODES = 2\n"
         "s = PPOSettings(steps=65536, cars=64, horizon=32, tail=16, batch=512, teacher=None, evaluations=8,"
         " checkpoint_seconds=0.0)\n"

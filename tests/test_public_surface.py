@@ -24,12 +24,6 @@ isd_gym.agents
 isd_gym.agents.policy
     Policy
     also FEATURE_LIMIT Head SCHEMA SHIPPED read_safetensors
-isd_gym.agents.settings
-    PPOSettings SACSettings
-    also CONTROL_STEP MEMORY SETTINGS from_nothing robust tuned with_preview
-isd_gym.agents.train
-    train
-    also BASELINES CAR_BASELINES FOLDER Run SCHEMA SCORE_EPISODES SHOW_EVERY describe versions
 isd_gym.baselines
     CONTROLLERS Controller PLANTS make
     also ABOUT WHOLE_CAR noisy

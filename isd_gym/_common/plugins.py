@@ -21,9 +21,10 @@ OWN = {
     POLICIES: {
         "baselines": "isd_gym.baselines._entry:open_policy",
         "agents": "isd_gym.agents._entry:open_policy",
+        "archives": "isd_gym.contrib.exports.archives:open_policy",
     },
     COMMANDS: {
-        "train": "isd_gym.agents._cli:train",
+        "train": "isd_gym.contrib.training.command:train",
         "convert": "isd_gym.contrib.exports.command:command",
         "export": "isd_gym.contrib.fmi.command:command",
         "inspect": "isd_gym.contrib.inspection.command:command",
