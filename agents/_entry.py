@@ -19,21 +19,7 @@ if TYPE_CHECKING:
 def open_policy(
     name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
 ) -> Entry | None:
-    """Return a trained policy as an entry of a score.
-
-    Args:
-        name: Name of a shipped policy, or a policy folder.
-        model: Network of the score.
-        cost: Without effect.
-        control_step: Control step [s].
-        options: `preview` [s], which must agree with the policy's; `speed` [m/s] of the car.
-
-    Returns:
-        The entry; None for other names.
-
-    Raises:
-        InputError: The policy cannot be read, or does not fit the network, the control step or the preview.
-    """
+    """Return a trained policy as an entry of a score."""
     path = Path(name)
     if not (name in names() or os.path.isdir(path) or path.name == "policy.json"):
         return None
@@ -59,20 +45,12 @@ def entry_of(
 
 
 def names() -> list[str]:
-    """Return the names of the shipped policies.
-
-    Returns:
-        Names, sorted.
-    """
+    """Return the names of the shipped policies."""
     return sorted(p.parent.name for p in SHIPPED.glob("*/policy.json"))
 
 
 def about() -> dict[str, str]:
-    """Return one-line descriptions of the shipped policies, from their files.
-
-    Returns:
-        Description by name.
-    """
+    """Return one-line descriptions of the shipped policies, from their files."""
     import json
 
     out = {}

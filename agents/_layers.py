@@ -17,18 +17,7 @@ if TYPE_CHECKING:
 
 
 def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
-    """Return the layers of the deterministic actor in a state dict of Stable-Baselines3.
-
-    Args:
-        state: Array by name.
-
-    Returns:
-        Algorithm ('ppo' includes A2C, 'td3' includes DDPG, or 'sac'), and weights (out, in) and biases (out,)
-            of the layers.
-
-    Raises:
-        InputError: The state dict is no flat MlpPolicy of PPO, SAC or TD3.
-    """
+    """Return the layers of the deterministic actor in a state dict of Stable-Baselines3."""
     if "action_net.weight" in state:
         kind, hidden, last = "ppo", "mlp_extractor.policy_net.", "action_net"
     elif "actor.mu.weight" in state:
@@ -70,22 +59,7 @@ def build(
     high: float = 1.0,
     **options: Any,
 ) -> Policy:
-    """Return the policy of a state dict of Stable-Baselines3.
-
-    Args:
-        state: Array by name.
-        activation: 'tanh' or 'relu'.
-        memory: Features of the observations.
-        head: Conversion of the output to a current.
-        high: Bound of the action space in training.
-        options: Further arguments of `Policy`.
-
-    Returns:
-        The policy.
-
-    Raises:
-        InputError: The weights are unsuitable.
-    """
+    """Return the policy of a state dict of Stable-Baselines3."""
     kind, layers = actor_layers(state)
     if any(value.dtype.kind != "f" for layer in layers for value in layer):
         raise InputError("weights that are no floats")

@@ -109,13 +109,6 @@ def practical(value: float, unit: str) -> tuple[float, str]:
     """Return the scale and the unit in which engineers state a value, such as mm and kN/m.
 
     Only units that start with N, m (but not m/s^2) or s take a prefix.
-
-    Args:
-        value: The value [unit].
-        unit: SI unit, such as "N/m".
-
-    Returns:
-        Factor from the SI unit, and the unit.
     """
     size = abs(value)
     if not math.isfinite(size) or size == 0.0 or unit.startswith(("m/", "mm", "ms")):
@@ -130,17 +123,7 @@ def practical(value: float, unit: str) -> tuple[float, str]:
 
 
 def si_of(unit: str) -> str:
-    """Return the SI unit of the quantity that a unit measures.
-
-    Args:
-        unit: Name of a unit such as "mm", or an alternative spelling such as "m/s2".
-
-    Returns:
-        Name of the SI unit, such as "m".
-
-    Raises:
-        InputError: The unit is unknown.
-    """
+    """Return the SI unit of the quantity that a unit measures."""
     key = _SPELLINGS.get(unit, unit) if isinstance(unit, str) else unit
     if not isinstance(key, str) or key not in TABLE:
         raise InputError(f"unknown unit {shown(unit)} (known: {', '.join(TABLE)})")
@@ -152,14 +135,7 @@ _ABOUT = {"N": "N m", "m": "rad", "kg": "kg m^2"}
 
 
 def about_axis(unit: str) -> str:
-    """Return the unit of a parameter between two nodes that rotate.
-
-    Args:
-        unit: Unit of the same parameter between two nodes that translate, such as "N s/m".
-
-    Returns:
-        Unit for rotation, such as "N m s/rad".
-    """
+    """Return the unit of a parameter between two nodes that rotate."""
     return re.sub(r"\b(N|m|kg)\b", lambda part: _ABOUT[part[0]], unit)
 
 

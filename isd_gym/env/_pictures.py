@@ -50,12 +50,7 @@ class Onlooker:
         self._past.clear()
 
     def see(self, steps: int, reward: float) -> None:
-        """Store a decision.
-
-        Args:
-            steps: Control steps since the start.
-            reward: Reward of the step.
-        """
+        """Store a decision."""
         batch = self.task.batch
         self._steps = steps
         self._cost -= reward
@@ -69,11 +64,7 @@ class Onlooker:
         return of.accelerations if self.task.network.bodies else of.accelerations + 1
 
     def snapshot(self) -> Snapshot | CarSnapshot:
-        """Return the content of a picture of the car.
-
-        Returns:
-            Plain numbers for a renderer.
-        """
+        """Return the content of a picture of the car."""
         return self._rigid_car() if self.task.network.bodies else self._quarter_car()
 
     def _places(self) -> dict[str, float]:
