@@ -70,17 +70,7 @@ class Osqp:
         return partial(type(self), accuracy=accuracy), (P, A)
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
-        """Solve the program.
-
-        Args:
-            q: Linear cost (n,).
-            low: Lower limits (m,).
-            high: Upper limits (m,).
-            guess: Start (n,).
-
-        Returns:
-            Solution and status.
-        """
+        """Solve the program."""
         bare, most = self._bare, self._infinite
         # the solver reads contiguous memory and ignores strides
         q, guess = np.ascontiguousarray(q), np.ascontiguousarray(guess)

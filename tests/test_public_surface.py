@@ -25,11 +25,11 @@ isd_gym.agents.policy
     Policy
     also FEATURE_LIMIT Head SCHEMA SHIPPED read_safetensors
 isd_gym.baselines
-    CONTROLLERS Controller PLANTS make
+    BatchController CONTROLLERS PLANTS make
     also ABOUT WHOLE_CAR noisy
 isd_gym.baselines.controller
-    BatchController Controller Signals WholeCarController clean limit rises steps_ahead
-    also CURRENT
+    BatchController DesignedController clean limit rises steps_ahead
+    also CURRENT Settings
 isd_gym.baselines.friction
     FrictionMpcSettings
     also FrictionMpc with_preview
@@ -65,8 +65,6 @@ isd_gym.env.autoload
     also AT_START spec_of
 isd_gym.env.registration
     also BY_CORNERS ENVIRONMENTS EPISODE_STEPS LEARNING REWARD_THRESHOLDS register
-isd_gym.env.wrappers
-    HistoryObservation Hold RelativeReward
 isd_gym.physics
 isd_gym.physics.cost
     FULL_CAR HALF_CAR QUARTER_CAR StageCost square
