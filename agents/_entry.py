@@ -68,4 +68,3 @@ def about() -> dict[str, str]:
 
 
 open_policy.about = about  # type: ignore[attr-defined]
-open_policy.names = names  # type: ignore[attr-defined]

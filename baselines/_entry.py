@@ -25,13 +25,6 @@ def open_policy(
     return Entry(name, lambda: make(name, model=model, cost=cost, control_step=control_step, **options))
 
 
-def names() -> list[str]:
-    """Return the names of the baselines."""
-    from . import CONTROLLERS
-
-    return sorted(CONTROLLERS)
-
-
 def about() -> dict[str, str]:
     """Return one-line descriptions of the baselines."""
     from . import ABOUT, CONTROLLERS
@@ -40,4 +33,3 @@ def about() -> dict[str, str]:
 
 
 open_policy.about = about  # type: ignore[attr-defined]
-open_policy.names = names  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +33,6 @@ PAPER_CAR = "quarter-car-isd"
 # typical rate of the device on the paper's road, at which the level of a friction is evaluated [m/s]
 SLIDING = 0.05
 N_SENSORS = 5  # number of measured signals that depend on the physics; the sixth is the present current
-TYRE = 5  # row of the tyre load among the signals
 #: two-sided intensity of the road's vertical velocity [m^2/s], the paper's road at 20 m/s
 ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20.0
 
@@ -63,14 +62,7 @@ class Sensors:
     @property
     def covariance(self) -> np.ndarray:
         """Diagonal covariance (5, 5) of the measured signals."""
-        values = [
-            self.body_acceleration,
-            self.suspension_travel,
-            self.suspension_travel_rate,
-            self.device_travel,
-            self.device_travel_rate,
-        ]
-        return np.diag(np.square(values))
+        return np.diag(np.square([getattr(self, f.name) for f in fields(self)[:N_SENSORS]]))
 
 
 class Laws:
@@ -476,10 +468,10 @@ def steady_gain(
     return np.linalg.solve(C @ V @ C.T + covariance, C @ V).T
 
 
-def stationary(A: np.ndarray, W: np.ndarray, doublings: int = 14) -> np.ndarray:
-    """Return the covariance of ``x+ = A x + w`` after 2^doublings steps (80 s at 5 ms), finite even for a drifting device."""
+def stationary(A: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Return the covariance of ``x+ = A x + w`` after 2^14 steps (80 s at 5 ms), finite even for a drifting device."""
     A, S = A.copy(), W.copy()
-    for _ in range(doublings):
+    for _ in range(14):
         S = S + A @ S @ A.T
         A = A @ A
     return S
@@ -509,7 +501,6 @@ def statistical_linearisation(
     weights: Weights,
     *,
     road_intensity: float = ROAD_INTENSITY,
-    iterations: int = 60,
 ) -> Linearised:
     """Return a model with dampers whose level is consistent with their closed-loop rate (section 4.2, equation 9).
 
@@ -522,7 +513,7 @@ def statistical_linearisation(
     stops = {e.name: 0.0 for e in free.laws if e.bound is None}
     rms = {name: 0.1 for name in names}
     levels = {}
-    for _ in range(iterations):
+    for _ in range(60):
         for j in free.friction:
             name = free.laws[j].name
             levels[name] = float(free.levels(rms[name])[j])

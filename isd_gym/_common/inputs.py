@@ -157,9 +157,9 @@ def _check_tree(found: Any, where: str) -> None:
     raise InputError(f"{where}: more than {DEPTH} nested levels")
 
 
-def read_json(path: str | Path, where: str | None = None, limit: int = JSON_LIMIT) -> Any:
+def read_json(path: str | Path, where: str | None = None) -> Any:
     """Return the content of a JSON file."""
-    return parse_json(read_bytes(path, limit), where or str(path))
+    return parse_json(read_bytes(path), where or str(path))
 
 
 def is_number(value: Any) -> bool:

@@ -124,10 +124,14 @@ def practical(value: float, unit: str) -> tuple[float, str]:
 
 def si_of(unit: str) -> str:
     """Return the SI unit of the quantity that a unit measures."""
+    return _entry(unit)[0]
+
+
+def _entry(unit: Any) -> tuple[str, float]:
     key = _SPELLINGS.get(unit, unit) if isinstance(unit, str) else unit
     if not isinstance(key, str) or key not in TABLE:
         raise InputError(f"unknown unit {shown(unit)} (known: {', '.join(TABLE)})")
-    return TABLE[key][0]
+    return TABLE[key]
 
 
 #: translational unit -> rotational unit of a parameter
@@ -153,13 +157,7 @@ def convert(value: Value, unit: str, target: str) -> Value:
     Raises:
         InputError: A unit is unknown, or the two units measure different quantities.
     """
-    pair = []
-    for name in (unit, target):
-        key = _SPELLINGS.get(name, name) if isinstance(name, str) else name
-        if not isinstance(key, str) or key not in TABLE:
-            raise InputError(f"unknown unit {shown(name)} (known: {', '.join(TABLE)})")
-        pair.append(TABLE[key])
-    (si, factor), (si_target, factor_target) = pair
+    (si, factor), (si_target, factor_target) = _entry(unit), _entry(target)
     if si != si_target:
         raise InputError(f"unit '{unit}' cannot be converted to '{target}'")
     return value * (factor / factor_target)

@@ -22,7 +22,7 @@ from .._common.seeds import road_index, scoring_generator
 from ..physics._vehicle import vehicle
 from ..physics.network import Network
 from ._pictures import Onlooker
-from ._task import EXCEEDS, Options, Task, info_maker
+from ._task import Options, Task, info_maker
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -30,12 +30,10 @@ if TYPE_CHECKING:
     from ..view._rendering import CarSnapshot, Renderer, Snapshot
 
 PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step
-_QUARTER_CAR = vehicle(Network.load("quarter-car-isd"))
 #: measured signals of a quarter car: name, unit, bound
-MEASURED = tuple((signal.name, signal.unit, signal.bound) for signal in _QUARTER_CAR.measured)
-N_MEASURED = len(MEASURED)
-#: names of the numbers in `info` of a quarter car's step after the speed and the cost
-STEP_INFO = (*_QUARTER_CAR.costs, *_QUARTER_CAR.tyre_loads, *EXCEEDS)
+MEASURED = tuple(
+    (signal.name, signal.unit, signal.bound) for signal in vehicle(Network.load("quarter-car-isd")).measured
+)
 
 
 class ISDSuspensionEnv(gym.Env):
