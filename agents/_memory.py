@@ -147,11 +147,6 @@ class Filter:
         """Number of features: the estimate, the frictions, and for each current the law and the offset from the law."""
         return len(self.B) + len(self.K) + 2 * self.currents
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Filter:
-        """Return a filter from plain data."""
-        return cls(**{k: tuples(v) for k, v in data.items()})
-
 
 @dataclass(frozen=True)
 class Echo:
@@ -216,11 +211,6 @@ class Echo:
         """Number of features."""
         return len(self.followers) * self.points
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Echo:
-        """Return an echo from plain data."""
-        return cls(**{k: tuples(v) for k, v in data.items()})
-
     def weights(self, step: float) -> np.ndarray:
         """Return the weights of the measured rises in the rises ahead.
 
@@ -249,6 +239,11 @@ class Echo:
 def tuples(value: Any) -> Any:
     """Return nested lists as nested tuples."""
     return tuple(tuples(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+def _made(kind: type[Any], data: Mapping[str, Any] | None) -> Any:
+    """Return a `Filter` or an `Echo` from plain data; None without data."""
+    return kind(**{k: tuples(v) for k, v in data.items()}) if data else None
 
 
 @dataclass(frozen=True)
@@ -336,10 +331,10 @@ class Memory(History):
                 step=float(data.get("step", 5e-3)),
                 late=tuple((int(c), float(d), float(t)) for c, d, t in data.get("late", ())),
                 speed=float(data.get("speed", 20.0)),
-                filter=Filter.from_dict(data["filter"]) if data.get("filter") else None,
+                filter=_made(Filter, data.get("filter")),
                 ahead=int(data.get("ahead", 0)),
                 rise=float(data.get("rise", 1.4e-3)),
-                echo=Echo.from_dict(data["echo"]) if data.get("echo") else None,
+                echo=_made(Echo, data.get("echo")),
             )
         except InputError:
             raise
