@@ -26,9 +26,9 @@ import numpy as np
 from isd_gym._common.errors import InputError, how_to_install, shown
 from isd_gym._common.inputs import number, parse_json, read_bytes, too_large
 from isd_gym.agents._entry import entry_of
-from isd_gym.agents._layers import actor_layers, build
 from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import Head, Policy
+from isd_gym.contrib.actors import actor_layers, build
 from isd_gym.env._history import BOUND
 from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
 from isd_gym.physics.network import Network

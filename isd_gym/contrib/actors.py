@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from isd_gym._common.errors import InputError, shown
-
-from .policy import Head, Policy
+from isd_gym.agents.policy import Policy
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     import numpy as np
 
-    from ._memory import Memory
+    from isd_gym.agents._memory import Memory
+    from isd_gym.agents.policy import Head
 
 
 def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
