@@ -8,11 +8,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import builders
-import families
 import numpy as np
 import pytest
 from builders import damper, element, network
-from hidden import make_case
+from rigs import families
+from rigs.hidden import make_case
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
