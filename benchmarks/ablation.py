@@ -3,7 +3,6 @@
 python benchmarks/ablation.py [DIR ...] [--json FILE] [--markdown FILE]
 python benchmarks/ablation.py --store DIR [DIR ...]
 python benchmarks/ablation.py --shares DIR [DIR ...] [--json FILE]
-python benchmarks/ablation.py --search [--seed N] [--json FILE] [--only WORD ...] [--rigs SUITE:KIND ...]
 
 DIR     results of `python benchmarks/diagnose.py … --out DIR`: each holds the evidence that its verdict follows from. Without DIR the
         stored evidence is replayed.
@@ -15,11 +14,6 @@ over hundreds of rigs, or that helps a single one, is a candidate for deletion.
                 records; an older entry of the same rig is replaced
 --shares        how often places and kinds are true that are stated with less confidence, and the probability stated with
                 its share of mistaken statements (`grades.MISTAKEN`) halved, as it is, and doubled
---search        diagnose a sample of quick rigs again for each variation of `search_ablation.py`: a setting, a constant or a rule of
-                the search. The file is written after each variation; the same line again goes on with the variations that are not
-                there yet. A variation takes about a minute.
---only WORD     variations with a word in their name
---rigs          other rigs than those of the sample, such as families:cart.cogging
 """
 
 from __future__ import annotations
@@ -279,24 +273,12 @@ def main() -> None:
     )
     parser.add_argument("folders", nargs="*", type=Path, metavar="DIR")
     parser.add_argument(
-        "--search", action="store_true", help="run a sample again with settings of the search varied"
-    )
-    parser.add_argument(
         "--shares", action="store_true", help="stated and observed shares of doubtful statements"
     )
     parser.add_argument("--store", action="store_true", help="keep the evidence of results for later replays")
-    parser.add_argument("--seed", type=int, default=464)
-    parser.add_argument("--rigs", nargs="*", default=[], metavar="SUITE:KIND")
-    parser.add_argument("--only", nargs="*", default=[""], metavar="WORD")
     parser.add_argument("--json", type=Path, help="write the changes with the names of the rigs")
     parser.add_argument("--markdown", type=Path, help="write the table")
     args = parser.parse_args()
-    if args.search:
-        import search_ablation
-
-        rigs = [tuple(r.split(":", 1)) for r in args.rigs] or search_ablation.SAMPLE
-        search_ablation.run(args.seed, args.json or search_ablation.FILE, args.only, rigs)
-        return
     if args.shares:
         add_shares(args.folders, args.json or Path(__file__).with_name("ablation-shares.json"))
         return

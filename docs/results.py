@@ -626,29 +626,6 @@ def shares() -> str:
     return markdown(heads, body, "llrlrrr")
 
 
-def search() -> str:
-    """Verdicts of a sample that change with a setting, a constant or a rule of the search varied."""
-    found = json.loads((BENCHMARKS / "ablation-search.json").read_text(encoding="utf-8"))
-    rigs = [name.rpartition("-")[0] for name in found["rigs"]]
-    body = []
-    for c in found["changes"]:
-        count = sum(c["rule"] in used for used in found["used"].values())
-        figures = [
-            *(str(len(c[k])) for k in ("better", "worse", "other")),
-            str(c["moved"]),
-            f"{c['time']:.2f}",
-        ]
-        rule = f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else "")
-        body.append([rule, c["variation"], str(count), *(figures if count else [""] * len(figures))])
-    for c in found["open"]:
-        rule = f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else "")
-        body.append([rule, c["variation"], *["not run", "", "", "", "", ""]])
-    seconds = sum(r["seconds"] for r in found["rigs"].values())
-    said = f"{found['date']}, seed {found['seed']}, {len(rigs)} rigs ({', '.join(rigs)}), {seconds:.0f} s of processor time unchanged."
-    heads = ["rule or setting", "variation", "rigs", "better", "worse", "other", "moved", "time"]
-    return f"{said}\n\n" + markdown(heads, body, "llrrrrrr")
-
-
 def measurements() -> str:
     """What is known of every public data set, what the diagnosis answers, and whether that is right."""
     body = []
@@ -875,7 +852,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/missing-physics.md": (missing_physics, missing_physics_sets, missing_physics_cases),
     "docs/reference/environment.md": (environment,),
     "docs/reference/tracks.md": (tracks, half_car_card, full_car_card, regeneration),
-    "docs/reference/limits.md": (gates, gate_sets, limits, mistaken, shares, search),
+    "docs/reference/limits.md": (gates, gate_sets, limits, mistaken, shares),
 }
 
 
