@@ -399,7 +399,7 @@ def test_parameters_are_marked_as_biased_where_nothing_is_named(diagnosis):
     for kind in KINDS:
         view = report.View(of_kind(diagnosis, kind))
         is_undecided = kind.startswith(("unknown", "ambiguous"))
-        assert ("biased by what is missing" in view.bias_text + view.refit_text) == is_undecided
+        assert ("biased by what is missing" in report._html(view, {}, {})) == is_undecided
 
 
 def test_a_diagnosis_is_short_in_a_prompt_and_a_table_in_a_notebook(diagnosis):
@@ -483,7 +483,7 @@ def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(diagnosis, 
     wide = 0.1 * 5e4 * d if kind == "series_compliance" else 0.05 * 5e6 * 0.002
     assert law.high[-1] - law.force[-1] == pytest.approx(wide, rel=1e-6)
     assert np.abs(law.visited).max() >= 0.99 * d > 0
-    assert view.effect_text(effect).endswith("in series with what stands between joint and wheel")
+    assert "in series with what stands between joint and wheel" in report._html(view, {}, {})
     chart = report.draw_law(view)
     assert chart is not None and "its own travel" in chart.panels[0].x.text
 
