@@ -110,17 +110,14 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
             chart = make(view)
             if chart is not None:
                 pictures[chart.name] = picture(chart, place)
-        html = page(
-            "diagnosis.html",
-            d=diagnosis,
-            view=view,
-            pictures=pictures.values(),
-            shown=pictures,
-            about=about,
-            stages=STAGES,
-            types=el.TYPES,
-        )
-        write_text(place / "report.html", html)
+        write_text(place / "report.html", _html(view, pictures, about))
+
+
+def _html(view: View, shown: Mapping[str, Picture], about: Mapping[str, str]) -> str:
+    """Return the page with figures by name."""
+    return page(
+        "diagnosis.html", d=view.d, view=view, shown=shown, about=about, stages=STAGES, types=el.TYPES
+    )
 
 
 def signal_picture(diagnosis: Diagnosis) -> str:
