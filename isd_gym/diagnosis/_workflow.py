@@ -37,7 +37,7 @@ from ._records import (
     thin_long_record,
 )
 from ._result_builder import ResultBuilder
-from ._selection.admissibility import admissible_starts
+from ._selection.admissibility import admissible_matches
 from ._selection.candidate import Candidate, white_noise
 from ._selection.criteria import CRITERIA, Criteria
 from ._selection.forward_backward import Search
@@ -515,7 +515,8 @@ class Workflow:
     def is_perhaps_periodic(self, refitted: Candidate) -> bool:
         """Return whether a law that is periodic in travel is among the first in the score test."""
         p, least = self.problem, self.search.least_noise
-        filters = whitener(residuals(p, refitted.fit), white_noise(p, refitted.fit, least))
-        scored = admissible_starts(p, Fitter(p, filters), refitted.fit, hypotheses(self.network))
-        first = list(dict.fromkeys(s.hypothesis for s in scored))[:FIRST]
+        noise = white_noise(p, refitted.fit, least)
+        fitter = Fitter(p, whitener(residuals(p, refitted.fit), noise))
+        matches = admissible_matches(p, fitter, refitted.fit, noise, hypotheses(self.network))
+        first = list(dict.fromkeys(m.hypothesis for m in matches))[:FIRST]
         return any(h.kind.periodic for h in first)

@@ -16,9 +16,11 @@ from ...physics.network import Network, assemble
 from .._records import cut_segments
 from .._simulation.problem import Problem, bare
 from .gauss_newton import Fitter
+from .noise import white_filters
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
+    from .gauss_newton import Fit
     from .structure import Structure
 
 #: how long a mode is remembered, in its own time (one over the circular frequency), from which on its phase may be lost: damping
@@ -36,6 +38,29 @@ def is_lightly_damped(network: Network) -> bool:
     poles = np.linalg.eigvals(asm.rate[:, asm.columns("x")])
     swings = poles[np.abs(poles.imag) > 1e-9 * np.abs(poles).max()]
     return bool(np.any(np.abs(swings) > LONG * np.abs(swings.real)))
+
+
+def in_segments(
+    problem: Problem, fit: Fit, least_noise: Array, length: float = 1.0
+) -> tuple[Problem, Fit] | None:
+    """Return the training records in segments with initial states of their own, and a fit over the segments.
+
+    Args:
+        problem: Model and records.
+        fit: A fit, whose parameters are kept.
+        least_noise: Smallest noise of weights (channels,).
+        length: Length of the segments as a multiple of the usual length.
+
+    Returns:
+        Segments and fit; None where the records are no longer than a segment.
+    """
+    seconds = length * STRETCH * problem.time
+    pieces = [s for i in problem.estimation for s in cut_segments(problem.records[i], seconds, LEAST)]
+    if len(pieces) <= len(problem.estimation):
+        return None
+    brief = problem.with_records(pieces, ["fit"] * len(pieces))
+    own = Fitter(brief, white_filters(least_noise)).fit(fit.structure, fit.x, frozen=True, iterations=4)
+    return brief, own
 
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:

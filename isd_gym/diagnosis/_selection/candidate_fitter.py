@@ -17,15 +17,15 @@ from .._estimation.structure import Structure, base_structure
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import TimeUp, running
 from .candidate import Candidate, deviance_with_noise_of, settle, transfer, white_noise
-from .screening import GROWTH, beginning
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
+    from .._simulation.problem import Problem
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
 
-#: length of the first window of a fit over growing windows, in periods; least number of samples
-WINDOW_PERIODS, LEAST_WINDOW = 6.0, 80
+#: length of the first window of a fit over growing windows, in periods; least number of samples; growth of the window
+WINDOW_PERIODS, LEAST_WINDOW, GROWTH = 6.0, 80, 1.4
 #: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
 ASTRAY = 1.1
 
@@ -170,3 +170,10 @@ class CandidateFitter:
             return min(found, key=lambda c: c.deviance)
         except (*BROKEN, ValueError):
             return None
+
+
+def beginning(problem: Problem, share: float, least: int) -> Problem:
+    """Return the problem with the first `share` of every record, at least `least` samples where a record has as many."""
+    return problem.with_records(
+        [r.part(0, max(int(share * len(r)), min(len(r), least)), r.name) for r in problem.records]
+    )

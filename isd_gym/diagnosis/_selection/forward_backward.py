@@ -16,7 +16,7 @@ from .candidate_fitter import CandidateFitter
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .inclusion_tests import InclusionTests
-from .screening import screen_effects
+from .screening import Screening
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -151,9 +151,9 @@ class Search:
 
     def _hint(self, now: Candidate) -> Candidate | None:
         """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
-        result = screen_effects(
-            self.problem, now.fit, self.least_noise, replace(self.settings, first_round=3, finals=2)
-        )
+        result = Screening(
+            self.problem, now.fit, self.least_noise, replace(self.settings, matches=3, finals=2)
+        ).run()
         before = deviance_with_noise_of(
             self.problem, now, now, np.maximum(self.least_noise, 0.1 * result.noise)
         )
@@ -171,7 +171,7 @@ class Search:
     def _add_best(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
         """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
         p, c = self.problem, self.criteria
-        result = screen_effects(p, now.fit, self.least_noise, self.settings)
+        result = Screening(p, now.fit, self.least_noise, self.settings).run()
         ranked = list(result.ranked)
         noise = np.maximum(self.least_noise, 0.1 * result.noise)
         if not now.hypotheses and self._is_misled(now):
@@ -201,7 +201,7 @@ class Search:
         """Return candidates with those that are fitted from the nominal model: the better one of each hypothesis, best first."""
         p = self.problem
         self.say("  again from the nominal values: the refitted model errs more on validation records")
-        again = screen_effects(p, self.fitter.nominal().fit, self.least_noise, self.settings)
+        again = Screening(p, self.fitter.nominal().fit, self.least_noise, self.settings).run()
         found = [(deviance_with_noise_of(p, r, refitted, noise), r) for r in (*ranked, *again.ranked)]
         best: dict[object, Candidate] = {}
         for _, r in sorted(found, key=lambda each: each[0]):
