@@ -41,8 +41,8 @@ TRIED, FITTED, PERIODS = 6, 2, 4
 VARIANTS = 2
 #: multiples of the matched size at which an effect in series, at a drive or at a sensor is tried
 SIZES = (1.0, 4.0, 20.0, 80.0)
-#: lengths of segments that keep the phase, as multiples of the usual length, and the length of a second fit
-LENGTHS, GROWTH = (1.0, 0.5, 0.25), 4.0
+#: lengths of segments that keep the phase, as multiples of the usual length, and growth of the segments
+LENGTHS, GROWTH = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03), 1.6
 #: Gauss-Newton steps of the first fit of each start, of the fit of the best start, and of a fit from segments to whole records
 FIRST, FURTHER, WHOLE = 3, 5, 8
 
@@ -68,6 +68,8 @@ class Screening:
     settings: SearchSettings
     #: what all samples tell about the distance of each pair; those of the problem by default
     known: Mapping[tuple[str, str], Travel] | None = None
+    #: length of the segments, as a multiple of the usual length
+    length: float = math.inf
 
     @cached_property
     def first_noise(self) -> Array:
@@ -100,7 +102,7 @@ class Screening:
             found = in_segments(p, self.current, self.least_noise, length)
             if found is None:
                 continue
-            best = replace(self, problem=found[0], current=found[1])
+            best = replace(self, problem=found[0], current=found[1], length=length)
             if gap(best.problem, best.current) < s.lost_phase:
                 break
         return best
@@ -200,14 +202,13 @@ class Screening:
         noise = refined_noise(self.first_noise, self.least_noise)
         return Candidate(fit, deviance(self.problem, fit, noise))
 
-    def continued(self, r: Candidate, part: Problem) -> Candidate | None:
-        """Return a candidate of a part of the records, fitted to the records; None where the fit breaks down."""
+    def continued(self, r: Candidate, brief: Screening) -> Candidate | None:
+        """Return a candidate of brief segments, fitted to segments that grow to whole records; None where the fit breaks down."""
+        f, least, length = r.fit, self.least_noise, brief.length
+        filters = whitener(residuals(brief.problem, f), white_noise(brief.problem, f, least))
         try:
-            filters = whitener(residuals(part, r.fit), white_noise(part, r.fit, self.least_noise))
-            f = r.fit
-            grown = in_segments(self.problem, f, self.least_noise, GROWTH)
-            if grown is not None:
-                f = Fitter(grown[0], filters).fit(f.structure, f.x, grown[1].initial, iterations=FURTHER)
+            while (found := in_segments(self.problem, f, least, length := GROWTH * length)) is not None:
+                f = Fitter(found[0], filters).fit(f.structure, f.x, found[1].initial, iterations=FURTHER)
             return self._candidate(Fitter(self.problem, filters).fit(f.structure, f.x, iterations=WHOLE))
         except BROKEN:
             return None
@@ -232,7 +233,7 @@ class Screening:
             ranked += [closest] if closest is not None and closest not in ranked else []
             if brief is self:
                 return ranked
-            return _best_first(pool.map(lambda r: self.continued(r, brief.problem), ranked))
+            return _best_first(pool.map(lambda r: self.continued(r, brief), ranked))
 
     def run(self) -> ScreeningResult:
         """Run the stage."""
