@@ -1059,7 +1059,6 @@ def _stretches(d: Mapping[str, Any]) -> str:
     why = {
         "diverges": "the refitted model diverges over whole records",
         "astray": f"over whole records the mean error of the refitted model is {_percent(s['error'])} (limit {_percent(s['limit'], 0)})",
-        "unnamed": "over whole records no candidate passes every gate",
         "feedback": "feedback makes a comparison of whole records invalid",
     }[s["reason"]]
     return f"These are errors over {s['count']} stretches of {length}, each with its own initial state, because {why}."
