@@ -57,7 +57,7 @@ SAMPLE = (
 
 @dataclass(frozen=True)
 class Variation:
-    """A change of the search: a field of `SearchSettings`, or an attribute of a module of `selection` ("shapes")."""
+    """A change of the search: a field of `SearchSettings`, or an attribute of a module of `selection`."""
 
     target: str
     label: str
@@ -89,32 +89,21 @@ def _no_structures(*args: Any, **more: Any) -> tuple[()]:
 
 
 VARIATIONS = [
-    Variation("shapes", "off", ()),
-    Variation("beginning", "off", math.inf),
-    Variation("other_sign", "off", ()),
-    Variation("large", "off", ()),
     Variation("forward_backward.joint_structures", "off", _no_structures, "laws = [candidate.elements[k]"),
     Variation("forward_backward.equivalent_structures", "off", _no_structures, "in curves(problem, element)"),
     Variation("candidate_fitter.ASTRAY", "off", math.inf),
-    Variation(
-        "candidate_fitter.CandidateFitter.from_growing_windows", "off", _nothing, "self.from_growing_windows("
-    ),
     Variation("forward_backward.Search._hint", "off", _nothing, "hint = self._hint("),
     Variation("free_force.BOTH", "off", 0),
     Variation("free_force.RICHER", "off", 1.0),
     Variation("free_force.LENGTHS", "one", {"rate": (0.7,), "elongation": (0.7,), "both": (0.7,)}),
-    *_settings(nearest=(0,), turns=(0,), worst_equivalent=(math.inf,)),
-    Variation("better_period", "off", math.inf),
-    Variation("amplitudes", "1, 5", (1.0, 5.0)),
+    *_settings(turns=(0,), worst_equivalent=(math.inf,)),
     Variation("candidate_comparison.RIVALS", "3", 3),
     *_settings(chance=(15, 60), sure=(0, 120)),
     Variation("held_out.BLOCKS", "10", 10),
     Variation("held_out.BLOCKS", "40", 40),
     Variation("equivalent_laws.NEAR", "0.25", 0.25),
     Variation("equivalent_laws.MAX_MATCHES", "1", 1),
-    *_settings(first_round=(4, 16), finals=(2, 8), window=(0.2, 0.8), lost_phase=(0.25, 1.0), depth=(2,)),
-    Variation("candidate.RETURNED", "off", 0.0),
-    Variation("candidate.HOPELESS", "off", math.inf),
+    *_settings(matches=(4, 16), finals=(2, 8), lost_phase=(0.25, 1.0), depth=(2,)),
     Variation("free_force.STRONG", "1.5", 1.5),
     Variation("free_force.STRONG", "6", 6.0),
     Variation("free_force.FINALS", "1", 1),
@@ -122,35 +111,24 @@ VARIATIONS = [
     Variation("free_force.MAX_DIRECTIONS", "half", {"rate": 6, "elongation": 6, "both": 12}),
     Variation("free_force.ENOUGH", "0.8", 0.8),
     Variation("candidate.CONVERGED", "10", 10.0),
-    Variation("screening.GROWTH", "2", 2.0),
     Variation("equivalent_laws.STARTS", "2", 2),
     Variation("equivalent_laws.POINTS", "120", 120),
     Variation("held_out.LEAST_BLOCK", "20", 20),
     Variation("held_out.SMALL", "0.01", 0.01),
     Variation("free_force.INSIDE", "0.98", 0.98),
     Variation("free_force.KEPT", "0.001", 1e-3),
-    *_settings(wide_gap=(0.05, 0.2), least_window=(1000, 4000), shortest=(40, 160), astray=(0.25, 1.0)),
+    *_settings(wide_gap=(0.05, 0.2), shortest=(40, 160), astray=(0.25, 1.0)),
     *_settings(segment=(8, 32), least_segment=(2, 8), segments=(15, 60)),
 ]
 
 
 #: what the targets do, for the table; the comments of `SearchSettings` explain its fields
 MEANING = {
-    "shapes": "the best two candidates are fitted again from half and twice the parameter that shapes the law",
-    "beginning": "the window starts at the beginning where the residual there is nearly the largest",
-    "other_sign": "starts with the other sign, at multiples of the score test's amplitude",
-    "large": "starts at 80 times the score test's amplitude where that says little",
-    "amplitudes": "multiples of the score test's amplitude from which fits start",
-    "better_period": "a periodic law is fitted at neighbouring periods",
-    "screening.GROWTH": "growth of the window in a free decay, and in refits of the nominal model",
     "forward_backward.joint_structures": "one law in place of several over one plane at one place",
     "forward_backward.equivalent_structures": "other laws with nearly the same force are fitted beside the chosen law",
     "forward_backward.Search._hint": "a model that errs by noise alone is searched for a small effect",
     "candidate_fitter.ASTRAY": "refits with a larger error than the best refit are left out",
-    "candidate_fitter.CandidateFitter.from_growing_windows": "the nominal model is also refitted over growing windows",
     "candidate_comparison.RIVALS": "candidates of a stage that are compared with the best",
-    "candidate.RETURNED": "a fit from another shape that comes back is given up",
-    "candidate.HOPELESS": "a fit from another shape with a larger error is given up",
     "candidate.CONVERGED": "gain (2 log L) below which fits with new weights end",
     "equivalent_laws.NEAR": "error of a match of two laws, as a share of the force, up to which the law is fitted",
     "equivalent_laws.MAX_MATCHES": "matched laws per effect that are fitted",
@@ -187,14 +165,11 @@ def varied(variation: Variation | None) -> Iterator[SearchSettings]:
         for part in path:
             owner = getattr(owner, part)
         original = getattr(owner, name)
-        # these two constants are imported by name into other modules
+        # this constant is imported by name into other modules
         copies = [
             m
             for n, m in sys.modules.items()
-            if name in ("RIVALS", "GROWTH")
-            and n.startswith(SELECTION)
-            and m is not owner
-            and hasattr(m, name)
+            if name == "RIVALS" and n.startswith(SELECTION) and m is not owner and hasattr(m, name)
         ]
         for place in (owner, *copies):
             setattr(place, name, variation.value)

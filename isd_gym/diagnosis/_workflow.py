@@ -8,7 +8,7 @@ import time as clock
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from threadpoolctl import threadpool_limits
 
@@ -422,7 +422,7 @@ class Workflow:
             return None
         flow = replace(self, problem=self.segmented, is_segmented=True)
         lengths = [len(r) * r.interval for r in self.segmented.records]
-        reason: Literal[diverges, astray, feedback]
+        reason: Literal["diverges", "astray", "feedback"]
         reason = "feedback" if self.feedback else "astray" if math.isfinite(error) else "diverges"
         over = Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)
         self.say(
