@@ -1,5 +1,7 @@
 """Public functions, classes and methods have Google-style docstrings: Args, Returns and Raises as the code has them.
 
+In a private module (a part of its path begins with `_`) only the names of the reference are public.
+
 The checks read the sources, so that extras need not be installed. `ruff` checks the form of the sections (rules D).
 """
 
@@ -13,24 +15,17 @@ pytestmark = pytest.mark.tools
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("isd_gym", "baselines", "agents")
-#: compiled functions; the diagnosis, of which only the documented names are checked; the readers of a helper process; a program
-#: the diagnosis, and its kinds outside the core
+#: the diagnosis, of which only the documented names are checked, and its kinds outside the core
 DIAGNOSIS = (
     "isd_gym/diagnosis",
     "isd_gym/contrib/forecast",
     "isd_gym/contrib/no_road",
     "isd_gym/contrib/fmi/identification",
 )
+#: also the readers of a helper process
 INTERNAL = (
-    "isd_gym/physics/_kernel",
     *DIAGNOSIS,
-    "isd_gym/records/_formats",
     *(f"isd_gym/contrib/bench_files/{reader}" for reader in ("mat73", "tdms", "uff", "xlsx")),
-    # parts of a picture, which `rendering` puts together
-    *(
-        f"isd_gym/view/_rendering/{part}"
-        for part in ("canvas", "c", "panel", "quarter", "rigid", "road", "symbols", "wheel")
-    ),
 )
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -175,6 +170,8 @@ def faults_of_class(cls, source):
 def faults(path):
     """Return the faults of all public docstrings of a module, each with its place."""
     source = path.read_text(encoding="utf-8")
+    inside = path.relative_to(ROOT).with_suffix("").parts
+    private = any(part.startswith("_") and part != "__init__" for part in inside)
     out = []
 
     def visit(nodes, outer, cls, is_strict):
@@ -182,6 +179,8 @@ def faults(path):
             if isinstance(node, ast.If | ast.Try):
                 visit([*node.body, *node.orelse], outer, cls, is_strict)
             if not isinstance(node, Function | ast.ClassDef) or node.name.startswith("_"):
+                continue
+            if private and cls is None and not is_documented(path, node.name):
                 continue
             place = f"{outer}{node.name}"
             strict = is_strict or is_documented(path, node.name)

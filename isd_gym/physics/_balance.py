@@ -31,22 +31,14 @@ class Balance:
     """Laws at an instant, as functions of their forces: masses and massless damped nodes have not moved yet.
 
     Laws with memory are relaxed: a hysteresis, or dry friction at an algebraic node, carries no force.
-
-    Attributes:
-        laws: The laws.
-        elongation: Elongations without the forces of laws (laws,) [m].
-        rate: Rates without the forces of laws (laws,) [m/s].
-        by_elongation: Elongation of each law per force of each law (laws, laws) [m/N].
-        by_rate: Rate of each law per force of each law (laws, laws) [m/(N s)].
-        step: Physics step [s].
     """
 
-    laws: Sequence[el.Element]
-    elongation: Array
-    rate: Array
-    by_elongation: Array
-    by_rate: Array
-    step: float
+    laws: Sequence[el.Element]  # the laws
+    elongation: Array  # elongations without the forces of laws (laws,) [m]
+    rate: Array  # rates without the forces of laws (laws,) [m/s]
+    by_elongation: Array  # elongation of each law per force of each law (laws, laws) [m/N]
+    by_rate: Array  # rate of each law per force of each law (laws, laws) [m/(N s)]
+    step: float  # physics step [s]
 
     @cached_property
     def smooth(self) -> list[int]:

@@ -51,9 +51,6 @@ class Batch:
             list of roads.
         preview: Length of the road that is drawn ahead [s], rounded to control steps.
         extra: Further output channels.
-
-    Raises:
-        InputError: A value is invalid, or the network has logged channels or an unsupported drive.
     """
 
     def __init__(
@@ -294,12 +291,7 @@ class Batch:
     # ---------------------------------------------------------------------------------------- reset
 
     def reset(self, i: int, rng: np.random.Generator) -> None:
-        """Put a car at rest at the start of a new road.
-
-        Args:
-            i: Index of the car.
-            rng: Generator of the car, for all draws.
-        """
+        """Put a car at rest at the start of a new road."""
         if self._spread:
             self._redraw(i, rng)
         speed = self.speed
@@ -403,9 +395,6 @@ class Batch:
     def get_state(self, i: int) -> dict[str, Any]:
         """Return the state of a car and of the road that is drawn for it.
 
-        Args:
-            i: Index of the car.
-
         Returns:
             Arrays and numbers by name, for `set_state` of any batch with the same network and options.
         """
@@ -434,12 +423,7 @@ class Batch:
         }
 
     def set_state(self, i: int, state: Mapping[str, Any]) -> None:
-        """Put a car into a state of `get_state`.
-
-        Args:
-            i: Index of the car.
-            state: State of a car with the same network and options.
-        """
+        """Put a car into a state of `get_state`."""
         (group, lane), of, tracks = divmod(i, WIDTH), self.of, self.of.tracks
         if self._spread:
             self._build(i, {name: state["drawn"][name] for name in self._spread})
@@ -530,11 +514,7 @@ class Batch:
         return self._results[: self.of.broken, : self.count]
 
     def forget(self, which: np.ndarray | slice) -> None:
-        """Clear the results of restarted cars; arrays that were handed out stay unchanged.
-
-        Args:
-            which: Indices of the cars.
-        """
+        """Clear the results of restarted cars; arrays that were handed out stay unchanged."""
         results = self._results.copy()
         results[: self.of.broken, which] = 0.0
         self.out[:, which] = 0.0
@@ -583,18 +563,7 @@ LEAST_FACTOR = 0.01
 
 
 def posterior_ranges(network: Network, found: str | Path) -> dict[str, tuple[float, float]]:
-    """Return the 95 % intervals of the parameters that a diagnosis determined, as factors on their values.
-
-    Args:
-        network: The plant, which must have the values of the found model.
-        found: Folder of a diagnosis, or its `model.json`.
-
-    Returns:
-        Pair of factors by parameter path.
-
-    Raises:
-        InputError: The folder holds no model, the model states no uncertainty, or the plant is another one.
-    """
+    """Return the 95 % intervals of the parameters that a diagnosis determined, as factors on their values."""
     path = Path(found)
     path = path / "model.json" if path.is_dir() else path
     model = Network.load(path)
@@ -622,15 +591,8 @@ def posterior_ranges(network: Network, found: str | Path) -> dict[str, tuple[flo
 def with_found_ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
     """Return ranges of `randomize` with the intervals of a diagnosis in place of its folder.
 
-    Args:
-        network: The plant.
-        given: Ranges as `ranges` takes them.
-
     Returns:
         Ranges without the key 'found'.
-
-    Raises:
-        InputError: The folder holds no model for the plant (`posterior_ranges`).
     """
     out = {"found": given} if isinstance(given, str | Path) else dict(given or {})
     if "found" not in out:
@@ -649,12 +611,6 @@ def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> di
         given: Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' -> list
             of roads; 'found' -> folder of a diagnosis, whose intervals are ranges of parameters without an own
             entry. Or a folder alone. None for no ranges.
-
-    Returns:
-        The ranges, pairs of floats and a list of roads.
-
-    Raises:
-        InputError: A parameter does not exist, or a range is invalid.
     """
     known = network.parameters
     out: dict[str, Any] = {}
@@ -677,11 +633,7 @@ def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> di
 
 
 class Crew:
-    """Waiting threads for shares of a work; the calling thread takes the first share.
-
-    Args:
-        size: Number of shares.
-    """
+    """Waiting threads for shares of a work; the calling thread takes the first share."""
 
     def __init__(self, size: int) -> None:
         self.process = os.getpid()
@@ -691,18 +643,7 @@ class Crew:
             Thread(target=_work, args=(queue, self.done), daemon=True).start()
 
     def do(self, function: Callable[..., int], shares: Sequence[tuple[Any, ...]]) -> list[int]:
-        """Run a function on each share.
-
-        Args:
-            function: Function with an integer result.
-            shares: Arguments of the function, one tuple per thread.
-
-        Returns:
-            Results in the order of the shares.
-
-        Raises:
-            BaseException: Any error of the function in a thread.
-        """
+        """Run a function on each share."""
         for queue, share in zip(self.asked, shares[1:], strict=True):
             queue.put((function, share))
         results = [function(*shares[0])]

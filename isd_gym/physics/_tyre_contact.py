@@ -29,7 +29,7 @@ FREQUENCIES = np.geomspace(0.1, 100.0, 60)  # of the tyre load [Hz]; wheel hop i
 
 
 def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
-    """Return the share of the time in which the tyre that pulls most often has a negative total load.
+    """Return the share of the time in which the tyre that pulls most often has a negative total load; 0 for tyres that lift off.
 
     The load is normally distributed, with the variance of the linear car without friction and current. Fixed
     profiles are not counted.
@@ -38,12 +38,6 @@ def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
         car: The car.
         ground: The road.
         speed: Speed [m/s].
-
-    Returns:
-        Share from 0 to 1; 0 for tyres that lift off.
-
-    Raises:
-        InputError: The car has no linear state space.
     """
     if ground.roughness == 0.0:
         return 0.0

@@ -30,76 +30,42 @@ ROAD = "road_"  # prefix of the road inputs of cars with several corners
 
 
 class Signal(NamedTuple):
-    """A measured signal of a car.
+    """A measured signal of a car."""
 
-    Attributes:
-        name: Name, followed by the name of the corner.
-        unit: SI unit.
-        bound: Bound of its magnitude in an observation [unit].
-        kind: Name without the name of the corner.
-    """
-
-    name: str
-    unit: str
-    bound: float
-    kind: str
+    name: str  # name, followed by the name of the corner
+    unit: str  # SI unit
+    bound: float  # bound of its magnitude in an observation [unit]
+    kind: str  # name without the name of the corner
 
 
 @dataclass(frozen=True)
 class Corner:
-    """A wheel, its suspension and the road under the wheel.
+    """A wheel, its suspension and the road under the wheel."""
 
-    Attributes:
-        name: Name such as 'front' or 'rear_left'; '' in a quarter car.
-        body: Node of the body above the suspension.
-        wheel: Node of the wheel.
-        device: Nodes of the motor; body and wheel in a corner without a motor.
-        road: Node that the road moves.
-        road_input: Name of the road input.
-        motor: Name of the motor; None without a motor.
-        current_input: Name of the motor's input; None without a motor.
-        x: Distance in front of the centre of gravity [m].
-        y: Distance to the left of the centre of gravity [m].
-    """
-
-    name: str
-    body: str
-    wheel: str
-    device: tuple[str, str]
-    road: str
-    road_input: str
-    motor: str | None
-    current_input: str | None
-    x: float = 0.0
-    y: float = 0.0
+    name: str  # name such as 'front' or 'rear_left'; '' in a quarter car
+    body: str  # node of the body above the suspension
+    wheel: str  # node of the wheel
+    device: tuple[str, str]  # nodes of the motor; body and wheel in a corner without a motor
+    road: str  # node that the road moves
+    road_input: str  # name of the road input
+    motor: str | None  # name of the motor; None without a motor
+    current_input: str | None  # name of the motor's input; None without a motor
+    x: float = 0.0  # distance in front of the centre of gravity [m]
+    y: float = 0.0  # distance to the left of the centre of gravity [m]
 
     def named(self, signal: str) -> str:
-        """Return the name of a signal of this corner.
-
-        Args:
-            signal: Name of the signal, without the name of the corner.
-
-        Returns:
-            Name of the signal, followed by the name of the corner.
-        """
+        """Return the name of a signal of this corner."""
         return f"{signal}_{self.name}" if self.name else signal
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A network as a car.
+    """A network as a car."""
 
-    Attributes:
-        network: The network.
-        body: Node of the body, at its centre of gravity.
-        angles: Node of the body's angle by axis of rotation, 'pitch' before 'roll'.
-        corners: Corners in the order of the road inputs.
-    """
-
-    network: Network
-    body: str
-    angles: dict[str, str]
-    corners: tuple[Corner, ...]
+    network: Network  # the network
+    body: str  # node of the body, at its centre of gravity
+    angles: dict[str, str]  # node of the body's angle by axis of rotation, 'pitch' before 'roll'
+    corners: tuple[Corner, ...]  # corners in the order of the road inputs
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -108,11 +74,7 @@ class Vehicle:
 
     @cached_property
     def wheels(self) -> WheelPositions:
-        """Positions of the wheels, and with them the tracks of the road.
-
-        Raises:
-            InputError: The wheels run in more than two tracks.
-        """
+        """Positions of the wheels, and with them the tracks of the road."""
         return WheelPositions(tuple(c.x for c in self.corners), tuple(c.y for c in self.corners))
 
     @cached_property
@@ -164,9 +126,6 @@ class Vehicle:
     def thrust(self, corner: Corner) -> float:
         """Return the thrust of a corner's motor at its terminals per current.
 
-        Args:
-            corner: One of `corners`.
-
         Returns:
             Thrust constant [N/A]; 0 without a motor.
         """
@@ -197,9 +156,6 @@ class Vehicle:
 
         The shares balance the weight about the centre of gravity. For more than three corners, the shares are
         the most even ones (least sum of squares).
-
-        Raises:
-            InputError: The body would tip over: a corner would have to pull.
         """
         mass = self.network.carried[self.body]
         rows = np.array([self.arms(c.x, c.y) for c in self.corners]).T
@@ -233,12 +189,6 @@ class Vehicle:
 
         If the inertias are those of masses at the corners, such as a pitch inertia of m a b, the corner moves
         exactly like this quarter car.
-
-        Args:
-            corner: One of `corners`.
-
-        Returns:
-            Network of the quarter car.
         """
         network = self.network
         if not network.bodies:
@@ -283,12 +233,6 @@ class Vehicle:
 
         A node of a corner is measured from the road of the corner, a node of the body from the mean of all
         roads.
-
-        Args:
-            channel: Channel `at` a node.
-
-        Returns:
-            Share of the height under each corner, of sum 1.
         """
         count = len(self.corners)
         if channel.quantity != "displacement" or channel.at in self.angles.values():
@@ -303,17 +247,7 @@ class Vehicle:
 
 
 def vehicle(network: Network) -> Vehicle:
-    """Return a network as a car.
-
-    Args:
-        network: Network with a body, and a wheel on each road input.
-
-    Returns:
-        The car.
-
-    Raises:
-        InputError: The network is no car, or a corner has several motors.
-    """
+    """Return a network as a car."""
     if network.bodies:
         return _with_body(network)
     masses = list(network.masses)
@@ -426,29 +360,15 @@ def _nearest(
 def kind(network: Network) -> str:
     """Return the kind of a car.
 
-    Args:
-        network: Network of a car.
-
     Returns:
         'quarter car', 'half car', 'full car' or 'car with 3 corners'.
-
-    Raises:
-        InputError: The network is no car.
     """
     corners = len(vehicle(network).corners)
     return {1: "quarter car", 2: "half car", 4: "full car"}.get(corners, f"car with {corners} corners")
 
 
 def require_quarter_car(network: Network, what: str) -> None:
-    """Check that a network is a quarter car.
-
-    Args:
-        network: Network of a car.
-        what: Start of the message: "'lqg' is a policy".
-
-    Raises:
-        InputError: The network is no car, or has several corners.
-    """
+    """Check that a network is a quarter car."""
     found = kind(network)
     if found != "quarter car":
         raise InputError(
@@ -457,14 +377,7 @@ def require_quarter_car(network: Network, what: str) -> None:
 
 
 def state_channels(network: Network) -> list[Channel]:
-    """Return displacement and velocity of every free node, for the full observation and for pictures.
-
-    Args:
-        network: The network.
-
-    Returns:
-        Channels.
-    """
+    """Return displacement and velocity of every free node, for the full observation and for pictures."""
     points = {p.name for body in network.bodies for p in body.points}  # points follow the body
     out = []
     for node in network.nodes:

@@ -87,12 +87,7 @@ class Road:
     shift: bool = False
 
     def __post_init__(self) -> None:
-        """Check the numbers, and the shape of the profile.
-
-        Raises:
-            InputError: A number is not finite or implausible, profile and abscissa do not fit, or the profile has
-                more than two tracks.
-        """
+        """Check the numbers, and the shape of the profile."""
         for name, value, most in (
             ("roughness", self.roughness, ROUGHEST),
             ("cutoff", self.cutoff, LARGEST_CUTOFF),

@@ -53,22 +53,15 @@ class _Discrete:
 
     The state at the end of a step is A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), with the
     laws f in the order of the assembly.
-
-    Attributes:
-        blocks: Matrices A, U0, U1, B, G0 and G1.
-        outputs: Matrices of the outputs, for x, u, c and the forces of the laws.
-        yields: Elongations [m/N] and rates [m/(s N)] of the laws per force, in the order of the kernel.
-        numbers: Pool of numbers, without the laws' parameters if each lane has its own (`layout`).
-        ints: Integers of the kernel (`layout`).
-        order: Index of each law in the assembly.
     """
 
-    blocks: tuple[np.ndarray, ...]
-    outputs: tuple[np.ndarray, ...]
+    blocks: tuple[np.ndarray, ...]  # matrices A, U0, U1, B, G0 and G1
+    outputs: tuple[np.ndarray, ...]  # matrices of the outputs, for x, u, c and the forces of the laws
+    #: elongations [m/N] and rates [m/(s N)] of the laws per force, in the order of the kernel
     yields: tuple[np.ndarray, np.ndarray]
-    numbers: np.ndarray
-    ints: np.ndarray
-    order: tuple[int, ...]
+    numbers: np.ndarray  # pool of numbers, without the laws' parameters if each lane has its own (`layout`)
+    ints: np.ndarray  # integers of the kernel (`layout`)
+    order: tuple[int, ...]  # index of each law in the assembly
 
     @property
     def layout(self) -> Layout:
@@ -76,11 +69,7 @@ class _Discrete:
         return layout(self.ints.tolist())
 
     def structure(self) -> tuple[int, ...]:
-        """Return the part of the integers that all lanes of a plant share: sizes and codes, without the way through a step.
-
-        Returns:
-            Integers.
-        """
+        """Return the part of the integers that all lanes of a plant share: sizes and codes, without the way through a step."""
         return tuple(np.delete(self.ints, WAY).tolist())
 
 
@@ -290,15 +279,7 @@ def _closed_form(
 
 
 def _with_laws(part: _Discrete, laws: Sequence[el.Element]) -> _Discrete:
-    """Return a discrete network with other parameters of its laws; the linear part is unchanged.
-
-    Args:
-        part: The discrete network.
-        laws: Laws in the order of the assembly.
-
-    Returns:
-        The changed network.
-    """
+    """Return a discrete network with other parameters of its laws; the linear part is unchanged."""
     at = part.layout
     way, of_laws, parameters = _law_numbers(
         [laws[i] for i in part.order], at.smooth, *part.yields, bool(at.differ), bool(at.instant)

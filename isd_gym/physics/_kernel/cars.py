@@ -81,9 +81,6 @@ def drive(
         room: Memory for the inputs of a control step.
         begin: First group.
         stop: End of the groups (exclusive).
-
-    Returns:
-        Number of cars that broke.
     """
     at = layout(ints)
     setup = ints[at.differs + at.laws :]

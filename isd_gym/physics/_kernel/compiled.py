@@ -41,24 +41,13 @@ def _laws() -> tuple[list[type[el.Element]], list[type[el.Element]]]:
 
 
 def law_code(cls: type[el.Element]) -> int:
-    """Return the code of an element's law in the kernel.
-
-    Args:
-        cls: Class of the element.
-
-    Returns:
-        Code >= 0 of a smooth law, or < 0 of a set-valued law.
-    """
+    """Return the code of an element's law in the kernel."""
     smooth, dry = _laws()
     return smooth.index(cls) if cls.law is not None else -1 - dry.index(cls)
 
 
 def stamp() -> int:
-    """Return a number that changes with the code of the kernel and the laws.
-
-    Returns:
-        48-bit integer.
-    """
+    """Return a number that changes with the code of the kernel and the laws."""
     smooth, dry = _laws()
     return _stamp_of((*((c.type, c.law) for c in smooth), *((c.type, c.bound) for c in dry)))
 
@@ -77,19 +66,12 @@ def _stamp_of(registered: tuple[tuple[str, Any], ...]) -> int:
 
 
 class Kernel(NamedTuple):
-    """Compiled functions.
+    """Compiled functions."""
 
-    Attributes:
-        advance: See `steps.advance`.
-        measure: See `steps.measure`.
-        record: See `steps.record`.
-        drive: See `cars.drive`.
-    """
-
-    advance: Callable[..., Any]
-    measure: Callable[..., Any]
-    record: Callable[..., Any]
-    drive: Callable[..., Any]
+    advance: Callable[..., Any]  # see `steps.advance`
+    measure: Callable[..., Any]  # see `steps.measure`
+    record: Callable[..., Any]  # see `steps.record`
+    drive: Callable[..., Any]  # see `cars.drive`
 
 
 _CLOSED = (layout.layout, linear.sums, linear.pooled, linear.number, linear.clip, linear.take)
@@ -197,29 +179,11 @@ def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kerne
 
 
 def kernel(with_laws: bool = True, several: bool = False, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
-    """Return the compiled kernel.
-
-    Args:
-        with_laws: Whether the kernel has every registered law; without laws, it serves networks of the way
-            `CONTACT`.
-        several: Whether the kernel without laws serves networks with several devices.
-        car: Sizes of the cars for which `drive` is compiled.
-
-    Returns:
-        The compiled functions.
-    """
+    """Return the compiled kernel."""
     return _bind(stamp(), with_laws, several, car)
 
 
 def kernel_of(at: layout.Layout, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
-    """Return the compiled kernel for networks of a layout.
-
-    Args:
-        at: Layout of the networks.
-        car: Sizes of the cars for which `drive` is compiled.
-
-    Returns:
-        The compiled functions.
-    """
+    """Return the compiled kernel for networks of a layout."""
     closed = at.way == layout.CONTACT
     return kernel(not closed, closed and at.devices > 1, car)

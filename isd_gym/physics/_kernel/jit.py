@@ -88,14 +88,7 @@ def compile_seconds() -> float:
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles a function with numba and keeps the result on disk.
-
-    Args:
-        options: Options of `numba.njit`.
-
-    Returns:
-        The decorator.
-    """
+    """Return a decorator that compiles a function with numba and keeps the result on disk."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         made = nb.njit(function, **options)
@@ -107,11 +100,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def check_compiler() -> None:
-    """Check that numba compiles.
-
-    Raises:
-        InputError: The environment variable NUMBA_DISABLE_JIT is set.
-    """
+    """Check that numba compiles."""
     if nb.config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise InputError(
             "NUMBA_DISABLE_JIT is set, but the kernel runs only compiled: unset NUMBA_DISABLE_JIT"

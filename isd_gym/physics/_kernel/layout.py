@@ -56,18 +56,15 @@ REWARD = 0  # first row of `results`
 
 
 class CarSize(NamedTuple):
-    """Numbers of parts of a car.
+    """Numbers of parts of a car."""
 
-    Attributes:
-        accelerations: Measured accelerations of the body: vertical, pitch, roll.
-        corners: Corners, each with a wheel and a suspension.
-        currents: Commanded currents.
-        tracks: Tracks of the road, 1 or 2.
-    """
-
+    #: measured accelerations of the body: vertical, pitch, roll
     accelerations: int  # motions of the body that are measured: vertical, pitch, roll
+    #: corners, each with a wheel and a suspension
     corners: int  # wheels, each with a suspension of its own
+    #: commanded currents
     currents: int  # that are commanded
+    #: tracks of the road, 1 or 2
     tracks: int  # of the road, 1 or 2
 
     @property
@@ -136,14 +133,7 @@ class CarsLayout(NamedTuple):
 
 
 def cars_layout(size: CarSize) -> CarsLayout:
-    """Return the places of the numbers of cars.
-
-    Args:
-        size: Numbers of parts of a car.
-
-    Returns:
-        The places.
-    """
+    """Return the places of the numbers of cars."""
     na, corners, nc, tracks = size
     filters = size.filters
     track = TABLES + 3 * corners
@@ -230,14 +220,7 @@ class Layout(NamedTuple):
 
 
 def layout(ints: Any) -> Layout:
-    """Return the layout of `ints`; also called in compiled code.
-
-    Args:
-        ints: Integers of a plant.
-
-    Returns:
-        The layout.
-    """
+    """Return the layout of `ints`; also called in compiled code."""
     n, m, nc, nl, ns = ints[STATES], ints[INPUTS], ints[CURRENTS], ints[LAWS], ints[SMOOTH]
     rows, columns, differ, parameters, instant = (
         ints[ROWS], ints[COLUMNS], ints[DIFFER], ints[PARAMETERS], ints[INSTANT],
@@ -272,14 +255,7 @@ def layout(ints: Any) -> Layout:
 
 
 def aligned(*shape: int) -> np.ndarray:
-    """Return zeros that are aligned for eight lanes, which doubles the speed of memory access.
-
-    Args:
-        shape: Shape of the array.
-
-    Returns:
-        Array of zeros.
-    """
+    """Return zeros that are aligned for eight lanes, which doubles the speed of memory access."""
     count = int(np.prod(shape))
     raw = np.zeros(count + WIDTH)
     skip = -(raw.ctypes.data // raw.itemsize) % WIDTH

@@ -20,9 +20,6 @@ def track_noise(seed_sum, seed_difference, poles, gains, split, states, out):
         split: Number of sections of the sum; the others belong to the difference.
         states: States of the sections [m] (n,), continued in place.
         out: Heights of the left and the right track [m] (2, count), filled.
-
-    Returns:
-        The two counters after the draws, uint64.
     """
     count = out.shape[1]
     seed_sum = road_noise(seed_sum, 1.0, 0.0, 0.0, out[0])  # unit variance, replaced by heights below

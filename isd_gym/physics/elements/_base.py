@@ -620,12 +620,7 @@ def beside(network: Network, where: tuple[str, ...]) -> list[Element]:
 
 
 def held_by_parameter(network: Network, where: tuple[str, ...]) -> bool:
-    """Return whether a place is between the ground and a mass of uncertain size.
-
-    Args:
-        network: The model.
-        where: Two nodes.
-    """
+    """Return whether a place is between the ground and a mass of uncertain size."""
     node = next((n for n in where if n != GROUND), GROUND)
     return (
         GROUND in where
@@ -637,10 +632,6 @@ def held_by_parameter(network: Network, where: tuple[str, ...]) -> bool:
 def held_still(network: Network, where: tuple[str, ...]) -> bool:
     """Return whether springs hold both terminals to the ground or to a moved node; a constant force then only
     shifts the rest position.
-
-    Args:
-        network: The model.
-        where: Two nodes.
     """
     held = {GROUND, *network.moved_nodes}
     bodies = [(set(b.nodes), {p.name for p in b.points}, 1 + len(b.angles)) for b in network.bodies]
@@ -656,12 +647,7 @@ def held_still(network: Network, where: tuple[str, ...]) -> bool:
 
 
 def driven_motor(network: Network, where: tuple[str, ...]) -> bool:
-    """Return whether an input commands the current of a motor.
-
-    Args:
-        network: The model.
-        where: The motor.
-    """
+    """Return whether an input commands the current of a motor."""
     return any(c.quantity == "current" and c.element == where[0] for c in network.inputs)
 
 

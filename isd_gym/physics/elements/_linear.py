@@ -155,11 +155,6 @@ class Motor(Element):
 
 
 def is_device(network: Network, where: tuple[str, ...]) -> bool:
-    """Return whether a motor or an inerter is between two nodes; in a network without any, every connected pair is a device.
-
-    Args:
-        network: The model.
-        where: Two nodes.
-    """
+    """Return whether a motor or an inerter is between two nodes; in a network without any, every connected pair is a device."""
     devices = {frozenset(e.where) for e in network.elements if isinstance(e, Motor | Inertance)}
     return frozenset(where) in devices if devices else bool(beside(network, where))

@@ -54,15 +54,7 @@ def _force(cls: type[Element], values: Mapping[str, float], at: Setting) -> Arra
 
 
 def generic_starts(cls: type[Element], at: Setting) -> list[Start]:
-    """Return start values for a law, scaled by the motion and force of the data.
-
-    Args:
-        cls: Class of the element.
-        at: Place and scales of the data.
-
-    Returns:
-        Start values, best guesses first.
-    """
+    """Return start values for a law, scaled by the motion and force of the data."""
     free = [f for f in parameter_fields(cls) if not f.metadata["fixed"]]
     if at.motion is None:  # an effect at a motor or a channel has no size before the fit
         middle = {f.name: _values_of(f, None)[0] for f in free}

@@ -27,14 +27,7 @@ FINER = 8  # linear pieces between two knots of a smooth table
 
 
 def knots(unit: str) -> Any:
-    """Define an axis or the values of a table; empty by default.
-
-    Args:
-        unit: Unit of the numbers.
-
-    Returns:
-        A dataclass field.
-    """
+    """Define an axis or the values of a table; empty by default."""
     from dataclasses import field
 
     return field(default=(), metadata={"knots": unit})

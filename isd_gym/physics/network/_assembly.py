@@ -167,9 +167,6 @@ def _schedule(
     """Give laws that read a logged channel the value of the channel instead of the elongation.
 
     Logged channels follow the currents in the base vector.
-
-    Raises:
-        InputError: The rate of such a law, or of a law that reads a load, is a difference of elongations.
     """
     currents = sum(c.quantity == "current" for c in network.inputs)
     logged = [c.name for c in network.inputs if c.quantity == "condition"]

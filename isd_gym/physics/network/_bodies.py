@@ -202,18 +202,7 @@ class Lever:
 
 
 def body_of(name: str, data: Mapping[str, Any]) -> Body:
-    """Return the body of an entry of a model file whose keys are valid.
-
-    Args:
-        name: Name of the body.
-        data: Entry with 'mass', 'inertia' (by axis) and 'points' (by name, with 'x' and 'y').
-
-    Returns:
-        The body.
-
-    Raises:
-        InputError: A value is not a number, or is outside its limits.
-    """
+    """Return the body of an entry of a model file whose keys are valid."""
     inertia = data.get("inertia", {})
     points = tuple(Point(p, at.get("x", 0.0), at.get("y", 0.0)) for p, at in data.get("points", {}).items())
     return Body(name, data["mass"], inertia.get("pitch"), inertia.get("roll"), points)

@@ -24,19 +24,12 @@ NOTHING = 1e-12  # share of the largest coefficient of a constraint below which 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Coordinates in the order of all matrices (free, then moved), and nodes as rows over the coordinates.
+    """Coordinates in the order of all matrices (free, then moved), and nodes as rows over the coordinates."""
 
-    Attributes:
-        nodes: All nodes of the network except the ground, in the order of `Network.nodes`.
-        free: Coordinates that no input moves.
-        moved: Nodes that inputs move.
-        dependent: Row over the coordinates of every node that is not a coordinate.
-    """
-
-    nodes: tuple[str, ...]
-    free: tuple[str, ...]
-    moved: tuple[str, ...]
-    dependent: dict[str, np.ndarray]
+    nodes: tuple[str, ...]  # all nodes of the network except the ground, in the order of `Network.nodes`
+    free: tuple[str, ...]  # coordinates that no input moves
+    moved: tuple[str, ...]  # nodes that inputs move
+    dependent: dict[str, np.ndarray]  # row over the coordinates of every node that is not a coordinate
 
     @property
     def count(self) -> int:
@@ -51,9 +44,6 @@ class Coordinates:
     def row(self, node: str) -> np.ndarray:
         """Return the motion of a node as a row over the coordinates.
 
-        Args:
-            node: Name of the node.
-
         Returns:
             Row (coordinates,); zeros for the ground.
         """
@@ -61,9 +51,6 @@ class Coordinates:
 
     def incidence(self, pair: tuple[str, str]) -> np.ndarray:
         """Return the distance between two nodes, first minus second, as a row over the coordinates.
-
-        Args:
-            pair: Two nodes; either may be the ground.
 
         Returns:
             Row (coordinates,).
@@ -91,17 +78,7 @@ class Coordinates:
 
 
 def coordinates(network: Network) -> Coordinates:
-    """Return the generalized coordinates of a network.
-
-    Args:
-        network: The model.
-
-    Returns:
-        The coordinates.
-
-    Raises:
-        InputError: Levers, bodies and moved nodes contradict or repeat one another.
-    """
+    """Return the generalized coordinates of a network."""
     moved = network.moved_nodes
     if not network.bodies and not network.levers:
         return Coordinates(network.nodes, tuple(n for n in network.nodes if n not in moved), moved, {})
@@ -147,15 +124,7 @@ class _Elimination:
         }
 
     def impose(self, constraint: dict[str, float], where: str) -> None:
-        """Eliminate a node by a constraint: the sum of coefficient times node is zero.
-
-        Args:
-            constraint: Coefficient by node.
-            where: Name of the constraint, for messages.
-
-        Raises:
-            InputError: The constraint leaves nothing to eliminate.
-        """
+        """Eliminate a node by a constraint: the sum of coefficient times node is zero."""
         full = np.zeros(len(self.names))
         for node, coefficient in constraint.items():
             full[self.index[node]] = coefficient

@@ -85,14 +85,7 @@ def cut(network: Network, node: str) -> Network:
 
 
 def cut_nodes(network: Network) -> list[str]:
-    """Return the nodes at which a model can be cut.
-
-    Args:
-        network: The model.
-
-    Returns:
-        Names of nodes.
-    """
+    """Return the nodes at which a model can be cut."""
     places = []
     for node in dict.fromkeys(c.at for c in network.outputs if c.at is not None and c.quantity in MOTIONS):
         try:

@@ -38,17 +38,7 @@ def builtin_networks() -> list[str]:
 
 
 def read(source: str | Path | Mapping[str, Any]) -> Network:
-    """Read a model.
-
-    Args:
-        source: Name of a built-in model ('quarter-car-isd'), a JSON file, or the content of a file.
-
-    Returns:
-        The model.
-
-    Raises:
-        InputError: The file cannot be read, or an entry is invalid.
-    """
+    """Read a model."""
     if isinstance(source, Mapping):
         return from_dict(source)
     text_name = str(source)
@@ -78,17 +68,7 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
 
 
 def from_dict(data: Any) -> Network:
-    """Return the model of a JSON object.
-
-    Args:
-        data: Content of a model file (`isd-model/1`).
-
-    Returns:
-        The model.
-
-    Raises:
-        InputError: An entry is invalid; the message names the entry.
-    """
+    """Return the model of a JSON object."""
     known = {
         "schema",
         "name",
@@ -137,9 +117,6 @@ def from_dict(data: Any) -> Network:
 def to_dict(network: Network) -> dict[str, Any]:
     """Return the JSON object of a model.
 
-    Args:
-        network: The model.
-
     Returns:
         Plain data (`isd-model/1`).
     """
@@ -162,14 +139,7 @@ def to_dict(network: Network) -> dict[str, Any]:
 
 
 def dumps(network: Network) -> str:
-    """Return a model as JSON text, one element or channel per line.
-
-    Args:
-        network: The model.
-
-    Returns:
-        Text of a model file.
-    """
+    """Return a model as JSON text, one element or channel per line."""
     lines = []
     for key, value in to_dict(network).items():
         if isinstance(value, list):
@@ -247,18 +217,7 @@ def _read_lever(data: Any, index: int) -> Lever:
 
 
 def read_element(data: Any, index: int) -> el.Element:
-    """Return an element of a model file.
-
-    Args:
-        data: Entry of the element.
-        index: Index of the entry, for messages.
-
-    Returns:
-        The element.
-
-    Raises:
-        InputError: The type is unknown, or a key is unknown, missing or invalid.
-    """
+    """Return an element of a model file."""
     name = _name_of(data, "elements", index)
     where = f"element '{name}'"
     kind = data.get("type")
@@ -287,12 +246,6 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         data: Entry of the channel.
         kind: 'inputs' or 'outputs'.
         index: Index of the entry, for messages.
-
-    Returns:
-        The channel.
-
-    Raises:
-        InputError: A key is unknown, missing or invalid.
     """
     name = _name_of(data, kind, index)
     where = f"{kind[:-1]} '{name}'"
@@ -371,11 +324,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
 
 
 def _axis_of(data: Mapping[str, Any], quantity: str, where: str) -> tuple[str, str]:
-    """Return the node that is the angle of a body about an axis, and the axis.
-
-    Raises:
-        InputError: "body" or "axis" is missing, or the quantity is no rotation.
-    """
+    """Return the node that is the angle of a body about an axis, and the axis."""
     body, axis = data.get("body"), data.get("axis")
     if not isinstance(body, str) or axis not in AXES:
         raise InputError(

@@ -17,15 +17,8 @@ if TYPE_CHECKING:
 def frames(network: Network) -> dict[str, int]:
     """Return the free nodes that are described in the frame of a moved node.
 
-    Args:
-        network: The model.
-
     Returns:
         Index of the input in `Network.moving`, by free node.
-
-    Raises:
-        InputError: A part of the network has a node that is moved by its velocity or acceleration, and
-            another moved node.
     """
     out: dict[str, int] = {}
     for j, c in enumerate(network.moving):
@@ -51,10 +44,6 @@ def frames(network: Network) -> dict[str, int]:
 def order_told(network: Network, pair: tuple[str, str]) -> int:
     """Return the lowest derivative of the distance between two nodes that the inputs determine.
 
-    Args:
-        network: The model.
-        pair: Two nodes; either may be the ground.
-
     Returns:
         0 for a known distance; 1 for a known rate only (a node moved by its velocity, relative to the
             ground); 2 for a known acceleration only.
@@ -70,10 +59,6 @@ def order_told(network: Network, pair: tuple[str, str]) -> int:
 def unknown(network: Network, spans: Mapping[str, slice]) -> list[tuple[int, str]]:
     """Return the columns of the base vector that no input determines, with the quantity of each.
 
-    Args:
-        network: The model.
-        spans: Slices of the base vector by part.
-
     Returns:
         Column and 'displacement' or 'velocity'.
     """
@@ -85,19 +70,7 @@ def unknown(network: Network, spans: Mapping[str, slice]) -> list[tuple[int, str
 def complete(
     network: Network, unknown: Sequence[tuple[int, str]], rate: Any, d: Any, v: Any, outputs: Sequence[Any]
 ) -> None:
-    """Check that equations and outputs do not need the unknown position or velocity of a moved node.
-
-    Args:
-        network: The model.
-        unknown: Unknown columns of the base vector, with the quantity of each.
-        rate: Rows of the state derivatives.
-        d: Rows of the elongations of laws.
-        v: Rows of the rates of elongation of laws.
-        outputs: Rows of the outputs.
-
-    Raises:
-        InputError: An equation or an output needs an unknown quantity.
-    """
+    """Check that equations and outputs do not need the unknown position or velocity of a moved node."""
     moving = [c for c in network.moving if c.quantity != "displacement"]
 
     def first(rows: Any) -> tuple[int, str] | None:

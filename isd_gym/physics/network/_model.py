@@ -29,18 +29,7 @@ Offset = Literal["free", "record"]
 
 
 def check_name(name: Any, what: str) -> str:
-    """Return a name that is valid for a node, an element or a channel.
-
-    Args:
-        name: The name.
-        what: Description of its place, for messages.
-
-    Returns:
-        The name.
-
-    Raises:
-        InputError: The name is no text, too long, or has control characters.
-    """
+    """Return a name that is valid for a node, an element or a channel."""
     if not isinstance(name, str) or not 0 < len(name) <= NAME_LENGTH or not harmless(name):
         raise InputError(
             f"{what}: {shown(name)} cannot be a name (1 to {NAME_LENGTH} characters, without control characters)"

@@ -22,9 +22,6 @@ def bearable(size: float, limit: float) -> None:
     Args:
         size: Memory [bytes].
         limit: Largest memory [bytes].
-
-    Raises:
-        TooLarge: The file needs more.
     """
     if size > limit:
         raise TooLarge(int(size))

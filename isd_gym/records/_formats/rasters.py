@@ -29,9 +29,6 @@ def joined(found, axis, resample):
         found: Stamps [s] and values by channel.
         axis: Name of the time column.
         resample: Interpolate channels linearly to the finest raster.
-
-    Raises:
-        Refused: The channels are on different rasters, and `resample` is False.
     """
     import numpy as np
 

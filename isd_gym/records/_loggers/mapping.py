@@ -36,30 +36,17 @@ JOIN = "+"  # separator between the files of a run
 
 @dataclass(frozen=True)
 class Column:
-    """Column of a channel.
+    """Column of a channel."""
 
-    Attributes:
-        column: Name of the column.
-        logger: Number of the logger, from 1.
-        unit: Unit of the column; None for the unit in the file.
-        sign: Factor 1 or -1.
-        sure: Probability of the match, from 0 to 1; None if unknown.
-        why: Reasons for the match.
-    """
-
-    column: str
-    logger: int = 1
-    unit: str | None = None
-    sign: int = 1
-    sure: float | None = None
-    why: str = ""
+    column: str  # name of the column
+    logger: int = 1  # number of the logger, from 1
+    unit: str | None = None  # unit of the column; None for the unit in the file
+    sign: int = 1  # factor 1 or -1
+    sure: float | None = None  # probability of the match, from 0 to 1; None if unknown
+    why: str = ""  # reasons for the match
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the column as an object of a map file.
-
-        Returns:
-            Plain data.
-        """
+        """Return the column as an object of a map file."""
         out: dict[str, Any] = {"logger": self.logger, "column": self.column}
         if self.unit:
             out["unit"] = self.unit
@@ -72,30 +59,18 @@ class Column:
 
 @dataclass(frozen=True)
 class Logger:
-    """A logger.
+    """A logger."""
 
-    Attributes:
-        file: Name of its file, for people.
-        stamp: Column of the time stamps; None to detect the column.
-        unit: Unit of the time stamps; None for the unit in the file, otherwise s.
-        lag: Delay of the time stamps [s]; None if unknown.
-        columns: Names of the columns of a file without a header row.
-        rate: Sampling rate of a file without time stamps [Hz]; None for a file with time stamps.
-    """
-
-    file: str = ""
-    stamp: str | None = None
-    unit: str | None = None
-    lag: float | None = None
-    columns: tuple[str, ...] = ()
+    file: str = ""  # name of its file, for people
+    stamp: str | None = None  # column of the time stamps; None to detect the column
+    unit: str | None = None  # unit of the time stamps; None for the unit in the file, otherwise s
+    lag: float | None = None  # delay of the time stamps [s]; None if unknown
+    columns: tuple[str, ...] = ()  # names of the columns of a file without a header row
+    #: sampling rate of a file without time stamps [Hz]; None for a file with time stamps
     rate: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the logger as an object of a map file.
-
-        Returns:
-            Plain data.
-        """
+        """Return the logger as an object of a map file."""
         out: dict[str, Any] = {"file": self.file}
         stamps = {k: v for k, v in (("column", self.stamp), ("unit", self.unit), ("rate", self.rate)) if v}
         if self.columns:
@@ -105,49 +80,21 @@ class Logger:
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Columns of the channels of a model, as `isd-gym inspect` suggests and `--map` reads.
+    """Columns of the channels of a model, as `isd-gym inspect` suggests and `--map` reads."""
 
-    Attributes:
-        channels: Column by channel.
-        loggers: Loggers, in the order of a run's files.
-        model: File of the model.
-        source: File of the map, for messages.
-    """
-
-    channels: Dict[str, Column]
-    loggers: tuple[Logger, ...] = ()
-    model: str = ""
-    source: str = "the map"
+    channels: Dict[str, Column]  # column by channel
+    loggers: tuple[Logger, ...] = ()  # loggers, in the order of a run's files
+    model: str = ""  # file of the model
+    source: str = "the map"  # file of the map, for messages
 
     @classmethod
     def load(cls, path: str | Path) -> ChannelMap:
-        """Read a map file.
-
-        Args:
-            path: The file.
-
-        Returns:
-            The map.
-
-        Raises:
-            InputError: The file cannot be read or has an invalid entry; the message names the entry.
-        """
+        """Read a map file."""
         return cls.from_dict(read_json(path), str(path))
 
     @classmethod
     def from_dict(cls, data: Any, source: str = "the map") -> ChannelMap:
-        """Return a map from the content of a map file.
-
-        Args:
-            data: Plain data.
-            source: Origin, for messages.
-
-        Returns:
-            The map.
-
-        Raises:
-            InputError: An entry is invalid; the message names the entry.
-        """
+        """Return a map from the content of a map file."""
         check(data, SCHEMA, source)
         loggers = []
         for row in data.get("loggers", ()):
@@ -175,11 +122,7 @@ class ChannelMap:
         return cls(channels, tuple(loggers), data.get("model", ""), source)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content of the map file (`isd-map/1`).
-
-        Returns:
-            Plain data.
-        """
+        """Return the content of the map file (`isd-map/1`)."""
         return {
             "schema": SCHEMA,
             "model": self.model,
@@ -188,14 +131,7 @@ class ChannelMap:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the map file atomically, one channel per line.
-
-        Args:
-            path: File to write.
-
-        Raises:
-            InputError: The file cannot be written.
-        """
+        """Write the map file atomically, one channel per line."""
         loggers = ",\n  ".join(json.dumps(x.to_dict(), ensure_ascii=False) for x in self.loggers)
         channels = ",\n".join(
             f"  {json.dumps(n, ensure_ascii=False)}: {json.dumps(c.to_dict(), ensure_ascii=False)}"
@@ -206,14 +142,7 @@ class ChannelMap:
         write_text(path, text)
 
     def check(self, network: Network) -> None:
-        """Check that the model has all channels of the map.
-
-        Args:
-            network: The model.
-
-        Raises:
-            InputError: A channel is unknown.
-        """
+        """Check that the model has all channels of the map."""
         known = [c.name for c in (*network.inputs, *network.outputs)]
         for name in self.channels:
             if name not in known:
@@ -222,17 +151,7 @@ class ChannelMap:
                 )
 
     def measured(self, network: Network) -> Network:
-        """Return the model with only the outputs that the map has columns for.
-
-        Args:
-            network: The model.
-
-        Returns:
-            The model with fewer outputs.
-
-        Raises:
-            InputError: The map has a channel that the model lacks, or no output.
-        """
+        """Return the model with only the outputs that the map has columns for."""
         self.check(network)
         found = network.with_outputs(self.channels)
         if not found.outputs:
@@ -246,18 +165,7 @@ class ChannelMap:
 
 
 def files_of(text: str | Path) -> list[Path]:
-    """Return the files of one run.
-
-    Args:
-        text: One file, or several files as ``body.csv+wheel.mf4``. The name of an existing file may contain
-            the separator.
-
-    Returns:
-        Paths in the given order.
-
-    Raises:
-        InputError: A file is named twice.
-    """
+    """Return the files of one run."""
     whole = Path(text)
     if JOIN not in str(text) or whole.exists():
         return [whole]
@@ -269,17 +177,11 @@ def files_of(text: str | Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Named:
-    """Columns of channels without a map.
+    """Columns of channels without a map."""
 
-    Attributes:
-        columns: Column by channel, for columns with another name than the channel.
-        units: Unit by channel or by column.
-        signs: Factor 1 or -1 by channel or by column.
-    """
-
-    columns: Dict[str, str]
-    units: Dict[str, str]
-    signs: Dict[str, int]
+    columns: Dict[str, str]  # column by channel, for columns with another name than the channel
+    units: Dict[str, str]  # unit by channel or by column
+    signs: Dict[str, int]  # factor 1 or -1 by channel or by column
 
 
 def runs(
@@ -308,13 +210,6 @@ def runs(
         columns: Names for files without a header row, unless the map has names.
         rate: Sampling rate of files without time stamps [Hz], unless the map has a rate.
         signs: Factor 1 or -1 by channel or by column.
-
-    Returns:
-        Pieces of each run, in order of time.
-
-    Raises:
-        InputError: A column is missing, stamps overlap or run backwards, the loggers have no common time, or
-            all pieces are too short.
     """
     files = files_of(text)
     loggers = by.loggers if by else ()

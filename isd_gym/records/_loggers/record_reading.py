@@ -46,13 +46,6 @@ def records_of(
         columns: Names for files without a header row.
         rate: Sampling rate of files without time stamps [Hz].
         signs: Factor 1 or -1 by channel or by column.
-
-    Returns:
-        Tables or recordings.
-
-    Raises:
-        InputError: A file cannot be read, or lacks a channel; or a unit or a sign is given for a column that no
-            channel is read from.
     """
     files = files_of(path)
     sources = {n: c for c, n in (rename or {}).items()}
@@ -123,12 +116,6 @@ def outputs_of(
         rename: Column -> channel.
         columns: Names for files without a header row.
         rate: Sampling rate of files without time stamps [Hz].
-
-    Returns:
-        Names of outputs, in the order of the model.
-
-    Raises:
-        InputError: A file cannot be read.
     """
     names = dict(rename or {})
     there = set(by.channels if by else ())
@@ -141,19 +128,7 @@ def outputs_of(
 
 
 def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
-    """Return the road that a logger measured during a drive: the column of the input that moves the model.
-
-    Args:
-        path: The file of the logger with the road, or the files of all loggers.
-        network: The model.
-        by: Columns of the channels.
-
-    Returns:
-        Road height over time.
-
-    Raises:
-        InputError: The model has no single road, the map has no column for the road, or the stamps have gaps.
-    """
+    """Return the road that a logger measured during a drive: the column of the input that moves the model."""
     moved = [c for c in network.moving if c.quantity == "displacement"]
     if len(moved) != 1:
         raise InputError(f"model '{network.name}' has no single road that a map could name")

@@ -35,21 +35,13 @@ UNEVEN = 0.1  # largest deviation of stamps from a uniform grid, in steps
 
 @dataclass(frozen=True)
 class Raster:
-    """Columns of a file on one row of time stamps.
+    """Columns of a file on one row of time stamps."""
 
-    Attributes:
-        source: The file.
-        time: Time stamps (n,) [s].
-        columns: Samples (n,) by column.
-        units: Unit by column, for columns with a unit.
-        stamp: Name of the column of time stamps.
-    """
-
-    source: str
-    time: np.ndarray
-    columns: Mapping[str, np.ndarray]
-    units: Mapping[str, str] = field(default_factory=dict)
-    stamp: str = "time"
+    source: str  # the file
+    time: np.ndarray  # time stamps (n,) [s]
+    columns: Mapping[str, np.ndarray]  # samples (n,) by column
+    units: Mapping[str, str] = field(default_factory=dict)  # unit by column, for columns with a unit
+    stamp: str = "time"  # name of the column of time stamps
 
     def __len__(self) -> int:
         return len(self.time)
@@ -81,9 +73,6 @@ class Raster:
 
         Args:
             keep: Mask (n,) or slice.
-
-        Returns:
-            The shorter raster.
         """
         return replace(self, time=self.time[keep], columns={k: v[keep] for k, v in self.columns.items()})
 
@@ -109,9 +98,6 @@ def rasters(
 
     Returns:
         One entry per raster. A raster without stamps has the name '' for its column of stamps.
-
-    Raises:
-        InputError: The file cannot be read, or has no time stamps.
     """
     out = []
     for found in read_rasters(path, columns):
@@ -149,18 +135,7 @@ def _regular(found: Columns, rate: float) -> np.ndarray:
 
 
 def mended(raster: Raster, notes: list[str]) -> list[Raster]:
-    """Return the pieces of a raster between gaps, without repeated samples.
-
-    Args:
-        raster: The raster.
-        notes: Lines for the user; extended by each change and its place.
-
-    Returns:
-        Pieces in order of time.
-
-    Raises:
-        InputError: Stamps run backwards or overlap, so that the order of the samples is unknown.
-    """
+    """Return the pieces of a raster between gaps, without repeated samples."""
     where = raster.name
     good = np.isfinite(raster.time)
     if not good.all():
@@ -210,9 +185,6 @@ def rounded(rounding: float, step: float) -> str:
     Args:
         rounding: Resolution of the stamps [s].
         step: Sampling step [s].
-
-    Returns:
-        A sentence.
     """
     return f"stamps are rounded to {rounding:.3g} s; taken as evenly sampled at {1 / step:.7g} Hz"
 
@@ -307,21 +279,13 @@ def even(time: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class Signal:
-    """A logged channel.
+    """A logged channel."""
 
-    Attributes:
-        time: Time stamps (n,) [s] of the clock.
-        values: Samples (n,) in `unit`.
-        unit: Unit.
-        clock: Name of the logger's clock.
-        column: Name of the column.
-    """
-
-    time: np.ndarray
-    values: np.ndarray
-    unit: str
-    clock: str
-    column: str = ""
+    time: np.ndarray  # time stamps (n,) [s] of the clock
+    values: np.ndarray  # samples (n,) in `unit`
+    unit: str  # unit
+    clock: str  # name of the logger's clock
+    column: str = ""  # name of the column
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or self.time.shape != self.values.shape:
@@ -340,9 +304,6 @@ class Signal:
         Args:
             start: First instant [s].
             stop: Last instant [s].
-
-        Returns:
-            The shorter signal.
         """
         keep = (self.time >= start) & (self.time <= stop)
         return replace(self, time=self.time[keep], values=self.values[keep])
@@ -350,19 +311,13 @@ class Signal:
 
 @dataclass(frozen=True)
 class Recording:
-    """A run: the channels of a model, each on separate time stamps.
+    """A run: the channels of a model, each on separate time stamps."""
 
-    Attributes:
-        name: Name, for messages.
-        signals: Signal by channel.
-        lags: Known delay [s] of the stamps by clock; a clock without an entry has an unknown delay.
-        notes: Changes that were made to the files.
-    """
-
-    name: str
-    signals: Mapping[str, Signal]
+    name: str  # name, for messages
+    signals: Mapping[str, Signal]  # signal by channel
+    #: known delay [s] of the stamps by clock; a clock without an entry has an unknown delay
     lags: Mapping[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # changes that were made to the files
 
     @property
     def clocks(self) -> list[str]:
@@ -370,11 +325,7 @@ class Recording:
         return list(dict.fromkeys(s.clock for s in self.signals.values()))
 
     def table(self) -> Table | None:
-        """Return the run as a table if all channels have the same uniform stamps of one clock, otherwise None.
-
-        Returns:
-            The table in the units of the signals, or None.
-        """
+        """Return the run as a table if all channels have the same uniform stamps of one clock, otherwise None."""
         first = next(iter(self.signals.values()))
         same = all(
             len(s.time) == len(first.time) and (s.time is first.time or np.array_equal(s.time, first.time))

@@ -58,9 +58,6 @@ def inputs_of(
 
     Returns:
         Time (n,) [s], and inputs (n,) [SI] by name.
-
-    Raises:
-        InputError: There are no inputs, or a unit cannot be converted.
     """
     own = [recording.signals[c.name] for c in channels]
     if not own:

@@ -29,9 +29,6 @@ def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
 
     Returns:
         Displacement [m] and velocity [m/s] by node.
-
-    Raises:
-        InputError: A word is invalid.
     """
     out: dict[str, dict[str, float]] = {}
     for word in words:

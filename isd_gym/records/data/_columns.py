@@ -33,23 +33,16 @@ _WITH_UNIT = re.compile(
 
 
 def is_time(name: str) -> bool:
-    """Return whether the name of a column is a name of time stamps.
-
-    Args:
-        name: Name of a column.
-    """
+    """Return whether the name of a column is a name of time stamps."""
     low = name.lower().strip()
     return low in STAMPS or low.startswith(BEGINS) or bool(_WITH_UNIT.fullmatch(low))
 
 
 def time_unit(name: str) -> str:
-    """Return the unit of time that the name of a column states.
+    """Return the unit of time that the name of a column states; 's' for other names.
 
     Args:
         name: Name of a column of time stamps, such as 'Time_ms'.
-
-    Returns:
-        Unit; 's' for other names.
     """
     found = _WITH_UNIT.fullmatch(name.strip())
     return found[1].lower().replace("μ", "u").replace("µ", "u") if found else "s"
@@ -57,23 +50,15 @@ def time_unit(name: str) -> str:
 
 @dataclass(frozen=True)
 class Columns:
-    """Content of a table file.
+    """Content of a table file."""
 
-    Attributes:
-        values: Values (n,) by column name.
-        units: Unit by column name, for columns with a unit.
-        lines: Line number of each sample in a text file; empty for other formats.
-    """
-
-    values: dict[str, Any]
-    units: dict[str, str]
+    values: dict[str, Any]  # values (n,) by column name
+    units: dict[str, str]  # unit by column name, for columns with a unit
+    #: line number of each sample in a text file; empty for other formats
     lines: list[int] = field(default_factory=list)
 
     def line(self, sample: int) -> str:
         """Return the position of a sample, for messages.
-
-        Args:
-            sample: Index of the sample, from 0.
 
         Returns:
             Text such as 'line 12'.
@@ -82,15 +67,7 @@ class Columns:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return the nearest known name and a list of known names, for messages.
-
-    Args:
-        name: Name that a user wrote.
-        known: Available names.
-
-    Returns:
-        A clause for the end of an error message.
-    """
+    """Return the nearest known name and a list of known names, for messages."""
     names = sorted(n for n in known if len(n) <= 200)[:2000]
     near = difflib.get_close_matches(name[:200], names, n=1, cutoff=0.5)
     listed = ", ".join(plain(n, 40) for n in names[:12]) + (", ..." if len(names) > 12 else "")
@@ -98,11 +75,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def unit_known(text: str) -> bool:
-    """Return whether a text is the name of a unit.
-
-    Args:
-        text: Any text.
-    """
+    """Return whether a text is the name of a unit."""
     return converts(text, text)
 
 
@@ -110,9 +83,6 @@ def split_header(text: str) -> tuple[str, str]:
     """Split a header such as ``name [unit]`` or ``name (unit)`` into name and unit.
 
     Round brackets without a known unit belong to the name.
-
-    Args:
-        text: Cell of a header row.
 
     Returns:
         Name, and unit ('' without a unit).
@@ -126,16 +96,7 @@ def split_header(text: str) -> tuple[str, str]:
 
 
 def distinct(names: Sequence[str], headers: Sequence[str], units: Sequence[str]) -> list[str]:
-    """Return unique column names; the unit is appended to repeated names, as in "Force (V)" and "Force (N)".
-
-    Args:
-        names: Names without units.
-        headers: Header of each column in the file, used as the name if the header includes the unit.
-        units: Unit of each column, '' for a column without a unit.
-
-    Returns:
-        One name per column.
-    """
+    """Return unique column names; the unit is appended to repeated names, as in "Force (V)" and "Force (N)"."""
     count = Counter(names)
     out = []
     for name, header, unit in zip(names, headers, units, strict=True):
@@ -152,16 +113,8 @@ def column_for(name: str, columns: Collection[str], unit: str = "") -> str:
 
     Among several columns "name (unit)", the column with a convertible unit is meant.
 
-    Args:
-        name: Name of a column, with or without a unit.
-        columns: Available columns.
-        unit: Unit to which the column's unit must be convertible.
-
     Returns:
         Full name of the column, or `name` if no column matches.
-
-    Raises:
-        InputError: Several columns have the name, and not exactly one of them has a convertible unit.
     """
     if name in columns:
         return name
@@ -178,12 +131,7 @@ def column_for(name: str, columns: Collection[str], unit: str = "") -> str:
 
 
 def converts(unit: str, target: str) -> bool:
-    """Return whether values in one unit can be converted to another.
-
-    Args:
-        unit: Name of the present unit.
-        target: Name of the wanted unit.
-    """
+    """Return whether values in one unit can be converted to another."""
     try:
         convert(1.0, unit, target)
     except InputError:
@@ -204,12 +152,6 @@ def stamps_of(
         wanted: Name of the column; None for a column with a usual name, or the only column that rises
             uniformly.
         by_name: Do not accept a column only because it rises.
-
-    Returns:
-        Name of the column.
-
-    Raises:
-        InputError: No such column exists.
     """
     if wanted is not None:
         if wanted not in found:
@@ -254,9 +196,6 @@ def side_by_side(names: Sequence[str]) -> list[tuple[range, list[str]]]:
 
     Each table begins with its time column. Tables with the same names, apart from a number at the end, are runs;
     their columns get the names without numbers.
-
-    Args:
-        names: Names of the columns in the file, without units.
 
     Returns:
         Places of the columns of each table, and their names; empty for a file with a single table.

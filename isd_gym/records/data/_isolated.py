@@ -80,9 +80,6 @@ def read(
 
     Returns:
         Header of the answer, and the columns (n,) in its order. A workbook has its `text` in the header, and no columns.
-
-    Raises:
-        InputError: The file cannot be read, or needs too much memory or time.
     """
     global _helper
     module = import_module(reader)

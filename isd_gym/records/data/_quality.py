@@ -96,19 +96,14 @@ _MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels
 
 @dataclass(frozen=True)
 class Scale:
-    """Time constant and amplitudes of a rig, from its model.
+    """Time constant and amplitudes of a rig, from its model."""
 
-    Attributes:
-        time: Reciprocal of the circular frequency of the slowest oscillation [s].
-        slowest: Time constant of the slowest oscillation or relaxation [s]; infinite if the rig only moves
-            freely, NaN for that of the oscillation.
-        period: Period of the slowest oscillation [s]; infinite if unknown.
-        spread: RMS about the mean of each output in a simulation of the record [SI]; empty if unknown.
-    """
-
-    time: float = CAR
+    time: float = CAR  # reciprocal of the circular frequency of the slowest oscillation [s]
+    #: time constant of the slowest oscillation or relaxation [s]; infinite if the rig only moves freely, NaN
+    #: for that of the oscillation
     slowest: float = math.nan
-    period: float = math.inf
+    period: float = math.inf  # period of the slowest oscillation [s]; infinite if unknown
+    #: RMS about the mean of each output in a simulation of the record [SI]; empty if unknown
     spread: Mapping[str, float] = field(default_factory=dict)
 
     def factor(self, name: str, x: np.ndarray) -> float:
@@ -231,31 +226,14 @@ def rises_unevenly(time: np.ndarray) -> bool:
 
 
 def known_check(name: str) -> None:
-    """Check that the errors of a check can be accepted.
-
-    Args:
-        name: Name of a check, or 'all'.
-
-    Raises:
-        InputError: No such check exists, or its errors cannot be accepted.
-    """
+    """Check that the errors of a check can be accepted."""
     if name not in (*CHECKS, "all") or name in UNACCEPTABLE:
         known = ", ".join(c for c in CHECKS if c not in UNACCEPTABLE)
         raise InputError(f"no check {shown(name)} that can be accepted (there are {known}, all)")
 
 
 def admit(table: Table, findings: Sequence[Finding], notes: list[str], accept: Sequence[str]) -> None:
-    """Append the findings of the data gate to the notes, and stop at an error that the user has not accepted.
-
-    Args:
-        table: The record.
-        findings: Findings of `check`.
-        notes: Lines for the user; extended in place.
-        accept: Names of checks whose errors become notes, or 'all'.
-
-    Raises:
-        InputError: The record has an error that is not accepted.
-    """
+    """Append the findings of the data gate to the notes, and stop at an error that the user has not accepted."""
     for f in findings:
         message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
         if f.level == "error" and f.check in UNACCEPTABLE:
@@ -436,15 +414,12 @@ def _grain(x: np.ndarray) -> tuple[float, float]:
 
 
 def held_samples(name: str, x: np.ndarray, time: np.ndarray) -> list[Finding]:
-    """Return findings on clipping, frozen stretches and slow sampling of a column of unknown quantity.
+    """Return findings on clipping, frozen stretches and slow sampling of a column of unknown quantity; none for a constant column.
 
     Args:
         name: Name of the column, for messages.
         x: Samples (n,) in any unit.
         time: Even time stamps (n,) [s].
-
-    Returns:
-        Findings; none for a constant column.
     """
     if _constant(x) is not None:
         return []
@@ -492,14 +467,7 @@ def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int,
 
 
 def _missed_power(x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: np.ndarray) -> float:
-    """Return the share of the power of x (n,) that frozen stretches miss (see `check`).
-
-    Args:
-        x: Samples.
-        held: True for each frozen run, of all runs of equal samples.
-        starts: First sample of each run.
-        lengths: Number of samples of each run.
-    """
+    """Return the share of the power of x (n,) that frozen stretches miss (see `check`)."""
     frozen = np.repeat(held, lengths)
     sound = np.cumsum(np.r_[0, frozen])
 

@@ -87,14 +87,7 @@ class Table:
         return len(self.time)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a column (n,).
-
-        Args:
-            name: Name of the column.
-
-        Raises:
-            MissingColumn: No such column; the message names the nearest one.
-        """
+        """Return a column (n,)."""
         if name not in self.columns:
             raise MissingColumn(
                 f"{self.source}: no column {shown(name)}; {did_you_mean(name, self.columns)}", name
@@ -144,13 +137,6 @@ def read_columns(
         axis: Name of the time column in MATLAB and MDF files.
         resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster.
         columns: Names of all columns of a text file without a header row.
-
-    Returns:
-        Values and units by column.
-
-    Raises:
-        InputError: The path is no regular file, the format is unknown, the content cannot be read, or needs
-            more memory than `inputs.memory_limit`.
     """
     path = Path(path)
     kind = format_of(path)
@@ -175,16 +161,6 @@ def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list
 
     The groups of an MDF or LVM file have their own time stamps, named 'time' [s], and so have tables side by
     side in a text file (`_columns.side_by_side`). Other formats have one raster.
-
-    Args:
-        path: The file.
-        columns: Names of all columns of a text file without a header row.
-
-    Returns:
-        Values and units by column, for each raster.
-
-    Raises:
-        InputError: The file cannot be read (see `read_columns`).
     """
     path = Path(path)
     kind = format_of(path)
@@ -196,29 +172,14 @@ def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list
 
 
 def suffix_of(path: Path) -> str:
-    """Return the suffix that gives the format of a file, in small letters; of test.csv.gz, the suffix .csv.
-
-    Args:
-        path: The file.
-    """
+    """Return the suffix that gives the format of a file, in small letters; of test.csv.gz, the suffix .csv."""
     suffix = path.suffix.lower()
     return Path(path.stem).suffix.lower() if suffix == PACKED else suffix
 
 
 @contextmanager
 def unpacked(path: Path) -> Iterator[Path]:
-    """Give the content of a packed file as a temporary file; other files as they are.
-
-    Args:
-        path: The file.
-
-    Yields:
-        Path of the content.
-
-    Raises:
-        InputError: The file cannot be unpacked, or needs more memory than `inputs.memory_limit`. Errors within the block name the packed
-            file.
-    """
+    """Give the content of a packed file as a temporary file; other files as they are."""
     if path.suffix.lower() != PACKED:
         yield path
         return
@@ -341,12 +302,6 @@ def _by_unit(
         columns: Columns of the file.
         units: Unit by channel or by column.
         expected: Channel -> wanted unit; None for all columns unconverted.
-
-    Returns:
-        Column -> channel.
-
-    Raises:
-        InputError: Several columns of one name fit.
     """
     if expected is None:
         return {column_for(name, columns): channel for name, channel in rename.items()}
@@ -382,15 +337,7 @@ class Format:
 
 
 def binary_format(reader: str, has_own_stamps: bool = False) -> Format:
-    """Return a format whose reader runs in a separate process.
-
-    Args:
-        reader: Module of the reader (see `isd_gym.records._formats`).
-        has_own_stamps: Whether channels may have time stamps of their own.
-
-    Returns:
-        The format.
-    """
+    """Return a format whose reader runs in a separate process."""
 
     def read(
         path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
@@ -488,17 +435,7 @@ def suffixes() -> tuple[str, ...]:
 
 
 def format_of(path: Path) -> Format:
-    """Return the format of a file by its suffix.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The format.
-
-    Raises:
-        InputError: The format is unknown.
-    """
+    """Return the format of a file by its suffix."""
     suffix = suffix_of(path)
     if suffix in _FORMATS:
         return _FORMATS[suffix]

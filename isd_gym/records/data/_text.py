@@ -58,12 +58,7 @@ class SideBySide(InputError):
 
 
 def number_in(text: str, comma: bool) -> float | None:
-    """Return the number in a cell, NaN for an empty cell, None for text.
-
-    Args:
-        text: Text of the cell.
-        comma: Whether the decimal separator is a comma.
-    """
+    """Return the number in a cell, NaN for an empty cell, None for text."""
     text = text.strip()
     if len(text) > 400:
         return None
@@ -80,21 +75,14 @@ def number_in(text: str, comma: bool) -> float | None:
 
 @dataclass
 class _Marks:
-    """Decimal marks and thousands separators in the cells of a column.
+    """Decimal marks and thousands separators in the cells of a column."""
 
-    Attributes:
-        either: Rows of cells such as 1.234 in a file with decimal commas.
-        point: Whether the column has another cell with a point, in a file with decimal commas.
-        decimal: Whether the column has a cell with the decimal mark that has one meaning only.
-        grouped: First row of a cell such as 1,234 with the decimal mark; -1 without one.
-        large: Whether the column has a whole number from 100 to 999.
-    """
-
+    #: rows of cells such as 1.234 in a file with decimal commas
     either: list[int] = field(default_factory=list)
-    point: bool = False
-    decimal: bool = False
-    grouped: int = -1
-    large: bool = False
+    point: bool = False  # whether the column has another cell with a point, in a file with decimal commas
+    decimal: bool = False  # whether the column has a cell with the decimal mark that has one meaning only
+    grouped: int = -1  # first row of a cell such as 1,234 with the decimal mark; -1 without one
+    large: bool = False  # whether the column has a whole number from 100 to 999
 
     def add(self, row: int, text: str, comma: bool) -> None:
         """Note the marks of a cell."""
@@ -141,17 +129,7 @@ def _stamp(text: str) -> float | None:
 
 
 def text_of(path: Path) -> str:
-    """Return the text of a file in any encoding.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Text.
-
-    Raises:
-        InputError: The file is too large, or no text table.
-    """
+    """Return the text of a file in any encoding."""
     limit, size = memory_limit(), plain_file(path)
     if size * TEXT_SHARE > limit:
         raise too_large(str(path), size * TEXT_SHARE, limit)
@@ -436,13 +414,6 @@ def read_text(
         resample: Without effect; a text table has one raster.
         columns: Names of all columns, for a file without a header row.
         text: Content; None for that of the file.
-
-    Returns:
-        Values, units and line numbers.
-
-    Raises:
-        SideBySide: The file holds several tables, each with its own time column.
-        InputError: The file is empty, too wide, lacks a column, or holds text in a wanted column.
     """
     return _columns(path, _read(path, columns, text), wanted, time)
 
@@ -492,13 +463,6 @@ def read_text_rasters(
         path: The file.
         columns: Names of all columns, for a file without a header row.
         content: Content; None for that of the file.
-
-    Returns:
-        Values, units and line numbers of each table. Rows without a time stamp are left out where tables stand
-        side by side.
-
-    Raises:
-        InputError: The file cannot be read (see `read_text`).
     """
     text = _read(path, columns, content)
     bare = [split_header(n)[0] for n in text.names]

@@ -14,11 +14,7 @@ NO_WINDOW = "cannot open a window: {}; use render_mode='rgb_array', or write a f
 
 
 def check_display() -> None:
-    """Check, before long work, that a window can be opened.
-
-    Raises:
-        InputError: No window can be opened, or pygame-ce is missing.
-    """
+    """Check, before long work, that a window can be opened."""
     pg = pygame()
     start_display(pg)
     pg.display.quit()
@@ -29,12 +25,6 @@ def start_display(pg: Any) -> None:
 
     Without a display SDL may choose a driver that shows nothing. Such a driver is used only where the environment variable
     SDL_VIDEODRIVER names it.
-
-    Args:
-        pg: The module pygame.
-
-    Raises:
-        InputError: There is no display.
     """
     name = "SDL_VIDEODRIVER"
     choose = sys.platform.startswith("linux") and not os.environ.get(name)
@@ -54,19 +44,7 @@ def start_display(pg: Any) -> None:
 
 
 def extra(module: str, doing: str, package: str) -> Any:
-    """Import an optional module.
-
-    Args:
-        module: Name of the module.
-        doing: Purpose, for the message.
-        package: Name of the package, for the message.
-
-    Returns:
-        The module.
-
-    Raises:
-        InputError: The module is not installed.
-    """
+    """Import an optional module."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -74,14 +52,7 @@ def extra(module: str, doing: str, package: str) -> Any:
 
 
 def pygame() -> Any:
-    """Return the module pygame.
-
-    Returns:
-        The module.
-
-    Raises:
-        InputError: pygame-ce is not installed.
-    """
+    """Return the module pygame."""
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pygame, where it stands in for pygame-ce, warns on import

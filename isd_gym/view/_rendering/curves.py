@@ -47,11 +47,7 @@ class History:
 
 
 class Scale:
-    """Range of a plot: three units in each direction, with ticks at two; the unit is 1, 2 or 4 times a power of ten.
-
-    Args:
-        unit: Smallest unit of the axis.
-    """
+    """Range of a plot: three units in each direction, with ticks at two; the unit is 1, 2 or 4 times a power of ten."""
 
     def __init__(self, unit: float) -> None:
         self.unit = unit

@@ -28,10 +28,6 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: floa
         path: File to write (.mp4 or .gif).
         frames: Frames (height, width, 3) uint8 of equal size.
         fps: Frames per second; at most 50 in a GIF, the limit of most viewers.
-
-    Raises:
-        InputError: The suffix is unknown, the frames are missing or unequal, the frame rate is invalid, or
-            imageio-ffmpeg is missing for an MP4.
     """
     path = Path(path)
     kind = path.suffix.lower()

@@ -33,15 +33,6 @@ PULL, PUSH = GREEN, PURPLE  # contracting thrust (positive current), extending t
 
 
 def mix(first: Colour, second: Colour, share: float) -> Colour:
-    """Return a mixture of two colours.
-
-    Args:
-        first: Colour at share 0.
-        second: Colour at share 1.
-        share: Share of the second colour, from 0 to 1.
-
-    Returns:
-        The colour.
-    """
+    """Return a mixture of two colours."""
     r, g, b = (round(a + (c - a) * share) for a, c in zip(first, second, strict=True))
     return r, g, b

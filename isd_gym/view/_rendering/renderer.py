@@ -45,9 +45,6 @@ class Renderer:
 
     Attributes:
         closed: Whether the viewer has closed the window (its button, Escape or q).
-
-    Raises:
-        InputError: An argument is invalid, pygame-ce is missing, or there is no display for a window.
     """
 
     def __init__(
@@ -84,14 +81,8 @@ class Renderer:
     def draw(self, *snapshots: AnySnapshot) -> NDArray[np.uint8] | None:
         """Paint the cars.
 
-        Args:
-            snapshots: Snapshot of each car.
-
         Returns:
             The frame, uint8 of shape (height, width, 3), in mode "rgb_array"; None in mode "human".
-
-        Raises:
-            InputError: The number of snapshots is wrong, or the cars are of different kinds.
         """
         if len(snapshots) != self.cars:
             raise InputError(

@@ -42,17 +42,11 @@ SMALLEST_SUSPENSION = 0.25  # size relative to that of a quarter car
 
 @dataclass(frozen=True)
 class View:
-    """A view of a car, from the right side or from behind.
+    """A view of a car, from the right side or from behind."""
 
-    Attributes:
-        shot: The car.
-        is_rear: Whether the view is from behind.
-        window: Part of the picture; its origin is the centre of gravity.
-    """
-
-    shot: CarSnapshot
-    is_rear: bool
-    window: Window
+    shot: CarSnapshot  # the car
+    is_rear: bool  # whether the view is from behind
+    window: Window  # part of the picture; its origin is the centre of gravity
 
     def along(self, x: float, y: float) -> float:
         """Return the distance [m] of a point to the right of the centre of gravity in the picture."""

@@ -20,21 +20,13 @@ MARKS = 2.0  # distance of two marks on the ground [m]
 
 @dataclass(frozen=True)
 class Window:
-    """A part of the picture with a road from the side.
+    """A part of the picture with a road from the side."""
 
-    Attributes:
-        left: Left edge [px].
-        right: Right edge [px].
-        foot: Lower edge [px].
-        origin: Position of distance 0 along the road [px].
-        metre: Length of a metre of road [px].
-    """
-
-    left: float
-    right: float
-    foot: float
-    origin: float
-    metre: float
+    left: float  # left edge [px]
+    right: float  # right edge [px]
+    foot: float  # lower edge [px]
+    origin: float  # position of distance 0 along the road [px]
+    metre: float  # length of a metre of road [px]
 
     def columns(self) -> NDArray[np.float64]:
         """Return the positions [px] at which the road is drawn, one every two pixels."""

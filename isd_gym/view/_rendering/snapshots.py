@@ -22,21 +22,13 @@ if TYPE_CHECKING:
 
 
 class Trace(NamedTuple):
-    """A quantity with a live curve.
+    """A quantity with a live curve."""
 
-    Attributes:
-        title: Title of the plot.
-        unit: Unit of the plot.
-        factor: Value in the unit of the plot per SI unit.
-        scale: Smallest unit of the axis, which has a range of three units [unit].
-        digits: Number of decimals of the RMS.
-    """
-
-    title: str
-    unit: str
-    factor: float
-    scale: float
-    digits: int
+    title: str  # title of the plot
+    unit: str  # unit of the plot
+    factor: float  # value in the unit of the plot per SI unit
+    scale: float  # smallest unit of the axis, which has a range of three units [unit]
+    digits: int  # number of decimals of the RMS
 
 
 VERTICAL = Trace("Body acceleration", "m/s²", 1.0, 1.0, 2)
@@ -61,11 +53,7 @@ def _check_positive(shot: Any, where: str, *names: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class CornerSnapshot:
-    """A wheel and its suspension in one frame. Displacements are absolute, upwards, about static equilibrium.
-
-    Raises:
-        InputError: A number is not finite, a limit is not positive, or a piston has no joint.
-    """
+    """A wheel and its suspension in one frame. Displacements are absolute, upwards, about static equilibrium."""
 
     # name of the corner; '' in a quarter car
     name: str = ""
@@ -114,11 +102,7 @@ class CornerSnapshot:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Snapshot(CornerSnapshot):
-    """A quarter car in one frame: its only corner, the road, and the values of the panel.
-
-    Raises:
-        InputError: A number is not finite, a length or limit is not positive, or a piston has no joint.
-    """
+    """A quarter car in one frame: its only corner, the road, and the values of the panel."""
 
     # [s]
     time: float
@@ -160,11 +144,7 @@ class Snapshot(CornerSnapshot):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CarSnapshot:
-    """A car with a rigid body and any number of corners in one frame. Displacements are absolute, about static equilibrium.
-
-    Raises:
-        InputError: A number is not finite, a length is not positive, there is no corner, or the tracks do not fit the corners.
-    """
+    """A car with a rigid body and any number of corners in one frame. Displacements are absolute, about static equilibrium."""
 
     # [s]
     time: float

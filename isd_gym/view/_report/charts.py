@@ -28,25 +28,15 @@ MOST_DOTS = 300  # largest cloud of separate shapes; a larger cloud is one image
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis.
+    """An axis."""
 
-    Attributes:
-        label: Label of its values.
-        unit: Unit; '' without a unit.
-        log: Whether the axis is logarithmic.
-        low: Lower end; None to fit the values.
-        high: Upper end; None to fit the values.
-        ticks: Positions and texts of the ticks; empty for automatic ticks.
-        rows: Names of the integers from the top down, instead of numbers.
-    """
-
-    label: str = ""
-    unit: str = ""
-    log: bool = False
-    low: float | None = None
-    high: float | None = None
-    ticks: Ticks = ()
-    rows: tuple[str, ...] = ()
+    label: str = ""  # label of its values
+    unit: str = ""  # unit; '' without a unit
+    log: bool = False  # whether the axis is logarithmic
+    low: float | None = None  # lower end; None to fit the values
+    high: float | None = None  # upper end; None to fit the values
+    ticks: Ticks = ()  # positions and texts of the ticks; empty for automatic ticks
+    rows: tuple[str, ...] = ()  # names of the integers from the top down, instead of numbers
 
     @property
     def text(self) -> str:
@@ -56,107 +46,64 @@ class Axis:
 
 @dataclass(frozen=True)
 class Line:
-    """A curve, optionally with a band.
+    """A curve, optionally with a band."""
 
-    Attributes:
-        name: Name in the legend.
-        x: Abscissae (n,).
-        y: Ordinates (n,).
-        look: Style.
-        band: Lower and upper ordinates (n,) of the band; None without a band.
-        fill: Whether the area down to the axis is filled.
-    """
-
-    name: str
-    x: Array
-    y: Array
-    look: Look
-    band: tuple[Array, Array] | None = None
-    fill: bool = False
+    name: str  # name in the legend
+    x: Array  # abscissae (n,)
+    y: Array  # ordinates (n,)
+    look: Look  # style
+    band: tuple[Array, Array] | None = None  # lower and upper ordinates (n,) of the band; None without a band
+    fill: bool = False  # whether the area down to the axis is filled
 
 
 @dataclass(frozen=True)
 class Dots:
-    """A cloud of samples.
+    """A cloud of samples."""
 
-    Attributes:
-        name: Name in the legend.
-        x: Abscissae (n,).
-        y: Ordinates (n,).
-        look: Style.
-        size: Diameter of a dot [pt].
-        alpha: Opacity from 0 to 1.
-    """
-
-    name: str
-    x: Array
-    y: Array
-    look: Look
-    size: float = 2.2
-    alpha: float = 0.55
+    name: str  # name in the legend
+    x: Array  # abscissae (n,)
+    y: Array  # ordinates (n,)
+    look: Look  # style
+    size: float = 2.2  # diameter of a dot [pt]
+    alpha: float = 0.55  # opacity from 0 to 1
 
 
 @dataclass(frozen=True)
 class Marks:
-    """Single points, optionally with intervals.
+    """Single points, optionally with intervals."""
 
-    Attributes:
-        name: Name in the legend.
-        x: Abscissae (n,).
-        y: Ordinates (n,).
-        look: Style.
-        x_interval: Lower and upper abscissae; None without intervals.
-        y_interval: Lower and upper ordinates; None without intervals.
-        texts: Labels beside the points.
-        notes: Texts that the page shows where the pointer rests on a point.
-        open: Whether markers are hollow.
-        size: Size of a marker [pt].
-        bar: Width of the interval lines [pt].
-        quiet: Whether the points are absent from the legend, since the labels name the points.
-    """
-
-    name: str
-    x: Sequence[float]
-    y: Sequence[float]
-    look: Look
+    name: str  # name in the legend
+    x: Sequence[float]  # abscissae (n,)
+    y: Sequence[float]  # ordinates (n,)
+    look: Look  # style
+    #: lower and upper abscissae; None without intervals
     x_interval: tuple[Sequence[float], Sequence[float]] | None = None
+    #: lower and upper ordinates; None without intervals
     y_interval: tuple[Sequence[float], Sequence[float]] | None = None
-    texts: Sequence[str] = ()
-    notes: Sequence[str] = ()
-    open: bool = False
-    size: float = 7.0
-    bar: float = 1.0
-    quiet: bool = False
+    texts: Sequence[str] = ()  # labels beside the points
+    notes: Sequence[str] = ()  # texts that the page shows where the pointer rests on a point
+    open: bool = False  # whether markers are hollow
+    size: float = 7.0  # size of a marker [pt]
+    bar: float = 1.0  # width of the interval lines [pt]
+    quiet: bool = False  # whether the points are absent from the legend, since the labels name the points
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A straight line across a panel.
+    """A straight line across a panel."""
 
-    Attributes:
-        axis: Axis of the value, 'x' or 'y'.
-        at: Value.
-        text: Label; '' without a label.
-        look: Style.
-    """
-
-    axis: str
-    at: float
-    text: str = ""
-    look: Look = QUIET
+    axis: str  # axis of the value, 'x' or 'y'
+    at: float  # value
+    text: str = ""  # label; '' without a label
+    look: Look = QUIET  # style
 
 
 @dataclass(frozen=True)
 class Span:
-    """A shaded interval of x.
+    """A shaded interval of x."""
 
-    Attributes:
-        low: Lower end.
-        high: Upper end.
-    """
-
-    low: float
-    high: float
+    low: float  # lower end
+    high: float  # upper end
 
 
 Item = Line | Dots | Marks | Rule | Span
@@ -164,51 +111,31 @@ Item = Line | Dots | Marks | Rule | Span
 
 @dataclass(frozen=True)
 class Panel:
-    """Items on two axes.
+    """Items on two axes."""
 
-    Attributes:
-        x: Horizontal axis.
-        y: Vertical axis.
-        items: Items in the order of drawing.
-        title: Title; '' without a title.
-        link: Panels with the same link share their horizontal axis.
-        tall: Height relative to the other panels of the chart.
-    """
-
-    x: Axis
-    y: Axis
-    items: tuple[Item, ...]
-    title: str = ""
-    link: str = ""
-    tall: float = 1.0
+    x: Axis  # horizontal axis
+    y: Axis  # vertical axis
+    items: tuple[Item, ...]  # items in the order of drawing
+    title: str = ""  # title; '' without a title
+    link: str = ""  # panels with the same link share their horizontal axis
+    tall: float = 1.0  # height relative to the other panels of the chart
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure of a page.
+    """A figure of a page."""
 
-    Attributes:
-        name: Stem of the file name.
-        title: Title.
-        alt: Text for readers who cannot see the figure.
-        caption: Caption.
-        choices: Panels by the name of a record. The page shows the first, and the others on request.
-        columns: Number of columns of panels.
-        size: Size of the picture [inch].
-        align: Whether the panels of a column are aligned.
-        still: Number of panels that are drawn; None for all.
-        captions: Captions by choice, for choices with another caption than `caption`.
-    """
-
-    name: str
-    title: str
-    alt: str
-    caption: str
+    name: str  # stem of the file name
+    title: str  # title
+    alt: str  # text for readers who cannot see the figure
+    caption: str  # caption
+    #: panels by the name of a record. The page shows the first, and the others on request.
     choices: Mapping[str, Sequence[Panel]]
-    columns: int = 1
-    size: tuple[float, float] = (7.4, 3.0)
-    align: bool = True
-    still: int | None = None
+    columns: int = 1  # number of columns of panels
+    size: tuple[float, float] = (7.4, 3.0)  # size of the picture [inch]
+    align: bool = True  # whether the panels of a column are aligned
+    still: int | None = None  # number of panels that are drawn; None for all
+    #: captions by choice, for choices with another caption than `caption`
     captions: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -218,15 +145,7 @@ class Chart:
 
 
 def picture(chart: Chart, folder: Path) -> Picture:
-    """Draw a chart into a folder, and return the figure of a page; to be called within `plots.style`.
-
-    Args:
-        chart: The chart.
-        folder: Folder of the SVG file, which shows the first choice.
-
-    Returns:
-        The figure, with one picture per choice.
-    """
+    """Draw a chart into a folder, and return the figure of a page; to be called within `plots.style`."""
     drawn = []
     for name, panels in chart.choices.items():
         one = replace(chart, choices={name: panels})
@@ -243,13 +162,7 @@ def picture(chart: Chart, folder: Path) -> Picture:
 
 
 def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None:
-    """Draw the first choice of a chart on an empty figure.
-
-    Args:
-        fig: The figure.
-        chart: The chart.
-        notes: Text by identifier of a point; extended by the points with notes.
-    """
+    """Draw the first choice of a chart on an empty figure."""
     notes = {} if notes is None else notes
     panels = chart.panels
     columns = min(chart.columns, len(panels))
@@ -426,16 +339,7 @@ def _label(fig: Figure, ax: Axes, panel: Panel) -> None:
 
 
 def log_ticks(low: float, high: float, form: str = "{:g}") -> Ticks:
-    """Return ticks at round numbers between two positive numbers, if possible more than three, and few enough for their texts.
-
-    Args:
-        low: Lower end.
-        high: Upper end.
-        form: Format of the texts.
-
-    Returns:
-        Positions and texts.
-    """
+    """Return ticks at round numbers between two positive numbers, if possible more than three, and few enough for their texts."""
     ticks: list[float] = []
     finer = ([1 + k / n for k in range(9 * n)] for n in (1, 2, 5, 10))
     for steps in ((1,), (1, 2, 5), *finer):
@@ -451,15 +355,7 @@ def log_ticks(low: float, high: float, form: str = "{:g}") -> Ticks:
 
 
 def decades(low: float, high: float) -> Ticks:
-    """Return ticks at powers of ten between two positive numbers, or at round numbers within a decade.
-
-    Args:
-        low: Lower end.
-        high: Upper end.
-
-    Returns:
-        Positions and texts.
-    """
+    """Return ticks at powers of ten between two positive numbers, or at round numbers within a decade."""
     ticks = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)]
     if len(ticks) < 2:
         return log_ticks(low, high)

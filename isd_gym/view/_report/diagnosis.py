@@ -122,14 +122,8 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
 def signal_picture(diagnosis: Diagnosis) -> str:
     """Return the picture of measured and simulated signals of a diagnosis, as HTML for a notebook.
 
-    Args:
-        diagnosis: The result.
-
     Returns:
         An image with its caption; empty for a diagnosis without a simulated record.
-
-    Raises:
-        ReportError: The picture cannot be drawn.
     """
     try:
         chart = draw_time(View(diagnosis)) if diagnosis.traces else None
@@ -144,14 +138,7 @@ def signal_picture(diagnosis: Diagnosis) -> str:
 
 
 def check_target(folder: str | Path) -> None:
-    """Check before long work that `write_report` can write to a folder.
-
-    Args:
-        folder: The folder.
-
-    Raises:
-        InputError: The folder holds other files, or cannot be written.
-    """
+    """Check before long work that `write_report` can write to a folder."""
     check_folder(folder, *FOLDER)
 
 
@@ -160,15 +147,10 @@ def check_target(folder: str | Path) -> None:
 
 @dataclass(frozen=True)
 class Scale:
-    """Display scale of a channel.
+    """Display scale of a channel."""
 
-    Attributes:
-        factor: Displayed over SI value.
-        unit: Displayed unit.
-    """
-
-    factor: float
-    unit: str
+    factor: float  # displayed over SI value
+    unit: str  # displayed unit
 
 
 def _is_whole(trace: Trace) -> bool:
@@ -177,11 +159,7 @@ def _is_whole(trace: Trace) -> bool:
 
 
 class View:
-    """A diagnosis prepared for a page: words, scales and the drawn records.
-
-    Args:
-        diagnosis: The result.
-    """
+    """A diagnosis prepared for a page: words, scales and the drawn records."""
 
     def __init__(self, diagnosis: Diagnosis) -> None:
         self.d = d = diagnosis
@@ -238,11 +216,7 @@ class View:
         return Scale(1.0, unit_text(unit))
 
     def drawings(self) -> list[tuple[str, str]]:
-        """Return drawings of the network: as given, and with the result in colour.
-
-        Returns:
-            Title and SVG of each drawing.
-        """
+        """Return drawings of the network: as given, and with the result in colour."""
         if not isinstance(self.d.base, Network) or not isinstance(self.d.model, Network):
             return []
         known = {e.name for e in self.d.base.elements}
@@ -258,35 +232,17 @@ class View:
             return []
 
     def turns(self, pair: Sequence[str]) -> bool:
-        """Return whether two nodes rotate relative to each other: torque over angle instead of force over travel.
-
-        Args:
-            pair: Two nodes.
-        """
+        """Return whether two nodes rotate relative to each other: torque over angle instead of force over travel."""
         return isinstance(self.d.base, Network) and any(n in self.d.base.rotating for n in pair)
 
     def lights(self, c: Contender) -> str:
-        """Return the highlighted parts of the drawing for a rival.
-
-        Args:
-            c: The rival.
-
-        Returns:
-            JSON list of parts.
-        """
+        """Return the highlighted parts of the drawing for a rival."""
         if not isinstance(self.d.base, Network):
             return "[]"
         return json.dumps([part for where in c.where for part in place_parts(self.d.base, where)])
 
     def printed(self, sentence: str) -> str:
-        """Return a sentence with units, numbers and channels in the style of the page.
-
-        Args:
-            sentence: The sentence.
-
-        Returns:
-            Text.
-        """
+        """Return a sentence with units, numbers and channels in the style of the page."""
         text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), units_text(sentence))
         for c in self.d.gap.get("refit", {}):
             text = re.sub(rf"(?<!\w){re.escape(c)}(?!\w)", channel_text(c).replace("\\", r"\\"), text)
@@ -327,28 +283,14 @@ class View:
 
     @staticmethod
     def place_text(place: Sequence[str]) -> str:
-        """Return a place in words: two nodes, a channel or motor, or an open place.
-
-        Args:
-            place: The place.
-
-        Returns:
-            A phrase.
-        """
+        """Return a place in words: two nodes, a channel or motor, or an open place."""
         if not place:
             return "place open"
         return f"{place[0]} – {place[1]}" if len(place) == 2 else channel_text(place[0])
 
     @staticmethod
     def bar(share: float) -> str:
-        """Return a probability as an inline bar with its value.
-
-        Args:
-            share: Probability from 0 to 1.
-
-        Returns:
-            SVG and text.
-        """
+        """Return a probability as an inline bar with its value."""
         full, width = 60, 60 * min(max(share, 0.0), 1.0)
         return (
             f'<span class="whole"><svg width="{full}" height="10" role="img" aria-label="{share:.2f}"><rect width="{full}" height="10" style="fill:var(--pale)"/>'
@@ -356,14 +298,7 @@ class View:
         )
 
     def effect_text(self, e: Any) -> str:
-        """Return an effect in words, such as ``coulomb friction between piston and joint``.
-
-        Args:
-            e: The effect.
-
-        Returns:
-            A phrase.
-        """
+        """Return an effect in words, such as ``coulomb friction between piston and joint``."""
         if e.channel is not None:
             return f"{el.spoken(e.effect)} in {channel_text(e.channel)}"
         if not e.between:
@@ -372,14 +307,7 @@ class View:
         return f"{el.spoken(e.effect)}{how} between {e.between[0]} and {e.between[1]}"
 
     def contender_text(self, c: Any) -> str:
-        """Return a rival in words.
-
-        Args:
-            c: The rival.
-
-        Returns:
-            A phrase.
-        """
+        """Return a rival in words."""
         parts = []
         for effect, where in zip(c.effects, c.where, strict=True):
             joined = " and ".join(channel_text(w) if len(where) == 1 else w for w in where)
@@ -387,41 +315,20 @@ class View:
         return ", with ".join(parts)
 
     def quantity(self, q: Any) -> str:
-        """Return a value with a practical unit, such as ``296.6 N``, with the digits that its interval warrants.
-
-        Args:
-            q: The quantity.
-
-        Returns:
-            Text.
-        """
+        """Return a value with a practical unit, such as ``296.6 N``, with the digits that its interval warrants."""
         factor, unit = practical(q.value, q.unit)
         value, low, high = factor * q.value, factor * q.low, factor * q.high
         return f"{_digits(value, low, high)}\u00a0{unit_text(unit)}".strip()
 
     @staticmethod
     def figure(value: float) -> str:
-        """Return the value of a gate with at most three digits and without exponent, or a dash.
-
-        Args:
-            value: The value.
-
-        Returns:
-            Text.
-        """
+        """Return the value of a gate with at most three digits and without exponent, or a dash."""
         if not math.isfinite(value):
             return "–"
         return (f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}").replace("-", "−")
 
     def needed(self, g: Any) -> str:
-        """Return the requirement of a gate, such as ``≥ 0.05``.
-
-        Args:
-            g: The gate.
-
-        Returns:
-            Text.
-        """
+        """Return the requirement of a gate, such as ``≥ 0.05``."""
         return f"{RELATIONS[g.relation]}\u00a0{self.figure(g.limit)}"
 
     @property
@@ -471,14 +378,7 @@ class View:
         return ""
 
     def interval(self, q: Any) -> str:
-        """Return the interval of a quantity in the unit of `quantity`.
-
-        Args:
-            q: The quantity.
-
-        Returns:
-            Text.
-        """
+        """Return the interval of a quantity in the unit of `quantity`."""
         factor, _ = practical(q.value, q.unit)
         low, high = factor * q.low, factor * q.high
         return f"{_digits(low, low, high)} to {_digits(high, low, high)}"
@@ -489,22 +389,12 @@ class View:
         Args:
             value: The value [unit of the quantity].
             q: The quantity.
-
-        Returns:
-            Text.
         """
         factor, unit = practical(q.value, q.unit)
         return f"{number(factor * value, 4)}\u00a0{unit_text(unit)}".strip()
 
     def equation(self, e: Effect) -> str:
-        """Return the equation of an effect.
-
-        Args:
-            e: The effect.
-
-        Returns:
-            Text with typographic symbols.
-        """
+        """Return the equation of an effect."""
         # the equations in the code are ASCII
         text: str = getattr(el.TYPES.get(e.effect), "equation", "")
         for plain, mark in (("F in ", "F ∈ "), ("^2", "²"), ("^3", "³"), (" - ", " − ")):
@@ -512,36 +402,15 @@ class View:
         return text
 
     def source(self, e: Effect) -> str:
-        """Return the source of an effect's law.
-
-        Args:
-            e: The effect.
-
-        Returns:
-            Text.
-        """
+        """Return the source of an effect's law."""
         return getattr(el.TYPES.get(e.effect), "source", "")
 
     def signature(self, e: Effect) -> str:
-        """Return the characteristic that distinguishes an effect.
-
-        Args:
-            e: The effect.
-
-        Returns:
-            Text.
-        """
+        """Return the characteristic that distinguishes an effect."""
         return getattr(el.TYPES.get(e.effect), "signature", "")
 
     def test(self, e: Effect) -> str:
-        """Return a test that would confirm an effect, with the expected values.
-
-        Args:
-            e: The effect.
-
-        Returns:
-            A sentence; '' if a value is unknown.
-        """
+        """Return a test that would confirm an effect, with the expected values; '' if a value is unknown."""
         words = {k: self.quantity(q) for k, q in e.parameters.items()}
         try:
             return el.TYPES[e.effect].test.format_map(words)
@@ -563,12 +432,7 @@ class View:
         return [(path, q, self.d.base.uncertainty.get(path)) for path, q in self.d.parameters.items()]
 
     def odd(self, q: Any, sigma: float | None) -> bool:
-        """Return whether a fitted parameter is outside of twice its stated uncertainty.
-
-        Args:
-            q: The fitted parameter.
-            sigma: Relative standard deviation in the model file.
-        """
+        """Return whether a fitted parameter is outside of twice its stated uncertainty."""
         return bool(sigma and q.prior and abs(q.value / q.prior - 1.0) > 2.0 * sigma)
 
 
@@ -602,14 +466,7 @@ MOST_SAMPLES = 360_000  # largest number of samples of records in a page (about 
 
 
 def draw_gap(view: View) -> Chart:
-    """Return the chart of the held-out error of every channel at every stage.
-
-    Args:
-        view: The prepared diagnosis.
-
-    Returns:
-        The chart.
-    """
+    """Return the chart of the held-out error of every channel at every stage."""
     looks = {
         "before": (Look(MUTED, "-", "s"), True, 6.5),
         "refit": (Look(VERMILLION, "-", "D"), True, 6.5),
@@ -668,24 +525,14 @@ def _steady(axis: Axis, left: Sequence[np.ndarray], noise: float) -> Axis:
 
 @dataclass(frozen=True)
 class Records:
-    """The records that a chart over time shows.
+    """The records that a chart over time shows."""
 
-    Attributes:
-        traces: Records by the name in the chart; the record of the picture first.
-        every: Step between the drawn samples of each record.
-    """
-
-    traces: dict[str, Trace]
-    every: dict[str, int]
+    traces: dict[str, Trace]  # records by the name in the chart; the record of the picture first
+    every: dict[str, int]  # step between the drawn samples of each record
 
     @classmethod
     def of(cls, view: View, trace: Trace) -> Records:
-        """Return the records of a diagnosis, thinned to the size of a page.
-
-        Args:
-            view: The prepared diagnosis.
-            trace: The record of the picture.
-        """
+        """Return the records of a diagnosis, thinned to the size of a page."""
         chosen = [trace, *(t for t in view.traces if t is not trace)][:8]
         each = 5 if view.changed else 3  # signals and residuals of a channel
         share = MOST_SAMPLES / (each * len(view.order) * len(chosen))
@@ -696,11 +543,7 @@ class Records:
         return cls(names, {name: max(1, math.ceil(len(t.time) / share)) for name, t in names.items()})
 
     def head(self, name: str) -> str:
-        """Return the beginning of a caption.
-
-        Args:
-            name: Name of the record in the chart.
-        """
+        """Return the beginning of a caption."""
         thinned, t = self.every[name], self.traces[name]
         note = f" One sample in {thinned} is drawn." if thinned > 1 else ""
         return f"Record “{t.name}” ({t.use}).{note}"
@@ -726,14 +569,7 @@ def _more(view: View, few: Sequence[str]) -> str:
 
 
 def draw_time(view: View) -> Chart | None:
-    """Return the chart of all records over time: the stretch with the largest error, and a typical stretch.
-
-    Args:
-        view: The prepared diagnosis.
-
-    Returns:
-        The chart; None without records.
-    """
+    """Return the chart of all records over time: the stretch with the largest error, and a typical stretch; None without records."""
     if view.trace is None:
         return None
     few = view.order[:5]
@@ -775,14 +611,7 @@ def draw_time(view: View) -> Chart | None:
 
 
 def draw_residuals(view: View) -> Chart | None:
-    """Return the chart of the residuals of all records.
-
-    Args:
-        view: The prepared diagnosis.
-
-    Returns:
-        The chart; None without records.
-    """
+    """Return the chart of the residuals of all records; None without records."""
     if view.trace is None:
         return None
     few = view.order[:5]
@@ -821,26 +650,12 @@ def draw_residuals(view: View) -> Chart | None:
 
 
 def draw_loops(view: View) -> Chart | None:
-    """Return the chart of the force at the place of the finding over velocity and over travel.
-
-    Args:
-        view: The prepared diagnosis.
-
-    Returns:
-        The chart; None without a force or its motion.
-    """
+    """Return the chart of the force at the place of the finding over velocity and over travel; None without a force or its motion."""
     return _loops_chart(view, "loops", view.loops[:1])
 
 
 def draw_other_loops(view: View) -> Chart | None:
-    """Return the chart of the other forces over velocity and over travel.
-
-    Args:
-        view: The prepared diagnosis.
-
-    Returns:
-        The chart; None without other forces.
-    """
+    """Return the chart of the other forces over velocity and over travel; None without other forces."""
     return _loops_chart(view, "other_loops", view.loops[1:4])
 
 
@@ -912,9 +727,6 @@ def _loop_panels(view: View, loops: Loops, curves: Mapping[str, tuple[Curve, Loo
 
 def draw_spectra(view: View) -> Chart | None:
     """Return the chart of the spectra of signal and residuals, averaged over the held-out records (or all records).
-
-    Args:
-        view: The prepared diagnosis.
 
     Returns:
         The chart; None without records.
@@ -994,9 +806,6 @@ def _force_axis(label: str, turns: bool, low: float, high: float) -> Axis:
 
 def draw_plane(view: View) -> Chart | None:
     """Return the chart of the missing force over motion, before and after, or of a channel's residual over its motion.
-
-    Args:
-        view: The prepared diagnosis.
 
     Returns:
         The chart; None without records.
@@ -1147,14 +956,7 @@ def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, A
 
 
 def draw_law(view: View) -> Chart | None:
-    """Return the chart of every identified law with its interval, and the distribution of the measured motion.
-
-    Args:
-        view: The prepared diagnosis.
-
-    Returns:
-        The chart; None without a law.
-    """
+    """Return the chart of every identified law with its interval, and the distribution of the measured motion; None without a law."""
     d = view.d
     effects = list(d.effects)
     if d.tabulated is not None:  # an unnamed law is drawn like a named law
@@ -1213,26 +1015,14 @@ def draw_law(view: View) -> Chart | None:
 
 
 def learned(q: Quantity, sigma: float | None) -> bool:
-    """Return whether the measurements determine a parameter: the interval is narrower than the stated uncertainty.
-
-    Args:
-        q: The fitted parameter.
-        sigma: Relative standard deviation in the model file.
-    """
+    """Return whether the measurements determine a parameter: the interval is narrower than the stated uncertainty."""
     if not sigma or not q.prior:
         return True
     return (q.high - q.low) < 0.8 * 4 * sigma * abs(q.prior)
 
 
 def draw_parameters(view: View) -> Chart | None:
-    """Return the chart of prior and fitted base parameters, as deviations from the prior.
-
-    Args:
-        view: The prepared diagnosis.
-
-    Returns:
-        The chart; None without parameters.
-    """
+    """Return the chart of prior and fitted base parameters, as deviations from the prior; None without parameters."""
     rows = [
         (path, q, sigma)
         for path, q, sigma in view.parameters

@@ -30,86 +30,48 @@ GRID = 1601
 
 @dataclass(frozen=True)
 class Curve:
-    """A force over the motion of its terminals, sample by sample.
+    """A force over the motion of its terminals, sample by sample."""
 
-    Attributes:
-        travel: Elongation (n,) [m].
-        rate: Rate of elongation (n,) [m/s].
-        force: Force (n,) [N], positive in tension.
-    """
-
-    travel: Array
-    rate: Array
-    force: Array
+    travel: Array  # elongation (n,) [m]
+    rate: Array  # rate of elongation (n,) [m/s]
+    force: Array  # force (n,) [N], positive in tension
 
     def part(self, samples: slice) -> Curve:
-        """Return the curve of some samples.
-
-        Args:
-            samples: The samples.
-        """
+        """Return the curve of some samples."""
         return Curve(self.travel[samples], self.rate[samples], self.force[samples])
 
 
 @dataclass(frozen=True)
 class Loops:
-    """The force between two nodes in the measurement and in the models, over the motion of the nodes.
+    """The force between two nodes in the measurement and in the models, over the motion of the nodes."""
 
-    Attributes:
-        name: Name of the force in words.
-        pair: The two nodes.
-        samples: Samples of the record that the curves contain.
-        measured: Measured force, or the force that the residuals require.
-        nominal: Force of the model as given; None where it cannot be simulated.
-        new: Force of the completed model, or of the refitted model where nothing is added.
-        is_measured: Whether a channel measures the force.
-    """
-
-    name: str
-    pair: tuple[str, str]
-    samples: slice
-    measured: Curve
-    nominal: Curve | None
-    new: Curve
-    is_measured: bool
+    name: str  # name of the force in words
+    pair: tuple[str, str]  # the two nodes
+    samples: slice  # samples of the record that the curves contain
+    measured: Curve  # measured force, or the force that the residuals require
+    nominal: Curve | None  # force of the model as given; None where it cannot be simulated
+    new: Curve  # force of the completed model, or of the refitted model where nothing is added
+    is_measured: bool  # whether a channel measures the force
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Force between two nodes that the measurements require, sample by sample, over the motion of the nodes.
+    """Force between two nodes that the measurements require, sample by sample, over the motion of the nodes."""
 
-    Attributes:
-        pair: The two nodes.
-        law: Force of the completed model's elements minus that of the refitted model's elements, over rate or
-            travel, with its band; None without a law over the motion of the pair.
-        effects: Names of the effects.
-        travel: Elongation (n,) [m].
-        rate: Rate of elongation (n,) [m/s].
-        before: Force in addition to the refitted model (n,) [N].
-        after: Force in addition to the model with the result (n,) [N]; None without a result.
-        loops: The whole force between the nodes.
-    """
-
-    pair: tuple[str, str]
+    pair: tuple[str, str]  # the two nodes
+    #: force of the completed model's elements minus that of the refitted model's elements, over rate or
+    #: travel, with its band; None without a law over the motion of the pair
     law: Law | None
-    effects: tuple[str, ...]
-    travel: Array
-    rate: Array
-    before: Array
-    after: Array | None
-    loops: Loops
+    effects: tuple[str, ...]  # names of the effects
+    travel: Array  # elongation (n,) [m]
+    rate: Array  # rate of elongation (n,) [m/s]
+    before: Array  # force in addition to the refitted model (n,) [N]
+    after: Array | None  # force in addition to the model with the result (n,) [N]; None without a result
+    loops: Loops  # the whole force between the nodes
 
 
 def clouds(d: Diagnosis, trace: Trace) -> list[Cloud]:
-    """Return a cloud for every pair of nodes with an effect, or for the best candidate.
-
-    Args:
-        d: The result.
-        trace: The record.
-
-    Returns:
-        Clouds.
-    """
+    """Return a cloud for every pair of nodes with an effect, or for the best candidate."""
     laws = {law.element: law for law in d.laws}
     pairs: dict[tuple[str, str], list[Effect]] = {}
     for e in d.effects:
@@ -226,15 +188,7 @@ def _difference(refitted: Network, model: Network, pair: tuple[str, str], laws: 
 
 
 def measured_loops(d: Diagnosis, trace: Trace) -> list[Loops]:
-    """Return the loops of every measured force whose terminals have a measured or simulated motion.
-
-    Args:
-        d: The result.
-        trace: The record.
-
-    Returns:
-        Loops, in the order of the channels.
-    """
+    """Return the loops of every measured force whose terminals have a measured or simulated motion."""
     out = []
     if isinstance(d.base, Network) and isinstance(d.model, Network):
         for name, pair, factor in _force_channels(d.base):
@@ -303,11 +257,6 @@ def _rate(travel: Array, step: float) -> Array:
 
 def loops_of(d: Diagnosis, trace: Trace, found: Iterable[Cloud]) -> list[Loops]:
     """Return the loops to draw: measured forces, and the forces at the places of the finding that no channel measures.
-
-    Args:
-        d: The result.
-        trace: The record.
-        found: Clouds of the record.
 
     Returns:
         Loops; those at the places of the finding first.

@@ -77,19 +77,12 @@ STYLE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Look:
-    """Style of a series; no two series share all of colour, line and marker.
+    """Style of a series; no two series share all of colour, line and marker."""
 
-    Attributes:
-        colour: Colour.
-        line: Dash pattern of matplotlib.
-        marker: Marker of matplotlib.
-        width: Line width [pt].
-    """
-
-    colour: str
-    line: Any
-    marker: str
-    width: float = 1.3
+    colour: str  # colour
+    line: Any  # dash pattern of matplotlib
+    marker: str  # marker of matplotlib
+    width: float = 1.3  # line width [pt]
 
 
 COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, OLIVE)
@@ -111,14 +104,7 @@ LOOKS = (
 
 
 def looks(names: Sequence[str]) -> dict[str, Look]:
-    """Return a style for each name; no two of the first 57 share colour and line, or colour and marker.
-
-    Args:
-        names: Names; the first is the reference.
-
-    Returns:
-        Style by name.
-    """
+    """Return a style for each name; no two of the first 57 share colour and line, or colour and marker."""
     others = (
         Look(COLOURS[i % len(COLOURS)], LINES[i % len(LINES)], MARKERS[i % len(MARKERS)], 1.4)
         for i in range(len(names))
@@ -128,11 +114,7 @@ def looks(names: Sequence[str]) -> dict[str, Look]:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Apply the project's style to figures that are made and saved within the block.
-
-    Yields:
-        Nothing.
-    """
+    """Apply the project's style to figures that are made and saved within the block."""
     from matplotlib import rc_context
 
     with rc_context(STYLE):  # type: ignore[arg-type]
@@ -145,9 +127,6 @@ def figure(width: float = 7.2, height: float = 4.0) -> Figure:
     Args:
         width: Width [inch].
         height: Height [inch].
-
-    Returns:
-        The figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -159,26 +138,17 @@ def figure(width: float = 7.2, height: float = 4.0) -> Figure:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure on a page.
+    """A figure on a page."""
 
-    Attributes:
-        stem: Stem of the file name.
-        title: Title.
-        alt: Text for readers who cannot see the figure.
-        caption: Caption.
-        drawing: SVG text.
-        width: Width at which the text has the size of the page's small print [CSS pixel].
-        notes: Text that the page shows where the pointer rests on an element, by the element's identifier.
-        others: Further pictures of the figure by name, such as those of other records.
-    """
-
-    stem: str
-    title: str
-    alt: str
-    caption: str
-    drawing: str
-    width: int
+    stem: str  # stem of the file name
+    title: str  # title
+    alt: str  # text for readers who cannot see the figure
+    caption: str  # caption
+    drawing: str  # SVG text
+    width: int  # width at which the text has the size of the page's small print [CSS pixel]
+    #: text that the page shows where the pointer rests on an element, by the element's identifier
     notes: Mapping[str, str] = field(default_factory=dict)
+    #: further pictures of the figure by name, such as those of other records
     others: Mapping[str, Picture] = field(default_factory=dict)
 
     @property
@@ -198,30 +168,14 @@ class Picture:
         return text.replace("<svg", head, 1)
 
     def save(self, folder: Path) -> None:
-        """Write the picture as an SVG file.
-
-        Args:
-            folder: Folder of the file.
-        """
+        """Write the picture as an SVG file."""
         (folder / f"{self.stem}.svg").write_text(self.drawing + "\n", encoding="utf-8")
 
 
 def as_picture(
     fig: Figure, stem: str, title: str, alt: str, caption: str, notes: Mapping[str, str] | None = None
 ) -> Picture:
-    """Return a figure as a picture of a page; equal figures give equal texts. To be called within `style`.
-
-    Args:
-        fig: The figure.
-        stem: Stem of the file name.
-        title: Title.
-        alt: Text for readers who cannot see the figure.
-        caption: Caption.
-        notes: Text by identifier of an element of the figure.
-
-    Returns:
-        The picture.
-    """
+    """Return a figure as a picture of a page; equal figures give equal texts. To be called within `style`."""
     whole = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     fig.savefig(whole, format="svg", dpi=DPI, metadata=nothing)
@@ -239,9 +193,6 @@ def number(value: float | None, digits: int = 3) -> str:
     Args:
         value: The number; None for a dash.
         digits: Number of significant digits.
-
-    Returns:
-        Text.
     """
     if value is None or not math.isfinite(value):
         return "–"
@@ -267,9 +218,6 @@ def percent(share: float | None, digits: int = 1, *, sign: bool = True) -> str:
         share: The fraction; None for a dash.
         digits: Number of decimals.
         sign: Whether a plus sign is written.
-
-    Returns:
-        Text.
     """
     if share is None or not math.isfinite(share):
         return "–"
@@ -278,14 +226,7 @@ def percent(share: float | None, digits: int = 1, *, sign: bool = True) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit in print: ``m/s^2`` -> m/s², ``-`` -> nothing.
-
-    Args:
-        unit: The unit.
-
-    Returns:
-        Text.
-    """
+    """Return a unit in print: ``m/s^2`` -> m/s², ``-`` -> nothing."""
     if unit in ("", "-"):
         return ""
     return (
@@ -306,51 +247,22 @@ _STATED = re.compile(rf"(?<=\d )(?:{_PARTS})(?:\^\d)?(?:[ /](?:{_PARTS})(?:\^\d)
 
 
 def units_text(sentence: str) -> str:
-    """Return a sentence with the units after its numbers in print; words that only look like a unit stay.
-
-    Args:
-        sentence: The sentence.
-
-    Returns:
-        Text.
-    """
+    """Return a sentence with the units after its numbers in print; words that only look like a unit stay."""
     return _STATED.sub(lambda unit: unit_text(unit[0]), sentence)
 
 
 def channel_text(name: str) -> str:
-    """Return the name of a channel in print.
-
-    Args:
-        name: The name.
-
-    Returns:
-        Text.
-    """
+    """Return the name of a channel in print."""
     return name.replace("_", " ")
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital first letter; all other letters are unchanged (Hz stays Hz).
-
-    Args:
-        text: The text.
-
-    Returns:
-        Text.
-    """
+    """Return a text with a capital first letter; all other letters are unchanged (Hz stays Hz)."""
     return text[:1].upper() + text[1:]
 
 
 def page(template: str, **context: Any) -> str:
-    """Return the HTML of one of the package's templates; all values are escaped. The page fetches nothing.
-
-    Args:
-        template: File name of the template.
-        context: Values of the template.
-
-    Returns:
-        HTML.
-    """
+    """Return the HTML of one of the package's templates; all values are escaped. The page fetches nothing."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     env = Environment(
@@ -378,11 +290,7 @@ def page(template: str, **context: Any) -> str:
 
 
 def versions() -> list[tuple[str, str]]:
-    """Return the versions that a result depends on: this package, Python and the numerical libraries.
-
-    Returns:
-        Name and version of each.
-    """
+    """Return the versions that a result depends on: this package, Python and the numerical libraries."""
     out = [("Python", platform.python_version())]
     for name in ("isd-gym", "numpy", "scipy", "numba"):
         try:
@@ -396,11 +304,7 @@ def versions() -> list[tuple[str, str]]:
 
 
 def halo() -> list[Any]:
-    """Return a white rim that keeps text on a line legible.
-
-    Returns:
-        Path effects of matplotlib.
-    """
+    """Return a white rim that keeps text on a line legible."""
     from matplotlib.patheffects import withStroke
 
     return [withStroke(linewidth=2.5, foreground="white")]

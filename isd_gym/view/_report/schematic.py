@@ -66,32 +66,16 @@ class _Word:
 
 @dataclass
 class Drawing:
-    """Strokes and words on a sheet.
+    """Strokes and words on a sheet."""
 
-    Attributes:
-        width: Width of the sheet [px].
-        height: Height of the sheet [px].
-        strokes: Polylines.
-        words: Texts.
-        title: Title.
-    """
-
-    width: float = 0.0
-    height: float = 0.0
-    strokes: list[_Stroke] = field(default_factory=list)
-    words: list[_Word] = field(default_factory=list)
-    title: str = ""
+    width: float = 0.0  # width of the sheet [px]
+    height: float = 0.0  # height of the sheet [px]
+    strokes: list[_Stroke] = field(default_factory=list)  # polylines
+    words: list[_Word] = field(default_factory=list)  # texts
+    title: str = ""  # title
 
     def svg(self, *, inline: bool = False) -> str:
-        """Return the drawing as SVG.
-
-        Args:
-            inline: Whether the colours are those of the surrounding page (CSS variables), instead of fixed
-                colours on white.
-
-        Returns:
-            SVG text.
-        """
+        """Return the drawing as SVG."""
 
         def colour(name: str) -> str:
             return (
@@ -124,17 +108,7 @@ class Drawing:
         return f"{head}<title>{escape(self.title)}</title>{back}{body}</svg>"
 
     def save(self, path: str | Path) -> Path:
-        """Write the drawing in the format of the suffix.
-
-        Args:
-            path: File to write (.svg, .png or .pdf).
-
-        Returns:
-            The path.
-
-        Raises:
-            InputError: The suffix is unknown, or the file cannot be written.
-        """
+        """Write the drawing in the format of the suffix."""
         from ..._common.files import whole, write_text
 
         path = Path(path)
@@ -176,14 +150,7 @@ class Drawing:
 
 
 def check_suffix(path: Path) -> None:
-    """Check that a file name has the suffix of a drawing.
-
-    Args:
-        path: The file.
-
-    Raises:
-        InputError: The suffix is unknown.
-    """
+    """Check that a file name has the suffix of a drawing."""
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"cannot draw to '{path}': end the name in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
@@ -685,18 +652,7 @@ def _poles(sheet: _Sheet, pieces: Sequence[_Piece]) -> tuple[str, list[str]]:
 
 
 def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
-    """Return the drawing of a network.
-
-    Args:
-        network: The model.
-        found: Names of elements to highlight.
-
-    Returns:
-        The drawing.
-
-    Raises:
-        InputError: The network has no elements between nodes.
-    """
+    """Return the drawing of a network."""
     if not any(e.place == "between" for e in network.elements):
         raise InputError("a network without elements between nodes cannot be drawn")
     sheet = _Sheet(network, found)
@@ -844,15 +800,7 @@ def _signals(sheet: _Sheet, x: float) -> None:
 
 
 def place_parts(network: Network, where: Sequence[str]) -> list[str]:
-    """Return the highlighted parts of a drawing for a place.
-
-    Args:
-        network: The model.
-        where: Two nodes, a motor, or a channel.
-
-    Returns:
-        Names of parts.
-    """
+    """Return the highlighted parts of a drawing for a place."""
     if len(where) == 2:
         between = [e.name for e in network.elements if e.place == "between" and set(e.where) == set(where)]
         return [*(f"node:{n}" for n in where), *(f"el:{n}" for n in between)]

@@ -65,23 +65,12 @@ def score_report(score: Score, folder: str | Path) -> Path:
 
 
 def check_report(folder: str | Path) -> None:
-    """Check before long work that `score_report` can write to a folder.
-
-    Args:
-        folder: The folder.
-
-    Raises:
-        InputError: The folder holds other files, or cannot be written.
-    """
+    """Check before long work that `score_report` can write to a folder."""
     check_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS)
 
 
 class Shown:
-    """A score prepared for drawing: the style of each policy, and the reference.
-
-    Args:
-        score: The score.
-    """
+    """A score prepared for drawing: the style of each policy, and the reference."""
 
     def __init__(self, score: Score) -> None:
         self.score = score
@@ -158,14 +147,7 @@ class Shown:
         return self.score.references.get("left_out") or self.score.comparable.left_out or ""
 
     def few(self, count: int) -> tuple[list[str], str]:
-        """Return the reference and the best policies, since many curves are unreadable.
-
-        Args:
-            count: Number of policies besides the reference.
-
-        Returns:
-            Names, and a sentence on the omitted policies.
-        """
+        """Return the reference and the best policies, since many curves are unreadable."""
         others = sorted((n for n in self.names if n != self.reference), key=lambda n: self.costs[n].mean())
         kept = [n for n in self.names if n == self.reference or n in others[:count]]
         gone = [n for n in self.names if n not in kept]
@@ -186,14 +168,7 @@ class Shown:
         return out
 
     def interval(self, q: dict[str, Any]) -> str:
-        """Return the 95 % interval of a change, such as ``[−24.3, −21.9] %``.
-
-        Args:
-            q: Quantity of a score.
-
-        Returns:
-            Text; '' without an interval.
-        """
+        """Return the 95 % interval of a change, such as ``[−24.3, −21.9] %``; '' without an interval."""
         if self.score.episodes < 2 or q.get("low") is None or q["low"] == q["high"] == 0.0:
             return ""
         return f"[{percent(q['low'])[:-2]}, {percent(q['high'])[:-2]}]"
@@ -235,10 +210,6 @@ class Shown:
     def change(self, name: str, key: str) -> np.ndarray:
         """Return the change of each episode against the same episode of the reference.
 
-        Args:
-            name: Policy.
-            key: Quantity.
-
         Returns:
             Changes (episodes,), as fractions.
         """
@@ -254,14 +225,7 @@ class Shown:
 
 
 def histories(shown: Shown) -> Chart:
-    """Return the chart of four seconds around the reference's worst moment: the best policy in a median episode and in the hardest, then others.
-
-    Args:
-        shown: The prepared score.
-
-    Returns:
-        The chart.
-    """
+    """Return the chart of four seconds around the reference's worst moment: the best policy in a median episode and in the hardest, then others."""
     base = shown.runs[shown.reference]
     order = np.argsort(shown.costs[shown.reference])
     middle, hardest = int(order[len(order) // 2]), int(order[-1])
@@ -325,14 +289,7 @@ def histories(shown: Shown) -> Chart:
 
 
 def spectra(shown: Shown) -> Chart | None:
-    """Return the chart of the power spectral densities, and of their ratios to the reference.
-
-    Args:
-        shown: The prepared score.
-
-    Returns:
-        The chart; None for short or constant signals.
-    """
+    """Return the chart of the power spectral densities, and of their ratios to the reference; None for short or constant signals."""
     from ...benchmark.scoring import frequency_weighting
 
     units = {"body_acceleration": "(m/s²)²/Hz", "suspension_travel": "mm²/Hz", "tyre_load": "N²/Hz"}
@@ -389,9 +346,6 @@ def spectra(shown: Shown) -> Chart | None:
 def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     """Return the causal bound in the plane of travel and acceleration for several tyre loads, if its conditions hold.
 
-    Args:
-        score: The score.
-
     Returns:
         Change of the tyre load, and curve (k, 2) of travel change and acceleration change.
     """
@@ -418,14 +372,7 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
 
 
 def trade_off(shown: Shown) -> Chart:
-    """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load.
-
-    Args:
-        shown: The prepared score.
-
-    Returns:
-        The chart.
-    """
+    """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load."""
     marks = [*_policy_marks(shown), *_published_marks(shown)]
     xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
     curves = fronts(shown.score)
@@ -527,14 +474,7 @@ def _trade_off_caption(score: Score, *, has_bound: bool) -> str:
 
 
 def distribution(shown: Shown) -> Chart | None:
-    """Return the chart of the changes of all episodes against the reference on the same road.
-
-    Args:
-        shown: The prepared score.
-
-    Returns:
-        The chart; None for a single episode.
-    """
+    """Return the chart of the changes of all episodes against the reference on the same road; None for a single episode."""
     names = [n for n in shown.names if n != shown.reference and n in shown.rows]
     if not names or shown.score.episodes < 2:
         return None
@@ -575,14 +515,7 @@ def distribution(shown: Shown) -> Chart | None:
 
 
 def limits(shown: Shown) -> Chart:
-    """Return the chart of the share of time that a signal spends above a value, up to and beyond the limit.
-
-    Args:
-        shown: The prepared score.
-
-    Returns:
-        The chart.
-    """
+    """Return the chart of the share of time that a signal spends above a value, up to and beyond the limit."""
     from ...benchmark.scoring import LIMITS
 
     few, left_out = shown.few(3)
