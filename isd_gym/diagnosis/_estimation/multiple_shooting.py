@@ -40,41 +40,35 @@ def is_lightly_damped(network: Network) -> bool:
     return bool(np.any(np.abs(swings) > LONG * np.abs(swings.real)))
 
 
-def in_segments(
-    problem: Problem, fit: Fit, least_noise: Array, length: float = 1.0
-) -> tuple[Problem, Fit] | None:
-    """Return the training records in segments with initial states of their own, and a fit over the segments.
+def segments_of(problem: Problem, length: float = 1.0) -> Problem | None:
+    """Return the problem with the training records in segments; None where the records are no longer than a segment.
 
     Args:
         problem: Model and records.
-        fit: A fit, whose parameters are kept.
-        least_noise: Smallest noise of weights (channels,).
         length: Length of the segments as a multiple of the usual length.
-
-    Returns:
-        Segments and fit; None where the records are no longer than a segment.
     """
     seconds = length * STRETCH * problem.time
     pieces = [s for i in problem.estimation for s in cut_segments(problem.records[i], seconds, LEAST)]
     if len(pieces) <= len(problem.estimation):
         return None
-    brief = problem.with_records(pieces, ["fit"] * len(pieces))
-    own = Fitter(brief, white_filters(least_noise)).fit(fit.structure, fit.x, frozen=True, iterations=4)
-    return brief, own
+    return problem.with_records(pieces, ["fit"] * len(pieces))
+
+
+def in_segments(
+    problem: Problem, fit: Fit, least_noise: Array, length: float = 1.0
+) -> tuple[Problem, Fit] | None:
+    """Return the segments of `segments_of`, and the fit with an initial state of its own for each of them."""
+    brief = segments_of(problem, length)
+    if brief is None:
+        return None
+    fitter = Fitter(brief, white_filters(least_noise))
+    return brief, fitter.fit(fit.structure, fit.x, frozen=True, iterations=4)
 
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
-    """Fit parameters to brief segments of the training records; None where the fit breaks down.
-
-    weights: a fitter of the same channels, whose weights are used.
-    """
-    pieces = [
-        s for i in problem.estimation for s in cut_segments(problem.records[i], STRETCH * problem.time, LEAST)
-    ]
-    if len(pieces) <= len(problem.estimation):
-        return None
-    brief = problem.with_records(pieces, ["fit"] * len(pieces))
+    """Fit parameters to segments of the training records, with the weights of a fitter; None where the fit breaks down."""
+    brief = segments_of(problem)
     try:
-        return Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
+        return None if brief is None else Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
     except (InputError, np.linalg.LinAlgError):
         return None
