@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 LONG = 30.0
 STRETCH = 40.0  # length of the stretches, in the rig's own time: some six periods
 LEAST = 60  # samples of one
+SHORT = 0.25  # length of the first segments
+GROWTH = 1.6  # of the length of segments, from one fit to the next
 
 
 def is_lightly_damped(network: Network) -> bool:
@@ -66,9 +68,22 @@ def in_segments(
 
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
-    """Fit parameters to segments of the training records, with the weights of a fitter; None where the fit breaks down."""
-    brief = segments_of(problem)
+    """Fit parameters to segments of the training records that grow, with the weights of a fitter.
+
+    Args:
+        problem: Model and records.
+        structure: The structure.
+        x: Start values (parameters,), transformed.
+        weights: Fitter to the whole records.
+
+    Returns:
+        Parameters (parameters,), transformed; None where the records are no longer than a segment, or a fit breaks down.
+    """
+    length, found = SHORT, None
     try:
-        return None if brief is None else Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
+        while (brief := segments_of(problem, length)) is not None:
+            found = x = Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
+            length *= GROWTH
     except (InputError, np.linalg.LinAlgError):
         return None
+    return found

@@ -84,7 +84,7 @@ class CandidateFitter:
             The candidate; None where the motion is strongly damped, or the fit breaks down.
         """
         p, least = self.evaluator.problem, self.evaluator.least_noise
-        if not self.is_lightly_damped:
+        if p.network.inputs and not self.is_lightly_damped:
             return None
         noise = white_noise(p, similar.fit, least) if noise is None else noise
         try:

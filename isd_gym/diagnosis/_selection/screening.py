@@ -15,7 +15,7 @@ from ...physics.elements import beside
 from ...physics.network import GROUND
 from .._estimation.gauss_newton import Fit, Fitter, gap, residuals
 from .._estimation.initial_states import guess, transfer_states
-from .._estimation.multiple_shooting import in_segments, is_lightly_damped
+from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped
 from .._estimation.noise import refined_noise, whitener
 from .._hypotheses.library import Hypothesis, hypotheses
 from .._hypotheses.motion import motions
@@ -41,8 +41,8 @@ TRIED, FITTED, PERIODS = 6, 2, 4
 VARIANTS = 2
 #: multiples of the matched size at which an effect in series, at a drive or at a sensor is tried
 SIZES = (1.0, 4.0, 20.0, 80.0)
-#: lengths of segments that keep the phase, as multiples of the usual length, and growth of the segments
-LENGTHS, GROWTH = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03), 1.6
+#: lengths of segments that keep the phase, as multiples of the usual length
+LENGTHS = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
 #: Gauss-Newton steps of the first fit of each start, of the fit of the best start, and of a fit from segments to whole records
 FIRST, FURTHER, WHOLE = 3, 5, 8
 
