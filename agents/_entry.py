@@ -1,9 +1,8 @@
-"""Entry point of trained policies for `isd-gym score`: a shipped policy, a policy folder or an archive of Stable-Baselines3."""
+"""Entry point of trained policies for `isd-gym score`: a shipped policy or a policy folder."""
 
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,62 +19,38 @@ if TYPE_CHECKING:
 def open_policy(
     name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
 ) -> Entry | None:
-    """Return a trained policy as an entry of a score.
-
-    Args:
-        name: Name of a shipped policy, a policy folder, or a .zip file.
-        model: Network of the score.
-        cost: Without effect.
-        control_step: Control step [s].
-        options: `preview` [s], which must agree with the policy's; `trained`, options of the training of an
-            archive (`_convert.trained_options`).
-
-    Returns:
-        The entry; None for other names.
-
-    Raises:
-        InputError: The policy cannot be read, or does not fit the network, the control step or the preview.
-    """
+    """Return a trained policy as an entry of a score."""
     path = Path(name)
-    if path.suffix.lower() == ".zip":
-        from ._convert import convert, trained_options
-
-        given: dict[str, Any] = dict(trained_options(options["trained"]) if options.get("trained") else {})
-        first = convert(path, network=model, **given)
-        if "normalisation" in first.info and "normalize" not in given:
-            print(f"{name}: normalised by '{first.info['normalisation']}' beside it", file=sys.stderr)
-    elif name in names() or os.path.isdir(path) or path.name == "policy.json":
-        first = Policy.load(path.parent if path.name == "policy.json" else path)
-    else:
+    if not (name in names() or os.path.isdir(path) or path.name == "policy.json"):
         return None
-    if abs(control_step - first.memory.step) > 1e-9:
-        raise InputError(f"policy '{name}' acts every {first.memory.step:g} s, not every {control_step:g} s")
+    policy = Policy.load(path.parent if path.name == "policy.json" else path)
+    return entry_of(policy, name, model, control_step, options)
+
+
+def entry_of(
+    policy: Policy, name: str, model: Network, control_step: float, options: dict[str, Any]
+) -> Entry:
+    """Return the entry of a policy that fits the network, the control step and the preview of a score."""
+    if abs(control_step - policy.memory.step) > 1e-9:
+        raise InputError(f"policy '{name}' acts every {policy.memory.step:g} s, not every {control_step:g} s")
     asked = options.get("preview")
-    if asked is not None and first.preview and abs(asked - first.preview) > 1e-9:
+    if asked is not None and policy.preview and abs(asked - policy.preview) > 1e-9:
         raise InputError(
-            f"policy '{name}' was trained with {first.preview:g} s of road ahead, not {asked:g} s"
+            f"policy '{name}' was trained with {policy.preview:g} s of road ahead, not {asked:g} s"
         )
-    first.check(model)
+    policy.check(model)
     if (speed := options.get("speed")) is not None:
-        first = first.at_speed(speed)
-    return Entry(first.name, first.copy)
+        policy = policy.at_speed(speed)
+    return Entry(policy.name, policy.copy)
 
 
 def names() -> list[str]:
-    """Return the names of the shipped policies.
-
-    Returns:
-        Names, sorted.
-    """
+    """Return the names of the shipped policies."""
     return sorted(p.parent.name for p in SHIPPED.glob("*/policy.json"))
 
 
 def about() -> dict[str, str]:
-    """Return one-line descriptions of the shipped policies, from their files.
-
-    Returns:
-        Description by name.
-    """
+    """Return one-line descriptions of the shipped policies, from their files."""
     import json
 
     out = {}
@@ -93,4 +68,3 @@ def about() -> dict[str, str]:
 
 
 open_policy.about = about  # type: ignore[attr-defined]
-open_policy.names = names  # type: ignore[attr-defined]

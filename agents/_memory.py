@@ -147,21 +147,6 @@ class Filter:
         """Number of features: the estimate, the frictions, and for each current the law and the offset from the law."""
         return len(self.B) + len(self.K) + 2 * self.currents
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Filter:
-        """Return a filter from plain data.
-
-        Args:
-            data: Value by attribute.
-
-        Returns:
-            The filter.
-
-        Raises:
-            InputError: A shape or a number is invalid.
-        """
-        return cls(**{k: tuples(v) for k, v in data.items()})
-
 
 @dataclass(frozen=True)
 class Echo:
@@ -226,34 +211,10 @@ class Echo:
         """Number of features."""
         return len(self.followers) * self.points
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Echo:
-        """Return an echo from plain data.
-
-        Args:
-            data: Value by attribute.
-
-        Returns:
-            The echo.
-
-        Raises:
-            InputError: A shape or a number is invalid.
-        """
-        return cls(**{k: tuples(v) for k, v in data.items()})
-
     def weights(self, step: float) -> np.ndarray:
         """Return the weights of the measured rises in the rises ahead.
 
         A rise of age j was met in the step that began `lag` + j steps ago.
-
-        Args:
-            step: Control step [s].
-
-        Returns:
-            Weights (leaders, ages, followers * points).
-
-        Raises:
-            InputError: A delay is longer than `LONGEST` steps at this speed.
         """
         delays = [distance / (self.speed * step) for _, distance in self.followers]
         if max(delays) > LONGEST:
@@ -276,15 +237,13 @@ class Echo:
 
 
 def tuples(value: Any) -> Any:
-    """Return nested lists as nested tuples.
-
-    Args:
-        value: Nested lists, or any other value.
-
-    Returns:
-        Nested tuples, or the value.
-    """
+    """Return nested lists as nested tuples."""
     return tuple(tuples(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+def _made(kind: type[Any], data: Mapping[str, Any] | None) -> Any:
+    """Return a `Filter` or an `Echo` from plain data; None without data."""
+    return kind(**{k: tuples(v) for k, v in data.items()}) if data else None
 
 
 @dataclass(frozen=True)
@@ -331,30 +290,11 @@ class Memory(History):
 
     @classmethod
     def of(cls, car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> Memory:
-        """Return the memory whose features are the history of a car, the observation ``"history"``.
-
-        Args:
-            car: The car.
-            step: Control step [s].
-            speed: Speed [m/s].
-
-        Returns:
-            The memory.
-        """
+        """Return the memory whose features are the history of a car, the observation ``"history"``."""
         return cls(**vars(history_of(car, step, speed)))
 
     def at(self, speed: float) -> Memory:
-        """Return the memory at another speed: the delays of following wheels follow the speed.
-
-        Args:
-            speed: Speed of the car [m/s].
-
-        Returns:
-            A changed copy; the same memory if it has no such delay.
-
-        Raises:
-            InputError: The speed is too low for the delay.
-        """
+        """Return the memory at another speed: the delays of following wheels follow the speed."""
         speed = float(speed)
         echo = replace(self.echo, speed=speed) if self.echo else None
         if echo:
@@ -364,17 +304,7 @@ class Memory(History):
         return replace(self, echo=echo, speed=speed)
 
     def width(self, signals: int) -> int:
-        """Return the number of features.
-
-        Args:
-            signals: Number of measured signals, without the road ahead.
-
-        Returns:
-            Number of features.
-
-        Raises:
-            InputError: The memory was made for another number of signals.
-        """
+        """Return the number of features."""
         if self.scale and signals != len(self.scale):
             raise InputError(f"memory: made for {len(self.scale)} signals, the observation has {signals}")
         return signals * (1 + self.order) + self.extra
@@ -386,26 +316,12 @@ class Memory(History):
         return len(self.leak) + len(self.late) + self.ahead + echo + (self.filter.width if self.filter else 0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the memory as plain data.
-
-        Returns:
-            Value by attribute.
-        """
+        """Return the memory as plain data."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Memory:
-        """Return a memory from plain data.
-
-        Args:
-            data: Value by attribute.
-
-        Returns:
-            The memory.
-
-        Raises:
-            InputError: A value is missing or invalid.
-        """
+        """Return a memory from plain data."""
         try:
             return cls(
                 scale=tuple(float(s) for s in data.get("scale", ())),
@@ -415,10 +331,10 @@ class Memory(History):
                 step=float(data.get("step", 5e-3)),
                 late=tuple((int(c), float(d), float(t)) for c, d, t in data.get("late", ())),
                 speed=float(data.get("speed", 20.0)),
-                filter=Filter.from_dict(data["filter"]) if data.get("filter") else None,
+                filter=_made(Filter, data.get("filter")),
                 ahead=int(data.get("ahead", 0)),
                 rise=float(data.get("rise", 1.4e-3)),
-                echo=Echo.from_dict(data["echo"]) if data.get("echo") else None,
+                echo=_made(Echo, data.get("echo")),
             )
         except InputError:
             raise
@@ -426,14 +342,7 @@ class Memory(History):
             raise InputError(f"memory: {error}") from None
 
     def start(self, observations: np.ndarray) -> Recall:
-        """Return the memory of cars at the start of an episode.
-
-        Args:
-            observations: Observations (count, signals, then the road ahead).
-
-        Returns:
-            The cars' memory.
-        """
+        """Return the memory of cars at the start of an episode."""
         return Recall(self, observations)
 
 

@@ -102,22 +102,6 @@ class Head:
             return np.clip(recall.filter.wanted + offset, -self.limit, self.limit)
         return np.clip(present + share * np.float32(self.slew), -self.limit, self.limit)
 
-    def share(self, current: np.ndarray, present: np.ndarray) -> np.ndarray:
-        """Return the output that commands given currents, as nearly as possible; zero for a residual.
-
-        Args:
-            current: Wanted currents (count, currents) [A].
-            present: Present currents (count, currents) [A].
-
-        Returns:
-            Output (count, currents) in [-1, 1].
-        """
-        if self.mode == "residual":
-            return np.zeros_like(current)
-        if self.mode == "target":
-            return np.clip(current / np.float32(self.limit), -1.0, 1.0)
-        return np.clip((current - present) / np.float32(self.slew), -1.0, 1.0)
-
 
 def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarray]:
     """Return the tensors of a safetensors file.

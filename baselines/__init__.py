@@ -6,8 +6,8 @@ controller sees only the observation of the environment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -17,15 +17,15 @@ from isd_gym.physics._vehicle import require_quarter_car, vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
-from .controller import Controller
+from .controller import BatchController
 
 if __name__ != "isd_gym.baselines":  # a second copy, found in the source tree, would have classes of its own
     raise ImportError("the package is imported as isd_gym.baselines, not baselines")
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
-_Factory = Callable[..., Controller | Idle]
 _PREVIEW = 0.25  # default preview of the controllers with preview [s]
 
 
@@ -46,26 +46,31 @@ def noisy(share: float) -> Any:
     return Sensors(**{k: (getattr(clean, k) ** 2 + (share * v) ** 2) ** 0.5 for k, v in NOISE.items()})
 
 
-def _idle(name: str) -> _Factory:
-    return lambda model, cost, control_step: Idle(name, model)
+def _idle(name: str, model: Network, cost: StageCost, control_step: float) -> Idle:
+    return Idle(name, model)
 
 
-def _of(name: str, kind: str, usual: Callable[[Any, float, dict[str, Any]], Any]) -> _Factory:
-    """Return the factory of a class such as 'lqg.Lqg', whose module is imported on demand.
+def _made(
+    kind: str,
+    preset: Callable[[Any, float, dict[str, Any]], Any] | None,
+    name: str,
+    model: Network,
+    cost: StageCost,
+    control_step: float,
+    **options: Any,
+) -> BatchController:
+    """Return a controller of a class such as 'lqg.Lqg', whose module is imported on demand.
 
-    `usual` returns the settings from the module, the control step and the options; options are fields of the settings.
+    `preset` returns the settings from the module, the control step and the options; options are fields of the settings.
     """
     module, _, cls = kind.partition(".")
-
-    def make_one(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
-        home = import_module(f".{module}", __package__)
-        settings = options.pop("settings", None) or usual(home, control_step, options)
-        known = {f.name for f in fields(settings)}
-        if unknown := [k for k in options if k not in known]:
-            raise InputError(f"no option '{unknown[0]}': there are {', '.join(sorted(known))}")
-        return getattr(home, cls)(model, cost, control_step, replace(settings, **options), name)
-
-    return make_one
+    home = import_module(f".{module}", __package__)
+    usual = preset(home, control_step, options) if preset else getattr(home, cls).default
+    settings = options.pop("settings", None) or usual
+    known = {f.name for f in fields(settings)}
+    if unknown := [k for k in options if k not in known]:
+        raise InputError(f"no option '{unknown[0]}': there are {', '.join(sorted(known))}")
+    return getattr(home, cls)(model, cost, control_step, replace(settings, **options), name)
 
 
 def _previewing(home: Any, control_step: float, options: dict[str, Any]) -> Any:
@@ -82,26 +87,27 @@ def _robust(home: Any, control_step: float, options: dict[str, Any]) -> Any:
     return home.FrictionMpcSettings(sensors=noisy(0.5))
 
 
+#: class and preset of each controller
+_CLASSES: dict[str, tuple[str, Callable[[Any, float, dict[str, Any]], Any] | None]] = {
+    "skyhook": ("_simple.Skyhook", None),
+    "add": ("_simple.AccelerationDriven", None),
+    "lqg": ("lqg.Lqg", None),
+    "lqg-preview": ("lqg.Lqg", lambda home, *_: home.LqgSettings(preview=_PREVIEW)),
+    "lqr-full": ("lqg.FullStateLqr", None),
+    "mpc-paper": ("mpc.Mpc", lambda home, *_: home.PAPER),
+    "mpc": ("mpc.Mpc", None),
+    "mpc-friction": ("friction.FrictionMpc", None),
+    "mpc-friction-preview": ("friction.FrictionMpc", _previewing),
+    "mpc-robust": ("friction.FrictionMpc", _robust),
+    "lqg-wheelbase": ("_wheelbase.WheelbaseLqg", None),
+    "mpc-wheelbase": ("_wheelbase.WheelbaseMpc", None),
+}
+#: no current
+_IDLE = ("passive", "isd-passive")  # "passive" on another plant: the conventional car
 #: name -> factory(model, cost, control_step, **options)
-CONTROLLERS: dict[str, _Factory] = {
-    "passive": _idle("passive"),  # on another plant: the conventional car
-    "isd-passive": _idle("isd-passive"),
-    "skyhook": _of("skyhook", "_simple.Skyhook", lambda home, *_: home.Skyhook.default),
-    "add": _of("add", "_simple.AccelerationDriven", lambda home, *_: home.AccelerationDriven.default),
-    "lqg": _of("lqg", "lqg.Lqg", lambda home, *_: home.LqgSettings()),
-    "lqg-preview": _of("lqg-preview", "lqg.Lqg", lambda home, *_: home.LqgSettings(preview=_PREVIEW)),
-    "lqr-full": _of("lqr-full", "lqg.FullStateLqr", lambda home, *_: home.LqgSettings()),
-    "mpc-paper": _of("mpc-paper", "mpc.Mpc", lambda home, *_: home.PAPER),
-    "mpc": _of("mpc", "mpc.Mpc", lambda home, *_: home.MpcSettings()),
-    "mpc-friction": _of("mpc-friction", "friction.FrictionMpc", lambda home, *_: home.FrictionMpcSettings()),
-    "mpc-friction-preview": _of("mpc-friction-preview", "friction.FrictionMpc", _previewing),
-    "mpc-robust": _of("mpc-robust", "friction.FrictionMpc", _robust),
-    "lqg-wheelbase": _of(
-        "lqg-wheelbase", "_wheelbase.WheelbaseLqg", lambda home, *_: home.WheelbaseSettings()
-    ),
-    "mpc-wheelbase": _of(
-        "mpc-wheelbase", "_wheelbase.WheelbaseMpc", lambda home, *_: home.WheelbaseMpcSettings()
-    ),
+CONTROLLERS: dict[str, Callable[..., BatchController | Idle]] = {
+    **{name: partial(_idle, name) for name in _IDLE},
+    **{name: partial(_made, kind, preset, name) for name, (kind, preset) in _CLASSES.items()},
 }
 #: one-line descriptions
 ABOUT = {
@@ -122,10 +128,6 @@ ABOUT = {
 }
 #: plants of controllers with a plant of their own
 PLANTS = {"passive": "quarter-car-passive"}
-#: no current
-_IDLE = ("passive", "isd-passive")
-
-
 #: controllers of a quarter car that drive a car with several corners as one at each corner
 _AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
 
@@ -139,7 +141,7 @@ def make(
     cost: StageCost | None = None,
     control_step: float = 5e-3,
     **options: Any,
-) -> Controller | Idle:
+) -> BatchController | Idle:
     """Return a controller.
 
     In a car with several corners, a controller of a quarter car drives each corner separately
@@ -176,4 +178,4 @@ def make(
     return factory(network, cost, control_step, **options)
 
 
-__all__ = ["CONTROLLERS", "PLANTS", "Controller", "make"]
+__all__ = ["CONTROLLERS", "PLANTS", "BatchController", "make"]

@@ -34,8 +34,6 @@ from ._model import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from isd_gym.physics import elements as el
     from isd_gym.physics.cost import StageCost
     from isd_gym.physics.network import Network
@@ -66,14 +64,7 @@ class WholeCar(Laws):
         return self.C[[names.index(c.named("device_travel_rate")) for c in self.car.driven]]
 
     def rows(self, kind: str) -> list[int]:
-        """Return the rows of the channels of a kind, one per corner.
-
-        Args:
-            kind: Name of the channel without the name of the corner.
-
-        Returns:
-            Rows.
-        """
+        """Return the rows of the channels of a kind, one per corner."""
         names = [c.name for c in self.car.channels]
         return [names.index(c.named(kind)) for c in self.car.corners]
 
@@ -133,14 +124,8 @@ class CarModel(WholeCar):
         return slice(signals - len(self.car.driven), signals)
 
     def rises_ahead(self, corner: int) -> np.ndarray:
-        """Return the rises of the road under a wheel in the next control steps, as far as the delay line knows the road.
-
-        Args:
-            corner: Index of the corner.
-
-        Returns:
-            Matrix (points, line) on the delay line; no points for a foremost wheel.
-        """
+        """Return the rises of the road under a wheel in the next control steps, as far as the delay line knows the road
+        (points, line)."""
         points = int(self.delays[corner])
         size = self.n - self.motion
         rows, line = np.zeros((points, size)), self.rises[corner]
@@ -150,16 +135,9 @@ class CarModel(WholeCar):
         return rows
 
     def kalman_gain(self, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
-        """Return the steady gain of a Kalman filter on the measured signals.
+        """Return the steady gain (n, measured) of a Kalman filter on the measured signals.
 
         Angular accelerations are as accurate as the difference of two accelerometers at the axles.
-
-        Args:
-            sensors: Standard deviations of the measurements.
-            noise: Covariance of the state per step, in addition to the road's; None for zero.
-
-        Returns:
-            Gain (n, measured).
         """
         apart = max(abs(place) for c in self.car.corners for place in (c.x, c.y))
         errors = []
@@ -186,14 +164,7 @@ class CarWeights:
     centring: float = 0.01
 
     def of(self, model: WholeCar) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weights of a model.
-
-        Args:
-            model: Model of the car.
-
-        Returns:
-            Weights of the channels (channels,) and of the currents (currents,).
-        """
+        """Return the weights of the channels (channels,) and of the currents (currents,) of a model."""
         car = model.car
         corners, currents, motions = len(car.corners), len(car.driven), 1 + len(car.axes)
         factors = self.cost.factors(car.axes, corners, currents)
@@ -259,31 +230,17 @@ def car_model(
     speed: float,
     *,
     wheelbase: bool = True,
-    damping: Mapping[str, float] | None = None,
     road_intensity: float = ROAD_INTENSITY,
 ) -> CarModel:
     """Return the model of a car at a control step.
 
-    Dry friction and stops are kept as laws. Every other law is linearised by its slope at rest.
-
-    Args:
-        network: Network of the car.
-        step: Control step [s].
-        speed: Speed [m/s], which gives the delays of the rear wheels.
-        wheelbase: Whether the rear road is known from the front; otherwise the roads of all wheels are
-            independent.
-        damping: Linear damping [N s/m] by name of a law, instead of the law.
-        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
-
-    Returns:
-        The model.
-
-    Raises:
-        InputError: The network is no car, or is tied to the ground.
+    Dry friction and stops are kept as laws. Every other law is linearised by its slope at rest. The speed [m/s] gives the
+    delays of the rear wheels. Without `wheelbase`, the roads of all wheels are independent. `road_intensity` is the two-sided
+    intensity of the road's velocity [m^2/s].
     """
     car = vehicle(network)
     channels = [*car.channels, *state_channels(network)]
-    parts = equations(network, channels, dict(damping or {}))
+    parts = equations(network, channels, {})
     count, corners = len(car.channels), len(car.corners)
     tracks = list(car.wheels.track) if wheelbase else list(range(corners))
     behind = car.wheels.delays(speed, step)
@@ -354,29 +311,13 @@ def car_model(
 
 
 def of_currents(rows: np.ndarray, currents: list[int | None]) -> np.ndarray:
-    """Return the columns of the currents.
-
-    Args:
-        rows: Rows over the columns of the equations.
-        currents: Column of each current; None for a corner without a motor.
-
-    Returns:
-        Columns (rows, currents); zero for a corner without a motor.
-    """
+    """Return the columns of the currents (rows, currents); zero for a corner without a motor."""
     return np.column_stack([np.zeros(len(rows)) if j is None else rows[:, j] for j in currents])
 
 
 def continuous(car: Vehicle, parts: Equations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the rates of the states and of the heights of the road under the corners.
-
-    Args:
-        car: Car.
-        parts: Its equations.
-
-    Returns:
-        Rates (n + corners, .) by states and heights, by currents and forces of the laws, and by the velocity of the road
-            under each corner.
-    """
+    """Return the rates (n + corners, .) of the states and of the heights of the road under the corners: by states and heights,
+    by currents and forces of the laws, and by the velocity of the road under each corner."""
     x, (r, v, currents) = parts.columns["x"], columns(car, parts)
     n, corners = len(parts.rate), len(r)
     A = np.zeros((n + corners, n + corners))
@@ -389,16 +330,8 @@ def continuous(car: Vehicle, parts: Equations) -> tuple[np.ndarray, np.ndarray, 
 
 
 def columns(car: Vehicle, parts: Equations) -> tuple[list[int], list[int], list[int | None]]:
-    """Return columns of the equations in the order of the corners, for any order of the network's inputs.
-
-    Args:
-        car: Car.
-        parts: Its equations.
-
-    Returns:
-        Columns of the displacements and of the velocities of the roads, and of the current of each driven corner;
-            None for a corner without a motor.
-    """
+    """Return the columns of displacements and velocities of the roads and of the currents (None without a motor), in the order of
+    the corners."""
     moving = [c.name for c in car.network.moving]
     named = [c.name for c in car.network.inputs if c.quantity == "current"]
     order = [moving.index(c.road_input) for c in car.corners]
@@ -409,16 +342,8 @@ def columns(car: Vehicle, parts: Equations) -> tuple[list[int], list[int], list[
 
 
 def drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
-    """Return the states of a body that moves at 1 m/s or 1 rad/s, wheels with it, at the heights of the roads.
-
-    Args:
-        car: Car.
-        out: Rows of the channels of the car and of its nodes over the states of the motion.
-        total: Number of states of the model, those of the motion first.
-
-    Returns:
-        States (total, motions).
-    """
+    """Return the states of a body that moves at 1 m/s or 1 rad/s, wheels with it, at the heights of the roads
+    (total, motions)."""
     nodes = state_channels(car.network)
     count = len(car.channels)
     travels = [j for j, c in enumerate(car.channels) if "travel" in c.name]
@@ -444,18 +369,11 @@ def drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
 
 
 def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, float]:
-    """Return the linear-quadratic regulator of a car without friction, and its cost on a white road.
+    """Return gain K (currents, n) of ``I = -K x`` of a car without friction, and its mean cost per step on a white road.
 
     The currents do not change the delay line, so that the value of the motion alone is that of a car on even
     road. A line of d states is empty after d steps; as many steps of the Riccati recursion add the value of
     the line exactly.
-
-    Args:
-        model: Model of the car.
-        weights: Weights of the design, on the channels at the end of each step.
-
-    Returns:
-        Gain K (currents, n) of ``I = -K x``, and the mean cost per step from the Riccati equation.
     """
     q, r = weights.of(model)
     A, B, k = model.A, model.inputs, model.motion

@@ -6,14 +6,14 @@ its own travels and rates, and its own current. Its model is the quarter car of 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
 
-from .controller import Controller
+from .controller import BatchController
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,12 +30,6 @@ def corner_cost(cost: StageCost) -> StageCost:
 
     The weights of vertical, pitch and roll acceleration are added. The references are those of the quarter
     car.
-
-    Args:
-        cost: Stage cost of the whole car.
-
-    Returns:
-        Stage cost of a quarter car.
     """
     motions = cost.acceleration + cost.pitch + cost.roll
     return StageCost(
@@ -59,66 +53,47 @@ def _corner_view(car: Vehicle) -> np.ndarray:
 
 
 def at_each_corner(
-    model: Network, cost: StageCost, make: Callable[[Network, StageCost], Controller]
-) -> list[Controller]:
-    """Return a controller for each corner with a current.
-
-    Args:
-        model: Network of the assumed car.
-        cost: Stage cost of the car.
-        make: Returns the controller of a quarter car from its network and its stage cost.
-
-    Returns:
-        Controllers in the order of the currents.
-    """
+    model: Network, cost: StageCost, make: Callable[[Network, StageCost], BatchController]
+) -> list[BatchController]:
+    """Return a controller for each corner with a current."""
     car = vehicle(model)
     return [make(car.quarter_car(corner), corner_cost(cost)) for corner in car.driven]
 
 
-class Decentralised(Controller):
+class Decentralised(BatchController):
     """Independent controllers at the corners of a car.
 
     Args:
         name: Name in scores.
         model: Network of the assumed car.
-        corners: Controllers of quarter cars for many cars at once, as returned by `at_each_corner`.
+        corners: Controllers of quarter cars, as returned by `at_each_corner`.
 
     Attributes:
         corners: Controllers of quarter cars, in the order of the currents.
     """
 
-    def __init__(self, name: str, model: Network, corners: Sequence[Any]) -> None:
+    def __init__(self, name: str, model: Network, corners: Sequence[BatchController]) -> None:
         """Store the controllers of the corners."""
         super().__init__(name, model)
-        self.car, self.corners = vehicle(model), list(corners)
+        self.corners = list(corners)
         self._view = _corner_view(self.car)
         self.reset()
 
-    def reset(self) -> None:
-        self.reset_batch(1)
-
-    def reset_batch(self, count: int) -> None:
+    def _start(self, count: int) -> None:
         for c in self.corners:
             c.reset_batch(count)
 
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        return self.act_batch(np.asarray(observation)[None])[0]
-
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
         own = self.observed(np.asarray(observations, float))
-        currents = [c.act_batch(obs) for c, obs in zip(self.corners, own, strict=True)]
+        self._last = np.stack([c.act_batch(obs) for c, obs in zip(self.corners, own, strict=True)])
         self.fallbacks = sum(c.fallbacks for c in self.corners)
-        return np.stack(currents, axis=-1)
+        return self._last.T
+
+    def _command(self, obs: np.ndarray) -> np.ndarray:
+        raise NotImplementedError  # the corners clean their observations and limit their currents
 
     def observed(self, observations: np.ndarray) -> list[np.ndarray]:
-        """Return the local observations of the corners.
-
-        Args:
-            observations: Observations (cars, signals) of the environment, in float64.
-
-        Returns:
-            Observations (cars, 6) of each corner.
-        """
+        """Return the local observations of the corners."""
         seen = observations[:, : self._view.shape[2]]
         with np.errstate(invalid="ignore"):
             return [_through(view, seen) for view in self._view]

@@ -14,22 +14,7 @@ if TYPE_CHECKING:
 def open_policy(
     name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
 ) -> Entry | None:
-    """Return a baseline as an entry of a score.
-
-    Args:
-        name: Name of the baseline.
-        model: The network that the controller assumes.
-        cost: Minimised stage cost.
-        control_step: Control step [s].
-        options: Fields of the controller's settings; `preview` [s] for controllers with preview, `speed`
-            [m/s] for controllers that predict the rear road.
-
-    Returns:
-        The entry; None for other names.
-
-    Raises:
-        InputError: An option is invalid.
-    """
+    """Return a baseline as an entry of a score."""
     from . import CONTROLLERS, make
 
     if name not in CONTROLLERS:
@@ -40,27 +25,11 @@ def open_policy(
     return Entry(name, lambda: make(name, model=model, cost=cost, control_step=control_step, **options))
 
 
-def names() -> list[str]:
-    """Return the names of the baselines.
-
-    Returns:
-        Names, sorted.
-    """
-    from . import CONTROLLERS
-
-    return sorted(CONTROLLERS)
-
-
 def about() -> dict[str, str]:
-    """Return one-line descriptions of the baselines.
-
-    Returns:
-        Description by name.
-    """
+    """Return one-line descriptions of the baselines."""
     from . import ABOUT, CONTROLLERS
 
     return {name: ABOUT.get(name, "") for name in CONTROLLERS}
 
 
 open_policy.about = about  # type: ignore[attr-defined]
-open_policy.names = names  # type: ignore[attr-defined]

@@ -54,23 +54,12 @@ class Estimator:
         self.reset(1)
 
     def reset(self, count: int) -> None:
-        """Clear the memory, and start cars at rest.
-
-        Args:
-            count: Number of cars.
-        """
+        """Clear the memory, and start cars at rest."""
         self.x = np.zeros((self.model.n, count))
         self.f = np.zeros((len(self.model.laws), count))
 
     def friction(self, x_free: np.ndarray) -> np.ndarray:
-        """Return the friction that holds or resists at the end of a step.
-
-        Args:
-            x_free: State at the end of the step without friction (n, cars).
-
-        Returns:
-            Forces (laws, cars) [N].
-        """
+        """Return the friction (laws, cars) [N] that holds or resists at the end of a step, from the state without friction."""
         f = np.zeros_like(self.f)
         free = self.model.S @ x_free
         for _ in range(3 if len(self._dry) > 1 else 1):
@@ -80,15 +69,7 @@ class Estimator:
         return f
 
     def update(self, obs: np.ndarray, road: np.ndarray | None = None) -> np.ndarray:
-        """Return the estimate after a step.
-
-        Args:
-            obs: Clean observations (6+, cars) at the end of the step.
-            road: Rise of the road over the step (cars,) [m]; None if unknown.
-
-        Returns:
-            Estimate (n, cars).
-        """
+        """Return the estimate (n, cars) after a step; `road` (cars,) [m] is the rise of the road over the step, None if unknown."""
         m, measured = self.model, self._measured
         currents = obs[self._currents]
         free = m.A @ self.x + self._inputs @ currents

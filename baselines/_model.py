@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +33,6 @@ PAPER_CAR = "quarter-car-isd"
 # typical rate of the device on the paper's road, at which the level of a friction is evaluated [m/s]
 SLIDING = 0.05
 N_SENSORS = 5  # number of measured signals that depend on the physics; the sixth is the present current
-TYRE = 5  # row of the tyre load among the signals
 #: two-sided intensity of the road's vertical velocity [m^2/s], the paper's road at 20 m/s
 ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20.0
 
@@ -63,14 +62,7 @@ class Sensors:
     @property
     def covariance(self) -> np.ndarray:
         """Diagonal covariance (5, 5) of the measured signals."""
-        values = [
-            self.body_acceleration,
-            self.suspension_travel,
-            self.suspension_travel_rate,
-            self.device_travel,
-            self.device_travel_rate,
-        ]
-        return np.diag(np.square(values))
+        return np.diag(np.square([getattr(self, f.name) for f in fields(self)[:N_SENSORS]]))
 
 
 class Laws:
@@ -90,14 +82,7 @@ class Laws:
         return dry(self.laws)
 
     def levels(self, rate: float = SLIDING) -> np.ndarray:
-        """Return the friction level of each law at a sliding rate.
-
-        Args:
-            rate: Sliding rate [m/s].
-
-        Returns:
-            Levels (laws,) [N]; 0 for laws that are not dry friction.
-        """
+        """Return the friction level of each law (laws,) [N] at a sliding rate [m/s]; 0 for laws that are not dry friction."""
         out = np.zeros(len(self.laws))
         for j in self.friction:
             e = self.laws[j]
@@ -180,28 +165,14 @@ class Model(Laws):
 
 
 def dry(laws: Sequence[el.Element]) -> list[int]:
-    """Return the indices of the laws that are dry friction.
-
-    Args:
-        laws: Laws.
-
-    Returns:
-        Indices.
-    """
+    """Return the indices of the laws that are dry friction."""
     return [j for j, e in enumerate(laws) if e.bound is not None]
 
 
 def equivalent_damping(level: float, rate_rms: float) -> float:
-    """Return the damping that is equivalent to dry friction at a Gaussian rate.
+    """Return the damping [N s/m] that is equivalent to dry friction of a level [N] at a Gaussian rate of an RMS [m/s].
 
     The quasi-linearisation of section 4.2: the least-squares gain of f sgn(v) on v is f sqrt(2/pi)/sigma.
-
-    Args:
-        level: Level of the friction [N].
-        rate_rms: RMS of the rate [m/s].
-
-    Returns:
-        Damping [N s/m].
     """
     return level * math.sqrt(2 / math.pi) / rate_rms
 
@@ -233,16 +204,7 @@ class Equations:
 
 
 def equations(network: Network, channels: Sequence[Channel], damping: Mapping[str, float]) -> Equations:
-    """Return the linear equations of a car.
-
-    Args:
-        network: Network of the car.
-        channels: Outputs.
-        damping: Linear damping [N s/m] by name of a law, instead of the law.
-
-    Returns:
-        The equations.
-    """
+    """Return the linear equations of a car; linear `damping` [N s/m] by name of a law replaces the law."""
     bare = replace(
         network,
         elements=tuple(e for e in network.elements if e.place == "between"),
@@ -281,20 +243,8 @@ def equations(network: Network, channels: Sequence[Channel], damping: Mapping[st
 
 
 def lift(network: Network, parts: Equations, roads: np.ndarray, outputs: int) -> np.ndarray:
-    """Return the shift of the state when the roads rise by 1 m without a change of elongations and signals.
-
-    Args:
-        network: Network of the car, for the message.
-        parts: Equations of the car.
-        roads: Rise of each road (roads, rises) [m].
-        outputs: Number of channels that must not change.
-
-    Returns:
-        Shift (n, rises).
-
-    Raises:
-        InputError: An element ties the car to the ground.
-    """
+    """Return the shift of the state (n, rises) when roads (roads, rises) rise by 1 m, without a change of elongations and of the
+    first `outputs` signals."""
     x, r = parts.columns["x"], parts.columns["r"]
     blocks = (parts.rate, parts.out[:outputs], parts.E, parts.R)
     left = np.vstack([block[:, x] for block in blocks])
@@ -314,19 +264,8 @@ def prediction_model(
 ) -> Model:
     """Return the prediction model of a quarter car.
 
-    Dry friction and stops are kept as laws. Every other law is linearised by its slope at rest.
-
-    Args:
-        network: The car.
-        step: Control step [s].
-        damping: Linear damping [N s/m] by name of a law, instead of the law.
-        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
-
-    Returns:
-        The model.
-
-    Raises:
-        InputError: The network is no quarter car, or is tied to the ground.
+    Dry friction and stops are kept as laws. Every other law is linearised by its slope at rest, or replaced by linear
+    `damping` [N s/m] by its name. `road_intensity` is the two-sided intensity of the road's velocity [m^2/s].
     """
     require_quarter_car(network, "the prediction model is that")
     parts = equations(network, [*vehicle(network).channels, *state_channels(network)], dict(damping or {}))
@@ -373,16 +312,8 @@ def prediction_model(
 
 
 def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: float) -> np.ndarray:
-    """Return the covariance that white velocity of the road causes over one step.
-
-    Args:
-        A: Continuous system matrix (n, n).
-        white: Inputs (n, k) of independent white velocities.
-        intensity: Two-sided intensity of each [m^2/s].
-        step: Step [s].
-
-    Returns:
-        Covariance (n, n).
+    """Return the covariance (n, n) that white velocities of two-sided `intensity` [m^2/s] at the inputs `white` (n, k) cause over
+    one step.
 
     References:
         Van Loan, "Computing integrals involving the matrix exponential", IEEE Transactions on Automatic
@@ -398,14 +329,7 @@ def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: f
 
 
 def device_reach(network: Network) -> float:
-    """Return the travel at which the stop of the motor is met.
-
-    Args:
-        network: The car.
-
-    Returns:
-        Travel [m]; that of the paper's device for a network without a stop.
-    """
+    """Return the travel at which the stop of the motor is met [m]; that of the paper's device without a stop."""
     motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
     stops = [e for e in network.elements if isinstance(e, el.BumpStop)]
     beside = [e.clearance for e in stops if motor is not None and set(e.where) == set(motor.where)]
@@ -414,11 +338,7 @@ def device_reach(network: Network) -> float:
 
 @functools.cache
 def paper_reach() -> float:
-    """Return the travel of the paper's device: the stroke of the deputy cylinder over the area ratio (Table 1).
-
-    Returns:
-        Travel [m].
-    """
+    """Return the travel of the paper's device: the stroke of the deputy cylinder over the area ratio (Table 1)."""
     return next(e.clearance for e in Network.load(PAPER_CAR).elements if isinstance(e, el.BumpStop))
 
 
@@ -454,18 +374,7 @@ class Weights:
 
 
 def riccati(network: Network, *matrices: np.ndarray) -> np.ndarray:
-    """Return the solution of a discrete Riccati equation.
-
-    Args:
-        network: Network of the car, for the message.
-        matrices: A, B, Q, R and optionally N, as `scipy.linalg.solve_discrete_are` takes them.
-
-    Returns:
-        Solution (n, n).
-
-    Raises:
-        InputError: The equation has no solution.
-    """
+    """Return the solution (n, n) of a discrete Riccati equation of A, B, Q, R and optionally N."""
     try:
         return solve_discrete_are(*matrices[:4], s=matrices[4] if len(matrices) > 4 else None)
     except np.linalg.LinAlgError:
@@ -476,18 +385,7 @@ def riccati(network: Network, *matrices: np.ndarray) -> np.ndarray:
 
 
 def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
-    """Return the linear-quadratic regulator without friction.
-
-    Args:
-        model: Prediction model.
-        weights: Quadratic weights.
-
-    Returns:
-        Gain K (n,) of ``I = -K x``, and value matrix V (n, n).
-
-    Raises:
-        InputError: The Riccati equation has no solution.
-    """
+    """Return gain K (n,) of ``I = -K x`` and value matrix (n, n) of the linear-quadratic regulator without friction."""
     q = weights.signals[:, None]
     C, D = model.C @ model.A, model.C @ model.B + model.D  # signals at the end of the step
     Q, R = C.T @ (q * C), np.array([[D @ (q[:, 0] * D) + weights.current]])
@@ -498,21 +396,10 @@ def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
 
 
 def preview_regulator(model: Model, weights: Weights, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the linear-quadratic regulator with a known road ahead.
+    """Return gains K (n,) and G (points,) [1/m] of the linear-quadratic regulator ``I = -K x - G . rises`` with a known road ahead.
 
     The value of a state x with known rises is ``x' V x + 2 x' s``; s follows from the rises backwards through
     the closed loop. K is the gain of `regulator`.
-
-    Args:
-        model: Prediction model.
-        weights: Quadratic weights.
-        points: Number of known control steps.
-
-    Returns:
-        Gains K (n,) and G (points,) [1/m] of ``I = -K x - G . rises``.
-
-    Raises:
-        InputError: The Riccati equation has no solution.
 
     References:
         Tomizuka, "Optimal continuous finite preview problem", ASME Journal of Dynamic Systems 97, 1975.
@@ -536,18 +423,7 @@ def preview_regulator(model: Model, weights: Weights, points: int) -> tuple[np.n
 
 
 def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
-    """Return the linear-quadratic regulator of the change of current, with the state (x, preceding I).
-
-    Args:
-        model: Prediction model.
-        weights: Quadratic weights.
-
-    Returns:
-        Gain (n+1,), and value matrix (n+1, n+1).
-
-    Raises:
-        InputError: The Riccati equation has no solution.
-    """
+    """Return gain (n+1,) and value matrix of the regulator of the change of current, with the state (x, preceding I)."""
     n = model.n
     A = np.zeros((n + 1, n + 1))
     A[:n, :n], A[:n, n], A[n, n] = model.A, model.B, 1.0
@@ -565,19 +441,7 @@ def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarr
 
 
 def kalman_gain(model: Model, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
-    """Return the steady gain of ``x += L (y - C x - D I)`` on the measured signals.
-
-    Args:
-        model: Prediction model.
-        sensors: Standard deviations of the measurements.
-        noise: Covariance of the state per step (n, n), in addition to the road's; None for zero.
-
-    Returns:
-        Gain L (n, 5).
-
-    Raises:
-        InputError: The Riccati equation has no solution.
-    """
+    """Return the steady gain L (n, 5) of ``x += L (y - C x - D I)``; covariance `noise` (n, n) is added to that of the road."""
     return steady_gain(model, sensors.covariance, sensors.memory, model.heave[:, None], noise)
 
 
@@ -588,20 +452,10 @@ def steady_gain(
     drifts: np.ndarray,
     noise: np.ndarray | None,
 ) -> np.ndarray:
-    """Return the steady gain L of a Kalman filter, ``x += L (y - C x - D I)``.
+    """Return the steady gain L (n, signals) of a Kalman filter, ``x += L (y - C x - D I)``.
 
-    Args:
-        model: Model of a car.
-        covariance: Covariance of the errors of the measured signals, the first rows of the model's C.
-        memory: Time constant of the absolute speeds, which are not measured [s].
-        drifts: States (n, k) of a car that moves with the roads at constant speed, without relative motion.
-        noise: Covariance of the state per step, in addition to the road's; None for zero.
-
-    Returns:
-        Gain (n, signals).
-
-    Raises:
-        InputError: The Riccati equation has no solution.
+    `covariance` is that of the measured signals, the first rows of C; `memory` the time constant of the absolute speeds,
+    which are not measured [s]; `drifts` (n, k) the states of a car that moves with the roads at constant speed.
     """
     C = model.C[: len(covariance)]
     W = model.W + (0.0 if noise is None else noise)
@@ -614,19 +468,10 @@ def steady_gain(
     return np.linalg.solve(C @ V @ C.T + covariance, C @ V).T
 
 
-def stationary(A: np.ndarray, W: np.ndarray, doublings: int = 14) -> np.ndarray:
-    """Return the covariance of ``x+ = A x + w`` after 2^doublings steps (80 s at 5 ms), finite even for a drifting device.
-
-    Args:
-        A: State matrix (n, n).
-        W: Covariance of w (n, n).
-        doublings: Binary logarithm of the number of steps.
-
-    Returns:
-        Covariance (n, n).
-    """
+def stationary(A: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Return the covariance of ``x+ = A x + w`` after 2^14 steps (80 s at 5 ms), finite even for a drifting device."""
     A, S = A.copy(), W.copy()
-    for _ in range(doublings):
+    for _ in range(14):
         S = S + A @ S @ A.T
         A = A @ A
     return S
@@ -656,33 +501,19 @@ def statistical_linearisation(
     weights: Weights,
     *,
     road_intensity: float = ROAD_INTENSITY,
-    iterations: int = 60,
 ) -> Linearised:
     """Return a model with dampers whose level is consistent with their closed-loop rate (section 4.2, equation 9).
 
     The RMS rate is that of the linear car under its own linear-quadratic regulator of the current's change.
     Half steps are taken until the rate no longer changes. A car that tends to stick ends at a large damping
     (RMS of at least 1 mm/s).
-
-    Args:
-        network: The car.
-        step: Control step [s].
-        weights: Quadratic weights.
-        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
-        iterations: Largest number of half steps.
-
-    Returns:
-        Model, dampers and rates.
-
-    Raises:
-        InputError: The network is no car, or the Riccati equation has no solution.
     """
     free = prediction_model(network, step, road_intensity=road_intensity)
     names = [free.laws[j].name for j in free.friction]
     stops = {e.name: 0.0 for e in free.laws if e.bound is None}
     rms = {name: 0.1 for name in names}
     levels = {}
-    for _ in range(iterations):
+    for _ in range(60):
         for j in free.friction:
             name = free.laws[j].name
             levels[name] = float(free.levels(rms[name])[j])

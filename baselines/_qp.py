@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -35,13 +34,12 @@ class Osqp:
     Args:
         P: Quadratic cost (n, n).
         A: Constraints (m, n).
-        accuracy: Tolerance of the solver.
     """
 
-    def __init__(self, P: np.ndarray, A: np.ndarray, *, accuracy: float = 1e-4) -> None:
+    def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
         import osqp
 
-        self._made = P, A, accuracy
+        self._made = P, A
         self._solver: Any = osqp.OSQP()
         m, n = A.shape
         self._solver.setup(
@@ -51,8 +49,8 @@ class Osqp:
             l=-np.ones(m),
             u=np.ones(m),
             verbose=False,
-            eps_abs=accuracy,
-            eps_rel=accuracy,
+            eps_abs=1e-4,
+            eps_rel=1e-4,
             max_iter=1000,
             check_termination=10,
             adaptive_rho=True,
@@ -66,21 +64,10 @@ class Osqp:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return a recipe for a new setup in another process, without the warm start; the solver itself cannot be pickled."""
-        P, A, accuracy = self._made
-        return partial(type(self), accuracy=accuracy), (P, A)
+        return type(self), self._made
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
-        """Solve the program.
-
-        Args:
-            q: Linear cost (n,).
-            low: Lower limits (m,).
-            high: Upper limits (m,).
-            guess: Start (n,).
-
-        Returns:
-            Solution and status.
-        """
+        """Solve the program."""
         bare, most = self._bare, self._infinite
         # the solver reads contiguous memory and ignores strides
         q, guess = np.ascontiguousarray(q), np.ascontiguousarray(guess)

@@ -11,19 +11,19 @@ with F_now from the measured body acceleration, and b, c_p, k_p, f of the elemen
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isd_gym.physics import elements as el
-from isd_gym.physics._vehicle import SLEW_RATE, require_quarter_car
+from isd_gym.physics._vehicle import require_quarter_car
 
 from ._model import SLIDING
-from .controller import BatchController
+from .controller import DesignedController
 
 if TYPE_CHECKING:
-    from isd_gym.physics.cost import StageCost
     from isd_gym.physics.network import Network
 
 
@@ -53,17 +53,7 @@ class Strut:
 
     @classmethod
     def of(cls, network: Network) -> Strut:
-        """Return the strut of a car.
-
-        Args:
-            network: The car.
-
-        Returns:
-            The strut.
-
-        Raises:
-            InputError: The network is no car.
-        """
+        """Return the strut of a car."""
         require_quarter_car(network, "the strut is that")
         body, wheel = list(network.masses)[:2]
         between = [e for e in network.elements if e.place == "between"]
@@ -114,32 +104,11 @@ class StrutSettings:
     softness: float = 0.02
 
 
-class ForceControl(BatchController):
-    """The inner loop; subclasses define the force of the strut.
+class ForceControl(DesignedController[StrutSettings]):
+    """The inner loop; subclasses define the force of the strut. The stage cost has no effect."""
 
-    Args:
-        model: The network that the controller assumes.
-        cost: Without effect.
-        control_step: Control step [s].
-        settings: Settings; None for the defaults of the class.
-        name: Name in scores.
-    """
-
-    default = StrutSettings(0.0, 1500.0)
-
-    def __init__(
-        self,
-        model: Network,
-        cost: StageCost | None = None,
-        control_step: float = 5e-3,
-        settings: StrutSettings | None = None,
-        name: str = "force-control",
-    ) -> None:
-        super().__init__(name, model)
-        self.slew = SLEW_RATE * control_step
-        self.settings = settings or self.default
-        self.step, self.strut = control_step, Strut.of(model)
-        self.reset()
+    def _design(self) -> None:
+        self.strut = Strut.of(self.model)
 
     def _start(self, count: int) -> None:
         self.velocity = np.zeros(count)  # high-passed velocity of the body [m/s]
@@ -162,17 +131,9 @@ class ForceControl(BatchController):
         )
         return thrust / s.thrust
 
+    @abstractmethod
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return the wanted force of the strut, positive in tension.
-
-        Args:
-            acceleration: Body acceleration (n,) [m/s^2].
-            rate: Rate of the suspension travel (n,) [m/s].
-
-        Returns:
-            Force (n,) [N].
-        """
-        raise NotImplementedError
+        """Return the wanted force of the strut, positive in tension."""
 
 
 class Skyhook(ForceControl):
@@ -183,6 +144,7 @@ class Skyhook(ForceControl):
         Engineering for Industry, 1974.
     """
 
+    usual = "skyhook"
     default = StrutSettings(body=2500.0, travel=1100.0, forget=0.95, tau=0.006, width=0.012)
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -197,6 +159,7 @@ class AccelerationDriven(ForceControl):
         comfort-oriented semiactive suspensions", Journal of Dynamic Systems, Measurement, and Control, 2005.
     """
 
+    usual = "add"
     default = StrutSettings(body=2600.0, travel=2300.0, forget=0.1, tau=0.0016, width=0.012, softness=0.06)
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:

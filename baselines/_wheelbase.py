@@ -24,7 +24,7 @@ from ._car import CarWeights, car_model, car_regulator
 from ._decentralised import Decentralised, corner_cost
 from ._estimator import Estimator
 from ._model import prediction_model
-from .controller import Signals, WholeCarController
+from .controller import DesignedController, clean
 from .friction import FrictionMpc, FrictionMpcSettings, with_preview
 from .lqg import STEEPEST, LawSettings
 
@@ -70,40 +70,22 @@ class WheelbaseMpcSettings(FrictionMpcSettings):
     speed: float = DESIGN_SPEED
 
 
-class WheelbaseLqg(WholeCarController):
+class WheelbaseLqg(DesignedController[WheelbaseSettings]):
     """The law ``I = -K x`` of the frictionless car and its delay line, plus the friction over the thrust constant at each corner.
-
-    Args:
-        model: Network of the assumed car.
-        cost: Stage cost of the car; None for the usual one.
-        control_step: Control step [s].
-        settings: Settings; None for the defaults.
-        name: Name in scores.
 
     Attributes:
         prediction: Model of the car.
         weights: Weights of the design.
         estimator: Kalman filter of the car's motion and of the delay line.
-
-    Raises:
-        InputError: The network has a single corner.
     """
 
-    def __init__(
-        self,
-        model: Network,
-        cost: StageCost | None = None,
-        control_step: float = 5e-3,
-        settings: WheelbaseSettings | None = None,
-        name: str = "lqg-wheelbase",
-    ) -> None:
-        """Solve the Riccati equations."""
-        super().__init__(name, model)
-        self.settings = s = settings or WheelbaseSettings()
-        self.prediction, self.estimator = m, _ = wheelbase_model(name, model, control_step, s)
-        cost = StageCost.of(cost, self.car.axes, len(self.car.corners))
-        cost = replace(cost, tyre_load=cost.tyre_load + s.tyre_load)
-        self.weights = CarWeights(cost, s.effort, s.centring)
+    usual = "lqg-wheelbase"
+    default = WheelbaseSettings()
+
+    def _design(self) -> None:
+        s = self.settings
+        self.prediction, self.estimator = m, _ = wheelbase_model(self.name, self.model, self.step, s)
+        self.weights = CarWeights(self.cost, s.effort, s.centring)
         thrusts = m.thrusts
         if not np.all(thrusts):
             self._law = self._rates = np.zeros((len(thrusts), m.n))
@@ -111,10 +93,9 @@ class WheelbaseLqg(WholeCarController):
         else:
             K, _ = car_regulator(m, self.weights)
             loop = m.A - m.inputs @ K
-            self._law = -K @ _later(loop, s.lead / control_step)
-            self._rates = m.device_rates @ _later(loop, s.foresight / control_step)
-            self._forces = s.compensation * _levels(m, control_step)[:, None] / thrusts[:, None]
-        self.reset()
+            self._law = -K @ _later(loop, s.lead / self.step)
+            self._rates = m.device_rates @ _later(loop, s.foresight / self.step)
+            self._forces = s.compensation * _levels(m, self.step)[:, None] / thrusts[:, None]
 
     def _start(self, count: int) -> None:
         self.estimator.reset(count)
@@ -123,14 +104,7 @@ class WheelbaseLqg(WholeCarController):
         return self.law(self.estimator.update(obs))
 
     def law(self, x: np.ndarray) -> np.ndarray:
-        """Return the wanted currents.
-
-        Args:
-            x: States (n, cars).
-
-        Returns:
-            Currents (currents, cars) [A].
-        """
+        """Return the wanted currents."""
         return self._law @ x - self._forces * np.tanh(self._rates @ x / self.settings.width)
 
 
@@ -155,6 +129,8 @@ class WheelbaseMpc(Decentralised):
         InputError: The network has a single corner.
     """
 
+    default = WheelbaseMpcSettings()
+
     def __init__(
         self,
         model: Network,
@@ -164,7 +140,7 @@ class WheelbaseMpc(Decentralised):
         name: str = "mpc-wheelbase",
     ) -> None:
         """Create the planners of the corners."""
-        base = settings or WheelbaseMpcSettings()
+        base = settings or self.default
         own = WheelbaseSettings(
             speed=base.speed,
             sensors=base.sensors,
@@ -181,29 +157,16 @@ class WheelbaseMpc(Decentralised):
             known = len(ahead) * control_step
             planned = with_preview(base, known, control_step) if known else base
             corners.append(FrictionMpc(car.quarter_car(corner), cost, control_step, planned, name))
-        self._signals = Signals(car)
         super().__init__(name, model, corners)
 
-    def reset_batch(self, count: int) -> None:
-        super().reset_batch(count)
+    def _start(self, count: int) -> None:
+        super()._start(count)
         self.estimator.reset(count)
-        self._last = np.zeros((len(self.corners), count))
-
-    def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        found = super().act_batch(observations)
-        self._last = found.T
-        return found
 
     def observed(self, observations: np.ndarray) -> list[np.ndarray]:
-        """Return the local observations of the corners with the known road.
-
-        Args:
-            observations: Observations (cars, signals) of the environment, in float64.
-
-        Returns:
-            Signals and known road over its present height [m] of each corner (cars, 6 + points).
-        """
-        state = self.estimator.update(self._signals.clean(observations, self._last))
+        """Return the local observations of the corners with the known road."""
+        obs = clean(observations, self._last, self._bounds, self._present)
+        state = self.estimator.update(obs)
         line = state[self.prediction.motion :]
         ahead = [np.cumsum(np.clip(rows @ line, -STEEPEST, STEEPEST), axis=0).T for rows in self._ahead]
         seen = super().observed(observations)
@@ -213,20 +176,7 @@ class WheelbaseMpc(Decentralised):
 def wheelbase_model(
     name: str, network: Network, control_step: float, settings: WheelbaseSettings
 ) -> tuple[CarModel, Estimator]:
-    """Return model and estimator of a car with a known rear road, at the speed of the settings.
-
-    Args:
-        name: Name of the controller, for the message.
-        network: Network of the car.
-        control_step: Control step [s].
-        settings: Settings of the controller.
-
-    Returns:
-        The model, and the Kalman filter of the car's motion and of the delay line.
-
-    Raises:
-        InputError: No wheel of the car follows another wheel.
-    """
+    """Return model and estimator of a car with a known rear road, at the speed of the settings."""
     m = car_model(
         network,
         control_step,

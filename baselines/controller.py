@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
 from isd_gym._common.errors import InputError
 from isd_gym.env._environment import MEASURED
-from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
+from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, SLEW_RATE, vehicle
+from isd_gym.physics.cost import StageCost
 
 if TYPE_CHECKING:
-    from isd_gym.physics._vehicle import Vehicle
     from isd_gym.physics.network import Network
 
 __all__ = [
     "BatchController",
-    "Controller",
-    "Signals",
-    "WholeCarController",
+    "DesignedController",
     "clean",
     "limit",
     "rises",
@@ -29,38 +28,59 @@ __all__ = [
 
 
 _BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
-CURRENT = 5  # index of the present current in the observation
+CURRENT = 5  # index of the present current in the observation of a quarter car
+Settings = TypeVar("Settings")
 
 
-class Controller(ABC):
-    """A controller of one car: observation in, commanded current out.
+class BatchController(ABC):
+    """A controller of one car or of many: observations in, commanded currents out.
 
-    A quarter car has observations (6,) and a current; a car with several motors has observations (signals,)
-    and currents (currents,). For any input, commands are finite, at most 5 A, and at most 0.5 A from the
-    present current (Table 5).
+    A quarter car has observations (6,) and a current; a car with several corners has observations (signals,)
+    and currents (currents,). A single car is a batch of one. For any input, commands are finite, at most 5 A,
+    and at most `slew` from the present current (Table 5). Subclasses define `_start` and `_command`.
 
     Args:
         name: Name in scores.
         model: The network that the controller assumes; the plant may differ.
+        control_step: Control step [s].
 
     Attributes:
         name: Name in scores.
         model: The assumed network.
+        car: The assumed network as a car.
+        step: Control step [s].
+        slew: Largest change of a current per control step [A].
         fallbacks: Number of steps with a safe substitute for the intended command.
+
+    Raises:
+        InputError: The network is no car.
     """
 
     observation: str = "measured"  # observation of the environment
     preview: float = 0.0  # length of the previewed road, if any [s]
 
-    def __init__(self, name: str, model: Network) -> None:
-        self.name, self.model = name, model
+    def __init__(self, name: str, model: Network, control_step: float = 5e-3) -> None:
+        self.name, self.model, self.car = name, model, vehicle(model)
+        self.step, self.slew = control_step, SLEW_RATE * control_step
         self.fallbacks = 0
+        signals, currents = len(self.car.measured), len(self.car.driven)
+        self._bounds = np.array([[signal.bound] for signal in self.car.measured])
+        self._is_quarter = len(self.car.corners) == 1
+        self._present = CURRENT if self._is_quarter else slice(signals - currents, signals)
 
-    @abstractmethod
     def reset(self) -> None:
         """Clear the memory: a new road starts at rest. The number of fallbacks is kept."""
+        self.reset_batch(1)
 
-    @abstractmethod
+    def reset_batch(self, count: int) -> None:
+        """Clear the memory, and start a number of cars.
+
+        Args:
+            count: Number of cars.
+        """
+        self._last = np.zeros(count if self._is_quarter else (len(self.car.driven), count))
+        self._start(count)
+
     def act(self, observation: np.ndarray) -> float | np.ndarray:
         """Return the commanded current for one observation.
 
@@ -70,123 +90,77 @@ class Controller(ABC):
         Returns:
             Current [A], or currents (currents,) [A].
         """
-
-
-class BatchController(Controller):
-    """A controller of many cars; a single car is a batch of one. Subclasses define `_start` and `_command`.
-
-    Args:
-        name: Name in scores.
-        model: The network that the controller assumes.
-
-    Attributes:
-        slew: Largest change of a current per control step [A].
-    """
-
-    slew = SLEW_LIMIT
-
-    def reset(self) -> None:
-        self.reset_batch(1)
-
-    def reset_batch(self, count: int) -> None:
-        """Clear the memory, and start a number of cars.
-
-        Args:
-            count: Number of cars.
-        """
-        self._last = np.zeros(count)
-        self._start(count)
-
-    def act(self, observation: np.ndarray) -> float:
-        return float(self.act_batch(np.asarray(observation)[None])[0])
+        found = self.act_batch(np.asarray(observation)[None])[0]
+        return float(found) if self._is_quarter else found
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
         """Return the commanded currents; each car has a separate memory.
 
         Args:
-            observations: Observations (n, 6), or wider with preview.
+            observations: Observations (n, signals), or wider with preview.
 
         Returns:
-            Currents (n,) [A].
+            Currents (n,) or (n, currents) [A].
         """
-        obs = clean(observations, self._last)
-        self._last = limit(self._command(obs), obs[CURRENT], self.slew)
-        return self._last
+        obs = clean(observations, self._last, self._bounds, self._present)
+        self._last = limit(self._command(obs), obs[self._present], self.slew)
+        return self._last.T
 
     @abstractmethod
-    def _start(self, count: int) -> None: ...
+    def _start(self, count: int) -> None:
+        """Clear the memory of a number of cars."""
 
     @abstractmethod
     def _command(self, obs: np.ndarray) -> np.ndarray:
-        """Return the wanted currents (n,) for clean observations (6+, n)."""
+        """Return the wanted currents (n,) or (currents, n) for clean observations (signals, n)."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of {self.model.name!r}>"
 
 
-class Signals:
-    """Positions and bounds of the signals in the observation of a car.
+class DesignedController(BatchController, Generic[Settings]):
+    """A controller that is designed from a model, a stage cost and settings. Subclasses define `_design`, too.
 
     Args:
-        car: The car.
+        model: The network that the controller assumes; the plant may differ.
+        cost: Minimised stage cost; None for the environment's.
+        control_step: Control step [s].
+        settings: Settings; None for the defaults of the class.
+        name: Name in scores; the usual name of the class unless given.
 
     Attributes:
-        bounds: Bounds (signals, 1) of the measured signals.
-        currents: Positions of the present currents.
+        settings: Settings. `tyre_load` is added to the stage cost, `preview` [s] is the known road ahead.
+        cost: Minimised stage cost.
+
+    Raises:
+        InputError: The network is no car of the controller, or a setting does not fit.
     """
 
-    def __init__(self, car: Vehicle) -> None:
-        """Find the positions."""
-        self.bounds = np.array([[signal.bound] for signal in car.measured])
-        self.currents = slice(len(car.measured) - len(car.driven), len(car.measured))
+    usual: str
+    default: Settings
 
-    def clean(self, observations: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Return observations as clean columns, see `clean`.
+    def __init__(
+        self,
+        model: Network,
+        cost: StageCost | None = None,
+        control_step: float = 5e-3,
+        settings: Settings | None = None,
+        name: str = "",
+    ) -> None:
+        super().__init__(name or self.usual, model, control_step)
+        self.settings: Any = settings or self.default
+        cost = StageCost.of(cost, self.car.axes, len(self.car.corners))
+        self.cost = replace(cost, tyre_load=cost.tyre_load + getattr(self.settings, "tyre_load", 0.0))
+        self.preview = getattr(self.settings, "preview", 0.0)
+        self._points = steps_ahead(self.preview, control_step)
+        if self._points:
+            self.observation = "preview"
+        self._design()
+        self.reset()
 
-        Args:
-            observations: Observations (cars, signals) of the environment.
-            last: Last commands (currents, cars) [A].
-
-        Returns:
-            Clean observations (signals, cars).
-        """
-        return clean(observations, last, self.bounds, self.currents)
-
-
-class WholeCarController(BatchController):
-    """A controller that commands all currents of a car from all signals of the car.
-
-    Subclasses define `_start` and `_command`, with signals (signals, cars) in and wanted currents (currents,
-    cars) out.
-
-    Args:
-        name: Name in scores.
-        model: Network of the assumed car.
-
-    Attributes:
-        name: Name in scores.
-        model: Network of the assumed car.
-        car: The network as a car.
-        signals: Positions of the signals in an observation.
-    """
-
-    def __init__(self, name: str, model: Network) -> None:
-        """Prepare for the observations of a car."""
-        super().__init__(name, model)
-        self.car = vehicle(model)
-        self.signals = Signals(self.car)
-
-    def reset_batch(self, count: int) -> None:
-        self._last = np.zeros((len(self.car.driven), count))
-        self._start(count)
-
-    def act(self, observation: np.ndarray) -> np.ndarray:  # type: ignore[override]
-        return self.act_batch(np.asarray(observation)[None])[0]
-
-    def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        obs = self.signals.clean(observations, self._last)
-        self._last = limit(self._command(obs), obs[self.signals.currents], self.slew)
-        return self._last.T
+    @abstractmethod
+    def _design(self) -> None:
+        """Compute all that does not depend on observations."""
 
 
 def steps_ahead(preview: float, control_step: float) -> int:

@@ -18,15 +18,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics._kernel import jit
-from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_RATE
-from isd_gym.physics.cost import StageCost
+from isd_gym.physics._vehicle import CURRENT_LIMIT
 
 from ._estimator import Estimator
 from ._model import (
@@ -39,10 +37,7 @@ from ._model import (
     move_regulator,
     prediction_model,
 )
-from .controller import CURRENT, BatchController, rises, steps_ahead
-
-if TYPE_CHECKING:
-    from isd_gym.physics.network import Network
+from .controller import CURRENT, DesignedController, rises, steps_ahead
 
 __all__ = [
     "FrictionMpcSettings",
@@ -382,49 +377,26 @@ def with_preview(settings: FrictionMpcSettings, preview: float, control_step: fl
     return replace(settings, preview=preview, horizon=horizon, iterations=6)
 
 
-class FrictionMpc(BatchController):
-    """The friction-aware MPC of many cars. `moves` (cars, horizon) are the planned changes of current [A].
+class FrictionMpc(DesignedController[FrictionMpcSettings]):
+    """The friction-aware MPC of many cars. `moves` (cars, horizon) are the planned changes of current [A]."""
 
-    Args:
-        model: The network that the controller assumes; the plant may differ.
-        cost: Minimised stage cost; None for the environment's.
-        control_step: Control step [s].
-        settings: Settings; None for the defaults.
-        name: Name in scores.
-    """
+    usual = "mpc-friction"
+    default = FrictionMpcSettings()
 
-    def __init__(
-        self,
-        model: Network,
-        cost: StageCost | None = None,
-        control_step: float = 5e-3,
-        settings: FrictionMpcSettings | None = None,
-        name: str = "mpc-friction",
-    ) -> None:
-        super().__init__(name, model)
-        self.slew = SLEW_RATE * control_step
-        self.settings = s = settings or FrictionMpcSettings()
-        self.preview = s.preview
-        self._points = steps_ahead(s.preview, control_step)
-        if self._points:
-            self.observation = "preview"
-        cost = cost or StageCost()
-        self.prediction = m = prediction_model(model, control_step, road_intensity=s.road_intensity)
-        cost = replace(cost, tyre_load=cost.tyre_load + s.tyre_load)
-        self.weights = w = Weights(cost, s.move, s.effort, s.centring, device_reach(model))
+    def _design(self) -> None:
+        s, model = self.settings, self.model
+        self.prediction = m = prediction_model(model, self.step, road_intensity=s.road_intensity)
+        self.weights = w = Weights(self.cost, s.move, s.effort, s.centring, device_reach(model))
         self.estimator = Estimator(m, s.sensors, s.friction_noise)
         stops = {e.name: 0.0 for e in m.laws if e.bound is None}
         levels = m.levels()
         damping = {m.laws[j].name: equivalent_damping(levels[j], s.terminal_rate) for j in m.friction}
-        linear = prediction_model(
-            model, control_step, damping=damping | stops, road_intensity=s.road_intensity
-        )
+        linear = prediction_model(model, self.step, damping=damping | stops, road_intensity=s.road_intensity)
         self._idle = m.thrust == 0.0
         if not self._idle:
             design = replace(w, move=max(w.move, 1e-3), centring=max(w.centring, 1e-3))
             _, V = move_regulator(linear, design)
             self._problem = self._pack(m, linear.A, V)
-        self.reset()
 
     def _pack(self, m: Model, A_linear: np.ndarray, V: np.ndarray) -> tuple:
         s, nl = self.settings, len(m.laws)

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from isd_gym.physics._vehicle import SLEW_RATE, state_channels
-from isd_gym.physics.cost import StageCost
+from isd_gym.physics._vehicle import state_channels
 
 from ._estimator import Estimator
 from ._model import ROAD_INTENSITY, Sensors, Weights, device_reach, prediction_model, preview_regulator
-from .controller import BatchController, rises, steps_ahead
-
-if TYPE_CHECKING:
-    from isd_gym.physics.network import Network
+from .controller import DesignedController, rises
 
 __all__ = [
     "LqgSettings",
@@ -65,49 +60,30 @@ class LqgSettings(LawSettings):
     preview: float = 0.0
 
 
-class Lqg(BatchController):
-    """The law ``I = -K x`` of the frictionless car, plus friction over thrust constant in the intended direction of the device.
+class Lqg(DesignedController[LqgSettings]):
+    """The law ``I = -K x`` of the frictionless car, plus friction over thrust constant in the intended direction of the device."""
 
-    Args:
-        model: The network that the controller assumes; the plant may differ.
-        cost: Minimised stage cost; None for the environment's.
-        control_step: Control step [s].
-        settings: Settings; None for the defaults.
-        name: Name in scores.
-    """
+    usual = "lqg"
+    default = LqgSettings()
 
-    def __init__(
-        self,
-        model: Network,
-        cost: StageCost | None = None,
-        control_step: float = 5e-3,
-        settings: LqgSettings | None = None,
-        name: str = "lqg",
-    ) -> None:
-        super().__init__(name, model)
-        self.slew = SLEW_RATE * control_step
-        self.settings = s = settings or LqgSettings()
-        cost = cost or StageCost()
-        self.prediction = m = prediction_model(model, control_step, road_intensity=s.road_intensity)
-        cost = replace(cost, tyre_load=cost.tyre_load + s.tyre_load)
-        self.weights = Weights(cost, effort=s.effort, centring=s.centring, reach=device_reach(model))
+    def _design(self) -> None:
+        s = self.settings
+        self.prediction = m = prediction_model(self.model, self.step, road_intensity=s.road_intensity)
+        self.weights = Weights(
+            self.cost, effort=s.effort, centring=s.centring, reach=device_reach(self.model)
+        )
         self.estimator = Estimator(m, s.sensors, s.friction_noise)
-        self.preview = s.preview
-        self._points = steps_ahead(s.preview, control_step)
-        if self._points:
-            self.observation = "preview"
         if m.thrust == 0.0:
             self._law = self._rate = np.zeros(m.n)
             self._law_ahead = self._rate_ahead = np.zeros(self._points)
             self._force = 0.0
         else:
             K, G = preview_regulator(m, self.weights, self._points)
-            at, by = self._ahead(K, G, s.lead / control_step)
-            self._law, self._law_ahead = -K @ at, -K @ by - _later(G, s.lead / control_step)
-            at, by = self._ahead(K, G, s.foresight / control_step)
+            at, by = self._ahead(K, G, s.lead / self.step)
+            self._law, self._law_ahead = -K @ at, -K @ by - _later(G, s.lead / self.step)
+            at, by = self._ahead(K, G, s.foresight / self.step)
             self._rate, self._rate_ahead = m.motor_rate @ at, m.motor_rate @ by
             self._force = s.compensation * sum(m.levels()) / m.thrust
-        self.reset()
 
     def _ahead(self, K: np.ndarray, G: np.ndarray, steps: float) -> tuple[np.ndarray, np.ndarray]:
         """Return matrices to the state `steps` later in the closed loop, from the state (n, n) and the rises of
@@ -155,34 +131,16 @@ class Lqg(BatchController):
 
 
 class FullStateLqr(Lqg):
-    """The law of `Lqg` on the true state (``observation="full"``): shows the cost of the estimate, and is the bar for the MPC.
+    """The law of `Lqg` on the true state (``observation="full"``): shows the cost of the estimate, and is the bar for the MPC."""
 
-    Args:
-        model: The network that the controller assumes.
-        cost: Minimised stage cost; None for the environment's.
-        control_step: Control step [s].
-        settings: Settings; None for the defaults.
-        name: Name in scores.
-    """
-
+    usual = "lqr-full"
     observation = "full"
 
-    def __init__(
-        self,
-        model: Network,
-        cost: StageCost | None = None,
-        control_step: float = 5e-3,
-        settings: LqgSettings | None = None,
-        name: str = "lqr-full",
-    ) -> None:
-        super().__init__(model, cost, control_step, settings, name)
-        m = self.prediction
-        heights = [i for i, c in enumerate(state_channels(model)) if c.quantity == "displacement"]
-        speeds = [
-            i
-            for i, c in enumerate(state_channels(model))
-            if c.quantity == "velocity" and c.at in model.masses
-        ]
+    def _design(self) -> None:
+        super()._design()
+        m, channels = self.prediction, list(enumerate(state_channels(self.model)))
+        heights = [i for i, c in channels if c.quantity == "displacement"]
+        speeds = [i for i, c in channels if c.quantity == "velocity" and c.at in self.model.masses]
         # velocities of massless nodes depend on forces, not only on the state: the device's rate replaces
         # them
         self._places = [1, 2, 3, 4, *(6 + i for i in heights), *(6 + i for i in speeds)]

@@ -20,8 +20,7 @@ import numpy as np
 from scipy.special import erf
 
 from isd_gym._common.errors import InputError
-from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_RATE
-from isd_gym.physics.cost import StageCost
+from isd_gym.physics._vehicle import CURRENT_LIMIT
 
 from ._estimator import Estimator
 from ._model import (
@@ -35,12 +34,10 @@ from ._model import (
     statistical_linearisation,
 )
 from ._qp import Osqp, Program
-from .controller import CURRENT, BatchController
+from .controller import CURRENT, DesignedController
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from isd_gym.physics.network import Network
 
 __all__ = [
     "MpcSettings",
@@ -108,39 +105,20 @@ PAPER = MpcSettings(
 )
 
 
-class Mpc(BatchController):
-    """The predictive controller of many cars, with a quadratic program each. `status` is the last status of a solver.
+class Mpc(DesignedController[MpcSettings]):
+    """The predictive controller of many cars, with a quadratic program each. `status` is the last status of a solver."""
 
-    Args:
-        model: The network that the controller assumes; the plant may differ.
-        cost: Minimised stage cost; None for the environment's.
-        control_step: Control step [s].
-        settings: Settings; None for the defaults.
-        name: Name in scores.
+    usual = "mpc"
+    default = MpcSettings()
 
-    Raises:
-        InputError: The network is no car.
-    """
-
-    def __init__(
-        self,
-        model: Network,
-        cost: StageCost | None = None,
-        control_step: float = 5e-3,
-        settings: MpcSettings | None = None,
-        name: str = "mpc",
-    ) -> None:
-        super().__init__(name, model)
-        self.slew = SLEW_RATE * control_step
-        self.settings = s = settings or MpcSettings()
-        cost = cost or StageCost()
-        cost = replace(cost, tyre_load=cost.tyre_load + s.tyre_load)
-        self.weights = w = Weights(cost, move=s.move, centring=s.centring, reach=device_reach(model))
+    def _design(self) -> None:
+        s, model = self.settings, self.model
+        self.weights = w = Weights(self.cost, move=s.move, centring=s.centring, reach=device_reach(model))
         # a regulator must hold the device at some position
         design = replace(w, centring=max(w.centring, 1e-3))
-        self.linear = statistical_linearisation(model, control_step, design, road_intensity=s.road_intensity)
+        self.linear = statistical_linearisation(model, self.step, design, road_intensity=s.road_intensity)
         linear = self.linear.model
-        free = prediction_model(model, control_step, road_intensity=s.road_intensity)
+        free = prediction_model(model, self.step, road_intensity=s.road_intensity)
         self.planned = s.friction == "planned" and bool(free.friction) and free.thrust > 0.0
         if s.friction == "planned":
             self.estimator = Estimator(free, s.sensors, s.friction_noise)
@@ -149,7 +127,6 @@ class Mpc(BatchController):
         self._passive = free.thrust == 0.0
         if not self._passive:
             self._condense(linear, free, design)
-        self.reset()
 
     # -------------------------------------------------------------------------------------- offline
 

@@ -14,7 +14,7 @@ over hundreds of rigs, or that helps a single one, is a candidate for deletion.
 --store         keep the evidence of finished diagnoses in benchmarks/evidence.jsonl.gz, so that a reader repeats the replay without the
                 records; an older entry of the same rig is replaced
 --shares        how often places and kinds are true that are stated with less confidence, and the probability stated with
-                `mistaken_weak` or `mistaken_extra` halved, as it is, and doubled
+                its share of mistaken statements (`grades.MISTAKEN`) halved, as it is, and doubled
 --search        diagnose a sample of quick rigs again for each variation of `search_ablation.py`: a setting, a constant or a rule of
                 the search. The file is written after each variation; the same line again goes on with the variations that are not
                 there yet. A variation takes about a minute.
@@ -45,6 +45,7 @@ from grading import Row
 from isd_gym.diagnosis._selection.criteria import Criteria
 from isd_gym.diagnosis._verdict import gates as rules
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis._verdict.grades import MISTAKEN
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -165,10 +166,10 @@ def ablate(replays: Sequence[Replay]) -> list[Change]:
 
 
 def shares_of(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Compare the share of true statements with the probability that is stated with `mistaken_weak` or `mistaken_extra` varied.
+    """Compare the share of true statements with the probability that is stated with a share of `MISTAKEN` varied.
 
     A stated probability is a sum of weights, times one minus the share of mistaken statements, so another share needs no replay.
-    `mistaken_weak`: places of the foremost candidate where the candidate explains less than `least_removed`. `mistaken_extra`: kinds that did not
+    `weak`: places of the foremost candidate where the candidate explains less than `least_removed`. `extra`: kinds that did not
     pass the inclusion test beside a candidate that explains more; the laws of such a kind have the probability of the kind in sum.
 
     Args:
@@ -178,11 +179,11 @@ def shares_of(rows: Sequence[Row]) -> list[dict[str, Any]]:
         One entry for each limit: statements, share of true ones with its 95 % interval, and the mean stated probability with the limit
         halved, as it is, and doubled (at most 1).
     """
-    found: dict[str, list[tuple[float, bool]]] = {"mistaken_weak": [], "mistaken_extra": []}
+    found: dict[str, list[tuple[float, bool]]] = {"weak": [], "extra": []}
     for row in rows:
         said = row.get("diagnosis", {})
         evidence, c = said.get("evidence"), said.get("criteria")
-        if not evidence or not c or "mistaken_extra" not in c:
+        if not evidence or not c:
             continue
         is_weak = evidence["explained"] < c["least_removed"]
         own = {frozenset(where) for where in (said.get("best_candidate") or {}).get("where", [])}
@@ -193,8 +194,9 @@ def shares_of(rows: Sequence[Row]) -> list[dict[str, Any]]:
             is_free = any(law["effect"] == "free_force" for law in f["laws"])
             if not is_free and (frozenset(f["place"]) in own if is_weak else is_extra):
                 counted.append(f)
-        limit, level = ("mistaken_weak", "place") if is_weak else ("mistaken_extra", "kind")
-        share = max(c.get(limit, 0.0), c[f"mistaken_{level}"])  # the first limit is newer than some results
+        limit, level = ("weak", "place") if is_weak else ("extra", "kind")
+        # earlier results have the shares among their limits
+        share = max(c.get(f"mistaken_{name}", MISTAKEN[name]) for name in (limit, level))
         statements = grading.statements({**row, "diagnosis": {"findings": counted}}, level)
         found[limit] += [(p / (1.0 - share), is_true) for p, is_true in statements]
     out = []
@@ -203,7 +205,7 @@ def shares_of(rows: Sequence[Row]) -> list[dict[str, Any]]:
             continue
         count, right = len(statements), sum(is_true for _, is_true in statements)
         low, high = grading.wilson(right, count)
-        weight, value = sum(w for w, _ in statements) / count, getattr(rules.CRITERIA, limit)
+        weight, value = sum(w for w, _ in statements) / count, MISTAKEN[limit]
         entry = {"limit": limit, "statements": count, "true": right / count, "least": low, "most": high}
         factors = {"halved": 0.5, "stated": 1.0, "doubled": 2.0}
         out.append(entry | {name: weight * (1.0 - min(k * value, 1.0)) for name, k in factors.items()})

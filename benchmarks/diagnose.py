@@ -44,7 +44,6 @@ os.environ.update(
     {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 )  # cases have the cores
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import grading
@@ -99,8 +98,7 @@ def in_folder(folder: Path, wanted: list[str]) -> Iterator[Job]:
 
 
 def in_suite(wanted: list[str], seeds: list[int]) -> Iterator[Job]:
-    import families
-    import hidden
+    from rigs import families, hidden
 
     known = [("home", hidden.family(k), k) for k in hidden.ALL_KINDS]
     known += [("families", k.split(".")[0], k) for k in families.KINDS]
@@ -140,8 +138,7 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
         )
         mapping = folder / f"{said['map']}.json" if "map" in said else None
         return Case(records, folder / "model.json", held, mapping), job.answer, job.truth
-    import families
-    import hidden
+    from rigs import families, hidden
 
     from isd_gym.physics.network import Network
     from isd_gym.records.data import Table, write_table

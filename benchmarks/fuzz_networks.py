@@ -1,7 +1,7 @@
 """Random networks through `simulate` and the environment: finite, or one clear line; never a traceback, never a silent nan.
 
 `python benchmarks/fuzz_networks.py [--count 100000] [--json FILE]` (goes on where FILE ends; about 6 ms a network). Every network
-has one to five masses, up to two massless nodes, and laws anywhere at plausible values (`tests/random_networks.py`);
+has one to five masses, up to two massless nodes, and laws anywhere at plausible values (`benchmarks/rigs/random_networks.py`);
 every fiftieth is the car with some of these laws, driven at full current by the environment.
 """
 
@@ -10,14 +10,11 @@ from __future__ import annotations
 import argparse
 import collections
 import json
-import sys
 import time as clock
 from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-import random_networks
+from rigs import random_networks
 
 from isd_gym._common.errors import InputError
 from isd_gym.env._environment import ISDSuspensionEnv

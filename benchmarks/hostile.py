@@ -323,7 +323,7 @@ def zipped(parts: dict[str, bytes]) -> bytes:
 
 
 def zips(rng: Rng, folder: Path) -> None:
-    from isd_gym.agents._convert import convert, read_normalize
+    from isd_gym.contrib.exports.archives import convert, read_normalize
 
     if rng.random() < 0.2:
         normal = pickle.dumps(

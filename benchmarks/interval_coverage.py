@@ -1,8 +1,8 @@
-"""How often the 95 % interval of a fitted parameter contains the true value, on fresh rigs of `tests/families`.
+"""How often the 95 % interval of a fitted parameter contains the true value, on fresh rigs of `benchmarks/rigs/families`.
 
 python benchmarks/interval_coverage.py --seeds 0 200 [--families NAME ...] [--with exact small ...] [--json FILE]
 
-The rigs are integrated by a Runge-Kutta of `tests/families`, not by the simulator of the package. The structure of the nominal model is
+The rigs are integrated by a Runge-Kutta of `benchmarks/rigs/families`, not by the simulator of the package. The structure of the nominal model is
 right, its parameters are off by their stated uncertainty. Populations:
 
 - `exact`: the records contain nothing else;
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path.insert(0, str(ROOT))
 
 POPULATIONS = ("exact", "small", "law")
 #: largest number of samples of a rig: a fit of a longer record takes minutes
@@ -41,10 +41,10 @@ DETERMINED = 0.5
 
 def make_rig(family: str, population: str, seed: int) -> tuple[dict[str, Any], dict[str, float], list[Any]]:
     """Return the nominal model, the true parameters by path, and the records of a rig."""
-    from families import FAMILIES
-    from families.bench import changed, outputs, run, scale, set_relative
-    from families.case import Noise, nuisances, sized, spreads
-    from families.effects import coulomb
+    from rigs.families import FAMILIES
+    from rigs.families.bench import changed, outputs, run, scale, set_relative
+    from rigs.families.case import Noise, nuisances, sized, spreads
+    from rigs.families.effects import coulomb
 
     from isd_gym.physics.network import Network
     from isd_gym.records.data import Table
@@ -89,7 +89,7 @@ def make_rig(family: str, population: str, seed: int) -> tuple[dict[str, Any], d
 
 def _moved(model: dict[str, Any], plain: dict[str, Any], outputs: dict[str, Any]) -> float:
     """Return the largest change of a channel as a share of its deviation."""
-    from families.bench import shares
+    from rigs.families.bench import shares
 
     return max(shares(model, outputs, plain).values())
 
@@ -148,7 +148,7 @@ def _width(p: dict[str, Any]) -> float:
 
 
 def main() -> None:
-    from families import FAMILIES
+    from rigs.families import FAMILIES
 
     from isd_gym._common.errors import InputError
 

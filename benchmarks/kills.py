@@ -145,8 +145,8 @@ def diagnosed(folder: Path) -> Any:
 def train() -> None:
     import warnings
 
-    import isd_gym.agents.train as module
-    from isd_gym.agents.settings import PPOSettings
+    import isd_gym.contrib.training.train as module
+    from isd_gym.contrib.training.settings import PPOSettings
 
     warnings.simplefilter("ignore")
     module.BASELINES = ()  # type: ignore[assignment]

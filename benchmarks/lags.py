@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
 import numpy as np
-from families import FAMILIES, make_case
+from rigs.families import FAMILIES, make_case
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.clock_lag import align_clocks

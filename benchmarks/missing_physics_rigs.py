@@ -1,4 +1,4 @@
-"""Rigs of MissingPhysBench, drawn by the generator of the hidden suite (tests/families).
+"""Rigs of MissingPhysBench, drawn by the generator of the hidden suite (benchmarks/rigs/families).
 
 The generator draws rigs, effects, their size, nuisances, sensors and the errors of the nominal model. This module chooses among
 its rigs and kinds, sets the noise level, adds a record for the test, and closes a loop.
@@ -7,22 +7,17 @@ its rigs and kinds, sets the noise level, adds a record for the test, and closes
 from __future__ import annotations
 
 import copy
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-from families import case as cases
-from families import effects as fx
-from families import rigs as drawn
-from families.bench import Drive, Fit, Rig, outputs, run, set_relative
-from families.draw import Tempo, log, rough
-from families.effects import NOTHING, at, unknown
-from families.plant import Run, Signal
+from rigs.families import case as cases
+from rigs.families import effects as fx
+from rigs.families import rigs as drawn
+from rigs.families.bench import Drive, Fit, Rig, outputs, run, set_relative
+from rigs.families.draw import Tempo, log, rough
+from rigs.families.effects import NOTHING, at, unknown
+from rigs.families.plant import Run, Signal
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 KINDS = ("friction_strut", "friction_device", "asym_damper", "bump_stop", "none")
 WHEEL = {"name": "wheel_acceleration", "quantity": "acceleration", "at": "wheel", "unit": "m/s^2"}
@@ -33,7 +32,7 @@ ROAD_NOISE, COARSER = 2e-3, 2.5  # of the deviation
 
 def car_with_wheel(r: Any, secret: Any) -> dict[str, Any]:
     """The suite's car with one more sensor."""
-    from hidden.car import car_base
+    from rigs.hidden.car import car_base
 
     model = car_base(r, secret)
     return {**model, "outputs": [*model["outputs"], dict(WHEEL)]}
@@ -41,7 +40,7 @@ def car_with_wheel(r: Any, secret: Any) -> dict[str, Any]:
 
 def case(kind: str, seed: int, known: bool) -> dict[str, Any]:
     """Identify one car and return the result beside the truth."""
-    from hidden import make
+    from rigs.hidden import make
 
     from isd_gym.physics.network import Network
     from isd_gym.records.data import Table, write_table

@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 from isd_gym.contrib.forecast import EffectForecast, Plan, plan
+from isd_gym.contrib.forecast.planning import Rig, infer_rig, make_excitation, make_record
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis.planning import Rig, infer_rig, make_excitation, make_record
 from isd_gym.physics.elements import TYPES
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate

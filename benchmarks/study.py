@@ -129,7 +129,7 @@ def train_all(
     out: Path, seeds: int, algorithms: tuple[str, ...] = ("ppo", "sac"), network: str = "quarter-car-isd"
 ) -> None:
     """Train every seed of every algorithm, one after the other; goes on where it stopped."""
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     for seed in range(seeds):
         for algorithm in algorithms:

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from isd_gym import baselines
-from isd_gym.agents.settings import robust
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import Entry, Run, drive
+from isd_gym.contrib.training.settings import robust
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 

@@ -32,6 +32,7 @@ import tracks as tracks_of
 from isd_gym.benchmark import _cards as cards
 from isd_gym.contrib.ceilings.ceiling import known
 from isd_gym.diagnosis._selection import criteria
+from isd_gym.diagnosis._verdict import grades
 from isd_gym.env._task import Options
 from isd_gym.env.registration import ENVIRONMENTS
 
@@ -605,6 +606,13 @@ def gate_sets() -> str:
     )
 
 
+def mistaken() -> str:
+    """Shares of statements that are wrong although no resampling shows it."""
+    return markdown(
+        ["statement", "mistaken"], [[f"`{k}`", f"{v:.2f}"] for k, v in grades.MISTAKEN.items()], "lr"
+    )
+
+
 def shares() -> str:
     """How often doubtful places and kinds are true, and the probability stated with the limit varied."""
     found = json.loads((BENCHMARKS / "ablation-shares.json").read_text(encoding="utf-8"))
@@ -867,7 +875,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/missing-physics.md": (missing_physics, missing_physics_sets, missing_physics_cases),
     "docs/reference/environment.md": (environment,),
     "docs/reference/tracks.md": (tracks, half_car_card, full_car_card, regeneration),
-    "docs/reference/limits.md": (gates, gate_sets, limits, shares, search),
+    "docs/reference/limits.md": (gates, gate_sets, limits, mistaken, shares, search),
 }
 
 

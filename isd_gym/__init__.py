@@ -19,12 +19,11 @@ Rooms, lower ones first:
 
 from __future__ import annotations
 
+from ._common.lazy import lazy
 from .env import autoload as _autoload  # noqa: F401  registers the environments, now or after the import of Gymnasium
 
 TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
-    from typing import Any
-
     from ._common.errors import InputError as InputError
     from ._common.errors import MissingColumn as MissingColumn
     from ._common.errors import ReportError as ReportError
@@ -64,20 +63,4 @@ _HOME = {
     "simulate": "physics.simulate",
 }
 __all__ = [*_HOME]
-
-
-def __getattr__(name: str) -> Any:
-    from importlib import import_module
-    from importlib.util import find_spec
-
-    if name in _HOME:
-        value = getattr(import_module(f".{_HOME[name]}", __name__), name)
-        globals()[name] = value
-        return value
-    if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
-        return import_module(f".{name}", __name__)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy(__name__, _HOME)

@@ -14,6 +14,7 @@ from search_ablation import SELECTION, VARIATIONS, varied
 
 from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._selection.settings import SearchSettings
+from isd_gym.diagnosis._verdict.grades import MISTAKEN
 
 pytestmark = pytest.mark.tools
 
@@ -52,23 +53,26 @@ def row(explained, kind_probability, law_probability):
     place = ["ground", "mass"]
     finding = {
         "place": place,
-        "place_probability": 1.0 - CRITERIA.mistaken_weak,
+        "place_probability": 1.0 - MISTAKEN["weak"],
         "kind": "dry_friction",
         "kind_probability": kind_probability,
         "laws": [{"effect": "coulomb_friction", "probability": law_probability}],
     }
-    limits = {k: getattr(CRITERIA, k) for k in ("least_removed", "mistaken_weak", "mistaken_extra", "mistaken_place", "mistaken_kind")}  # fmt: skip
-    said = {"evidence": {"explained": explained}, "criteria": limits, "findings": [finding]}
+    said = {
+        "evidence": {"explained": explained},
+        "criteria": {"least_removed": CRITERIA.least_removed},
+        "findings": [finding],
+    }
     said["best_candidate"] = {"where": [place]}
     return {"answer": [["coulomb_friction", place]], "truth": None, "diagnosis": said}
 
 
 def test_the_weight_of_a_statement_is_recovered_whatever_its_limit():
     (weak,) = ablation.shares_of([row(0.3, 0.4, 0.4)])
-    assert weak["limit"] == "mistaken_weak" and weak["statements"] == 1 and weak["true"] == 1.0
-    assert weak["stated"] == pytest.approx(1.0 - CRITERIA.mistaken_weak)
-    assert weak["halved"] == pytest.approx(1.0 - 0.5 * CRITERIA.mistaken_weak)
-    extra = 1.0 - CRITERIA.mistaken_extra
+    assert weak["limit"] == "weak" and weak["statements"] == 1 and weak["true"] == 1.0
+    assert weak["stated"] == pytest.approx(1.0 - MISTAKEN["weak"])
+    assert weak["halved"] == pytest.approx(1.0 - 0.5 * MISTAKEN["weak"])
+    extra = 1.0 - MISTAKEN["extra"]
     (doubted,) = ablation.shares_of([row(0.99, extra, extra)])
-    assert doubted["limit"] == "mistaken_extra" and doubted["stated"] == pytest.approx(extra)
+    assert doubted["limit"] == "extra" and doubted["stated"] == pytest.approx(extra)
     assert ablation.shares_of([row(0.99, 0.95, 0.94)]) == []  # passed the inclusion test

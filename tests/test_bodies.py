@@ -8,8 +8,8 @@ import builders
 import control
 import numpy as np
 import pytest
-import reference
 from builders import damper, model
+from rigs import reference
 
 import isd_gym.physics.simulate
 from isd_gym import simulate

@@ -15,7 +15,17 @@ from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
 from isd_gym.diagnosis._selection.equivalent_laws import repeats
 from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
-from isd_gym.diagnosis._verdict.gates import COMPARE, Gate, confidence, decide, gates_of, table_gates
+from isd_gym.diagnosis._verdict.gates import (
+    COMPARE,
+    DOUBTFUL,
+    FAR,
+    Gate,
+    confidence,
+    decide,
+    gates_of,
+    table_gates,
+)
+from isd_gym.diagnosis._verdict.grades import MISTAKEN
 from isd_gym.physics.elements import TYPES, Motion
 
 FRICTION = EffectEvidence(
@@ -183,8 +193,8 @@ def test_what_noise_may_hide_is_no_finding() -> None:
 
 def test_a_name_that_small_effects_excuse_is_stated_with_less_confidence() -> None:
     whole, part = (confidence(replace(GOOD, explained=x, probability=0.9)) for x in (0.95, 0.7))
-    assert whole == pytest.approx(0.9 * (1.0 - CRITERIA.mistaken))
-    assert part == pytest.approx(0.9 * (1.0 - CRITERIA.partly)) and part < whole
+    assert whole == pytest.approx(0.9 * (1.0 - MISTAKEN["law"]))
+    assert part == pytest.approx(0.9 * (1.0 - MISTAKEN["partly"])) and part < whole
 
 
 def test_criteria_are_arguments_and_say_why_they_are() -> None:
@@ -265,7 +275,7 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
     least = 1.0 - c.least_removed ** (len(e.effects) + 1)
     most = e.explained >= c.least_removed and e.width_after < c.wide_gap
     excused = e.excess_ratio < c.small_effects and (most or e.training_explained >= c.alone_removes)
-    far = c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far
+    far = c.forces_first if all(x.fault < DOUBTFUL for x in sensors) else FAR * c.forces_first
     assert {n: g.passed for n, g in gates.items()} == {
         "predicts better": e.elpd_diff > c.elpd_diff and e.elpd_diff / max(e.elpd_dse, 1e-12) > c.elpd_errors,
         "material": e.moved >= c.material and large,

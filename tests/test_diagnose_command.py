@@ -25,7 +25,7 @@ from isd_gym.diagnosis._selection import forward_backward
 from isd_gym.diagnosis._selection.forward_backward import Search
 from isd_gym.diagnosis._simulation.problem import Record
 from isd_gym.diagnosis._simulation.time_limit import TimeLimit
-from isd_gym.diagnosis._verdict.wording import summary_of, unit_summary_of
+from isd_gym.diagnosis._verdict.wording import summary_of
 from isd_gym.physics.network import Network
 from isd_gym.records import schemas
 from isd_gym.records.data import Table, read_table, write_table
@@ -165,9 +165,7 @@ def check_folder(o: Outcome) -> None:
     jsonschema.Draft202012Validator(schemas.load("isd-diagnosis/1")).validate(d)
     own = (o.folder / "model.json").exists()
     assert own != (o.folder / "parameters.ssv").exists()
-    assert d["summary"] == (summary_of if own else unit_summary_of)(
-        d
-    )  # from the numbers of the document alone
+    assert d["summary"] == summary_of(d, is_fmu=not own)  # from the numbers of the document alone
     assert not re.search(r"\b(inf|nan|None)\b", d["summary"])
     first = re.split(r" \(|; |(?<=[a-z])\. ", d["summary"])[0]
     assert first in " ".join(o.printed.split())

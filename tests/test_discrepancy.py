@@ -8,11 +8,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import builders
-import families
 import numpy as np
 import pytest
 from builders import damper, element, network
-from hidden import make_case
+from rigs import families
+from rigs.hidden import make_case
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
@@ -341,6 +341,7 @@ def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
 
 def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends() -> None:
     # friction gives the piston many rests: from a guess the first stretch held out ended in another (0.063 of the deviation)
+    from isd_gym.contrib.forecast.planning import infer_rig, make_excitation, make_record
     from isd_gym.diagnosis._estimation.gauss_newton import Fitter
     from isd_gym.diagnosis._estimation.noise import white_filters
     from isd_gym.diagnosis._estimation.structure import base_structure
@@ -348,7 +349,6 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     from isd_gym.diagnosis._selection.candidate import Candidate
     from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
     from isd_gym.diagnosis._simulation.problem import Problem
-    from isd_gym.diagnosis.planning import infer_rig, make_excitation, make_record
 
     net = Network.load("force-rig").with_element(
         element("drag", "quadratic_damping", "piston", "ground", damping=1381.0)

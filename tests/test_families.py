@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from builders import damper, element, spring
-from families import FAMILIES, KINDS, UNSEEN, UNSEEN_KINDS, make_case, save
-from families.plant import Signal, integrate
-from families.rigs import dyno
-from reference import simulate
+from rigs.families import FAMILIES, KINDS, UNSEEN, UNSEEN_KINDS, make_case, save
+from rigs.families.plant import Signal, integrate
+from rigs.families.rigs import dyno
+from rigs.reference import simulate
 
 if TYPE_CHECKING:
     from pathlib import Path

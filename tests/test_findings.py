@@ -15,7 +15,7 @@ from isd_gym.diagnosis._selection.weights import FREE_FORCE, Statement, Weighted
 from isd_gym.diagnosis._verdict import measurement
 from isd_gym.diagnosis._verdict.findings import find
 from isd_gym.diagnosis._verdict.gates import confidence
-from isd_gym.diagnosis._verdict.grades import OBSERVED, grade, observed
+from isd_gym.diagnosis._verdict.grades import MISTAKEN, OBSERVED, grade, observed
 from isd_gym.diagnosis._verdict.wording import summary_of
 
 FRONT, REAR = ("body_front", "wheel_front"), ("body_rear", "wheel_rear")
@@ -40,7 +40,7 @@ def test_a_kind_that_two_places_share_is_certain_and_its_place_is_open():
     front, rear = [friction(FRONT)], [friction(REAR)]
     first, *others = found((0.55, front), (0.43, rear), (0.02, []), own=front)
     assert first.place == () and first.kind == "dry_friction" and not first.named
-    assert first.kind_probability == pytest.approx(0.98 * (1 - CRITERIA.mistaken_kind))
+    assert first.kind_probability == pytest.approx(0.98 * (1 - MISTAKEN["kind"]))
     assert first.kind_probability >= CRITERIA.certain
     assert {f.place: f.kind_probability < CRITERIA.certain for f in others} == {FRONT: True, REAR: True}
     assert [law.effect for law in first.laws] == ["coulomb_friction"]
@@ -62,19 +62,19 @@ def test_no_open_place_where_a_place_is_certain_or_kinds_differ(candidates, is_n
 def test_a_place_is_doubted_where_its_candidate_explains_less_than_half_or_did_not_pass():
     front, rear = [friction(FRONT)], [friction(FRONT), friction(REAR)]
     sure = {f.place: f.place_probability for f in found((0.1, front), (0.9, rear), own=front)}
-    assert sure[FRONT] == pytest.approx(1 - CRITERIA.mistaken_place)
-    assert sure[REAR] == pytest.approx(0.9 * (1 - CRITERIA.mistaken_extra))  # the further effect did not pass
+    assert sure[FRONT] == pytest.approx(1 - MISTAKEN["place"])
+    assert sure[REAR] == pytest.approx(0.9 * (1 - MISTAKEN["extra"]))  # the further effect did not pass
     (weak,) = found((1.0, front), own=front, explained=0.3)
-    assert weak.place_probability == weak.kind_probability == pytest.approx(1 - CRITERIA.mistaken_weak)
+    assert weak.place_probability == weak.kind_probability == pytest.approx(1 - MISTAKEN["weak"])
     (partly,) = found(
         (1.0, front), own=front, explained=0.8
     )  # a part is explained, and the name did not pass
-    assert partly.place_probability == partly.kind_probability == pytest.approx(1 - CRITERIA.partly)
+    assert partly.place_probability == partly.kind_probability == pytest.approx(1 - MISTAKEN["partly"])
     (passed,) = found((1.0, front), own=front, explained=0.8, is_named=True)
-    assert passed.kind_probability == pytest.approx(1 - CRITERIA.mistaken_kind)
+    assert passed.kind_probability == pytest.approx(1 - MISTAKEN["kind"])
     free = Statement(FRONT, "other", FREE_FORCE)
     (table,) = found((1.0, [free]), own=[friction(FRONT)], explained=0.3)
-    assert table.place_probability == pytest.approx(1 - CRITERIA.mistaken_place)
+    assert table.place_probability == pytest.approx(1 - MISTAKEN["place"])
 
 
 def test_a_law_beside_the_foremost_candidates_law_is_doubted_and_a_rival_is_not():
@@ -84,10 +84,10 @@ def test_a_law_beside_the_foremost_candidates_law_is_doubted_and_a_rival_is_not(
     weighted = (0.8, [friction(FRONT), further]), (0.1, [friction(FRONT)]), (0.1, [rival])
     (both,) = found(*weighted, own=[friction(FRONT)], is_named=True)
     said = {law.effect: law.probability for law in both.laws}
-    doubt = 1 - CRITERIA.mistaken
+    doubt = 1 - MISTAKEN["law"]
     assert said["coulomb_friction"] == pytest.approx(0.9 * doubt)
     assert said["hysteresis"] == pytest.approx(0.1 * doubt)
-    assert said["stribeck_friction"] == pytest.approx(0.8 * (1 - CRITERIA.mistaken_extra))
+    assert said["stribeck_friction"] == pytest.approx(0.8 * (1 - MISTAKEN["extra"]))
     assert both.laws[0].effect == "coulomb_friction"
 
 
@@ -189,8 +189,8 @@ def test_a_law_that_leaves_a_wide_gap_is_probable_however_much_it_explains():
         found((1.0, [friction(FRONT)]), own=[friction(FRONT)], is_named=True, explained=0.93, left=left)[0]
         for left in (0.09, 0.24)
     )
-    assert sure.laws[0].probability == pytest.approx(1.0 - CRITERIA.mistaken)
-    assert open_law.laws[0].probability == pytest.approx(1.0 - CRITERIA.partly)
+    assert sure.laws[0].probability == pytest.approx(1.0 - MISTAKEN["law"])
+    assert open_law.laws[0].probability == pytest.approx(1.0 - MISTAKEN["partly"])
     assert open_law.laws[0].to_dict()["grade"] == "probable"
 
 
@@ -216,7 +216,7 @@ def test_a_law_that_is_the_sum_of_two_others_is_probable_at_most():
     """Asymmetric friction is Coulomb friction with a constant force, which may be an offset of a load: no record tells them apart."""
     lean = [Statement(FRONT, "dry_friction", "asymmetric_friction")]
     (one,) = found((1.0, lean), own=lean, is_named=True)
-    assert one.kind_probability == pytest.approx(1.0 - CRITERIA.mistaken_kind)
-    assert one.laws[0].probability == pytest.approx(1.0 - CRITERIA.partly)
+    assert one.kind_probability == pytest.approx(1.0 - MISTAKEN["kind"])
+    assert one.laws[0].probability == pytest.approx(1.0 - MISTAKEN["partly"])
     evidence = SimpleNamespace(explained=0.99, width_after=0.0, support=1.0, probability=1.0)
     assert confidence(evidence, is_sum=True) == one.laws[0].probability < confidence(evidence)

@@ -161,7 +161,7 @@ def test_other_packages_named_agents_and_baselines(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f"other = {name!r}\n")
     code = (
-        "import sys, gymnasium, isd_gym.baselines, isd_gym.agents.train, isd_gym.agents.policy\n"
+        "import sys, gymnasium, isd_gym.baselines, isd_gym.contrib.training.train, isd_gym.agents.policy\n"
         "gymnasium.make('ISDSuspension-v0').reset(seed=0)\n"
         "from isd_gym._commands import main\n"
         "sys.argv = ['isd-gym', 'score', 'passive', 'mpc', 'ppo', '--episodes', '1', '--duration', '1']\n"

@@ -132,6 +132,16 @@ def test_limits_hold_on_the_worst_road(name, net):
         assert not terminated.any()
 
 
+@pytest.mark.parametrize("name", ["lqg", *baselines.WHOLE_CAR])
+@pytest.mark.parametrize("step", [4e-3, 5e-3])
+def test_the_slew_limit_is_a_rate(name, step):
+    """A current changes by at most 100 A/s, whatever the control step: 0.5 A in 5 ms."""
+    controller = baselines.make(name, HALF, control_step=step)
+    controller.reset()
+    command = controller.act(np.full(12, 0.05, np.float32) * (np.arange(12) < 10))
+    assert np.abs(command).max() == pytest.approx(100.0 * step)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mpc-friction", *baselines.WHOLE_CAR])
 def test_no_observation_breaks_a_controller(name):

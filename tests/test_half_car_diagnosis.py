@@ -5,14 +5,14 @@ from __future__ import annotations
 import copy
 from dataclasses import replace
 
-import families
 import numpy as np
 import pytest
 from builders import element
-from families.bench import Drive, outputs, run, set_relative
-from families.half_car import FRONT, REAR, half_car
-from families.plant import Signal, integrate
-from reference import simulate as by_reference
+from rigs import families
+from rigs.families.bench import Drive, outputs, run, set_relative
+from rigs.families.half_car import FRONT, REAR, half_car
+from rigs.families.plant import Signal, integrate
+from rigs.reference import simulate as by_reference
 
 from isd_gym import simulate
 from isd_gym.diagnosis import Diagnosis, SearchSettings, diagnose

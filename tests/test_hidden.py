@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from hidden import ALL_KINDS, Case, family, make_case, save
-from reference import simulate
+from rigs.hidden import ALL_KINDS, Case, family, make_case, save
+from rigs.reference import simulate
 
 if TYPE_CHECKING:
     from pathlib import Path

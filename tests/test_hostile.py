@@ -19,8 +19,8 @@ from scipy.io import savemat
 
 from isd_gym._common.errors import InputError, markdown, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
-from isd_gym.agents._convert import array, convert, read_normalize, read_pickle, read_torch
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
+from isd_gym.contrib.exports.archives import array, convert, read_normalize, read_pickle, read_torch
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate

@@ -6,7 +6,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, friction, pushed_mass, spring
-from reference import simulate
+from rigs.reference import simulate
 
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis._estimation.sensitivities import deviations

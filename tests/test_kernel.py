@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import reference
 from builders import channel, element, friction, network, spring
+from rigs import reference
 from scipy.signal import lsim, sawtooth
 
 from isd_gym.physics._kernel import compiled

@@ -260,27 +260,6 @@ def test_a_state_of_another_car_is_refused():
         env.set_state({"states": 1})
 
 
-def test_a_batch_steps_into_arrays_of_the_caller():
-    torch = pytest.importorskip("torch")
-    for name in ("ISDSuspension-v0", "ISDSuspensionLearning-v0"):
-        own, other = (
-            gymnasium.make_vec(name, 16, autoreset_mode="same_step", max_episode_steps=7).unwrapped
-            for _ in range(2)
-        )
-        own.reset(seed=1), other.reset(seed=1)
-        tensors = [torch.zeros(16, own.single_observation_space.shape[0]), torch.zeros(16)]
-        tensors += [torch.zeros(16, dtype=torch.bool) for _ in range(2)]
-        rng = np.random.default_rng(0)
-        for _ in range(40):
-            actions = rng.uniform(-1, 1, (16, 1)).astype(np.float32)
-            *results, _ = own.step(actions)
-            other.step_into(actions, *(t.numpy() for t in tensors))
-            for expected, found in zip(results, tensors, strict=True):
-                np.testing.assert_allclose(expected, found.numpy(), rtol=1e-6, atol=1e-12)
-        with pytest.raises(InputError, match="observations must be a writable, contiguous array"):
-            other.step_into(actions, np.zeros((16, 99), np.float32), *(t.numpy() for t in tensors[1:]))
-
-
 def test_no_seed_reaches_a_scoring_road():
     drawn = {int(scoring_generator(i).integers(0, 2**64, dtype=np.uint64)) for i in range(64)}
     reached = {int(seeding.np_random(s)[0].integers(0, 2**64, dtype=np.uint64)) for s in range(20_000)}

@@ -6,8 +6,8 @@ import json
 import builders
 import numpy as np
 import pytest
-import reference
 from builders import channel
+from rigs import reference
 
 from isd_gym import simulate
 from isd_gym._common.errors import InputError

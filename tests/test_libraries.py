@@ -10,12 +10,11 @@ import gymnasium.wrappers.vector as vector
 import numpy as np
 import pytest
 
-from isd_gym.env._environment import STEP_INFO
-
 pytestmark = pytest.mark.tools
 
 NAME = "ISDSuspension-v0"
 CARS, STEPS = 3, 30
+STEP_INFO = gym.make(NAME).unwrapped.task.step_info
 KEYS = {"speed", "cost", *STEP_INFO}
 MASKS = {f"_{key}" for key in KEYS}  # which cars of a batch have a number: all
 #: what these libraries warn of is theirs

@@ -24,18 +24,12 @@ isd_gym.agents
 isd_gym.agents.policy
     Policy
     also FEATURE_LIMIT Head SCHEMA SHIPPED read_safetensors
-isd_gym.agents.settings
-    PPOSettings SACSettings
-    also CONTROL_STEP MEMORY SETTINGS from_nothing robust tuned with_preview
-isd_gym.agents.train
-    train
-    also BASELINES CAR_BASELINES FOLDER Run SCHEMA SCORE_EPISODES SHOW_EVERY describe versions
 isd_gym.baselines
-    CONTROLLERS Controller PLANTS make
+    BatchController CONTROLLERS PLANTS make
     also ABOUT WHOLE_CAR noisy
 isd_gym.baselines.controller
-    BatchController Controller Signals WholeCarController clean limit rises steps_ahead
-    also CURRENT
+    BatchController DesignedController clean limit rises steps_ahead
+    also CURRENT Settings
 isd_gym.baselines.friction
     FrictionMpcSettings
     also FrictionMpc with_preview
@@ -58,9 +52,6 @@ isd_gym.benchmark.scoring
 isd_gym.diagnosis
     CRITERIA Contender Criteria Diagnosis Effect EffectEvidence Evidence FittedInitialState Gate Hypothesis
     Law Place Quantity SearchSettings Trace diagnose hypotheses initial_state
-isd_gym.diagnosis.planning
-    Design Excitation KINDS Limits Rig Rival design_test infer_rig list_excitations make_excitation
-    make_record next_experiment played
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
     also BestCandidate BestTable DifferingParameter FOLDER Over RecordDifferences Remainder SCHEMA
@@ -71,8 +62,6 @@ isd_gym.env.autoload
     also AT_START spec_of
 isd_gym.env.registration
     also BY_CORNERS ENVIRONMENTS EPISODE_STEPS LEARNING REWARD_THRESHOLDS register
-isd_gym.env.wrappers
-    HistoryObservation Hold RelativeReward
 isd_gym.physics
 isd_gym.physics.cost
     FULL_CAR HALF_CAR QUARTER_CAR StageCost square

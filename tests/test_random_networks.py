@@ -3,8 +3,8 @@
 import builders
 import numpy as np
 import pytest
-import random_networks
 from builders import damper, element, friction, spring
+from rigs import random_networks
 
 from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el

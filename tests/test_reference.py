@@ -9,9 +9,9 @@ from typing import Any
 import builders
 import numpy as np
 import pytest
-import reference
 from numpy.typing import NDArray
-from reference import simulate, simulate_events, trajectories
+from rigs import reference
+from rigs.reference import simulate, simulate_events, trajectories
 from scipy.integrate import trapezoid
 
 Array = NDArray[Any]

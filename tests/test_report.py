@@ -914,14 +914,6 @@ def test_the_model_is_drawn_before_and_after(written):
     assert json.loads(html.unescape(lights))[:2] == ["node:piston", "node:joint"]
 
 
-def test_a_long_record_is_thinned_and_the_page_says_so(diagnosis, monkeypatch):
-    monkeypatch.setattr(report, "MOST_SAMPLES", 20_000)
-    chart = report.draw_time(report.View(diagnosis))
-    line = chart.panels[0].items[0]
-    assert len(line.x) < 700 and line.x[1] == pytest.approx(5 * STEP)
-    assert "One sample in 5 is drawn" in chart.caption
-
-
 def test_a_parameter_that_the_data_do_not_tell_is_drawn_as_such(diagnosis):
     told = {
         "body.mass": Quantity(351.2, 349.9, 352.4, "kg", 345.0),

@@ -12,9 +12,9 @@ import pytest
 from program import run
 
 from isd_gym._common.errors import InputError
-from isd_gym.agents._convert import convert, trained_options
 from isd_gym.benchmark.policies import find
 from isd_gym.benchmark.scoring import drive
+from isd_gym.contrib.exports.archives import convert, trained_options
 from isd_gym.physics.network import Network
 
 sb3 = pytest.importorskip("stable_baselines3")

@@ -21,7 +21,6 @@ from isd_gym.diagnosis._verdict.wording import (
     plain_value,
     statements_of,
     summary_of,
-    unit_summary_of,
 )
 
 pytestmark = pytest.mark.tools
@@ -339,7 +338,7 @@ def test_a_bound_of_the_noise_is_told() -> None:
 
 def test_a_unit_whose_sensor_has_another_zero() -> None:
     d = document(replace(SEEN, effects=(), after=SEEN.refit, richest=()), constant={"travel": 0.9})
-    said = unit_summary_of(d)
+    said = summary_of(d, is_fmu=True)
     assert (
         "A constant offset is 90 % of the squared error in travel" in said
         and "inside an FMU are hidden" in said

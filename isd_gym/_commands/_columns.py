@@ -20,10 +20,6 @@ def print_columns(names: Columns, *parts: Columns) -> None:
     """Print columns in one table, or in several tables where the terminal is too narrow for one.
 
     A table ends between two parts where possible, and inside a part that is too wide for a table of its own.
-
-    Args:
-        names: Columns that name the rows. Every table repeats them.
-        parts: Columns of figures.
     """
     from rich.measure import Measurement
 

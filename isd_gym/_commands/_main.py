@@ -77,11 +77,7 @@ def _broken(error: OSError) -> int:
 
 
 def _listen() -> list[int]:
-    """Watch for Ctrl-C, also where a callback of the compiler swallows the interrupt.
-
-    Returns:
-        A list, empty until Ctrl-C is pressed.
-    """
+    """Watch for Ctrl-C, also where a callback of the compiler swallows the interrupt."""
     import signal
     import threading
     from _thread import interrupt_main

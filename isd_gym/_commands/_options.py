@@ -182,20 +182,7 @@ def channel_names(
     sign: list[str] | None = None,
     rate: float | None = None,
 ) -> dict[str, Any]:
-    """Return the column of each channel from the options of a command, as arguments of `records_of`.
-
-    Args:
-        network: Model with the channels.
-        rename: Values of --rename.
-        unit: Values of --unit.
-        map_file: File of --map.
-        columns: Value of --columns.
-        sign: Values of --sign.
-        rate: Value of --rate [Hz].
-
-    Raises:
-        InputError: A channel is unknown, or --map is given with one of the others.
-    """
+    """Return the column of each channel from the options of a command, as arguments of `records_of`."""
     from ..records._loggers import ChannelMap
 
     named = read_names(rename, unit, columns, sign)

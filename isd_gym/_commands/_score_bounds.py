@@ -37,13 +37,7 @@ def known_ceilings(
 def bounds_beside(
     result: Any, known: dict[str, Any] | None, ceilings: Callable[[float], dict[str, Any] | None]
 ) -> dict[str, Any]:
-    """Return one line per bound of a score, and one line about the bounds left out.
-
-    Args:
-        result: The score.
-        known: The clairvoyant optimum on these roads, where known.
-        ceilings: Function from preview [s] to the causal ceiling.
-    """
+    """Return one line per bound of a score, and one line about the bounds left out."""
     lines: dict[str, Any] = {}
     allowed = result.comparable
     not_computed = "not computed for these conditions"

@@ -18,17 +18,7 @@ ALIKE = {
 
 
 def plainer(error: UnicodeError) -> tuple[str, int]:
-    """Return similar ASCII characters for characters that an encoding lacks, one for one: 'm/s²' becomes 'm/s2'.
-
-    Args:
-        error: Error of the encoder.
-
-    Returns:
-        The replacement, and the place where the encoder goes on.
-
-    Raises:
-        UnicodeError: The error is none of an encoder.
-    """
+    """Return similar ASCII characters for characters that an encoding lacks, one for one: 'm/s²' becomes 'm/s2'."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     out = []

@@ -15,29 +15,13 @@ if TYPE_CHECKING:
 
 
 def write_json(path: Path | None, data: dict[str, Any]) -> None:
-    """Write the results of a command to the file of --json.
-
-    Args:
-        path: File to write; None to write nothing.
-        data: Plain data.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write the results of a command to the file of --json."""
     if path is not None:
         files.write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def check_file(path: Path | None, *read: str | Path | None) -> None:
-    """Check before long work that an output file can be written.
-
-    Args:
-        path: File to write; None for no check.
-        read: Input files that must not be overwritten.
-
-    Raises:
-        InputError: The file cannot be written, or is an input file.
-    """
+    """Check before long work that an output file can be written."""
     if path is not None:
         files.check_file(path, *read)
 
@@ -49,23 +33,14 @@ PIPED = 80
 
 
 def printer() -> Any:
-    """Return a console on stdout with word wrap at the width of the terminal, or at `PIPED` characters.
-
-    Returns:
-        A console of rich.
-    """
+    """Return a console on stdout with word wrap at the width of the terminal, or at `PIPED` characters."""
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else PIPED, highlight=False, markup=False)
 
 
 def tell(text: str, *, dim: bool = False) -> None:
-    """Print a sentence on stdout with word wrap.
-
-    Args:
-        text: The sentence.
-        dim: Whether the text is dimmed.
-    """
+    """Print a sentence on stdout with word wrap."""
     printer().print(text, style="dim" if dim else None)
 
 
@@ -74,9 +49,6 @@ def lines() -> Iterator[Callable[[str], None]]:
     """Give a function that prints lines of progress with the elapsed time on stderr.
 
     Without a terminal, the current line is printed now and then: after `SELDOM` seconds, and not more often.
-
-    Yields:
-        ``say(line)``.
     """
     import time
 
@@ -128,11 +100,7 @@ def _seldom() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, float], None]]:
-    """Give a function that updates a progress bar on stderr, one line per task, silent without a terminal.
-
-    Yields:
-        ``update(name, share)`` with a share from 0 to 1.
-    """
+    """Give a function that updates a progress bar on stderr, one line per task, silent without a terminal."""
     if not sys.stderr.isatty():  # a disabled bar prints an empty line
         yield lambda name, share: None
         return
@@ -159,11 +127,7 @@ def progress() -> Iterator[Callable[[str, float], None]]:
 
 
 def warm_up(update: Callable[[str, float], None]) -> None:
-    """Compile or load the kernel, with a line of progress.
-
-    Args:
-        update: Function of `progress`.
-    """
+    """Compile or load the kernel, with a line of progress."""
     import numpy as np
 
     from ..env._environment import ISDSuspensionVectorEnv
@@ -176,11 +140,7 @@ def warm_up(update: Callable[[str, float], None]) -> None:
 
 
 def print_names(rows: Mapping[str, str]) -> None:
-    """Print names with their descriptions, wrapped to the width of the terminal.
-
-    Args:
-        rows: Description by name.
-    """
+    """Print names with their descriptions, wrapped to the width of the terminal."""
     from rich.table import Table
 
     made = Table.grid(padding=(0, 2))

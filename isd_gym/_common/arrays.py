@@ -25,42 +25,18 @@ EIGHTH = math.sqrt(math.comb(16, 8))
 
 
 def rms(values: Array) -> float:
-    """Return the root mean square of an array.
-
-    Args:
-        values: Array of any shape.
-
-    Returns:
-        Root mean square in the unit of `values`.
-    """
+    """Return the root mean square of an array."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def channel_rms(parts: Sequence[Array]) -> Array:
-    """Return the root mean square of every channel over several parts.
-
-    Args:
-        parts: Arrays (samples, channels).
-
-    Returns:
-        Root mean square (channels,); not finite where a simulation diverged.
-    """
+    """Return the root mean square of every channel over several parts."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)), dtype=np.float64)
 
 
 def is_smooth(values: Array, step: float, slope: Array | None = None, order: int = 1) -> bool:
-    """Return whether noise and jumps are a small share of a derivative of a cubic spline through samples.
-
-    Args:
-        values: Samples (n,).
-        step: Sampling step [s].
-        slope: The derivative at the samples, if known (n,).
-        order: Order of the derivative, 1 or 2.
-
-    Returns:
-        True for a motion or a force without much noise; False for one with jumps.
-    """
+    """Return whether noise and jumps are a small share of a derivative of a cubic spline through samples."""
     if slope is None:
         slope = np.gradient(values, step)
     noise = rms(np.diff(values, 8)) / EIGHTH if len(values) > 8 else 0.0

@@ -19,14 +19,6 @@ def plain(text: str, limit: int = NAME_LIMIT) -> str:
 
     Control and format characters, line and paragraph separators and lone surrogates become escapes such as
     ``\\x1b``, so that text from a file cannot steer a terminal.
-
-    Args:
-        text: Any text.
-        limit: Maximum number of characters; a longer text is shortened in the middle before characters are
-            escaped.
-
-    Returns:
-        The text for a terminal, a table or a message.
     """
     if len(text) > limit:
         tail = limit // 4
@@ -41,16 +33,7 @@ _MARKUP = frozenset("&<>|`*[]\\~#$!")
 
 
 def markdown(text: str, limit: int = NAME_LIMIT, *, code: bool = False) -> str:
-    """Return a text from a file for a page in Markdown, where it appears as it is written.
-
-    Args:
-        text: Any text.
-        limit: Maximum number of characters, as in `plain`.
-        code: Set the text in the font of code. Text with markup stays in the font of the page.
-
-    Returns:
-        One line without links, tags or cells of a table. Markup becomes character references.
-    """
+    """Return a text from a file for a page in Markdown, where it appears as it is written."""
     text = plain(text, limit)
     words = re.sub(
         r"(?<![^\W_])_|_(?![^\W_])", "&#95;", "".join(f"&#{ord(c)};" if c in _MARKUP else c for c in text)
@@ -59,26 +42,14 @@ def markdown(text: str, limit: int = NAME_LIMIT, *, code: bool = False) -> str:
 
 
 def harmless(text: str) -> bool:
-    """Return whether a text has no control or format characters, line separators or lone surrogates.
-
-    Args:
-        text: Any text.
-    """
+    """Return whether a text has no control or format characters, line separators or lone surrogates."""
     return text.isprintable() or not any(
         unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") for c in text
     )
 
 
 def shown(value: Any, limit: int = NAME_LIMIT) -> str:
-    """Return a value from a file as it appears in a message.
-
-    Args:
-        value: Any value. Containers are described by kind and length only.
-        limit: Maximum number of characters of a text.
-
-    Returns:
-        A text in quotes, a number, or a description such as "a list of 3".
-    """
+    """Return a value from a file as it appears in a message."""
     if isinstance(value, str):
         return f"'{plain(value, limit)}'"
     if value is None or isinstance(value, bool | float):
@@ -95,12 +66,6 @@ def how_to_install(extra: str) -> str:
     """Return the shell command that installs an optional dependency group of this package.
 
     The package is in no registry yet, so the command assumes a clone of the repository.
-
-    Args:
-        extra: Name of the group, such as "io".
-
-    Returns:
-        One line of shell commands and where to run the line.
     """
     # the default torch wheel may download gigabytes
     torch = "pip install torch==2.13.0 && " if extra == "agents" else ""
@@ -108,15 +73,7 @@ def how_to_install(extra: str) -> str:
 
 
 def hint(name: object, known: Iterable[str]) -> str:
-    """Return ``did you mean 'mass'?`` for a similar known name, otherwise the list of known names.
-
-    Args:
-        name: Name that a user wrote.
-        known: Valid names, in the order of the list.
-
-    Returns:
-        A clause for the end of an error message.
-    """
+    """Return ``did you mean 'mass'?`` for a similar known name, otherwise the list of known names."""
     known = list(known)
     near = get_close_matches(str(name)[:200], known, 1)
     return f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"

@@ -32,18 +32,7 @@ _EARLIER = "earlier"
 
 @contextmanager
 def writing(path: str | Path, place: str | Path) -> Iterator[None]:
-    """Name the result in errors of the system: those of a full disk name no file.
-
-    Args:
-        path: File or folder to name.
-        place: Folder in which the result is written meanwhile.
-
-    Yields:
-        Nothing.
-
-    Raises:
-        InputError: The system could not write.
-    """
+    """Name the result in errors of the system: those of a full disk name no file."""
     try:
         yield
     except BrokenPipeError:  # the reader of stdout has gone
@@ -61,15 +50,6 @@ def whole(path: str | Path) -> Iterator[Path]:
 
     A symbolic link is kept and its target is replaced. A device or pipe (/dev/stdout) receives the content
     and is never replaced.
-
-    Args:
-        path: File to write.
-
-    Yields:
-        Temporary path to write to.
-
-    Raises:
-        InputError: The file cannot be written.
     """
     path = Path(path)
     check_file(path)
@@ -92,15 +72,7 @@ def whole(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text file atomically.
-
-    Args:
-        path: File to write.
-        text: Content, written in UTF-8.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write a text file atomically."""
     with whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -112,18 +84,6 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
     The path may be free, an empty folder, or an earlier result of the same kind. An earlier result holds the
     file `mark`, and otherwise only files and folders that match `parts`, without links; the earlier result is
     exchanged in a single step.
-
-    Args:
-        path: Folder to write.
-        kind: Name of the result, for messages, such as "diagnosis".
-        mark: File by which an earlier result is recognised.
-        parts: Patterns such as ``*.png`` of other files and folders in an earlier result.
-
-    Yields:
-        Temporary folder to write to.
-
-    Raises:
-        InputError: The path holds something else, or cannot be written.
     """
     path = Path(path)
     check_folder(path, kind, mark, parts)
@@ -152,37 +112,13 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
 
 
 def claim_folder(path: str | Path, kind: str, mark: str | None, parts: Sequence[str]) -> Path:
-    """Create a folder for a result that grows in place, under the rules of `whole_folder`.
-
-    Args:
-        path: Folder to create.
-        kind: Name of the result, for messages.
-        mark: File by which an earlier result is recognised; None to recognise earlier results by `parts`
-            alone.
-        parts: Patterns of other files and folders in an earlier result.
-
-    Returns:
-        The folder.
-
-    Raises:
-        InputError: The path holds something else, or cannot be written.
-    """
+    """Create a folder for a result that grows in place, under the rules of `whole_folder`."""
     check_folder(path, kind, mark, parts)
     return make_folder(path)
 
 
 def make_folder(path: str | Path) -> Path:
-    """Create a folder and its missing parents.
-
-    Args:
-        path: Folder to create; may exist.
-
-    Returns:
-        The folder.
-
-    Raises:
-        InputError: The folder cannot be created.
-    """
+    """Create a folder and its missing parents."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -193,18 +129,7 @@ def make_folder(path: str | Path) -> Path:
 
 @contextmanager
 def held(folder: Path, kind: str) -> Iterator[None]:
-    """Lock the folder of a growing result for this process.
-
-    Args:
-        folder: Existing folder.
-        kind: Name of the result, for messages.
-
-    Yields:
-        Nothing; the lock ends with the block.
-
-    Raises:
-        InputError: Another process holds the lock.
-    """
+    """Lock the folder of a growing result for this process."""
     handle = _lock(folder)
     if handle is None and fcntl is not None:
         raise InputError(f"another process is writing the {kind} in '{folder}'")
@@ -216,16 +141,7 @@ def held(folder: Path, kind: str) -> Iterator[None]:
 
 
 def check_file(path: str | Path, *read: str | Path | None) -> None:
-    """Check before long work that a file can be written.
-
-    Args:
-        path: File to write.
-        read: Input files that must not be overwritten.
-
-    Raises:
-        InputError: The folder does not exist, the path is a folder or an input file, or the path cannot be
-            named.
-    """
+    """Check before long work that a file can be written."""
     path = Path(path)
     _nameable(path)
     if not os.path.isdir(path.parent):
@@ -242,18 +158,7 @@ def check_file(path: str | Path, *read: str | Path | None) -> None:
 
 
 def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequence[str] = ()) -> None:
-    """Check before long work that `whole_folder` would write.
-
-    Args:
-        path: Folder to write.
-        kind: Name of the result, for messages.
-        mark: File by which an earlier result is recognised; None to recognise earlier results by `parts`
-            alone.
-        parts: Patterns of other files and folders in an earlier result.
-
-    Raises:
-        InputError: The path holds something else, or cannot be written.
-    """
+    """Check before long work that `whole_folder` would write; with `mark` None, an earlier result is recognised by `parts` alone."""
     path = Path(path)
     _nameable(path)
     if os.path.islink(path) or (os.path.exists(path) and not os.path.isdir(path)):

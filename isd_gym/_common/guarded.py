@@ -66,16 +66,9 @@ class Guarded:
         patience: float,
         numbers: Array | None = None,
     ) -> tuple[dict[str, Any], list[Array]] | None:
-        """Send a request, and return the answer.
+        """Send a request, and return the answer; None if the process died or took longer than `patience` [s].
 
-        Args:
-            request: Plain data.
-            counts: Returns the number of numbers in each array of an answer.
-            patience: Time limit [s].
-            numbers: Numbers of the request; None without numbers.
-
-        Returns:
-            Answer and arrays; None if the process died or exceeded the time limit.
+        `counts` returns the number of numbers in each array of an answer.
         """
         asked, told = self.process.stdin, self.process.stdout
         assert asked is not None and told is not None

@@ -30,12 +30,6 @@ def memory_limit() -> int:
     """Return the number of bytes that the content of one file may occupy in memory.
 
     The environment variable `ISD_GYM_READ_LIMIT_GB` changes the default of 1 GB.
-
-    Returns:
-        Limit [bytes].
-
-    Raises:
-        InputError: The environment variable is not a positive number.
     """
     text = os.environ.get(LIMIT_VARIABLE)
     if text is None:
@@ -50,32 +44,14 @@ def memory_limit() -> int:
 
 
 def too_large(where: str, size: float, limit: float) -> InputError:
-    """Return the error for content beyond the memory limit.
-
-    Args:
-        where: File, for the message.
-        size: Memory that the content needs [bytes].
-        limit: Memory limit [bytes].
-
-    Returns:
-        The error, to be raised.
-    """
+    """Return the error for content beyond the memory limit."""
     return InputError(
         f"{where}: would take {size / 2**30:.3g} GB, the limit is {limit / 2**30:.3g} (raise it with {LIMIT_VARIABLE})"
     )
 
 
 def check_memory(size: float, what: str, remedy: str) -> None:
-    """Check before long work that its arrays fit into the memory of this machine.
-
-    Args:
-        size: Memory that the arrays need [bytes].
-        what: The work, as the subject of the message.
-        remedy: Advice at the end of the message.
-
-    Raises:
-        InputError: The arrays do not fit.
-    """
+    """Check before long work that its arrays fit into the memory of this machine."""
     try:
         there = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, ValueError, OSError):  # a system that does not tell
@@ -87,17 +63,7 @@ def check_memory(size: float, what: str, remedy: str) -> None:
 
 
 def plain_file(path: str | Path) -> int:
-    """Return the size of a regular file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Size [bytes].
-
-    Raises:
-        InputError: The path is missing, unreadable, a folder, a pipe or a device.
-    """
+    """Return the size of a regular file."""
     try:
         found = os.stat(path)
     except (OSError, ValueError) as error:
@@ -112,18 +78,7 @@ def plain_file(path: str | Path) -> int:
 
 
 def read_bytes(path: str | Path, limit: int = JSON_LIMIT) -> bytes:
-    """Return the content of a regular file of limited size.
-
-    Args:
-        path: The file.
-        limit: Maximum size [bytes].
-
-    Returns:
-        The bytes of the file.
-
-    Raises:
-        InputError: The file is larger than the limit or cannot be read.
-    """
+    """Return the content of a regular file of limited size."""
     size = plain_file(path)
     if size > limit:
         raise InputError(f"{path}: has {size / 2**20:.4g} MB, at most {limit / 2**20:.4g} are read")
@@ -141,17 +96,6 @@ def parse_json(data: bytes | str, where: str) -> Any:
     """Return the content of a JSON text.
 
     A byte order mark is skipped.
-
-    Args:
-        data: The text, or its UTF-8 bytes.
-        where: Source of the text; start of error messages.
-
-    Returns:
-        Dictionaries, lists, texts, numbers, truth values and None.
-
-    Raises:
-        InputError: The text is no JSON; holds NaN, infinity or an integer beyond the range of a float; has
-            an object with a repeated key; has more than `DEPTH` levels; or holds lone surrogates.
     """
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data.removeprefix("\ufeff")
@@ -213,45 +157,18 @@ def _check_tree(found: Any, where: str) -> None:
     raise InputError(f"{where}: more than {DEPTH} nested levels")
 
 
-def read_json(path: str | Path, where: str | None = None, limit: int = JSON_LIMIT) -> Any:
-    """Return the content of a JSON file.
-
-    Args:
-        path: The file.
-        where: Name of the file in error messages; None for the path.
-        limit: Maximum size [bytes].
-
-    Returns:
-        Dictionaries, lists, texts, numbers, truth values and None.
-
-    Raises:
-        InputError: The file cannot be read, or is no valid JSON (see `parse_json`).
-    """
-    return parse_json(read_bytes(path, limit), where or str(path))
+def read_json(path: str | Path, where: str | None = None) -> Any:
+    """Return the content of a JSON file."""
+    return parse_json(read_bytes(path), where or str(path))
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is a finite number; truth values are not numbers.
-
-    Args:
-        value: Any value.
-    """
+    """Return whether a value is a finite number; truth values are not numbers."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def number(value: Any, where: str) -> float:
-    """Return a value as a finite float.
-
-    Args:
-        value: Any value.
-        where: Name of the value, for the message.
-
-    Returns:
-        The number in the unit of `value`.
-
-    Raises:
-        InputError: The value is no finite number, or is a truth value.
-    """
+    """Return a value as a finite float."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{where} must be a number, not {shown(value)}")
     if not is_number(value):

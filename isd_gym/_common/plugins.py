@@ -15,15 +15,16 @@ from .errors import InputError
 POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gym.references"
 #: formats of tables by suffix
 READERS = "isd_gym.readers"
-#: parts of `isd_gym.contrib` that a command of the core reaches by name
+#: parts of `isd_gym.contrib` that the core reaches by name
 WINGS = "isd_gym.wings"
 OWN = {
     POLICIES: {
         "baselines": "isd_gym.baselines._entry:open_policy",
         "agents": "isd_gym.agents._entry:open_policy",
+        "archives": "isd_gym.contrib.exports.archives:open_policy",
     },
     COMMANDS: {
-        "train": "isd_gym.agents._cli:train",
+        "train": "isd_gym.contrib.training.command:train",
         "convert": "isd_gym.contrib.exports.command:command",
         "export": "isd_gym.contrib.fmi.command:command",
         "inspect": "isd_gym.contrib.inspection.command:command",
@@ -50,6 +51,7 @@ OWN = {
     WINGS: {
         "fleet": "isd_gym.contrib.fleet.command",
         "fmi": "isd_gym.contrib.fmi.command",
+        "forecast": "isd_gym.contrib.forecast.planning",
         "hub": "isd_gym.contrib.hub",
         "no_road": "isd_gym.contrib.no_road.command",
     },
@@ -57,15 +59,7 @@ OWN = {
 
 
 def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
-    """Return the entry points of a group, sorted by name.
-
-    Args:
-        group: `POLICIES`, `COMMANDS`, `REFERENCES`, `READERS` or `WINGS`.
-        name: Name of one entry point; None for all.
-
-    Returns:
-        Entry points, possibly none.
-    """
+    """Return the entry points of a group, sorted by name."""
     found = {
         p.name: p
         for p in (EntryPoint(own, value, group) for own, value in OWN[group].items())
@@ -76,17 +70,7 @@ def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
 
 
 def wing(name: str) -> Any:
-    """Import a part of the package outside its core.
-
-    Args:
-        name: Name of an entry point `WINGS`.
-
-    Returns:
-        The module.
-
-    Raises:
-        InputError: The installation has no such part.
-    """
+    """Import a part of the package outside its core."""
     for point in plugins(WINGS, name):
         return point.load()
     raise InputError(f"this installation has no '{name}': it lacks isd_gym.contrib.{name}")

@@ -18,27 +18,12 @@ def scoring_generator(index: int) -> np.random.Generator:
     """Return the generator of a scoring road.
 
     No seed of ``reset(seed=)`` gives the same draws.
-
-    Args:
-        index: Index of the scoring road, from 0.
-
-    Returns:
-        The generator.
     """
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(index, spawn_key=(_SCORING,))))
 
 
 def generators(seed: int | None, first: int, count: int) -> list[np.random.Generator]:
-    """Return the generators of consecutive episodes.
-
-    Args:
-        seed: Seed of episode 0, as in ``reset(seed=)``; None for the scoring roads.
-        first: Index of the first episode.
-        count: Number of episodes.
-
-    Returns:
-        One generator per episode.
-    """
+    """Return the generators of consecutive episodes."""
     from gymnasium.utils import seeding
 
     if seed is None:
@@ -47,45 +32,18 @@ def generators(seed: int | None, first: int, count: int) -> list[np.random.Gener
 
 
 def named_roads(seed: int | None, episodes: int) -> str:
-    """Return the name of the roads of a score.
-
-    Args:
-        seed: Seed of the first road; None for the scoring roads.
-        episodes: Number of roads.
-
-    Returns:
-        A phrase such as 'scoring roads 0 to 31' or 'seeds 3000 to 3031'.
-    """
+    """Return the name of the roads of a score."""
     what, first = ("scoring roads", 0) if seed is None else ("seeds", seed)
     return f"{what} {first} to {first + episodes - 1}"
 
 
 def road_name(seed: int | None, index: int) -> str:
-    """Return the name of one road of a score.
-
-    Args:
-        seed: Seed of the first road; None for the scoring roads.
-        index: Index of the road.
-
-    Returns:
-        A phrase such as 'scoring road 3' or 'seed 3003'.
-    """
+    """Return the name of one road of a score."""
     return f"scoring road {index}" if seed is None else f"seed {seed + index}"
 
 
 def road_index(given: object, name: str) -> int:
-    """Return a checked index of a road.
-
-    Args:
-        given: The value.
-        name: Name of the value in messages.
-
-    Returns:
-        The index.
-
-    Raises:
-        InputError: The value is no whole number >= 0.
-    """
+    """Return a checked index of a road."""
     if isinstance(given, bool) or not isinstance(given, int | np.integer) or given < 0:
         raise InputError(f"{name} must be a whole number >= 0, not {shown(given)}")
     return int(given)

@@ -109,13 +109,6 @@ def practical(value: float, unit: str) -> tuple[float, str]:
     """Return the scale and the unit in which engineers state a value, such as mm and kN/m.
 
     Only units that start with N, m (but not m/s^2) or s take a prefix.
-
-    Args:
-        value: The value [unit].
-        unit: SI unit, such as "N/m".
-
-    Returns:
-        Factor from the SI unit, and the unit.
     """
     size = abs(value)
     if not math.isfinite(size) or size == 0.0 or unit.startswith(("m/", "mm", "ms")):
@@ -130,21 +123,15 @@ def practical(value: float, unit: str) -> tuple[float, str]:
 
 
 def si_of(unit: str) -> str:
-    """Return the SI unit of the quantity that a unit measures.
+    """Return the SI unit of the quantity that a unit measures."""
+    return _entry(unit)[0]
 
-    Args:
-        unit: Name of a unit such as "mm", or an alternative spelling such as "m/s2".
 
-    Returns:
-        Name of the SI unit, such as "m".
-
-    Raises:
-        InputError: The unit is unknown.
-    """
+def _entry(unit: Any) -> tuple[str, float]:
     key = _SPELLINGS.get(unit, unit) if isinstance(unit, str) else unit
     if not isinstance(key, str) or key not in TABLE:
         raise InputError(f"unknown unit {shown(unit)} (known: {', '.join(TABLE)})")
-    return TABLE[key][0]
+    return TABLE[key]
 
 
 #: translational unit -> rotational unit of a parameter
@@ -152,14 +139,7 @@ _ABOUT = {"N": "N m", "m": "rad", "kg": "kg m^2"}
 
 
 def about_axis(unit: str) -> str:
-    """Return the unit of a parameter between two nodes that rotate.
-
-    Args:
-        unit: Unit of the same parameter between two nodes that translate, such as "N s/m".
-
-    Returns:
-        Unit for rotation, such as "N m s/rad".
-    """
+    """Return the unit of a parameter between two nodes that rotate."""
     return re.sub(r"\b(N|m|kg)\b", lambda part: _ABOUT[part[0]], unit)
 
 
@@ -177,13 +157,7 @@ def convert(value: Value, unit: str, target: str) -> Value:
     Raises:
         InputError: A unit is unknown, or the two units measure different quantities.
     """
-    pair = []
-    for name in (unit, target):
-        key = _SPELLINGS.get(name, name) if isinstance(name, str) else name
-        if not isinstance(key, str) or key not in TABLE:
-            raise InputError(f"unknown unit {shown(name)} (known: {', '.join(TABLE)})")
-        pair.append(TABLE[key])
-    (si, factor), (si_target, factor_target) = pair
+    (si, factor), (si_target, factor_target) = _entry(unit), _entry(target)
     if si != si_target:
         raise InputError(f"unit '{unit}' cannot be converted to '{target}'")
     return value * (factor / factor_target)

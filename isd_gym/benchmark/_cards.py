@@ -31,17 +31,7 @@ CLOSE = 1e-6
 
 
 def load(name: str | Path) -> dict[str, Any]:
-    """Read a card.
-
-    Args:
-        name: A file, or the name of a built-in card.
-
-    Returns:
-        The card.
-
-    Raises:
-        InputError: The file is no card, or was altered.
-    """
+    """Read a card."""
     path = Path(name)
     if str(name) in built_in():
         path = BUILT_IN / f"{name}.json"
@@ -62,17 +52,7 @@ def load(name: str | Path) -> dict[str, Any]:
 
 
 def read_score(path: str | Path) -> dict[str, Any]:
-    """Read a score for comparison with a card.
-
-    Args:
-        path: The file, as written by ``isd-gym score --json``.
-
-    Returns:
-        The score.
-
-    Raises:
-        InputError: The file is no score, or does not state its conditions.
-    """
+    """Read a score for comparison with a card."""
     where = f"score {shown(str(path))}"
     data = read_json(path, f"{where} cannot be read")
     if not (isinstance(data, dict) and data.get("schema") == SCORE):
@@ -85,41 +65,18 @@ def read_score(path: str | Path) -> dict[str, Any]:
 
 
 def built_in() -> list[str]:
-    """Return the names of the cards in the package.
-
-    Returns:
-        Names, sorted.
-    """
+    """Return the names of the cards in the package."""
     return sorted(p.stem for p in BUILT_IN.glob("*.json"))
 
 
 def digest(card: Mapping[str, Any]) -> str:
-    """Return the SHA-256 digest of a card without its digest.
-
-    Args:
-        card: The card.
-
-    Returns:
-        Hexadecimal digits.
-    """
+    """Return the SHA-256 digest of a card without its digest."""
     text = json.dumps({k: v for k, v in card.items() if k != "digest"}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
-    """Return a track of a card from a score.
-
-    Args:
-        score: The score (`isd-score/1`) with its episodes.
-        name: Name of the track.
-        command: Command that reproduces the score.
-
-    Returns:
-        The track.
-
-    Raises:
-        InputError: The score has no episodes.
-    """
+    """Return a track of a card from a score."""
     raw = _episodes(score)
     rows = {row["policy"]: row for row in score["policies"]}
     return {
@@ -139,19 +96,7 @@ def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
 
 
 def make(environment: str, tracks: Sequence[Mapping[str, Any]], date: str) -> dict[str, Any]:
-    """Return a card with its digest.
-
-    Args:
-        environment: Name and version of the environment.
-        tracks: Tracks.
-        date: Date as YYYY-MM-DD.
-
-    Returns:
-        The card.
-
-    Raises:
-        InputError: The tracks cannot be combined.
-    """
+    """Return a card with its digest."""
     from .. import __version__
 
     card = {
@@ -180,18 +125,7 @@ def _episodes(score: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
 
 
 def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the track of a card with the roads of a score.
-
-    Args:
-        score: The score.
-        card: The card.
-
-    Returns:
-        The track.
-
-    Raises:
-        InputError: No track has the roads of the score; the message tells the differences.
-    """
+    """Return the track of a card with the roads of a score."""
     whys = []
     shown_road = (row.get("preview", {}).get("value", 0.0) for row in score["policies"])
     ahead = max(shown_road, default=0.0)
@@ -217,15 +151,7 @@ def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def regret(cost: Mapping[str, float], ceiling: float) -> float:
-    """Return the cost above the least cost known for causal controllers.
-
-    Args:
-        cost: `value` [-] and relative `change` against the passive car.
-        ceiling: Change of the cost at the causal ceiling.
-
-    Returns:
-        Difference of the costs [-].
-    """
+    """Return the cost above the least cost known for causal controllers."""
     return float(cost["value"] / (1.0 + cost["change"]) * (cost["change"] - ceiling))
 
 
@@ -239,19 +165,6 @@ def ranking(
 
     Quantities are compared with the passive car. Each submitted policy's cost is compared `against` every
     other policy, paired, with 95 % intervals.
-
-    Args:
-        card: The card.
-        name: Name of the track.
-        scores: Scores on the track.
-        ceiling: Returns the causal ceiling of controllers with a given preview [s] (its `change`), for the
-            `regret`; None where the ceiling is not known. Without it no ceiling is known.
-
-    Returns:
-        One entry per policy.
-
-    Raises:
-        InputError: The card has no such track.
     """
     one = next((t for t in card["tracks"] if t["track"] == name), None)
     if one is None:
@@ -292,16 +205,7 @@ def ranking(
 
 
 def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Return a track as Markdown, best policy first, with date, command and digest.
-
-    Args:
-        card: The card.
-        name: Name of the track.
-        scores: Scores on the track.
-
-    Returns:
-        Text.
-    """
+    """Return a track as Markdown, best policy first, with date, command and digest."""
     one = next(t for t in card["tracks"] if t["track"] == name)
 
     def cell(q: Mapping[str, Any], digits: int, scale: float = 1.0) -> str:

@@ -71,21 +71,7 @@ def comparable(
     sensors: Sensors | None = None,
     reference: str = "passive",
 ) -> Comparable:
-    """Decide which statements may be shown beside a score.
-
-    Args:
-        network: Plant.
-        road: Road.
-        speed: Speed [m/s].
-        episodes: Number of episodes.
-        duration: Length of an episode [s].
-        randomize: Ranges that vary from episode to episode, if any.
-        sensors: Imperfections of the sensors, if any.
-        reference: Policy of the paired comparison; every statement is about changes against the passive car.
-
-    Returns:
-        Reason against each statement.
-    """
+    """Decide which statements may be shown beside a score."""
     ground = find_road(road)
     if reference != "passive":
         return Comparable(*[f"changes are against {reference}, not passive"] * len(fields(Comparable)))

@@ -28,15 +28,6 @@ def entry_of_file(name: str) -> Entry | None:
     A class is called without arguments, once per car. Its objects have `reset()` and `act(observation)`, and
     optionally `name`, `observation`, `preview`, `fallbacks`, `reset_batch(count)` and `act_batch(observations)`
     (`driving.Controller`). A function is `act` of a controller without memory.
-
-    Args:
-        name: Path of a Python file, a colon, and the name of a class or function in the file.
-
-    Returns:
-        The entry; None for other names.
-
-    Raises:
-        InputError: The file does not run, or has no such class or function.
     """
     path, colon, attribute = name.rpartition(":")
     if not colon:
@@ -121,28 +112,14 @@ class OwnController:
             _call(self._file, reset)
 
     def reset_batch(self, count: int) -> None:
-        """Clear the memory of all cars.
-
-        Args:
-            count: Number of cars.
-        """
+        """Clear the memory of all cars."""
         if callable(reset := getattr(self._own, "reset_batch", None)):
             _call(self._file, reset, count)
         else:
             self.reset()
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Return the commanded current.
-
-        Args:
-            observation: Observation (signals,).
-
-        Returns:
-            Current (), or currents (currents,) [A].
-
-        Raises:
-            InputError: The controller fails, or returns no finite numbers.
-        """
+        """Return the commanded current."""
         return self._numbers(_call(self._file, self._act, observation), "act")
 
     def _act_batch(self, observations: np.ndarray) -> np.ndarray:

@@ -37,22 +37,7 @@ def snapshots(
     seconds: float = 10.0,
     seed: int = 0,
 ) -> Iterator[tuple[Snapshot | CarSnapshot, ...]]:
-    """Drive policies on the same road.
-
-    Args:
-        entries: The policies, on their own plants, if any.
-        network: Plant of policies without a plant of their own.
-        road: The road.
-        speed: Speed [m/s].
-        seconds: Duration [s].
-        seed: Seed of the environment's road.
-
-    Yields:
-        One snapshot per policy, for each control step.
-
-    Raises:
-        InputError: A car breaks, or an argument is invalid.
-    """
+    """Drive policies on the same road."""
     from ..env._environment import ISDSuspensionEnv
     from ..env._task import CONTROL_STEP
 
@@ -114,18 +99,7 @@ def film(
     progress: Callable[[float], None] | None = None,
     **drive: Any,
 ) -> None:
-    """Write a film of policies: an MP4 with 50 or a GIF with 25 frames per second.
-
-    Args:
-        entries: The policies.
-        network: Plant of policies without a plant of their own.
-        path: File to write (.mp4 or .gif).
-        progress: Called now and then with the finished share.
-        drive: Further arguments of `snapshots`.
-
-    Raises:
-        InputError: A car breaks, an argument is invalid, or the film cannot be written.
-    """
+    """Write a film of policies: an MP4 with 50 or a GIF with 25 frames per second."""
     from ..env._task import CONTROL_STEP
     from ..view._rendering import write_video
 
@@ -150,11 +124,7 @@ def film(
 
 
 def check_window() -> None:
-    """Check before long work that `live` can open a window.
-
-    Raises:
-        InputError: There is no display, or pygame-ce is missing.
-    """
+    """Check before long work that `live` can open a window."""
     from ..view._rendering import check_display
 
     try:
@@ -168,16 +138,7 @@ def check_window() -> None:
 
 
 def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> None:
-    """Show policies in a window at the pace of the simulated time, until the end or until the window is closed.
-
-    Args:
-        entries: The policies.
-        network: Plant of policies without a plant of their own.
-        drive: Further arguments of `snapshots`.
-
-    Raises:
-        InputError: A car breaks, an argument is invalid, or there is no display.
-    """
+    """Show policies in a window at the pace of the simulated time, until the end or until the window is closed."""
     check_window()
     network = Network.load(network)
     with _renderer("human", network, len(entries)) as renderer:

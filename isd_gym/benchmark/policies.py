@@ -139,14 +139,10 @@ def find(
         )
     if speed is not None and len(car.corners) > 1:
         options["speed"] = speed
-    known = [_REFERENCE, "isd-passive"]
     for point in plugins(POLICIES):
-        opener = point.load()
-        entry = opener(name, belief, cost, control_step, options)
-        if entry is not None:
+        if (entry := point.load()(name, belief, cost, control_step, options)) is not None:
             return entry
-        known += getattr(opener, "names", list)()
-    known = list(dict.fromkeys(known))
+    known = list(available())
     near = get_close_matches(name[:80], known, 1)
     asked = f" (did you mean '{near[0]}'?)" if near else ""
     raise InputError(
@@ -195,10 +191,7 @@ def available() -> dict[str, str]:
     }
     for point in plugins(POLICIES):
         opener = point.load()
-        own = (
-            opener.about()
-            if hasattr(opener, "about")
-            else dict.fromkeys(getattr(opener, "names", list)(), point.value)
-        )
+        own = opener.about() if hasattr(opener, "about") else {}
+        own = own or dict.fromkeys(getattr(opener, "names", list)(), point.value)
         known |= {name: text for name, text in own.items() if name not in known}
     return known

@@ -33,45 +33,35 @@ ABOVE_NOISE = 1.2
 
 @dataclass(frozen=True)
 class PredictionError:
-    """Error of a model in one channel of one record.
+    """Error of a model in one channel of one record."""
 
-    Attributes:
-        record: Name of the record; 'all records' for the sum over several records.
-        channel: Output of the model.
-        unit: Unit of the channel.
-        rms: RMS of measured minus simulated signal [unit].
-        nrmse: `rms` over the standard deviation of the measured signal within its record.
-        noise: RMS of the measurement noise over the same deviation; None where the noise is not known.
-    """
-
+    #: name of the record; 'all records' for the sum over several records
     record: str
+    #: output of the model
     channel: str
+    #: unit of the channel
     unit: str
+    #: RMS of measured minus simulated signal [unit]
     rms: float
+    #: `rms` over the standard deviation of the measured signal within its record
     nrmse: float
+    #: RMS of the measurement noise over the same deviation; None where the noise is not known
     noise: float | None
 
 
 @dataclass(frozen=True)
 class PredictionErrors:
-    """Errors of a model on measured records.
+    """Errors of a model on measured records."""
 
-    Attributes:
-        model: Name of the model.
-        rows: One entry per record and channel; with several records also one per channel over all records.
-        notes: Notes of the data checks, and lags between the clocks of loggers.
-    """
-
+    #: name of the model
     model: str
+    #: one entry per record and channel; with several records also one per channel over all records
     rows: tuple[PredictionError, ...]
+    #: notes of the data checks, and lags between the clocks of loggers
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON.
-
-        Returns:
-            Name of the model, rows and notes.
-        """
+        """Return plain data for JSON: name of the model, errors and notes."""
         return {"model": self.model, "errors": [asdict(r) for r in self.rows], "notes": list(self.notes)}
 
 
@@ -83,15 +73,7 @@ def prediction_errors(
     As in a diagnosis, the initial state of each record, free offsets of sensors and lags between the clocks of loggers are fitted, and
     noisy inputs that are differentiated pass a low-pass together with the outputs. Data checks only give notes.
 
-    Args:
-        data: Records: tables, recordings of loggers, or files.
-        model: Network, name of a built-in network, model file or its content.
-
-    Returns:
-        The errors.
-
-    Raises:
-        InputError: A record cannot be read, lacks a channel, or the simulation of a record breaks down.
+    Raises `InputError` if a record cannot be read, lacks a channel, or its simulation breaks down.
     """
     network = Network.load(model)
     if not network.outputs:
@@ -136,15 +118,10 @@ def prediction_errors(
 
 
 def removed_share(found: PredictionErrors, other: PredictionErrors) -> dict[str, float | None]:
-    """Return the share of the squared error of another model beyond noise that a model removes on the same records.
+    """Return the share of the squared error of another model beyond noise that a model removes on the same records, by channel.
 
-    Args:
-        found: Errors of the model, such as the completed model of another rig.
-        other: Errors of the model to compare with, such as the nominal model.
-
-    Returns:
-        Share per channel over all records: 1 where the model errs by no more than noise, 0 where both err alike, negative where the
-        model errs more. None where the other model errs by no more than noise, or the noise is not known.
+    1 where the model errs by no more than noise, 0 where both err alike, negative where the model errs more. None where the other model errs
+    by no more than noise, or the noise is not known.
     """
     shares: dict[str, float | None] = {}
     # the last row of a channel is over all records

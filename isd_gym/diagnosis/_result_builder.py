@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from .._common.plugins import wing
 from ..physics.network import assemble
 from ._estimation.gauss_newton import Fitter
 from ._estimation.noise import white_filters
@@ -28,7 +29,6 @@ from ._verdict.explanation import draw_law, draw_table, locate_errors
 from ._verdict.findings import find
 from ._verdict.gates import Decision, confidence, table_gates, with_findings
 from ._verdict.wording import candidate_text, summary_of
-from .planning import next_experiment, played
 from .result import (
     BestCandidate,
     Contender,
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     from .._common.arrays import Array
     from ..physics.network import Network
+    from ..records.data import Table
     from ._estimation.structure import Structure
     from ._records import Feedback
     from ._selection.candidate_comparison import CandidateComparison
@@ -53,7 +54,6 @@ if TYPE_CHECKING:
     from ._simulation.problem import Problem
     from ._verdict.findings import Finding
     from ._verdict.measurement import Measurements
-    from .planning import Design
     from .result import Law, RecordDifferences, Tabulated
 
 
@@ -85,7 +85,9 @@ class ResultBuilder:
         refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable
         # under feedback a free curve would draw the controller's law
         is_free = decision.verdict == "unknown_effect" and not self.feedback
-        free = self._free_force() if is_free else FreeForce()
+        free = FreeForce()
+        if is_free:
+            free = self._attempt("a table of the missing force", free, self._free_force)
         no_findings: tuple[Decision, tuple[Finding, ...]] = (decision, ())
         decision, findings = self._attempt("the probabilities", no_findings, self._findings, decision, free)
         no_difference: RecordDifferences | None = None
@@ -121,7 +123,7 @@ class ResultBuilder:
             quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
         posterior = quantities if final is refitted else posterior
         laws = self._laws(final, found, tabulated)
-        test = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else None
+        test, played = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else (None, None)
         result = Diagnosis(
             verdict=decision.verdict,
             summary="",
@@ -141,8 +143,8 @@ class ResultBuilder:
             gap={stage: self._by_channel(row) for stage, row in rows.items()},
             closed=None if final is refitted else closed(rows),
             gates=decision.gates,
-            next_experiment=test.to_dict() if test else None,
-            test=self._attempt("the next test", None, played, network, test.record) if test else None,
+            next_experiment=test,
+            test=played,
             base=network,
             refitted=refitted.fit.network,
             model=self._described(
@@ -208,17 +210,10 @@ class ResultBuilder:
 
     # -- decision -----------------------------------------------------------------------------------------
     def _free_force(self) -> FreeForce:
-        """Fit a table of the missing force; nothing where the fit breaks down."""
+        """Fit a table of the missing force."""
         self.say("no known law explains it: following the missing force")
         gates = functools.partial(table_gates, c=self.search.criteria)
-        try:
-            with self.search.clock.until(RESULT):
-                free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
-        except BROKEN:
-            return FreeForce()
-        except TimeUp:
-            self.search.clock.leave_out("a table of the missing force")
-            return FreeForce()
+        free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
         return free if free.candidate is None or self.scores.can_score(free.candidate) else FreeForce()
 
     def _findings(self, decision: Decision, free: FreeForce) -> tuple[Decision, tuple[Finding, ...]]:
@@ -252,23 +247,15 @@ class ResultBuilder:
         if decision.verdict not in ("missing_effect", "ambiguous", "unknown_effect"):
             return None
         self.say("comparing the parameters of each record")
-        more = [
-            c for c in (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
-        ]
-        laws = {id(c): (_in_words(c), c.fit.structure, c.fit.x) for c in more if c.hypotheses}
+        more = (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
+        named = {id(c): (candidate_text(_effects_of(c)), c) for c in more if c.hypotheses}
         if free.candidate is not None:
-            laws[id(free.candidate)] = (
-                "a force without a name",
-                free.candidate.fit.structure,
-                free.candidate.fit.x,
-            )
+            named[id(free.candidate)] = ("a force without a name", free.candidate)
+        laws = [(words, c.fit.structure, c.fit.x) for words, c in named.values()]
         network = self.whole.network
         lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.whole.time
-        refitted = scores.refitted.fit
-        noise = self.search.evaluator.least_noise
-        return find_record_differences(
-            self.whole, refitted.structure, refitted.x, noise, list(laws.values()), lead
-        )
+        refitted, noise = scores.refitted.fit, self.search.evaluator.least_noise
+        return find_record_differences(self.whole, refitted.structure, refitted.x, noise, laws, lead)
 
     def _fit_simulation(
         self, final: Candidate, quantities: Mapping[str, Quantity]
@@ -314,11 +301,8 @@ class ResultBuilder:
         """Return the effects of the foremost candidate."""
         best, network, out = self.scores.foremost, self.search.problem.network, []
         for h, element in zip(best.hypotheses, best.fit.structure.names, strict=True):
-            own = {
-                path.rpartition(".")[2]: q
-                for path, q in quantities.items()
-                if path.rpartition(".")[0] == element
-            }
+            parts = [(*path.rpartition("."), q) for path, q in quantities.items()]
+            own = {key: q for owner, _, key, q in parts if owner == element}
             channel = h.where[0] if h.place == "channel" else None
             out.append(Effect(h.effect, owner_pair(network, h), channel, probability, own, element, h.behind))
         return out
@@ -334,10 +318,19 @@ class ResultBuilder:
             laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
         return tuple(law for law in laws if law is not None)
 
-    def _next_test(self, candidates: Sequence[Candidate], noise: Array) -> Design | None:
-        """Return the test that would decide between candidates."""
+    def _next_test(
+        self, candidates: Sequence[Candidate], noise: Array
+    ) -> tuple[dict[str, Any] | None, Table | None]:
+        """Return the test that would decide between candidates, and its inputs."""
         self.say("designing the test that would decide")
-        return self._attempt("the next test", None, next_experiment, self.whole, candidates, noise)
+        no_test: tuple[dict[str, Any] | None, Table | None] = (None, None)
+
+        def design() -> tuple[dict[str, Any] | None, Table | None]:
+            planning = wing("forecast")
+            found = planning.next_experiment(self.whole, candidates, noise)
+            return (found.to_dict(), planning.played(self.whole.network, found.record)) if found else no_test
+
+        return self._attempt("the next test", no_test, design)
 
     def _rejected(
         self, decision: Decision, rows: Mapping[str, Array], completes: bool
@@ -348,13 +341,11 @@ class ResultBuilder:
             return None
         stages = {k: rows[k] for k in ("before", "refit")} | {"after": self.scores.score(best).test_nrmse}
         return BestCandidate(
-            tuple(h.effect for h in best.hypotheses),
-            tuple(h.where for h in best.hypotheses),
-            tuple(parameter_values(e) for e in best.elements),
-            self.measured.evidence.explained,
-            {k: self._by_channel(row) for k, row in stages.items()},
-            tuple(g for g in decision.gates if not g.passed),
-            completes,
+            **_effects_of(best),
+            explained=self.measured.evidence.explained,
+            error={k: self._by_channel(row) for k, row in stages.items()},
+            failed_gates=tuple(g for g in decision.gates if not g.passed),
+            completes=completes,
         )
 
     def _contenders(self, rivals: Sequence[Candidate], is_tied: bool) -> list[Contender]:
@@ -370,16 +361,10 @@ class ResultBuilder:
             elif loss > refit.mean_square:
                 why = "errs more on the held-out records than the old model does"
             excess = (loss - scores.noise_score) / max(refit.mean_square - scores.noise_score, 1e-12)
+            options = tuple(h.choices for h in r.hypotheses)
+            likelihood = r.deviance - best.deviance
             out.append(
-                Contender(
-                    tuple(h.effect for h in r.hypotheses),
-                    tuple(h.where for h in r.hypotheses),
-                    excess,
-                    r.deviance - best.deviance,
-                    why,
-                    tuple(parameter_values(e) for e in r.elements),
-                    tuple(h.choices for h in r.hypotheses),
-                )
+                Contender(**_effects_of(r), score=excess, likelihood=likelihood, why_not=why, options=options)
             )
         return out
 
@@ -389,7 +374,7 @@ class ResultBuilder:
         found, richest = scores.foremost, scores.richest
         beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
         j = int(np.argmax(beyond))
-        if beyond[j] < self.search.criteria.misses**2:
+        if beyond[j] < self.search.criteria.wide_gap**2:
             return None
         channel = p.channels[j]
         place = next(x for x in locate_errors(p, found.fit, noise) if x.channel == channel)
@@ -441,18 +426,17 @@ class ResultBuilder:
         return np.full_like(self.whole.records[index].measured, np.nan)
 
 
-def _in_words(candidate: Candidate) -> str:
-    """Return the effects of a candidate with their places."""
-    found = candidate.hypotheses
-    return candidate_text({"effects": [h.effect for h in found], "where": [h.where for h in found]})
+def _effects_of(candidate: Candidate) -> dict[str, Any]:
+    """Return types, places and values of the effects of a candidate."""
+    return {
+        "effects": tuple(h.effect for h in candidate.hypotheses),
+        "where": tuple(h.where for h in candidate.hypotheses),
+        "values": tuple(parameter_values(e) for e in candidate.elements),
+    }
 
 
 def closed(rows: Mapping[str, Array]) -> float | None:
-    """Return the closed share of the gap: (refit - after) / (refit - noise), of the squares, over all channels.
-
-    Args:
-        rows: NRMSE (channels,) by stage.
-    """
+    """Return the closed share of the gap: (refit - after) / (refit - noise), of the squares, over all channels."""
     top = float(np.sum(rows["refit"] ** 2 - rows["after"] ** 2))
     bottom = float(np.sum(np.maximum(rows["refit"] ** 2 - rows["noise_floor"] ** 2, 0.0)))
     return min(1.0, top / bottom) if bottom > 0 and math.isfinite(top) else None

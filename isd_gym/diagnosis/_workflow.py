@@ -274,7 +274,7 @@ class Workflow:
     def __post_init__(self) -> None:
         self.network = self.problem.network
         self.search = Search(
-            HeldOutEvaluator(self.problem, self.criteria.least_noise, self.whole),
+            HeldOutEvaluator(self.problem, self.whole),
             self.settings,
             self.criteria,
             self.say,

@@ -6,7 +6,7 @@ import html
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -40,6 +40,12 @@ __all__ = [
 
 
 SCHEMA = "isd-diagnosis/1"
+#: entries of the JSON document in their order: fields of `Diagnosis`, or made of them
+_DOCUMENT = (
+    "schema", "verdict", "summary", "effects", "findings", "small_effects", "alternatives", "where", "parameters", "gap", "gates", "reason",
+    "best_candidate", "best_table", "remainder", "record_differences", "simulation_fit", "stretches", "constant", "closed_loop",
+    "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
+)  # fmt: skip
 #: share of the gain of values per record from which on a law is nearly as good
 _TIED = 0.8
 #: ratio of the squared errors beyond noise that two explanations leave, from which on one is far better; least error that counts
@@ -103,9 +109,8 @@ class Effect:
             out["between"] = list(self.between) if self.between else None
         if self.behind:
             out["behind"] = self.behind
-        out["confidence"] = self.confidence
-        out["parameters"] = {k: q.to_dict() for k, q in self.parameters.items()}
-        return out
+        parameters = {k: q.to_dict() for k, q in self.parameters.items()}
+        return out | {"confidence": self.confidence, "parameters": parameters}
 
 
 @dataclass(frozen=True)
@@ -129,8 +134,7 @@ class Contender:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        names = {"score": "excess"}
-        return {names.get(k, k): v for k, v in asdict(self).items() if k != "likelihood"}
+        return {"excess" if k == "score" else k: v for k, v in vars(self).items() if k != "likelihood"}
 
 
 @dataclass(frozen=True)
@@ -144,10 +148,6 @@ class Place:
     bands_hz: tuple[tuple[float, float], ...]
     #: condition of the motion under which the error is largest
     when: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ class Tabulated:
         return {
             **{k: getattr(self, k) for k in ("between", "over", "element", "explained")},
             **axes,
-            **{k: getattr(self, k).tolist() for k in ("force", "low", "high")},
+            **{k: getattr(self, k) for k in ("force", "low", "high")},
             "nearest": [{"effect": name, "share": share} for name, share in self.nearest],
             "shares": dict(self.shares),
         }
@@ -258,10 +258,6 @@ class BestTable:
         """Whether the table passes every gate."""
         return all(g.passed for g in self.gates)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        return asdict(self) | {"gates": [g.to_dict() for g in self.gates]}
-
 
 @dataclass(frozen=True)
 class BestCandidate:
@@ -281,10 +277,6 @@ class BestCandidate:
     failed_gates: tuple[Gate, ...]
     #: whether the new model has the effects, although they are not certain
     completes: bool = False
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        return asdict(self) | {"failed_gates": [g.to_dict() for g in self.failed_gates]}
 
 
 @dataclass(frozen=True)
@@ -308,7 +300,7 @@ class Remainder:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        out = asdict(self)
+        out = dict(vars(self))
         addition = {k: out.pop(k) for k in ("effects", "where", "error")}
         return out | {"candidate": addition if self.effects else None}
 
@@ -325,15 +317,6 @@ class SimulationFit:
     held_out: dict[str, dict[str, float]]
     #: estimates of the search whose 95 % interval excludes the value of the last fit, by path
     outside: dict[str, Quantity] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        return {
-            "values": self.values,
-            "data": self.data,
-            "held_out": self.held_out,
-            "outside": {k: q.to_dict() for k, q in self.outside.items()},
-        }
 
 
 @dataclass(frozen=True)
@@ -389,26 +372,20 @@ class RecordDifferences:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        return {
-            "parameters": [
-                {
-                    "path": p.path,
-                    "unit": p.values[0].unit,
-                    "prior": p.values[0].prior,
-                    "values": [
-                        {"record": r, "value": q.value, "low": q.low, "high": q.high, "group": g}
-                        for r, q, g in zip(self.records, p.values, p.groups, strict=True)
-                    ],
-                }
-                for p in self.parameters
-            ],
-            "amplitude": list(self.amplitude),
-            "explained": self.explained,
-            "law": self.law,
-            "explained_by_law": self.explained_by_law,
-            "tied": self.is_tied,
-            "error": self.error,
-        }
+        rows = [
+            {
+                "path": p.path,
+                "unit": p.values[0].unit,
+                "prior": p.values[0].prior,
+                "values": [
+                    {"record": r, "value": q.value, "low": q.low, "high": q.high, "group": g}
+                    for r, q, g in zip(self.records, p.values, p.groups, strict=True)
+                ],
+            }
+            for p in self.parameters
+        ]
+        rest = {k: getattr(self, k) for k in ("amplitude", "explained", "law", "explained_by_law")}
+        return {"parameters": rows, **rest, "tied": self.is_tied, "error": self.error}
 
 
 @dataclass(frozen=True)
@@ -549,46 +526,25 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document (`isd-diagnosis/1`)."""
-        return _plain(
+        own = {k: getattr(self, k, None) for k in _DOCUMENT}
+        clocks = [
             {
-                "schema": SCHEMA,
-                "verdict": self.verdict,
-                "summary": self.summary,
-                "effects": [e.to_dict() for e in self.effects],
-                "findings": [f.to_dict() for f in self.findings],
-                "small_effects": [e.to_dict() for e in self.small_effects],
-                "alternatives": [c.to_dict() for c in self.contenders],
-                "where": [p.to_dict() for p in self.where],
-                "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
-                "gap": {"held_out": self.gap, "closed": self.closed},
-                "gates": [g.to_dict() for g in self.gates],
-                "reason": self.reason,
-                "best_candidate": self.best_candidate.to_dict() if self.best_candidate else None,
-                "best_table": self.best_table.to_dict() if self.best_table else None,
-                "remainder": self.remainder.to_dict() if self.remainder else None,
-                "record_differences": self.record_differences.to_dict() if self.record_differences else None,
-                "simulation_fit": self.simulation_fit.to_dict() if self.simulation_fit else None,
-                "stretches": asdict(self.stretches) if self.stretches else None,
-                "constant": self.constant,
-                "closed_loop": [asdict(f) | {"outputs": list(f.outputs)} for f in self.closed_loop],
-                "next_experiment": self.next_experiment,
-                "tabulated": self.tabulated.to_dict() if self.tabulated else None,
-                "evidence": _finite(asdict(self.evidence)) if self.evidence else None,
-                "criteria": asdict(self.criteria) if self.criteria else None,
-                "search": asdict(self.settings) if self.settings else None,
-                "clocks": [
-                    {
-                        "record": x.record,
-                        "clock": x.clock,
-                        "lag": {"value": x.value, "low": x.low, "high": x.high, "unit": "s"},
-                        **({"doubt": x.doubt} if x.doubt else {}),
-                    }
-                    for x in self.lags
-                ],
-                "not_tried": list(self.not_tried),
-                "notes": list(self.notes),
+                "record": x.record,
+                "clock": x.clock,
+                "lag": {"value": x.value, "low": x.low, "high": x.high, "unit": "s"},
             }
-        )
+            | ({"doubt": x.doubt} if x.doubt else {})
+            for x in self.lags
+        ]
+        # infinite evidence, such as the loss ratio without a rival, is left out
+        evidence = self.evidence and {
+            k: v for k, v in vars(self.evidence).items() if not (isinstance(v, float) and math.isinf(v))
+        }
+        made = {
+            "schema": SCHEMA, "alternatives": self.contenders, "gap": {"held_out": self.gap, "closed": self.closed},
+            "evidence": evidence, "search": self.settings, "clocks": clocks,
+        }  # fmt: skip
+        return {k: _plain(v) for k, v in (own | made).items()}
 
     def save(self, folder: str | Path, *, report: bool = True) -> None:
         """Write the result to a folder. Each file is written completely or not at all.
@@ -624,17 +580,16 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f"<table><thead>{line('th', heads)}</thead><tbody>{''.join(line('td', r) for r in rows)}</tbody></table>"
 
 
-def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entries without infinite numbers, such as the loss ratio without a rival."""
-    return {k: v for k, v in values.items() if not (isinstance(v, float) and math.isinf(v))}
-
-
 def _plain(value: Any) -> Any:
-    """Return JSON types. Infinite numbers and NaN become null."""
+    """Return JSON types: dataclasses by their `to_dict`, or by their fields; infinite numbers and NaN become null."""
+    if hasattr(value, "to_dict"):
+        return _plain(value.to_dict())
+    if is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value

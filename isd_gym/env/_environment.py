@@ -22,7 +22,7 @@ from .._common.seeds import road_index, scoring_generator
 from ..physics._vehicle import vehicle
 from ..physics.network import Network
 from ._pictures import Onlooker
-from ._task import EXCEEDS, Options, Task, info_maker
+from ._task import Options, Task, info_maker
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -30,12 +30,10 @@ if TYPE_CHECKING:
     from ..view._rendering import CarSnapshot, Renderer, Snapshot
 
 PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step
-_QUARTER_CAR = vehicle(Network.load("quarter-car-isd"))
 #: measured signals of a quarter car: name, unit, bound
-MEASURED = tuple((signal.name, signal.unit, signal.bound) for signal in _QUARTER_CAR.measured)
-N_MEASURED = len(MEASURED)
-#: names of the numbers in `info` of a quarter car's step after the speed and the cost
-STEP_INFO = (*_QUARTER_CAR.costs, *_QUARTER_CAR.tyre_loads, *EXCEEDS)
+MEASURED = tuple(
+    (signal.name, signal.unit, signal.bound) for signal in vehicle(Network.load("quarter-car-isd")).measured
+)
 
 
 class ISDSuspensionEnv(gym.Env):
@@ -515,52 +513,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
         with self._alone():
             return self._step(actions)
 
-    def step_into(
-        self,
-        actions: np.ndarray,
-        observations: np.ndarray,
-        rewards: np.ndarray,
-        terminated: np.ndarray,
-        truncated: np.ndarray,
-    ) -> dict[str, Any]:
-        """Run a step, and write the results into arrays of the caller, such as views of torch tensors.
-
-        Signals are written by the compiled step itself, without a copy.
-
-        Args:
-            actions: Actions (num_envs, currents).
-            observations: Array (num_envs, width) float32 for the observations, contiguous.
-            rewards: Array (num_envs,) of floats for the rewards.
-            terminated: Array (num_envs,) of booleans.
-            truncated: Array (num_envs,) of booleans.
-
-        Returns:
-            `info` of the step.
-
-        Raises:
-            InputError: An array has another shape or type.
-        """
-        shape = (self.num_envs, self.task.width)
-        for name, given, kinds, form in (
-            ("observations", observations, (np.float32,), shape),
-            ("rewards", rewards, (np.float32, np.float64), shape[:1]),
-            ("terminated", terminated, (np.bool_,), shape[:1]),
-            ("truncated", truncated, (np.bool_,), shape[:1]),
-        ):
-            good = isinstance(given, np.ndarray) and given.shape == form and given.dtype in kinds
-            if not (good and given.flags.c_contiguous and given.flags.writeable):
-                raise InputError(
-                    f"{name} must be a writable, contiguous array of shape {form} and type {np.dtype(kinds[0]).name}"
-                )
-        with self._alone():
-            obs, rewards[:], terminated[:], truncated[:], info = self._step(actions, observations)
-            if obs is not observations:
-                observations[:] = obs
-            self._last = observations.copy()
-            return info
-
     def _step(
-        self, actions: np.ndarray, seen: np.ndarray | None = None
+        self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         if not self._rngs:
             raise gym.error.ResetNeeded("call reset() before step()")
@@ -580,7 +534,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             if self._any_done and self.autoreset_mode is AutoresetMode.NEXT_STEP
             else None
         )
-        batch.renew(seen if task.history is None else None)
+        batch.renew()
         if task.is_plain:
             batch.step()
             reward = batch.judged[0]

@@ -113,25 +113,11 @@ class History:
         )
 
     def numbers(self, signals: int) -> int:
-        """Return the number of scaled signals, changes and leaky integrals.
-
-        Args:
-            signals: Number of signals.
-
-        Returns:
-            Number of columns of a history.
-        """
+        """Return the number of scaled signals, changes and leaky integrals."""
         return signals * (1 + self.order) + len(self.leak) + len(self.late)
 
     def labels(self, names: list[str]) -> list[str]:
-        """Return a name for each number.
-
-        Args:
-            names: Names of the signals.
-
-        Returns:
-            Names in the order of the columns.
-        """
+        """Return a name for each number."""
         changes = ["", "change of ", "second change of "]
         of = [changes[k] if k < 3 else f"change of order {k} of " for k in range(self.order + 1)]
         kept = [f"leaky integral of {names[i]} over {tau:g} s" for i, tau, _ in self.leak]
@@ -148,14 +134,6 @@ def history_of(car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> History
 
     With following wheels, it also has the travel, the rate of the travel and its change at each leading corner, and the
     velocities and accelerations of the body, as they were before the following wheel met this road (`LEADS`).
-
-    Args:
-        car: The car.
-        step: Control step [s]. The scales of the changes are proportional to the step.
-        speed: Speed [m/s].
-
-    Returns:
-        The history.
     """
     kinds = [signal.kind for signal in car.measured]
     scale = tuple(SCALES[kind][0] for kind in kinds)
@@ -213,47 +191,23 @@ class Remembered:
         self.newest = 0
 
     def begin(self, which: np.ndarray | slice, observations: np.ndarray) -> None:
-        """Start the histories of some cars anew.
-
-        Args:
-            which: Indices or mask of the cars.
-            observations: Signals of these cars (cars, at least `signals`) [SI].
-        """
+        """Start the histories of some cars anew."""
         self.features[which] = 0.0
         self.past[which] = 0.0
         self.features[which, : self.signals] = observations[:, : self.signals] / self.scale
 
     def get_state(self, i: int) -> np.ndarray:
-        """Return the state of a car's history.
-
-        Args:
-            i: Index of the car.
-
-        Returns:
-            Numbers, and earlier values of the repeated ones, in one dimension.
-        """
+        """Return the state of a car's history."""
         return np.concatenate([self.features[i], np.roll(self.past[i], -self.newest, axis=0).ravel()])
 
     def set_state(self, i: int, state: np.ndarray) -> None:
-        """Put a car's history into a state of `get_state`.
-
-        Args:
-            i: Index of the car.
-            state: The state.
-        """
+        """Put a car's history into a state of `get_state`."""
         width = self.features.shape[1]
         self.features[i] = state[:width]
         self.past[i] = np.roll(state[width:].reshape(self.past.shape[1:]), self.newest, axis=0)
 
     def see(self, observations: np.ndarray) -> np.ndarray:
-        """Update the histories with the signals after one more control step.
-
-        Args:
-            observations: Signals of all cars (count, at least `signals`) float32 [SI].
-
-        Returns:
-            Histories (count, width), valid until the next call.
-        """
+        """Update the histories with the signals after one more control step."""
         _advance(
             self.features, observations, self.scale, self.ratio, self.order, self.leaks, self.keep, self.gain
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -50,12 +50,7 @@ class Onlooker:
         self._past.clear()
 
     def see(self, steps: int, reward: float) -> None:
-        """Store a decision.
-
-        Args:
-            steps: Control steps since the start.
-            reward: Reward of the step.
-        """
+        """Store a decision."""
         batch = self.task.batch
         self._steps = steps
         self._cost -= reward
@@ -69,11 +64,7 @@ class Onlooker:
         return of.accelerations if self.task.network.bodies else of.accelerations + 1
 
     def snapshot(self) -> Snapshot | CarSnapshot:
-        """Return the content of a picture of the car.
-
-        Returns:
-            Plain numbers for a renderer.
-        """
+        """Return the content of a picture of the car."""
         return self._rigid_car() if self.task.network.bodies else self._quarter_car()
 
     def _places(self) -> dict[str, float]:
@@ -116,24 +107,32 @@ class Onlooker:
         here = float(batch.track_heights[track, self.car])
         return np.concatenate([trail, here + batch.road_ahead(track=track)[self.car]])
 
+    def _drive(self) -> dict[str, Any]:
+        """Return what pictures of all cars have in common."""
+        speed = float(self.task.batch.speeds[self.car])
+        step = self.task.decision * speed
+        return {
+            "time": self._steps * self.task.decision,
+            "speed": speed,
+            "road_step": step,
+            "road_behind": (len(self._trail) - 1) * step,
+            "label": self.task.network.name,
+            "cost": self._cost / max(self._steps, 1),
+            "past": tuple(self._past),
+        }
+
     def _quarter_car(self) -> Snapshot:
         from ..view._rendering import Snapshot
 
         batch, (corner,) = self.task.batch, self.task.vehicle.corners
         places = self._places()
         shown = self._corner(0, corner, places, places[corner.body])
-        speed = float(batch.speeds[self.car])
-        step = self.task.decision * speed
         return Snapshot(
-            time=self._steps * self.task.decision,
             body=shown.body,
             wheel=shown.wheel,
             piston=shown.piston,
             joint=shown.joint,
             road_profile=self._road(0),
-            road_step=step,
-            road_behind=(len(self._trail) - 1) * step,
-            speed=speed,
             current=shown.current,
             current_limit=shown.current_limit,
             body_acceleration=float(batch.out[0, self.car]),
@@ -141,9 +140,7 @@ class Onlooker:
             tyre_load=shown.tyre_load,
             static_tyre_load=shown.static_tyre_load,
             device_travel_limit=shown.device_travel_limit,
-            label=self.task.network.name,
-            cost=self._cost / max(self._steps, 1),
-            past=tuple(self._past),
+            **self._drive(),
         )
 
     def _rigid_car(self) -> CarSnapshot:
@@ -159,23 +156,15 @@ class Onlooker:
         for number, corner in enumerate(car.corners):
             above = heave - corner.x * angles.get("pitch", 0.0) + corner.y * angles.get("roll", 0.0)
             corners.append(self._corner(number, corner, places, above))
-        speed = float(batch.speeds[self.car])
-        step = self.task.decision * speed
         return CarSnapshot(
-            time=self._steps * self.task.decision,
             heave=heave,
             pitch=angles.get("pitch"),
             roll=angles.get("roll"),
             corners=tuple(corners),
             points={name: place for name, place in car.points.items() if name not in carried},
             road_profiles=np.array([self._road(track) for track in range(batch.of.tracks)]),
-            road_step=step,
-            road_behind=(len(self._trail) - 1) * step,
-            speed=speed,
             body_acceleration=accelerations["vertical"],
             pitch_acceleration=accelerations.get("pitch"),
             roll_acceleration=accelerations.get("roll"),
-            label=self.task.network.name,
-            cost=self._cost / max(self._steps, 1),
-            past=tuple(self._past),
+            **self._drive(),
         )

@@ -193,35 +193,18 @@ class Sight:
         self._roads = np.zeros((late + 1, cars, tracks * points))
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
-        """Start a car on a new road.
-
-        Args:
-            i: Index of the car.
-            rng: Generator of the car, after all other draws.
-        """
+        """Start a car on a new road."""
         self.count[i] = 0
         self.keys[i] = rng.integers(2**64, dtype=np.uint64)
         noise = self.sensors.noise
         self.sigma[i] = self._usual * (rng.uniform(*noise) if isinstance(noise, tuple) else noise)
 
     def get_state(self, i: int) -> tuple[np.ndarray, ...]:
-        """Return the memory of a car's sensors.
-
-        Args:
-            i: Index of the car.
-
-        Returns:
-            Arrays for `set_state`.
-        """
+        """Return the memory of a car's sensors."""
         return tuple(part[i].copy() for part in self._parts())
 
     def set_state(self, i: int, state: Sequence[np.ndarray]) -> None:
-        """Put a car's sensors into a state of `get_state`.
-
-        Args:
-            i: Index of the car.
-            state: The arrays.
-        """
+        """Put a car's sensors into a state of `get_state`."""
         for part, value in zip(self._parts(), state, strict=True):
             part[i] = value
 
@@ -233,17 +216,7 @@ class Sight:
     def see(
         self, obs: np.ndarray, speeds: np.ndarray, which: np.ndarray | slice, *, first: bool
     ) -> np.ndarray:
-        """Return the reported values of exact observations.
-
-        Args:
-            obs: Exact observations (cars, width).
-            speeds: Speeds of these cars (cars,) [m/s].
-            which: Indices of these cars.
-            first: Whether the cars are at the start of their roads; otherwise a step has passed.
-
-        Returns:
-            Reported observations (cars, width).
-        """
+        """Return the reported values of exact observations (cars, width); `first` at the start of a road."""
         n, out = self.sigma.shape[1], obs.copy()
         for past, columns in (
             (self._past, slice(0, n)),

@@ -336,14 +336,7 @@ class Task:
         }
 
     def first(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Return the observations of cars at rest at the start of their roads.
-
-        Args:
-            which: Indices of the cars.
-
-        Returns:
-            Observations (cars, width).
-        """
+        """Return the observations of cars at rest at the start of their roads."""
         obs = np.zeros(self.batch.seen.shape, np.float32)[which]
         if self.points:
             tracks = range(self.batch.of.tracks)
@@ -361,9 +354,6 @@ class Task:
 
         Afterwards `batch.judged` holds the mean terms of the cost over the control steps, the last tyre loads, and
         whether a limit was exceeded. `observe` returns the observations.
-
-        Returns:
-            Rewards (count,).
         """
         batch, of, hold = self.batch, self.batch.of, self.options.hold
         means = 1 + len(self.vehicle.costs)
@@ -402,11 +392,7 @@ class Task:
         return reward if self.options.reward_scale == 1.0 else self.options.reward_scale * reward
 
     def observe(self) -> np.ndarray:
-        """Return the observations after a step; observations of broken cars are clipped to their bounds.
-
-        Returns:
-            Observations (count, width) float32.
-        """
+        """Return the observations after a step; observations of broken cars are clipped to their bounds."""
         obs = self.batch.seen
         if self.is_faulty:
             obs = self._sense(obs)
@@ -456,14 +442,7 @@ class Task:
         }
 
     def get_state(self, i: int) -> dict[str, Any]:
-        """Return all that the future of a car depends on, except the actions and the generator of its next roads.
-
-        Args:
-            i: Index of the car.
-
-        Returns:
-            Plain data and arrays, for `set_state` of a task with equal cars.
-        """
+        """Return all that the future of a car depends on, except the actions and the generator of its next roads."""
         return {
             "made": self.made,
             "car": self.batch.get_state(i),
@@ -475,15 +454,7 @@ class Task:
         }
 
     def set_state(self, i: int, state: Mapping[str, Any]) -> None:
-        """Put a car into a state of `get_state`.
-
-        Args:
-            i: Index of the car.
-            state: The state.
-
-        Raises:
-            InputError: The state is of another network, or of an environment with other options.
-        """
+        """Put a car into a state of `get_state`."""
         if not (isinstance(state, Mapping) and isinstance(state.get("made"), Mapping)):
             raise InputError(f"a state comes from get_state(), it is not {shown(state)}")
         other = [name for name, value in self.made.items() if state["made"].get(name) != value]
@@ -501,12 +472,7 @@ class Task:
         self._weights[i] = state["weight"]
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
-        """Put a car, and its reference, at rest at the start of a new road.
-
-        Args:
-            i: Index of the car.
-            rng: Generator of the car.
-        """
+        """Put a car, and its reference, at rest at the start of a new road."""
         if self._reference is not None:
             self._reference.reset(i, copy.deepcopy(rng))
         self.batch.reset(i, rng)
@@ -520,14 +486,7 @@ class Task:
 
 
 def usual_level(batch: Batch) -> float:
-    """Return the level of the paper's road at the usual speed.
-
-    Args:
-        batch: Cars, for their tracks and physics step.
-
-    Returns:
-        Level in the sense of `Batch.levels` [m^2].
-    """
+    """Return the level of the paper's road at the usual speed."""
     ground, step = road("paper"), batch.plant.step
     if batch.of.tracks == 1:
         return float(ground.noise(USUAL_SPEED, step)[0] ** 2)
@@ -538,12 +497,6 @@ def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[
     """Return a function that makes `info` from the speed and the numbers of the kernel.
 
     The first number of the kernel is minus the cost. A dictionary display takes a third of the time of `dict` and `zip`.
-
-    Args:
-        names: Names of the numbers after the first number of the kernel.
-
-    Returns:
-        ``info(speed [m/s], numbers) -> dict``.
     """
     pairs = ", ".join(f"{name!r}: told[{i}]" for i, name in enumerate(names, 1))
     return eval(f"lambda speed, told: {{'speed': speed, 'cost': -told[0], {pairs}}}")

@@ -226,14 +226,9 @@ class Batch:
         self._first_results, self.first_seen = results[:, 0], seen[0]
         self._calls = [(*self._drive_arguments, results.reshape(-1), seen, *share) for share in self._shares]
 
-    def renew(self, seen: np.ndarray | None = None) -> None:
-        """Release the results of the last step to the caller; the next step writes to new arrays.
-
-        Args:
-            seen: Array (count, width) float32 for the next observations; None for a new one.
-        """
-        fresh = np.empty(self.seen.shape, np.float32) if seen is None else seen
-        self._write_to(np.empty(self._results.shape), fresh)
+    def renew(self) -> None:
+        """Release the results of the last step to the caller; the next step writes to new arrays."""
+        self._write_to(np.empty(self._results.shape), np.empty(self.seen.shape, np.float32))
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("cars", "out", "counters", "target", "first_targets", "_setup")

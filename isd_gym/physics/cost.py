@@ -179,28 +179,6 @@ class StageCost:
     def _factor(self, name: str, reference: float, shared_by: int) -> float:
         return getattr(self, name) / shared_by / reference**2
 
-    def terms(
-        self,
-        acceleration: Signal,
-        travel: Signal,
-        tyre_load: Signal | float = 0.0,
-        current: Signal | float = 0.0,
-    ) -> tuple[Signal, Signal, Signal | float, Signal | float]:
-        """Return the four terms of the cost of a quarter car.
-
-        Args:
-            acceleration: Vertical acceleration of the body [m/s^2].
-            travel: Suspension travel [m].
-            tyre_load: Dynamic tyre load [N].
-            current: Motor current [A].
-
-        Returns:
-            Terms of acceleration, travel, tyre load and current [-], numbers or arrays of the shape of the
-                signals.
-        """
-        a, l, f, i = self.quadratic
-        return square(a, acceleration), square(l, travel), square(f, tyre_load), square(i, current)
-
     def __call__(
         self,
         acceleration: Signal,
@@ -208,7 +186,7 @@ class StageCost:
         tyre_load: Signal | float = 0.0,
         current: Signal | float = 0.0,
     ) -> Signal:
-        """Return the cost of a quarter car, the sum of the terms.
+        """Return the cost of a quarter car.
 
         Args:
             acceleration: Vertical acceleration of the body [m/s^2].
@@ -219,8 +197,8 @@ class StageCost:
         Returns:
             Cost [-], a number or an array of the shape of the signals.
         """
-        a, l, f, i = self.terms(acceleration, travel, tyre_load, current)
-        return a + l + f + i
+        a, l, f, i = self.quadratic
+        return square(a, acceleration) + square(l, travel) + square(f, tyre_load) + square(i, current)
 
 
 QUARTER_CAR = StageCost()

@@ -7,10 +7,10 @@
 
 from __future__ import annotations
 
+from .._common.lazy import lazy
+
 TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
-    from typing import Any
-
     from ._loggers.start import state_of as state_of
 
 #: public name -> its module
@@ -18,16 +18,4 @@ _HOME = {
     "state_of": "_loggers.start",
 }
 __all__ = [*_HOME]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    from importlib import import_module
-
-    value = globals()[name] = getattr(import_module(f".{_HOME[name]}", __name__), name)
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy(__name__, _HOME)

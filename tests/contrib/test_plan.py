@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 from isd_gym._common.errors import InputError
 from isd_gym.contrib.forecast import plan, read_rivals
-from isd_gym.diagnosis import Criteria, diagnose
-from isd_gym.diagnosis.planning import (
+from isd_gym.contrib.forecast.planning import (
     KINDS,
     Excitation,
     Limits,
@@ -26,6 +25,7 @@ from isd_gym.diagnosis.planning import (
     make_excitation,
     make_record,
 )
+from isd_gym.diagnosis import Criteria, diagnose
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, read_table

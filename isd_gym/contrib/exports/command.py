@@ -44,8 +44,9 @@ def command(
 
     Example: isd-gym convert model.zip --normalize norm.pkl --out my-policy
     """
-    from isd_gym.agents._convert import convert, trained_options
     from isd_gym.agents.policy import Policy
+
+    from .archives import convert, trained_options
 
     if out is None and onnx is None and plain_c is None and hub is None:
         raise InputError("nothing to write: give --out DIR, --onnx FILE, --c DIR or --hub DIR")

@@ -2,6 +2,7 @@
 
 Modules, lower ones first:
 
+- `planning`: test signals of a rig, and the test that distinguishes given rivals; a diagnosis reaches it as the wing `forecast`.
 - `virtual_bench`: simulation of a test.
 - `result`: results of a plan.
 - `sensitivity`: linearised responses to all effects.

@@ -24,10 +24,10 @@ from isd_gym._commands.console import check_file, printer, progress
 from isd_gym._common.errors import InputError, plain, shown
 
 if TYPE_CHECKING:
-    from isd_gym.diagnosis.planning import Rig
     from isd_gym.physics.network import Network
     from isd_gym.records.data import Table
 
+    from .planning import Rig
     from .result import Plan
 
 AMOUNT = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*)")
@@ -204,8 +204,7 @@ def _made(
     options: dict[str, Any],
 ) -> Plan:
     """Return the plan of a generated test, and write the test on request."""
-    from isd_gym.diagnosis.planning import Limits, infer_rig
-
+    from .planning import Limits, infer_rig
     from .workflow import plan as run
     from .workflow import read_planned_record
 
@@ -242,9 +241,8 @@ def _designed(
     notes: list[str],
     options: dict[str, Any],
 ) -> Plan:
-    from isd_gym.diagnosis.planning import design_test
-
     from .general_test import design_general_test, estimate_output_noise, read_rivals
+    from .planning import design_test
     from .workflow import plan as run
 
     update = options["progress"]

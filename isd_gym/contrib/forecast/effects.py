@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
     from isd_gym._common.arrays import Array
     from isd_gym.diagnosis._estimation.structure import Hypothesis
-    from isd_gym.diagnosis.planning._design import Progress
     from isd_gym.physics.elements import Start
 
     from .detectability import SimulatedEffect
+    from .planning._design import Progress
     from .sensitivity import Distances, LawShape, Sensitivities
     from .virtual_bench import VirtualBench
 

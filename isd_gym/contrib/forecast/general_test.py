@@ -13,17 +13,17 @@ from isd_gym._common.errors import plain as one_line
 from isd_gym._common.inputs import read_json
 from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
 from isd_gym.diagnosis._hypotheses.library import hypotheses
-from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._selection.criteria import LEAST_NOISE
 from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record
-from isd_gym.diagnosis.planning._design import MAX_RIVALS, Design, Rival
-from isd_gym.diagnosis.planning._excitation import (
+
+from .planning._design import MAX_RIVALS, Design, Rival
+from .planning._excitation import (
     Excitation,
     Rig,
     list_excitations,
     make_excitation,
     make_record,
 )
-
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise
 
@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from isd_gym._common.arrays import Array
-    from isd_gym.diagnosis.planning._design import Progress
     from isd_gym.physics.network import Network
+
+    from .planning._design import Progress
 
 FEW_SAMPLES = 6000  # of a test in the linearised comparison of all hypotheses
 
@@ -160,5 +161,5 @@ def estimate_output_noise(
     y = Problem(network, [record]).simulate([network], 0)[:, :, 0]
     values = []
     for c, signal in zip(network.outputs, y.T, strict=True):
-        values.append(known.get(c.name, c.noise) or CRITERIA.least_noise * float(signal.std()) or 1.0)
+        values.append(known.get(c.name, c.noise) or LEAST_NOISE * float(signal.std()) or 1.0)
     return np.array(values)

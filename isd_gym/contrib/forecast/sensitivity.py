@@ -19,7 +19,7 @@ from isd_gym.diagnosis._estimation.structure import Hypothesis, Structure, add, 
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._hypotheses.motion import setting, simulate_variants
 from isd_gym.diagnosis._selection.candidate import is_special_case
-from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis._selection.criteria import LEAST_NOISE
 from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, bare, deviation_within
 from isd_gym.physics.elements import Start, parameter_fields
 from isd_gym.physics.network import Channel, Network, assemble
@@ -222,7 +222,7 @@ class Sensitivities:
         more = [self._assumed_noise(c, d) for c, d in zip(self.more, deviation[own:], strict=True)]
         #: RMS noise (channels,) [unit of the channel], of existing and additional channels
         self.noise = np.concatenate([bench.noise, more])
-        self._weighting_noise = np.hypot(self.noise, np.maximum(self.noise, CRITERIA.least_noise * deviation))
+        self._weighting_noise = np.hypot(self.noise, np.maximum(self.noise, LEAST_NOISE * deviation))
 
     def _assumed_noise(self, c: Channel, deviation: float) -> float:
         """Return the RMS noise of an additional channel: as in channels of the same kind, at least 1 %."""
@@ -231,7 +231,7 @@ class Sensitivities:
         like = [
             s for s, o in zip(bench.noise, bench.network.outputs, strict=True) if (o.quantity, o.unit) == kind
         ]
-        return float(max([*like, CRITERIA.least_noise * deviation])) or 1.0
+        return float(max([*like, LEAST_NOISE * deviation])) or 1.0
 
     # -- distances ------------------------------------------------------------------------------------------
     @cached_property

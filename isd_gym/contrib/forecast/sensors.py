@@ -14,8 +14,7 @@ from .result import SensorGain
 from .sensitivity import FARTHEST
 
 if TYPE_CHECKING:
-    from isd_gym.diagnosis.planning._design import Progress
-
+    from .planning._design import Progress
     from .sensitivity import Sensitivities
 
 

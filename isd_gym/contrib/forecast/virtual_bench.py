@@ -24,7 +24,7 @@ from isd_gym.diagnosis._hypotheses.motion import motions
 from isd_gym.diagnosis._hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from isd_gym.diagnosis._records import differentiate_inputs, split_records
 from isd_gym.diagnosis._selection.candidate import Candidate
-from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria
+from isd_gym.diagnosis._selection.criteria import CRITERIA, LEAST_NOISE, Criteria
 from isd_gym.diagnosis._selection.held_out import SMALL, HeldOutEvaluator
 from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record, bare
 from isd_gym.physics.network import Network, assemble
@@ -101,7 +101,7 @@ class VirtualBench:
         self.problem = Problem(self.network, self._cut(pieces, self.network), roles)
         self.structure = base_structure(self.network)
         #: noise that a diagnosis expects (channels,) [unit of the channel]
-        self.floors = np.maximum(self.noise, CRITERIA.least_noise * self.problem.deviation())
+        self.floors = np.maximum(self.noise, LEAST_NOISE * self.problem.deviation())
         #: white noise of the residual weights (channels,) [unit of the channel]
         self.weighting_noise = np.hypot(self.noise, self.floors)
         self.nominal = self._fit_initial_states()
@@ -120,7 +120,7 @@ class VirtualBench:
         for c, y in zip(network.outputs, outputs.T, strict=True):
             value: float | None = given.get(c.name, c.noise)
             if value is None:
-                value = CRITERIA.least_noise * float(y.std())
+                value = LEAST_NOISE * float(y.std())
                 if not value > 0:
                     raise InputError(
                         f"output '{c.name}' does not change under this test: state its noise with --noise {c.name}=VALUE"

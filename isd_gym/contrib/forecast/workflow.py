@@ -12,12 +12,12 @@ from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
 from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria
 from isd_gym.diagnosis._simulation.problem import Record
-from isd_gym.diagnosis.planning._excitation import Excitation, Rig, infer_rig, make_excitation, make_record
 from isd_gym.physics.elements import spoken
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, read_table
 
 from .effects import forecast_effects
+from .planning._excitation import Excitation, Rig, infer_rig, make_excitation, make_record
 from .result import Plan
 from .sensitivity import Sensitivities, select_hypotheses
 from .sensors import list_additional_sensors, rank_sensors
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
     from isd_gym._common.arrays import Array
     from isd_gym.diagnosis._estimation.structure import Hypothesis
-    from isd_gym.diagnosis.planning._design import Progress
+
+    from .planning._design import Progress
 
 LEAST_SAMPLES = 400  # of a test
 

@@ -53,7 +53,7 @@ class Travel:
 
     def is_known(self, c: Criteria = CRITERIA) -> bool:
         """Return whether the travel is observed, or returns within the records."""
-        return self.is_observed or self.passes >= c.passes
+        return self.is_observed or self.passes >= c.periods
 
     def shows_period(self, period: float, c: Criteria = CRITERIA) -> bool:
         """Return whether a force with a period over travel can be seen to repeat.
@@ -63,7 +63,7 @@ class Travel:
             c: Limits of the decision.
         """
         is_resolved = period >= RESOLVED * self.advance
-        return is_resolved and (self.is_known(c) or self.span >= c.repetitions * period)
+        return is_resolved and (self.is_known(c) or self.span >= 2.0 * c.periods * period)
 
 
 def is_observed(network: Network, pair: Pair) -> bool:

@@ -32,6 +32,7 @@ POINTS = 240  # of the motion at which forces are compared: a resolution
 NEAR = 0.5  # largest error of a match, as a share of the force
 MAX_MATCHES = 3  # matches per effect
 STARTS = 6  # of a law at most
+TRAVEL = 0.95  # share of the samples that define the travel: rare excursions show no repetition
 ALIKE = 0.25  # largest difference of two motions that a fit bridges, as a share of the motion
 
 
@@ -153,8 +154,7 @@ def repeats(element: el.Element, motion: el.Motion, c: Criteria = CRITERIA) -> b
     """Return False for a periodic law with fewer than `Criteria.periods` periods within the travel."""
     if not element.periodic:
         return True
-    # rare excursions show no repetition
-    low, high = np.quantile(motion.d, [0.5 - 0.5 * c.travel, 0.5 + 0.5 * c.travel])
+    low, high = np.quantile(motion.d, [0.5 - 0.5 * TRAVEL, 0.5 + 0.5 * TRAVEL])
     return bool(c.periods * getattr(element, element.periodic[0]) <= high - low)
 
 

@@ -113,7 +113,7 @@ class Search:
             excess = score.excess(e.noise_share(score))
             # a noise that is only bounded must not hide a wide gap
             is_known = all(
-                k.known or x < c.misses for k, x in zip(e.noise_estimates, score.nrmse, strict=True)
+                k.known or x < c.wide_gap for k, x in zip(e.noise_estimates, score.nrmse, strict=True)
             )
             is_within_noise = is_known and excess.max() < c.material
             is_unmodelled = is_known and bool(np.all(excess < self.tests.unmodelled_envelope(now)))

@@ -31,7 +31,7 @@ from .._hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
 from .candidate import Candidate, white_noise
 from .comparison import Comparison, block_edges, compare, log_density
-from .criteria import CRITERIA
+from .criteria import LEAST_NOISE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -113,20 +113,17 @@ class HeldOutEvaluator:
 
     Args:
         problem: Training, validation and test records.
-        least_noise: Smallest noise that residuals are weighted with, as a share of the signal's deviation.
         whole: The user's records, which every candidate must simulate; None for no such condition.
     """
 
-    def __init__(
-        self, problem: Problem, least_noise: float = CRITERIA.least_noise, whole: Problem | None = None
-    ):
+    def __init__(self, problem: Problem, whole: Problem | None = None):
         self.problem = problem
         self.whole = whole
         #: noise of each channel, as the owner or the signal tells
         self.noise_estimates: list[Floor] = floors_of(problem)
         deviation = problem.deviation()
         #: smallest noise that residuals are weighted with (channels,) [unit of the channel]
-        self.least_noise = np.maximum([f.deviation for f in self.noise_estimates], least_noise * deviation)
+        self.least_noise = np.maximum([f.deviation for f in self.noise_estimates], LEAST_NOISE * deviation)
         self.validation_deviation = problem.deviation(problem.choosing)
         self.test_deviation = problem.deviation(problem.reporting)
         self.training_deviation = deviation

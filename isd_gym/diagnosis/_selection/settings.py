@@ -45,7 +45,7 @@ class SearchSettings:
     #: largest lag between the clocks of loggers [s]
     max_lag: float = 0.5
     #: noise that a measured motion, differentiated twice, makes of the computed force (share of its deviation) above which force and motion
-    #: swap roles if the data allow it: as much as a model may miss (`Criteria.misses`)
+    #: swap roles if the data allow it: as much as a model may miss (`Criteria.wide_gap`)
     input_noise: float = 0.1
     #: error of the refitted model with swapped roles, over the error of a straight line through each record, below which the force
     #: determines the motion: half of the power

@@ -42,19 +42,9 @@ def decide_under_feedback(
     brief: bool,
     c: Criteria = CRITERIA,
 ) -> Decision:
-    """Withdraw a name that feedback may have caused.
+    """Return the decision with a gate for each condition, and `unknown_effect` in place of a name that feedback may have caused.
 
-    Args:
-        decision: The decision as in open loop.
-        problem: The records that were compared.
-        fit: The fit with the named elements.
-        elements: The named elements.
-        feedback: Inputs that follow from outputs; empty in open loop.
-        brief: Whether the records were compared over brief stretches.
-        c: Limits of the decision.
-
-    Returns:
-        The decision with a gate for each condition; `unknown_effect` in place of a name where a gate fails.
+    `brief` tells whether the records were compared over brief stretches; `feedback` has the inputs that follow from outputs.
     """
     if not feedback or decision.verdict != "missing_effect":
         return decision
@@ -67,18 +57,14 @@ def decide_under_feedback(
         for f in feedback:
             share = imitated_share(problem, fit, e, f.input)
             text = f"share of the force of {e.type} that {f.input}, which follows from {' and '.join(f.outputs)}, explains"
-            gates.append(gate("not the controller", share, "<", c.imitation, text))
+            gates.append(gate("not the controller", share, "<", c.least_removed, text))
     if all(g.passed for g in gates):
         return replace(decision, gates=tuple(gates))
     return replace(decision, verdict="unknown_effect", gates=tuple(gates))
 
 
 def imitated_share(problem: Problem, fit: Fit, element: Element, name: str) -> float:
-    """Compute the share of an element's force that an input explains, as a multiple, over the records to fit by.
-
-    Returns:
-        Squared correlation within records; 0 for a fault of a drive or a sensor.
-    """
+    """Return the share of an element's force that an input explains as a multiple: their squared correlation within records."""
     if element.place != "between":
         return 0.0
     try:

@@ -100,33 +100,19 @@ class Evidence:
     #: power left on the test records over the power of unmodelled effects, largest over channels
     test_excess_ratio: float = 0.0
 
-    def _excess(self, errors: tuple[float, ...]) -> tuple[float, ...]:
+    def excess(self, errors: tuple[float, ...]) -> tuple[float, ...]:
+        """Return errors beyond noise."""
         return tuple(math.sqrt(max(x**2 - f**2, 0.0)) for x, f in zip(errors, self.noise, strict=True))
-
-    @property
-    def excess_before(self) -> tuple[float, ...]:
-        """Excess error of the nominal model."""
-        return self._excess(self.before)
-
-    @property
-    def excess_refit(self) -> tuple[float, ...]:
-        """Excess error of the refitted model."""
-        return self._excess(self.refit)
-
-    @property
-    def excess_after(self) -> tuple[float, ...]:
-        """Excess error of the candidate."""
-        return self._excess(self.after)
 
     @property
     def width(self) -> float:
         """Excess error of the refitted model, mean over channels."""
-        return sum(self.excess_refit) / len(self.channels)
+        return sum(self.excess(self.refit)) / len(self.channels)
 
     @property
     def width_after(self) -> float:
         """Excess error of the candidate, mean over channels."""
-        return sum(self.excess_after) / len(self.channels)
+        return sum(self.excess(self.after)) / len(self.channels)
 
     @property
     def moved(self) -> float:
@@ -140,12 +126,12 @@ class Evidence:
     @property
     def agrees_before(self) -> bool:
         """Whether the nominal model errs by no more than unmodelled effects make."""
-        return all(x < w for x, w in zip(self.excess_before, self.envelope, strict=True))
+        return all(x < w for x, w in zip(self.excess(self.before), self.envelope, strict=True))
 
     @property
     def excess_ratio(self) -> float:
         """Power that the candidate leaves over the power of unmodelled effects, largest over channels."""
-        pairs = zip(self.excess_after, self.envelope_after or self.envelope, strict=True)
+        pairs = zip(self.excess(self.after), self.envelope_after or self.envelope, strict=True)
         return max(x**2 / max(w**2, 1e-12) for x, w in pairs)
 
     @property
@@ -165,7 +151,7 @@ class Evidence:
 
     def closed_by_small(self, share: float) -> bool:
         """Return whether effects below a share of the force close the gap."""
-        is_closed = all(x < w for x, w in zip(self._excess(self.richest), self.envelope, strict=True))
+        is_closed = all(x < w for x, w in zip(self.excess(self.richest), self.envelope, strict=True))
         return bool(self.richest) and is_closed and self.richest_share < share
 
     def has_credible_noise(self, misses: float) -> bool:

@@ -47,15 +47,9 @@ def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float
 
 
 def find_condition(residual: Array, width: int, conditions: Iterable[tuple[NDArray[np.bool_], str]]) -> str:
-    """Find the condition under which the energy of a residual is highest.
+    """Return the words of the condition under which the energy of a residual, averaged over `width` samples, is highest.
 
-    Args:
-        residual: The residual (n,).
-        width: Samples of the moving average of the energy.
-        conditions: Samples (n,) where each condition is true, and the condition in words.
-
-    Returns:
-        The words of the best condition, or "everywhere" if no condition raises the mean energy by a factor of 1.6.
+    "everywhere" if no condition raises the mean energy by a factor of 1.6. A condition is a mask of samples (n,) and its words.
     """
     energy = residual**2
     if not energy.mean() > 0:
@@ -77,17 +71,7 @@ def near_reversals(rate: Array, width: int) -> NDArray[np.bool_]:
 def conditions(
     problem: Problem, motion: dict[tuple[str, str], Motion], n: int, width: int
 ) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """Yield conditions on the motion of node pairs and on currents, in the first fitted record.
-
-    Args:
-        problem: Model and records.
-        motion: Motion by pair of nodes.
-        n: Number of compared samples.
-        width: Samples around a reversal of the motion.
-
-    Yields:
-        The samples (n,) where the condition is true, and the condition in words.
-    """
+    """Yield conditions on the motion of node pairs and on currents in the first fitted record: masks of samples (n,) and their words."""
     record = problem.records[problem.estimation[0]]
     for (a, b), m in motion.items():
         turns = {a, b} & problem.network.rotating
@@ -140,13 +124,10 @@ def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]
 def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) -> Law | None:
     """Return the force of an effect over travel or rate, with a band from the intervals of its parameters."""
     e = fit.network.element(name)
-    if e.place != "between" or e.plane == "time":
+    motion = motions(problem, fit, (e.between,)).get(e.between) if e.place == "between" else None
+    if motion is None or e.plane == "time":
         return None
-    motion = motions(problem, fit, (e.between,)).get(e.between)
-    if motion is None:
-        return None
-    rate = e.plane == "rate"
-    visited = motion.v if rate else motion.d
+    visited = motion.v if e.plane == "rate" else motion.d
     reach = float(np.quantile(np.abs(visited), 0.999)) or 1e-6
     axis = np.linspace(-reach, reach, 1601)  # a cogging may have dozens of periods
     middle = e.curve(axis)
@@ -158,17 +139,19 @@ def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quanti
             except InputError:
                 continue
             spread = np.maximum(spread, np.abs(changed.curve(axis) - middle))
-    thin = visited[:: max(1, len(visited) // 2000)]
-    return Law(name, "rate" if rate else "travel", axis, middle, middle - spread, middle + spread, thin)
+    return _law(name, e.plane == "rate", axis, (middle, middle - spread, middle + spread), visited)
 
 
 def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
     """Return a tabulated force over rate or elongation; a force of both over elongation at zero rate."""
     motion = motions(problem, fit, (t.between,))[t.between]
-    rate = t.over == "rate"
+    is_rate = t.over == "rate"
     still = int(np.argmin(np.abs(t.rate))) if t.over == "both" else slice(None)
     force, low, high = (x[:, still] if t.over == "both" else x for x in (t.force, t.low, t.high))
-    visited = motion.v if rate else motion.d
-    axis = np.array(t.rate if rate else t.elongation)
-    thin = visited[:: max(1, len(visited) // 2000)]
-    return Law(t.element, "rate" if rate else "travel", axis, force, low, high, thin)
+    axis = np.array(t.rate if is_rate else t.elongation)
+    return _law(t.element, is_rate, axis, (force, low, high), motion.v if is_rate else motion.d)
+
+
+def _law(name: str, is_rate: bool, axis: Array, curves: tuple[Array, Array, Array], visited: Array) -> Law:
+    """Return a curve with its band, and some of the operating points."""
+    return Law(name, "rate" if is_rate else "travel", axis, *curves, visited[:: max(1, len(visited) // 2000)])

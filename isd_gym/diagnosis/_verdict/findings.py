@@ -11,7 +11,7 @@ from .._selection.candidate import parameter_values
 from .._selection.weights import FREE_FORCE, Statement, probability
 from ..result import Quantity
 from .gates import NAMELESS
-from .grades import grade
+from .grades import MISTAKEN, REPORTED, grade, share_mistaken
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -56,15 +56,9 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON file."""
-        return {
-            "place": list(self.place),
-            "place_probability": self.place_probability,
-            "kind": self.kind,
-            "kind_probability": self.kind_probability,
-            "grade": {"place": grade(self.place_probability), "kind": grade(self.kind_probability)},
-            "laws": [law.to_dict() for law in self.laws],
-            "named": self.named,
-        }
+        levels = {"place": grade(self.place_probability), "kind": grade(self.kind_probability)}
+        head = {k: v for k, v in vars(self).items() if k not in ("laws", "named")}
+        return head | {"grade": levels, "laws": [law.to_dict() for law in self.laws], "named": self.named}
 
 
 def find(
@@ -77,30 +71,14 @@ def find(
     is_named: bool,
     is_doubted: bool,
 ) -> tuple[Finding, ...]:
-    """Sum the weights of candidates to probabilities of places, kinds and laws.
+    """Sum the weights of candidates to probabilities of places, kinds and laws; return findings, largest probability of the kind first.
 
-    A kind that several places share, and that is certain at none of them, is a further finding with an open place.
-
-    Args:
-        search: The search.
-        candidates: Candidates with weights.
-        evidence: Evidence of the foremost candidate, which tells how reliable statements are.
-        quantities: Parameters of the foremost candidate with intervals, by path.
-        own: Statements of the foremost candidate. Further effects of richer candidates did not pass the inclusion test.
-        is_named: Whether the verdict names the foremost candidate's effects.
-        is_doubted: Whether a free curve or a controller explains the force of the foremost candidate as well.
-
-    Returns:
-        Findings, largest probability of the kind first.
+    A kind that several places share, and that is certain at none of them, is a further finding with an open place. `own` has the statements
+    of the foremost candidate: further effects of richer candidates did not pass the inclusion test. `is_doubted` tells whether a free curve or
+    a controller explains the force of the foremost candidate as well.
     """
     c = search.criteria
-    share = functools.partial(
-        c.share_mistaken,
-        explained=evidence.explained,
-        left=evidence.width_after,
-        support=evidence.support,
-        is_named=is_named,
-    )
+    share = functools.partial(share_mistaken, e=evidence, c=c, is_named=is_named)
     every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
     for w in candidates:
         for s in sorted(w.statements, key=lambda s: (s.place, s.kind, s.law)):
@@ -119,13 +97,13 @@ def find(
         """
         whole = probability(candidates, place=place)
         if place in free_places:
-            return whole * (1.0 - c.mistaken_place)
+            return whole * (1.0 - MISTAKEN["place"])
         beside = [
             w for w in candidates if place not in own_places and own_places & {s.place for s in w.statements}
         ]
         further = probability(beside, place=place)
         return (whole - further) * (1.0 - share("place")) + further * (
-            1.0 - max(c.mistaken_extra, share("place"))
+            1.0 - max(MISTAKEN["extra"], share("place"))
         )
 
     def finding(place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> Finding:
@@ -134,8 +112,8 @@ def find(
         own_here = {s for s in own if s.kind == kind and place in (s.place, ())}
         is_passed = bool(own_here & passed)
         is_free = FREE_FORCE in laws  # the free force stands for laws outside the library
-        doubt = 0.0 if is_passed or is_free else c.mistaken_extra
-        mistaken = c.mistaken_kind if is_free else max(doubt, share("kind"))
+        doubt = 0.0 if is_passed or is_free else MISTAKEN["extra"]
+        mistaken = MISTAKEN["kind"] if is_free else max(doubt, share("kind"))
         of_kind = probability(candidates, **where) * (1.0 - mistaken)
 
         def of_law(law: str) -> float:
@@ -146,7 +124,7 @@ def find(
             further = probability(beside, **where, law=law)
             is_sum = law in TYPES and TYPES[law].is_sum()
             wrong = max(doubt, share("law", is_sum=is_sum))
-            return (whole - further) * (1.0 - wrong) + further * (1.0 - max(c.mistaken_extra, wrong))
+            return (whole - further) * (1.0 - wrong) + further * (1.0 - max(MISTAKEN["extra"], wrong))
 
         entries = [
             LawProbability(law, of_law(law), _values(foremost_first, statement, quantities) if place else {})
@@ -164,7 +142,7 @@ def find(
     found = [
         finding(place, kind, laws)
         for (place, kind), laws in every.items()
-        if probability(candidates, place=place, kind=kind) >= c.reported
+        if probability(candidates, place=place, kind=kind) >= REPORTED
     ]
     for kind in sorted({f.kind for f in found} - set(NAMELESS)):
         at_places = [f for f in found if f.kind == kind]

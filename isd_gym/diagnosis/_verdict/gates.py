@@ -8,9 +8,11 @@ from __future__ import annotations
 import math
 import operator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from .._selection.criteria import CRITERIA, Criteria
+from .grades import share_mistaken
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -42,19 +44,19 @@ Reason = Literal[
 ]
 #: kinds that say nothing about the law
 NAMELESS = ("other",)
-
-
 #: comparison of the value of a gate with its limit
 Relation = Literal["<", "<=", ">", ">="]
-
 COMPARE: dict[Relation, Callable[[float, float], bool]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
+#: size of a sensor's fault (of the gain, or of the motion's time) that is not believed without a second look, since sensors off by a quarter are
+#: found before; factor of `Criteria.forces_first` for such a fault
+DOUBTFUL, FAR = 0.25, 10.0
 #: largest magnitude of a gate's value: an infinite one is stated as this
 MAX_GATE_VALUE = 1e6
+#: meanings of values of several gates
+REMOVED = "share of the squared error beyond noise removed"
+MOVED = "largest share of a channel's standard deviation by which the error falls"
 
 
 @dataclass(frozen=True)
@@ -70,20 +72,10 @@ class Gate:
     text: str
     relation: Relation = ">"
 
-    @property
-    def comparison(self) -> str:
-        """The comparison in a few characters, such as ``0.0142 < 0.03``."""
-        return f"{self.value:.3g} {self.relation} {self.limit:.3g}"
-
     def to_dict(self) -> dict[str, Any]:
         """As the JSON of a diagnosis has it."""
-        return {
-            "gate": self.name,
-            "passed": self.passed,
-            "value": self.value,
-            "relation": self.relation,
-            "limit": self.limit,
-            "text": self.text,
+        return {"gate": self.name} | {
+            k: getattr(self, k) for k in ("passed", "value", "relation", "limit", "text")
         }
 
 
@@ -117,31 +109,19 @@ class Decision:
 
 def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
     """Return the gates. A gate with several conditions has the value and limit of the decisive condition."""
+    rivals = "rivals of another kind that predict as well"
+    if e.indistinguishable:
+        rivals += f": {'; '.join(e.indistinguishable)}"
+    if e.rival_loss < MAX_GATE_VALUE:
+        rivals += f"; the nearest leaves {e.rival_loss:.3g} times the excess error"
+    curve = "share of the remaining excess error that a free curve in the effect's place removes"
     return (
         _predicts_better(e, c),
         _material(e, c),
         _adequate(e, c),
         _determined(e, c),
-        gate(
-            "distinguishable",
-            len(e.indistinguishable),
-            "<=",
-            0,
-            "rivals of another kind that predict as well"
-            + (f": {'; '.join(e.indistinguishable)}" if e.indistinguishable else "")
-            + (
-                f"; the nearest leaves {e.rival_loss:.3g} times the excess error"
-                if e.rival_loss < MAX_GATE_VALUE
-                else ""
-            ),
-        ),
-        gate(
-            "lack of fit",
-            e.lack_of_fit,
-            "<",
-            c.least_removed,
-            "share of the remaining excess error that a free curve in the effect's place removes",
-        ),
+        gate("distinguishable", len(e.indistinguishable), "<=", 0, rivals),
+        gate("lack of fit", e.lack_of_fit, "<", c.least_removed, curve),
         gate(
             "probable",
             e.probability,
@@ -155,136 +135,85 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
 
 
 def _predicts_better(e: Evidence, c: Criteria) -> Gate:
+    is_so = partial(gate, "predicts better")
     text = "by which the log predictive density exceeds the refitted model's, over blocks of validation and training records"
     return all_of(
-        gate(
-            "predicts better",
-            e.elpd_diff / max(e.elpd_dse, 1e-12),
-            ">",
-            c.elpd_errors,
-            f"standard errors {text}",
-        ),
-        gate("predicts better", e.elpd_diff, ">", c.elpd_diff, f"nats {text}"),
+        is_so(e.elpd_diff / max(e.elpd_dse, 1e-12), ">", c.elpd_errors, f"standard errors {text}"),
+        is_so(e.elpd_diff, ">", c.elpd_diff, f"nats {text}"),
     )
 
 
 def _confirmed(e: Evidence, c: Criteria) -> Gate:
-    removed = "share of the squared error beyond noise removed on the test records"
+    is_so = partial(gate, "confirmed")
+    removed = f"{REMOVED} on the test records"
     rest = f"the rest is {e.test_excess_ratio:.3g} times the power of unmodelled effects"
-    main = gate("confirmed", e.test_explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}")
-    part = gate(
-        "confirmed",
-        e.test_explained,
-        ">=",
-        c.least_removed,
-        f"{removed}; enough, since {rest} (limit {c.small_effects:g})",
+    enough = f"{removed}; enough, since {rest} (limit {c.small_effects:g})"
+    left = "power left on the test records over that of unmodelled effects"
+    return any_of(
+        is_so(e.test_explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}"),
+        all_of(
+            is_so(e.test_explained, ">=", c.least_removed, enough),
+            is_so(e.test_excess_ratio, "<", c.small_effects, left),
+        ),
     )
-    few = gate(
-        "confirmed",
-        e.test_excess_ratio,
-        "<",
-        c.small_effects,
-        "power left on the test records over that of unmodelled effects",
-    )
-    return any_of(main, all_of(part, few))
 
 
 def _material(e: Evidence, c: Criteria) -> Gate:
     size = min(x.share for x in e.effects)
     moves = f"it moves a channel by {100 * e.moved:.1f} % of the standard deviation (needed {100 * c.material:.0f} %)"
+    text = f"{MOVED}; its force is {100 * size:.1f} % of the force at its place"
     conditions = [_large_or_closing(x, c, moves) for x in e.effects]
-    moved = gate(
-        "material",
-        e.moved,
-        ">=",
-        c.material,
-        f"largest share of a channel's standard deviation by which the error falls; its force is {100 * size:.1f} % of the force at its place",
-    )
-    return all_of(*conditions, moved)
+    return all_of(*conditions, gate("material", e.moved, ">=", c.material, text))
 
 
 def _large_or_closing(x: EffectEvidence, c: Criteria, moves: str) -> Gate:
     """Return the gate for the size of one effect, with the figures of the condition that decides (`is_material`)."""
-    large = gate(
-        "material",
-        x.share,
-        ">=",
-        c.share,
-        f"share of the force, current or signal at the place of {x.label}, or of the work dissipated where damping is slight; {moves}",
-    )
+    is_so = partial(gate, "material")
+    large = f"share of the force, current or signal at the place of {x.label}, or of the work dissipated where damping is slight; {moves}"
     instead = f"the force of {x.label} is only {100 * x.share:.1f} % of the force at its place (otherwise needed {100 * c.share:.0f} %); {moves}"
-    closes = gate(
-        "material",
-        x.removed,
-        ">=",
-        c.alone_removes,
-        f"share of the squared held-out error beyond noise removed from a wide gap; {instead}",
+    closes = f"share of the squared held-out error beyond noise removed from a wide gap; {instead}"
+    wide = [is_so(x.width, ">", c.wide_gap, f"mean excess error without {x.label} over channels")]
+    if x.beyond_small:
+        wide.append(is_so(x.share, ">", c.small_effect, "share of the force at its place"))
+    return any_of(
+        is_so(x.share, ">=", c.share, large),
+        all_of(is_so(x.removed, ">=", c.alone_removes, closes), any_of(*wide)),
     )
-    wide = gate("material", x.width, ">", c.wide_gap, f"mean excess error without {x.label} over channels")
-    beyond = gate("material", x.share, ">", c.small_effect, "share of the force at its place")
-    return any_of(large, all_of(closes, any_of(wide, *([beyond] if x.beyond_small else []))))
 
 
 def _adequate(e: Evidence, c: Criteria) -> Gate:
+    is_so = partial(gate, "adequate")
     removed = "share of the squared held-out error beyond noise removed, in all and in the channel with the widest gap"
     rest = f"the rest is {e.excess_ratio:.3g} times the power that small effects leave"
-    main = gate("adequate", e.explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}")
     excused = f"enough, since {rest} (limit {c.small_effects:g})"
+    fitted = f"{REMOVED} on the training records; {excused}; held out: {100 * e.explained:.0f} %"
     # unmodelled effects may leave the rest, unless the rest is a wide gap itself
     part = all_of(
-        gate("adequate", e.explained, ">=", c.least_removed, f"{removed}; {excused}"),
-        gate(
-            "adequate",
-            e.width_after,
-            "<",
-            c.wide_gap,
-            "mean excess error over channels that the candidate leaves",
-        ),
+        is_so(e.explained, ">=", c.least_removed, f"{removed}; {excused}"),
+        is_so(e.width_after, "<", c.wide_gap, "mean excess error over channels that the candidate leaves"),
     )
-    fitted = gate(
-        "adequate",
-        e.training_explained,
-        ">=",
-        c.alone_removes,
-        f"share of the squared error beyond noise removed on the training records; {excused}; held out: {100 * e.explained:.0f} %",
+    by_few = all_of(
+        any_of(part, is_so(e.training_explained, ">=", c.alone_removes, fitted)),
+        is_so(e.excess_ratio, "<", c.small_effects, "remaining power over that which small effects leave"),
     )
-    few = gate(
-        "adequate",
-        e.excess_ratio,
-        "<",
-        c.small_effects,
-        "remaining power over that which small effects leave",
+    ratio = "error on the fitted records over the refitted model's, geometric mean over channels"
+    return all_of(
+        any_of(is_so(e.explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}"), by_few),
+        is_so(e.training_ratio, "<=", 1.0, ratio),
     )
-    fits = gate(
-        "adequate",
-        e.training_ratio,
-        "<=",
-        1.0,
-        "error on the fitted records over the refitted model's, geometric mean over channels",
-    )
-    return all_of(any_of(main, all_of(any_of(part, fitted), few)), fits)
 
 
 def _determined(e: Evidence, c: Criteria) -> Gate:
     worst = max((x.spread for x in e.effects), default=0.0)
     odd = [x for x in e.effects if x.contradiction]
+    # a factor of 10 by which a value may be too large: nine tenths of the value are uncertain
+    spread = "half of the widest 95 % interval over the value (1: the interval holds zero); without the parameter that shapes the law"
+    values = "effects with values that contradict their names"
+    if odd:
+        values += f": {odd[0].label}: {odd[0].contradiction}"
     return all_of(
-        gate(
-            "determined",
-            # a factor of 10 by which a value may be too large: nine tenths of the value are uncertain
-            -math.expm1(-worst),
-            "<",
-            -math.expm1(-c.determined),
-            "half of the widest 95 % interval over the value (1: the interval holds zero); without the parameter that shapes the law",
-        ),
-        gate(
-            "determined",
-            len(odd),
-            "<=",
-            0,
-            "effects with values that contradict their names"
-            + (f": {odd[0].label}: {odd[0].contradiction}" if odd else ""),
-        ),
+        gate("determined", -math.expm1(-worst), "<", -math.expm1(-c.determined), spread),
+        gate("determined", len(odd), "<=", 0, values),
     )
 
 
@@ -292,16 +221,13 @@ def _forces_first(e: Evidence, c: Criteria) -> Gate:
     sensors = [x for x in e.effects if x.sensor]
     if not sensors:
         return gate("sensor", 0, "<=", 0, "sensor faults in the candidate")
-    largest = max(x.fault for x in sensors)
-    doubtful = not all(x.fault < c.doubtful for x in sensors)
-    return gate(
-        "sensor",
-        e.force_loss,
-        ">=",
-        c.forces_far if doubtful else c.forces_first,
+    largest, far = max(x.fault for x in sensors), FAR * c.forces_first
+    limit = c.forces_first if all(x.fault < DOUBTFUL for x in sensors) else far
+    text = (
         f"excess error of the best candidate with a force over that of the sensor fault of {largest:.2g} (of the gain, or of "
-        f"the motion's time; from {c.doubtful:g} on the limit is {c.forces_far:g})",
+        f"the motion's time; from {DOUBTFUL:g} on the limit is {far:g})"
     )
+    return gate("sensor", e.force_loss, ">=", limit, text)
 
 
 def table_gates(
@@ -309,13 +235,10 @@ def table_gates(
 ) -> tuple[Gate, ...]:
     """Return the conditions for a force without a name to be stated as a table.
 
-    Args:
-        explained: Share of the held-out excess error that the table removes.
-        moved: Largest share of a channel's standard deviation by which the error falls.
-        errors: Difference of the log predictive density to the refitted model in standard errors.
-        confirmed: Share of the excess error that the table removes on the test records.
-        c: Limits of the decision.
+    `explained` and `confirmed` are shares of the excess error on held-out and test records, `moved` is the largest fall of an error as a share
+    of a channel's deviation, `errors` the difference of the log predictive density in standard errors.
     """
+    density = "standard errors by which the log predictive density exceeds the refitted model's"
     return (
         gate(
             "explains",
@@ -324,65 +247,38 @@ def table_gates(
             c.least_removed,
             "share of the squared held-out error beyond noise removed",
         ),
-        gate(
-            "material",
-            moved,
-            ">=",
-            c.material,
-            "largest share of a channel's standard deviation by which the error falls",
-        ),
-        gate(
-            "predicts better",
-            errors,
-            ">",
-            c.elpd_errors,
-            "standard errors by which the log predictive density exceeds the refitted model's",
-        ),
-        gate(
-            "confirmed",
-            confirmed,
-            ">=",
-            c.least_removed,
-            "share of the squared error beyond noise removed on the test records",
-        ),
+        gate("material", moved, ">=", c.material, MOVED),
+        gate("predicts better", errors, ">", c.elpd_errors, density),
+        gate("confirmed", confirmed, ">=", c.least_removed, f"{REMOVED} on the test records"),
     )
 
 
 def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
-    """Return the verdict.
-
-    Args:
-        e: Evidence of the foremost candidate.
-        c: Limits of the decision.
-    """
+    """Return the verdict that follows from the evidence of the foremost candidate."""
     agreed: Verdict = "no_discrepancy" if e.agrees_before else "parameters_only"
     gates = gates_of(e, c) if e.effects else ()
-    failed = {g.name for g in gates if not g.passed}
+    failed, excess = {g.name for g in gates if not g.passed}, e.excess(e.refit)
     is_there = bool(gates) and not failed & {"predicts better", "determined"}
     if gates and not failed:
         return Decision("missing_effect", gates)
-    if all(x < c.material for x in e.excess_refit) and e.has_credible_noise(c.misses):
-        return Decision(agreed, gates, small=is_there, reason="immaterial")
+    credible = e.has_credible_noise(c.wide_gap)
+    narrow = credible and e.width < c.wide_gap  # a wide gap is no agreement
+    if credible and all(x < c.material for x in excess):
+        return Decision(agreed, gates, is_there, "immaterial")
     # no effect predicts better, and the excess error is below the noise
-    if not gates or "predicts better" in failed:
-        hidden = all(x < f for x, f in zip(e.excess_refit, e.noise, strict=True))
-        if hidden and e.width < c.wide_gap and e.has_credible_noise(c.misses):
-            return Decision(agreed, gates, reason="noise")
+    is_found = bool(gates) and "predicts better" not in failed
+    if narrow and not is_found and all(x < f for x, f in zip(excess, e.noise, strict=True)):
+        return Decision(agreed, gates, reason="noise")
     # unmodelled effects make gaps as large, or effects too small to be named close the gap
-    closes = bool(gates) and e.closed_by_small(c.share)
-    little = all(x < w for x, w in zip(e.excess_refit, e.envelope, strict=True))
-    # a wide gap is no agreement
-    if (little or closes) and e.width < c.wide_gap and e.has_credible_noise(c.misses):
-        return Decision(
-            agreed, gates, small=is_there, reason="small_effects" if little else "closed_by_small"
-        )
-    if failed == {"material"} and e.width < c.wide_gap and e.has_credible_noise(c.misses):
-        return Decision(agreed, gates, small=True, reason="too_small")
+    if narrow and all(x < w for x, w in zip(excess, e.envelope, strict=True)):
+        return Decision(agreed, gates, is_there, "small_effects")
+    if narrow and gates and e.closed_by_small(c.share):
+        return Decision(agreed, gates, is_there, "closed_by_small")
+    if narrow and failed == {"material"}:
+        return Decision(agreed, gates, True, "too_small")
     if failed & {"distinguishable", "sensor"} and failed <= {"distinguishable", "sensor", "probable"}:
-        # a doubtful sensor fault behind a narrow gap is no finding
-        little = "sensor" in failed and e.width < c.wide_gap and e.has_credible_noise(c.misses)
-        if little:
-            return Decision(agreed, gates, small=True, reason="doubtful_sensor")
+        if narrow and "sensor" in failed:  # a doubtful sensor fault behind a narrow gap is no finding
+            return Decision(agreed, gates, True, "doubtful_sensor")
         return Decision("ambiguous", gates)
     return Decision("unknown_effect", gates)
 
@@ -390,35 +286,15 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
 def with_findings(
     decision: Decision, findings: Sequence[Finding], e: Evidence, c: Criteria = CRITERIA
 ) -> Decision:
-    """Return 'ambiguous' in place of 'unknown_effect' if the kind of the foremost candidate's effect is certain.
-
-    Args:
-        decision: Decision by the gates.
-        findings: Findings, with the free force among the candidates.
-        e: Evidence of the foremost candidate.
-        c: Limits of the decision.
-    """
+    """Return 'ambiguous' in place of 'unknown_effect' if the kind of the foremost candidate's effect is certain."""
     if decision.verdict != "unknown_effect" or not e.effects:
         return decision
     failed = {g.name for g in decision.gates if not g.passed}
     certain = any(f.kind not in NAMELESS and f.kind_probability >= c.certain for f in findings)
-    if (
-        certain
-        and e.explained >= c.least_removed
-        and not failed & {"predicts better", "lack of fit", "material"}
-    ):
-        return replace(decision, verdict="ambiguous", reason="kind_certain")
-    return decision
+    explains = e.explained >= c.least_removed and not failed & {"predicts better", "lack of fit", "material"}
+    return replace(decision, verdict="ambiguous", reason="kind_certain") if certain and explains else decision
 
 
 def confidence(e: Evidence, c: Criteria = CRITERIA, *, is_sum: bool = False) -> float:
-    """Return the probability of a name: the weight of the candidates with the name, times the share of such names that are right.
-
-    Args:
-        e: Evidence of the candidate.
-        c: Limits of the decision.
-        is_sum: Whether one of its laws is the sum of two others.
-    """
-    return (
-        1.0 - c.share_mistaken("law", e.explained, e.width_after, e.support, is_sum=is_sum)
-    ) * e.probability
+    """Return the probability of a name: the weight of the candidates with the name, times the share of such names that are right."""
+    return (1.0 - share_mistaken("law", e, c, is_sum=is_sum)) * e.probability

@@ -41,6 +41,14 @@ if TYPE_CHECKING:
     from ..result import Quantity
 
 
+#: multiple of the motion beyond which a length or a rate of a law is not shown by the records: the law differs from its limit by 5 % there
+FURTHEST = 20.0
+#: multiple of the typical force from which on a law is balanced by another law: forces in parallel that cancel to a tenth
+LARGEST = 10.0
+#: laws over one plane at one place that are as good as a free curve: a polynomial of degree three fits any smooth curve with three bends
+BENDS = 3
+
+
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """Measurements of the foremost candidate of a search."""
@@ -179,14 +187,14 @@ def find_contradiction(problem: Problem, fit: Fit, element: el.Element, c: Crite
     scales = {"m": motion.reach, "m/s": float(np.abs(motion.v).max())}
     for f in el.parameter_fields(type(element)):
         scale = scales.get(f.metadata["unit"])
-        if scale and not f.metadata["fixed"] and getattr(element, f.name) > c.furthest * scale:
+        if scale and not f.metadata["fixed"] and getattr(element, f.name) > FURTHEST * scale:
             return f"its {f.name.replace('_', ' ')} is far beyond the measured motion"
     if element.plane != "time":
         axis = motion.v if element.plane == "rate" else motion.d
         force = element.curve(axis[:: max(1, len(axis) // 500)])
         inertia = problem.network.largest_inertia(*element.where) * el.rms(motion.a)
         typical = place_forces(problem, fit, without=element.name).at(element.where)
-        if el.rms(force) > c.largest * max(typical, inertia):
+        if el.rms(force) > LARGEST * max(typical, inertia):
             return "its force is many times the forces of the records"
     return ""
 
@@ -210,7 +218,7 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
 
     A single effect is tested if its error exceeds the envelope of unmodelled effects; otherwise the share is 0. Fitted laws whose values
     contradict their names, such as a part of one period of a periodic law, are free curves as well. The share is 1 if the number of
-    effects at one place, but for elements in series, reaches the number of bends of a curve (`Criteria.bends`). Laws of the model at their limits over the same
+    effects at one place, but for elements in series, reaches the number of bends of a curve (`BENDS`). Laws of the model at their limits over the same
     plane count as effects. The share is also 1 if one free curve
     explains the gap (`Criteria.least_explained`) in place of the same number of effects at several places.
     """
@@ -219,17 +227,17 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
         # an element in series adds a motion, and no bend
         curves = [h for h in best.hypotheses if not h.kind.series]
         places = {frozenset(owner_pair(search.problem.network, h) or h.where) for h in curves}
-        if len(places) == 1 and len(curves) >= c.bends:
+        if len(places) == 1 and len(curves) >= BENDS:
             return 1.0
-        if len(_laws_over_one_plane(search, best)) >= c.bends:
+        if len(_laws_over_one_plane(search, best)) >= BENDS:
             return 1.0
-        if len(best.hypotheses) < c.bends:
+        if len(best.hypotheses) < BENDS:
             return 0.0
         refit = scores.score(scores.refitted)
         shares = (share for e in best.elements for share in _removed_by_curves(search, scores, refit, e))
         return float(any(share >= c.least_explained(1) for share in shares))
     after = scores.score(best)
-    if after.excess(scores.noise).max() < c.misses and search.tests.leaves_unmodelled_only(scores, best):
+    if after.excess(scores.noise).max() < c.wide_gap and search.tests.leaves_unmodelled_only(scores, best):
         return 0.0
     found = _removed_by_unsound_laws(search, scores, after)
     if found >= c.least_removed:

@@ -55,30 +55,18 @@ def _check_positive(shot: Any, where: str, *names: str) -> None:
 class CornerSnapshot:
     """A wheel and its suspension in one frame. Displacements are absolute, upwards, about static equilibrium."""
 
-    # name of the corner; '' in a quarter car
-    name: str = ""
-    # distance in front of the centre of gravity [m]
-    x: float = 0.0
-    # distance to the left of the centre of gravity [m]
-    y: float = 0.0
-    # body above the suspension [m]
-    body: float
-    # [m]
-    wheel: float
-    # node between oil spring and inerter [m]; None: the model has none
-    piston: float | None = None
-    # node between inerter and damper [m]; None without a device
-    joint: float | None = None
-    # [A]
-    current: float = 0.0
-    # [A]; None without a motor
-    current_limit: float | None = None
-    # dynamic tyre load [N], in addition to the static load
-    tyre_load: float
-    # [N]; if given, an unloaded tyre is drawn above the road
-    static_tyre_load: float | None = None
-    # end stop of the device [m]; None without end stop
-    device_travel_limit: float | None = None
+    name: str = ""  # name of the corner; '' in a quarter car
+    x: float = 0.0  # distance in front of the centre of gravity [m]
+    y: float = 0.0  # distance to the left of the centre of gravity [m]
+    body: float  # body above the suspension [m]
+    wheel: float  # [m]
+    piston: float | None = None  # node between oil spring and inerter [m]; None: the model has none
+    joint: float | None = None  # node between inerter and damper [m]; None without a device
+    current: float = 0.0  # [A]
+    current_limit: float | None = None  # [A]; None without a motor
+    tyre_load: float  # dynamic tyre load [N], in addition to the static load
+    static_tyre_load: float | None = None  # [N]; if given, an unloaded tyre is drawn above the road
+    device_travel_limit: float | None = None  # end stop of the device [m]; None without end stop
 
     def __post_init__(self) -> None:
         where = f"snapshot, corner '{self.name}'" if self.name else "snapshot"
@@ -104,27 +92,18 @@ class CornerSnapshot:
 class Snapshot(CornerSnapshot):
     """A quarter car in one frame: its only corner, the road, and the values of the panel."""
 
-    # [s]
-    time: float
-    # height of the road from behind the wheel to ahead [m], shape (n,)
-    road_profile: NDArray[np.float64]
-    # distance of two samples of the profile [m]
-    road_step: float
+    time: float  # [s]
+    road_profile: NDArray[np.float64]  # height of the road from behind the wheel to ahead [m], shape (n,)
+    road_step: float  # distance of two samples of the profile [m]
     # length of the profile behind the wheel [m]; None for a wheel in the middle
     road_behind: float | None = None
-    # [m/s]
-    speed: float
-    # [m/s^2]
-    body_acceleration: float
-    # [m]
-    suspension_travel: float
-    # mean cost so far
-    cost: float | None = None
-    # name above the picture
-    label: str = ""
+    speed: float  # [m/s]
+    body_acceleration: float  # [m/s^2]
+    suspension_travel: float  # [m]
+    cost: float | None = None  # mean cost so far
+    label: str = ""  # name above the picture
     # time [s], body acceleration [m/s^2] and suspension travel [m] of earlier moments, for the curves;
-    # otherwise the curves connect the drawn moments
-    past: Sequence[tuple[float, ...]] = ()
+    past: Sequence[tuple[float, ...]] = ()  # otherwise the curves connect the drawn moments
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -146,36 +125,24 @@ class Snapshot(CornerSnapshot):
 class CarSnapshot:
     """A car with a rigid body and any number of corners in one frame. Displacements are absolute, about static equilibrium."""
 
-    # [s]
-    time: float
-    # displacement of the body at its centre of gravity [m]
-    heave: float
-    # angle [rad]; None for a body without pitch
-    pitch: float | None = None
-    # angle [rad]; None for a body without roll
-    roll: float | None = None
+    time: float  # [s]
+    heave: float  # displacement of the body at its centre of gravity [m]
+    pitch: float | None = None  # angle [rad]; None for a body without pitch
+    roll: float | None = None  # angle [rad]; None for a body without roll
     # wheels with their suspensions; wheels with y < 0 run in the right track
     corners: tuple[CornerSnapshot, ...]
     # name and place (x, y) [m] of other points of the body
     points: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     # height of each track from behind the rearmost wheel to ahead of the foremost one [m], shape (1, n) or (2, n), left first
     road_profiles: NDArray[np.float64]
-    # distance of two samples of a profile [m]
-    road_step: float
-    # length of the profiles behind the foremost wheel [m]
-    road_behind: float
-    # [m/s]
-    speed: float
-    # vertical acceleration at the centre of gravity [m/s^2]
-    body_acceleration: float
-    # [rad/s^2]; None for a body without pitch
-    pitch_acceleration: float | None = None
-    # [rad/s^2]; None for a body without roll
-    roll_acceleration: float | None = None
-    # mean cost so far
-    cost: float | None = None
-    # name on the body
-    label: str = ""
+    road_step: float  # distance of two samples of a profile [m]
+    road_behind: float  # length of the profiles behind the foremost wheel [m]
+    speed: float  # [m/s]
+    body_acceleration: float  # vertical acceleration at the centre of gravity [m/s^2]
+    pitch_acceleration: float | None = None  # [rad/s^2]; None for a body without pitch
+    roll_acceleration: float | None = None  # [rad/s^2]; None for a body without roll
+    cost: float | None = None  # mean cost so far
+    label: str = ""  # name on the body
     # time [s] and accelerations of earlier moments, in the order of `traces` [SI], for the curves
     past: Sequence[tuple[float, ...]] = ()
 

@@ -18,7 +18,7 @@ from ..._common.files import check_folder, whole_folder, write_text
 from ..._common.units import practical
 from ...diagnosis._estimation.structure import offsets_of
 from ...diagnosis._verdict.grades import grade, observed
-from ...diagnosis._verdict.wording import is_gain, statements_of, unit_statements_of
+from ...diagnosis._verdict.wording import is_gain, statements_of
 from ...diagnosis.result import FOLDER, Effect
 from ...physics import elements as el
 from ...physics.network import Network
@@ -33,6 +33,7 @@ from .plots import (
     VERMILLION,
     Look,
     Picture,
+    caption,
     channel_text,
     density,
     number,
@@ -51,6 +52,8 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...diagnosis import Contender, Diagnosis, Quantity, Trace
     from .forces import Curve, Loops
+
+    Panels = Callable[["View", Trace, Mapping[str, slice]], list[Panel]]
 
 
 #: stages of a diagnosis: head of a column, and its meaning
@@ -115,6 +118,7 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
             shown=pictures,
             about=about,
             stages=STAGES,
+            types=el.TYPES,
         )
         write_text(place / "report.html", html)
 
@@ -169,7 +173,7 @@ class View:
         self.changed = self.named or d.tabulated is not None or d.verdict == "ambiguous" or completes
         self.inside = isinstance(d.base, Network)
         document = d.to_dict()
-        told = (statements_of if self.inside else unit_statements_of)(document)
+        told = statements_of(document, is_fmu=not self.inside)
         self.title = self.printed(told.title)
         self.finding, self.remarks, self.steps = (
             [self.printed(s) for s in part] for part in (told.finding, told.remarks, told.next_steps)
@@ -288,32 +292,6 @@ class View:
             return "place open"
         return f"{place[0]} – {place[1]}" if len(place) == 2 else channel_text(place[0])
 
-    @staticmethod
-    def bar(share: float) -> str:
-        """Return a probability as an inline bar with its value."""
-        full, width = 60, 60 * min(max(share, 0.0), 1.0)
-        return (
-            f'<span class="whole"><svg width="{full}" height="10" role="img" aria-label="{share:.2f}"><rect width="{full}" height="10" style="fill:var(--pale)"/>'
-            f'<rect width="{width:.1f}" height="10" style="fill:var(--accent)"/></svg> {share:.2f}</span>'
-        )
-
-    def effect_text(self, e: Any) -> str:
-        """Return an effect in words, such as ``coulomb friction between piston and joint``."""
-        if e.channel is not None:
-            return f"{el.spoken(e.effect)} in {channel_text(e.channel)}"
-        if not e.between:
-            return el.spoken(e.effect)
-        how = f", in series with {e.behind or 'what stands'}" if el.TYPES[e.effect].series else ""
-        return f"{el.spoken(e.effect)}{how} between {e.between[0]} and {e.between[1]}"
-
-    def contender_text(self, c: Any) -> str:
-        """Return a rival in words."""
-        parts = []
-        for effect, where in zip(c.effects, c.where, strict=True):
-            joined = " and ".join(channel_text(w) if len(where) == 1 else w for w in where)
-            parts.append(f"{el.spoken(effect)} {'between' if len(where) == 2 else 'at'} {joined}")
-        return ", with ".join(parts)
-
     def quantity(self, q: Any) -> str:
         """Return a value with a practical unit, such as ``296.6 N``, with the digits that its interval warrants."""
         factor, unit = practical(q.value, q.unit)
@@ -360,23 +338,6 @@ class View:
         agrees = self.d.verdict in ("no_discrepancy", "parameters_only")
         return "Residual over the motion" if agrees else "Missing force over the motion"
 
-    @property
-    def bias_text(self) -> str:
-        """Warning that the refitted parameters are biased, if an effect is missing that has no certain name; otherwise ''."""
-        if self.d.verdict not in ("unknown_effect", "ambiguous") or self.refit_text:
-            return ""
-        return (
-            "These estimates are biased by what is missing: the parameters of the refitted model compensate a part of the missing effect, "
-            "and the true values may lie outside the intervals."
-        )
-
-    @property
-    def refit_text(self) -> str:
-        """Model of the parameters, if a force is missing that the refitted model lacks; otherwise ''."""
-        if self.d.tabulated is not None:
-            return "These are the parameters of the refitted model without the missing force. They are biased by what is missing: they compensate a part of that force."
-        return ""
-
     def interval(self, q: Any) -> str:
         """Return the interval of a quantity in the unit of `quantity`."""
         factor, _ = practical(q.value, q.unit)
@@ -400,10 +361,6 @@ class View:
         for plain, mark in (("F in ", "F ∈ "), ("^2", "²"), ("^3", "³"), (" - ", " − ")):
             text = text.replace(plain, mark)
         return text
-
-    def source(self, e: Effect) -> str:
-        """Return the source of an effect's law."""
-        return getattr(el.TYPES.get(e.effect), "source", "")
 
     def signature(self, e: Effect) -> str:
         """Return the characteristic that distinguishes an effect."""
@@ -430,10 +387,6 @@ class View:
     def parameters(self) -> list[tuple[str, Any, float | None]]:
         """Base parameters: path, quantity, and relative standard deviation in the model file."""
         return [(path, q, self.d.base.uncertainty.get(path)) for path, q in self.d.parameters.items()]
-
-    def odd(self, q: Any, sigma: float | None) -> bool:
-        """Return whether a fitted parameter is outside of twice its stated uncertainty."""
-        return bool(sigma and q.prior and abs(q.value / q.prior - 1.0) > 2.0 * sigma)
 
 
 def _digits(value: float, low: float, high: float) -> str:
@@ -462,7 +415,7 @@ WORST = "worst stretch"
 STRETCH = 2.5  # length of the drawn stretches of a record [s]
 PERIODS = 4  # periods of the motion in a loop
 FEW = 2  # channels whose time histories fit on the first screen
-MOST_SAMPLES = 360_000  # largest number of samples of records in a page (about 1 MB)
+MOST_CHANNELS = 5  # channels of a picture over time
 
 
 def draw_gap(view: View) -> Chart:
@@ -523,30 +476,14 @@ def _steady(axis: Axis, left: Sequence[np.ndarray], noise: float) -> Axis:
     return replace(axis, low=-1.5 * usual, high=1.5 * usual)
 
 
-@dataclass(frozen=True)
-class Records:
-    """The records that a chart over time shows."""
-
-    traces: dict[str, Trace]  # records by the name in the chart; the record of the picture first
-    every: dict[str, int]  # step between the drawn samples of each record
-
-    @classmethod
-    def of(cls, view: View, trace: Trace) -> Records:
-        """Return the records of a diagnosis, thinned to the size of a page."""
-        chosen = [trace, *(t for t in view.traces if t is not trace)][:8]
-        each = 5 if view.changed else 3  # signals and residuals of a channel
-        share = MOST_SAMPLES / (each * len(view.order) * len(chosen))
-        names: dict[str, Trace] = {}
-        for k, t in enumerate(chosen):
-            name = f"{t.name} ({t.use})"
-            names[f"{name}, {k + 1}" if name in names else name] = t
-        return cls(names, {name: max(1, math.ceil(len(t.time) / share)) for name, t in names.items()})
-
-    def head(self, name: str) -> str:
-        """Return the beginning of a caption."""
-        thinned, t = self.every[name], self.traces[name]
-        note = f" One sample in {thinned} is drawn." if thinned > 1 else ""
-        return f"Record “{t.name}” ({t.use}).{note}"
+def _records(view: View) -> dict[str, Trace]:
+    """Return the records that a chart over time shows, by their name in the chart; the record of the picture first."""
+    chosen = [view.trace, *(t for t in view.traces if t is not view.trace)][:8]
+    out: dict[str, Trace] = {}
+    for k, t in enumerate(t for t in chosen if t is not None):
+        name = f"{t.name} ({t.use})"
+        out[f"{name}, {k + 1}" if name in out else name] = t
+    return out
 
 
 def _simulated(view: View, t: Trace) -> dict[str, tuple[dict[str, Array], Look]]:
@@ -560,113 +497,107 @@ def _signal_axis(view: View, c: str) -> Axis:
     return Axis(channel_text(c).replace(" ", "\n", 1), view.scales[c].unit or "–")
 
 
-def _more(view: View, few: Sequence[str]) -> str:
-    return (
-        f" The picture shows the {len(few)} channels with the largest error."
-        if len(few) < len(view.order)
-        else ""
+def _over_time(
+    view: View, name: str, texts: tuple[str, str], panels: Panels, columns: int, height: float
+) -> Chart | None:
+    """Return a chart of all records over time; the picture has the channels with the largest error. None without records.
+
+    Args:
+        view: The prepared diagnosis.
+        name: Name of the chart and of its caption.
+        texts: Title, and text for readers who cannot see the chart.
+        panels: Function of a record and its stretches.
+        columns: Number of panels of a channel.
+        height: Height of a channel [inch].
+    """
+    if view.trace is None:
+        return None
+    few = min(len(view.order), MOST_CHANNELS)
+    choices, captions = {}, {}
+    for record, t in _records(view).items():
+        stretches = _stretches(view, t)
+        choices[record] = panels(view, t, stretches)
+        length = float(np.ptp(t.time[next(iter(stretches.values()))]))
+        captions[record] = caption(name, view=view, t=t, length=length, few=few)
+    return Chart(
+        name,
+        *texts,
+        next(iter(captions.values())),
+        choices,
+        columns=columns,
+        size=(7.6, height * few + 0.7),
+        still=columns * few,
+        captions=captions,
     )
 
 
 def draw_time(view: View) -> Chart | None:
     """Return the chart of all records over time: the stretch with the largest error, and a typical stretch; None without records."""
-    if view.trace is None:
-        return None
-    few = view.order[:5]
-    records = Records.of(view, view.trace)
-    choices, captions = {}, {}
-    for name, t in records.traces.items():
-        every, panels = slice(None, None, records.every[name]), []
-        stretches = _stretches(view, t)
-        for c in view.order:
-            k = view.scales[c].factor
-            says = {"measured": (t.measured, MEASURED), **_simulated(view, t)}
-            for title, cut in stretches.items():
-                # the worst stretch is a view of the whole record, the typical one is a part of the record
-                drawn = every if title == WORST else slice(cut.start, cut.stop, every.step)
-                # the measured signal first: its broader line remains visible under the others
-                lines = [Line(n, t.time[drawn], k * y[c][drawn], look) for n, (y, look) in says.items()]
-                low, high = (f(float(f(k * y[c][cut])) for y, _ in says.values()) for f in (min, max))
-                room = 0.05 * (high - low) or 1.0
-                y_axis = replace(_signal_axis(view, c), low=low - room, high=high + room)
-                x_axis = Axis("time", "s", low=float(t.time[cut][0]), high=float(t.time[cut][-1]))
-                panels.append(Panel(x_axis, y_axis, tuple(lines), title=title, link=title))
-        length = float(np.ptp(t.time[next(iter(stretches.values()))]))
-        choices[name] = panels
-        captions[name] = (
-            f"{records.head(name)} The worst stretch: the {length:.3g} s in which the refitted model errs most in "
-            f"{channel_text(view.order[0])}. The typical stretch: as long, with the median error.{_more(view, few)}"
-        )
-    return Chart(
-        "time",
-        "In time",
-        "Measured and simulated signals over time: the stretch with the largest error, and a typical stretch",
-        next(iter(captions.values())),
-        choices,
-        columns=2,
-        size=(7.6, 1.65 * len(few) + 0.7),
-        still=2 * len(few),
-        captions=captions,
+    alt = (
+        "Measured and simulated signals over time: the stretch with the largest error, and a typical stretch"
     )
+    return _over_time(view, "time", ("In time", alt), _signal_panels, 2, 1.65)
+
+
+def _signal_panels(view: View, t: Trace, stretches: Mapping[str, slice]) -> list[Panel]:
+    panels = []
+    for c in view.order:
+        k = view.scales[c].factor
+        # the measured signal first: its broader line remains visible under the others
+        says = {"measured": (t.measured, MEASURED), **_simulated(view, t)}
+        for title, cut in stretches.items():
+            # the worst stretch is a view of the whole record, the typical one is a part of the record
+            drawn = slice(None) if title == WORST else cut
+            lines = [Line(n, t.time[drawn], k * y[c][drawn], look) for n, (y, look) in says.items()]
+            low, high = (f(float(f(k * y[c][cut])) for y, _ in says.values()) for f in (min, max))
+            room = 0.05 * (high - low) or 1.0
+            y_axis = replace(_signal_axis(view, c), low=low - room, high=high + room)
+            x_axis = Axis("time", "s", low=float(t.time[cut][0]), high=float(t.time[cut][-1]))
+            panels.append(Panel(x_axis, y_axis, tuple(lines), title=title, link=title))
+    return panels
 
 
 def draw_residuals(view: View) -> Chart | None:
     """Return the chart of the residuals of all records; None without records."""
-    if view.trace is None:
-        return None
-    few = view.order[:5]
-    records = Records.of(view, view.trace)
-    choices, captions = {}, {}
-    for name, t in records.traces.items():
-        every, panels = slice(None, None, records.every[name]), []
-        spans = [Span(float(t.time[cut][0]), float(t.time[cut][-1])) for cut in _stretches(view, t).values()]
-        for c in view.order:
-            k = view.scales[c].factor
-            rest = {n: (k * (t.measured[c] - y[c]), look) for n, (y, look) in _simulated(view, t).items()}
-            noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(t.measured[c]))
-            items: list[Item] = [
-                Line(n, t.time[every], r[every], replace(look, line="-", width=0.7, marker=""))
-                for n, (r, look) in rest.items()
-            ]
-            items += [*(Rule("y", y, look=NOISE) for y in (-noise, noise)), *spans]
-            x_axis = Axis("time", "s", low=float(t.time[0]), high=float(t.time[-1]))
-            y_axis = _steady(_signal_axis(view, c), [r for r, _ in rest.values()], noise)
-            panels.append(Panel(x_axis, y_axis, tuple(items), link="time"))
-        choices[name] = panels
-        captions[name] = (
-            f"{records.head(name)} Dotted: twice the noise. Shaded: the stretches of the figure above. Peaks of a few samples may "
-            f"exceed the axis.{_more(view, few)}"
-        )
-    return Chart(
-        "residuals",
-        "Residuals",
-        "Measured minus simulated signals over time",
-        next(iter(captions.values())),
-        choices,
-        size=(7.6, 1.1 * len(few) + 0.7),
-        still=len(few),
-        captions=captions,
-    )
+    texts = ("Residuals", "Measured minus simulated signals over time")
+    return _over_time(view, "residuals", texts, _residual_panels, 1, 1.1)
+
+
+def _residual_panels(view: View, t: Trace, stretches: Mapping[str, slice]) -> list[Panel]:
+    panels = []
+    spans = [Span(float(t.time[cut][0]), float(t.time[cut][-1])) for cut in stretches.values()]
+    for c in view.order:
+        k = view.scales[c].factor
+        rest = {n: (k * (t.measured[c] - y[c]), look) for n, (y, look) in _simulated(view, t).items()}
+        noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(t.measured[c]))
+        items: list[Item] = [
+            Line(n, t.time, r, replace(look, line="-", width=0.7, marker="")) for n, (r, look) in rest.items()
+        ]
+        items += [*(Rule("y", y, look=NOISE) for y in (-noise, noise)), *spans]
+        x_axis = Axis("time", "s", low=float(t.time[0]), high=float(t.time[-1]))
+        y_axis = _steady(_signal_axis(view, c), [r for r, _ in rest.values()], noise)
+        panels.append(Panel(x_axis, y_axis, tuple(items), link="time"))
+    return panels
 
 
 def draw_loops(view: View) -> Chart | None:
     """Return the chart of the force at the place of the finding over velocity and over travel; None without a force or its motion."""
-    return _loops_chart(view, "loops", view.loops[:1])
+    return _loops_chart(view, "loops", "Force over velocity and travel", view.loops[:1])
 
 
 def draw_other_loops(view: View) -> Chart | None:
     """Return the chart of the other forces over velocity and over travel; None without other forces."""
-    return _loops_chart(view, "other_loops", view.loops[1:4])
+    return _loops_chart(view, "other_loops", "Other forces over velocity and travel", view.loops[1:4])
 
 
-def _loops_chart(view: View, name: str, forces: Sequence[Loops]) -> Chart | None:
+def _loops_chart(view: View, name: str, title: str, forces: Sequence[Loops]) -> Chart | None:
     """Return loops in the measurement, the model as given, and the completed (or refitted) model."""
     trace = view.trace
     if trace is None or not forces:
         return None
     new, look = ("completed model", AFTER) if view.changed else ("refitted model", BEFORE)
     choices = {}
-    for title, stretch in _stretches(view, trace).items():
+    for stretch_name, stretch in _stretches(view, trace).items():
         panels = []
         for loops in forces:
             own = _cycles(loops, stretch, float(trace.time[1] - trace.time[0]))
@@ -677,22 +608,12 @@ def _loops_chart(view: View, name: str, forces: Sequence[Loops]) -> Chart | None
             }
             shown = {n: (c.part(own), style) for n, (c, style) in curves.items() if c is not None}
             panels += _loop_panels(view, loops, shown)
-        choices[title] = panels
-    rebuilt = [f"{x.pair[0]} and {x.pair[1]}" for x in forces if not x.is_measured]
-    note = (
-        f" No channel measures the force between {' or '.join(rebuilt)}: “measured” is the simulated force plus the force that the "
-        "residuals require."
-        if rebuilt
-        else ""
-    )
+        choices[stretch_name] = panels
     return Chart(
         name,
-        "Other forces over velocity and travel"
-        if name == "other_loops"
-        else "Force over velocity and travel",
+        title,
         "Loops of the force over velocity and over travel, measured and simulated",
-        f"Force, positive in tension, over the motion of its terminals: about {PERIODS} periods from the stretch of the record "
-        f"“{trace.name}” ({trace.use}).{note}",
+        caption("loops", t=trace, periods=PERIODS, forces=forces),
         choices,
         columns=2,
         size=(7.4, 2.5 * len(forces) + 0.4),
@@ -771,21 +692,11 @@ def draw_spectra(view: View) -> Chart | None:
         density_unit = f"({unit.unit})²/Hz" if "/" in unit.unit else f"{unit.unit}²/Hz"
         y_axis = Axis("density", density_unit, log=True, low=low, high=high, ticks=decades(low, high))
         panels.append(Panel(x, y_axis, tuple(items), title=channel_text(c), link="frequency"))
-    over = (
-        f"the record “{view.trace.name}” ({view.trace.use})"
-        if len(used) == 1
-        else f"{len(used)} records ({view.trace.use}), averaged: {', '.join(t.name for t in used)}"
-    )
-    shade = (
-        " Grey bands hold most of the refitted model's excess error in the fitted records."
-        if any(p.bands_hz for p in view.d.where)
-        else ""
-    )
     return Chart(
         "spectra",
         "In frequency",
         "Spectra of the measurements and of the residuals",
-        f"Power spectral densities of {over} (Welch, Hann windows of {seconds:.3g} s).{shade}",
+        caption("spectra", view=view, used=used, seconds=seconds),
         {"all": panels},
         columns=columns,
         size=((5.2, 6.8, 8.2)[columns - 1], 2.1 * rows + 0.55),
@@ -840,21 +751,12 @@ def draw_plane(view: View) -> Chart | None:
                 items.append(Line("added law", factor * law.axis, law.force, look, band=(law.low, law.high)))
             y = _force_axis("missing force", turns, -top, top)
             panels.append(Panel(x, y, tuple(items), title=title))
-    drawn = any(cloud.law is not None for cloud in view.clouds)
-    where = "no law is assumed"
-    if drawn:
-        where = (
-            "the reconstruction does not use the law. The added law is the force of the completed model minus the force of the "
-            "refitted model between these nodes, so that law and dots are the same quantity"
-        )
     assert view.trace is not None
     return Chart(
         "plane",
         view.plane_title,
         "The missing force, or residual, over travel or rate, before and after",
-        "Each dot is the force that the model lacks at one sample. The force is reconstructed from the residuals of all channels of "
-        f"the record “{view.trace.name}” ({view.trace.use}) through the linear model; {where}. The limited resolution of the sensors "
-        "smooths corners. Up to 2 % of the dots lie outside the axis.",
+        caption("plane", t=view.trace, has_law=any(cloud.law is not None for cloud in view.clouds)),
         {"all": panels},
         columns=2,
         size=(7.4, 2.9 * len(view.clouds) + 0.4),
@@ -1001,12 +903,7 @@ def draw_law(view: View) -> Chart | None:
         "law",
         "The law that was found",
         "Force over travel or rate with its interval",
-        "Force with its 95 % interval, positive in tension. The law is valid only within the measured range."
-        + (
-            ""
-            if d.tabulated is None or d.tabulated.over != "both"
-            else " The force also depends on the rate; the curve is the force at zero rate."
-        ),
+        caption("law", over=d.tabulated.over if d.tabulated is not None else ""),
         {"all": panels},
         columns=columns,
         size=((4.8, 6.2, 8.2)[columns - 1], 2.9),
@@ -1064,19 +961,11 @@ def draw_parameters(view: View) -> Chart | None:
         items.append(
             Marks(label, x, [k for k, _, _ in own], look, spans, notes=notes, open=hollow, size=4.5, bar=2.2)
         )
-    together = (
-        ", together with the effect that was found"
-        if view.named
-        else ", without the missing force"
-        if view.changed
-        else ""
-    )
     return Chart(
         "parameters",
         "Parameters",
         "Base parameters found, relative to their prior",
-        f"Pale: stated uncertainty of the nominal model (95 %). Blue: estimate from the measurements{together}. Grey and open: the "
-        "measurements do not determine this parameter, so its interval is the stated one.",
+        caption("parameters", view=view),
         {
             "all": [
                 Panel(

@@ -14,6 +14,7 @@ import platform
 import re
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from html import escape
 from importlib import metadata, resources
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from jinja2 import Environment
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -263,11 +265,23 @@ def sentence(text: str) -> str:
 
 def page(template: str, **context: Any) -> str:
     """Return the HTML of one of the package's templates; all values are escaped. The page fetches nothing."""
+    return _environment(escaped=True).get_template(template).render(**context)
+
+
+def caption(name: str, **values: Any) -> str:
+    """Return the caption of a chart: a macro of the template `captions.txt`, in one line."""
+    macros = _environment(escaped=False).get_template("captions.txt").module
+    return re.sub(r"[ \n]+", " ", str(getattr(macros, name)(**values))).strip()
+
+
+@cache
+def _environment(*, escaped: bool) -> Environment:
+    """Return the package's templates and the functions that they call."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     env = Environment(
         loader=PackageLoader(__package__),
-        autoescape=True,
+        autoescape=escaped,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -286,7 +300,7 @@ def page(template: str, **context: Any) -> str:
         digest=base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii"),
         themed=THEMED,
     )
-    return env.get_template(template).render(**context)
+    return env
 
 
 def versions() -> list[tuple[str, str]]:

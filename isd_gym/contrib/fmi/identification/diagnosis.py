@@ -14,12 +14,12 @@ from isd_gym._common.arrays import Array, channel_rms
 from isd_gym._common.errors import InputError, shown
 from isd_gym._common.units import convert
 from isd_gym.diagnosis._estimation.noise import Floor, floor_of, noise_of, resolution
-from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria
+from isd_gym.diagnosis._selection.criteria import CRITERIA, LEAST_NOISE, Criteria
 from isd_gym.diagnosis._simulation.problem import Record, deviation_within
 from isd_gym.diagnosis._verdict.evidence import Evidence, as_numbers
 from isd_gym.diagnosis._verdict.explanation import bands, find_condition, near_reversals
 from isd_gym.diagnosis._verdict.gates import decide
-from isd_gym.diagnosis._verdict.wording import unit_summary_of
+from isd_gym.diagnosis._verdict.wording import summary_of
 from isd_gym.diagnosis.result import Diagnosis, Place, Trace
 from isd_gym.records.data import Table, check, read_table
 from isd_gym.records.data._quality import admit, known_check
@@ -99,7 +99,7 @@ def diagnose_unit(
     )
     result = _diagnosis(refit, errors, criteria, notes)
     result = replace(result, seconds=clock.perf_counter() - start)
-    return replace(result, summary=unit_summary_of(result.to_dict()))
+    return replace(result, summary=summary_of(result.to_dict(), is_fmu=True))
 
 
 # ------------------------------------------------------------------------------------------------------- reading
@@ -234,7 +234,7 @@ def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
     step = c.records[0].step
     measured = [c.records[s.record].measured[s.first : s.stop] for s in refit.segments]
     known = [_noise_floor([m[:, j] for m in measured], step) for j in range(len(c.channels))]
-    least = CRITERIA.least_noise * _deviation(refit, held_out=False)
+    least = LEAST_NOISE * _deviation(refit, held_out=False)
     floors = np.maximum([k.deviation for k in known], least)
     found = refit.fit(floors, progress)
     deviation = _deviation(refit, held_out=True)

@@ -10,22 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..._common.errors import InputError
-from ...physics.network import assemble
-from ...records.data import Table, write_table
-from .._estimation.gauss_newton import Fitter, residuals
-from .._estimation.noise import innovations, white_filters
-from .._selection.criteria import CRITERIA
-from .._simulation.problem import BROKEN, Problem, Record, bare
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter, residuals
+from isd_gym.diagnosis._estimation.noise import innovations, white_filters
+from isd_gym.diagnosis._selection.criteria import LEAST_NOISE
+from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record, bare
+from isd_gym.physics.network import assemble
+from isd_gym.records.data import Table, write_table
+
 from ._excitation import Excitation, Rig, infer_rig, list_excitations, make_record, make_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from ..._common.arrays import Array
-    from ...physics.network import Network
-    from .._estimation.structure import Structure
-    from .._selection.candidate import Candidate
+    from isd_gym._common.arrays import Array
+    from isd_gym.diagnosis._estimation.structure import Structure
+    from isd_gym.diagnosis._selection.candidate import Candidate
+    from isd_gym.physics.network import Network
 
 FINALISTS = 5  # tests for which rivals are refitted in full
 #: receives the stage and the finished share
@@ -138,9 +139,7 @@ class RivalComparison:
         if not all(np.isfinite(y).all() and np.abs(y).max() <= 1e12 for y in self.outputs):
             raise InputError("the simulation of a rival fails")
         self.problem = Problem(network, [replace(record, measured=self.outputs[0])])
-        level = np.maximum(
-            noise, CRITERIA.least_noise * np.max([y.std(axis=0) for y in self.outputs], axis=0)
-        )
+        level = np.maximum(noise, LEAST_NOISE * np.max([y.std(axis=0) for y in self.outputs], axis=0))
         self.noise = np.where(level > 0, level, 1.0)
 
     def linear_distance(self) -> float:

@@ -12,8 +12,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from .._common.errors import InputError, shown
-from ._history import BOUND, History, Remembered
+from isd_gym._common.errors import InputError, shown
+from isd_gym.env._history import BOUND, History, Remembered
 
 __all__ = [
     "HistoryObservation",

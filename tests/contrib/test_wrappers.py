@@ -7,9 +7,9 @@ import pytest
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import cost_of
 from isd_gym.benchmark.scoring import score
+from isd_gym.contrib.wrappers import HistoryObservation, Hold, RelativeReward
 from isd_gym.env._history import history_of
 from isd_gym.env._task import RELATIVE_SCALE
-from isd_gym.env.wrappers import HistoryObservation, Hold, RelativeReward
 
 
 def made(**options):

@@ -25,6 +25,8 @@ import numpy as np
 from isd_gym._common.errors import InputError, how_to_install, shown
 from isd_gym._common.files import claim_folder, held, write_text, writing
 from isd_gym._common.inputs import read_json
+from isd_gym.agents._memory import Memory
+from isd_gym.agents.policy import Head, Policy
 from isd_gym.baselines.controller import steps_ahead
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import Entry, drive, score
@@ -35,9 +37,7 @@ from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road as find_road
 
-from . import _checkpoint as checkpoint
-from ._memory import Memory
-from .policy import Head, Policy
+from . import checkpoint
 from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, from_nothing, robust, tuned
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def train(
         if corners > 1:
             raise InputError(
                 f"network '{plant.name}' has {corners} corners, and the ranges of the robust track are those of a quarter car: "
-                'give ranges to isd_gym.agents.train.train, such as randomize={"body.mass": (0.8, 1.2)}'
+                'give ranges to isd_gym.contrib.training.train.train, such as randomize={"body.mass": (0.8, 1.2)}'
             )
         spread, seen = robust()
         senses = seen if senses.perfect else senses
@@ -233,11 +233,11 @@ class Run:
             return memory
         try:
             if len(self.car.corners) > 1:
-                from ._wheelbase import car_filter
+                from .wheelbase import car_filter
 
                 known, echo = car_filter(self.plant, self.speed, memory.step, self._noise)
                 return replace(memory, filter=known, echo=echo, late=())  # the echo is the road ahead
-            from ._estimate import lqg_filter
+            from .estimate import lqg_filter
 
             return replace(memory, filter=lqg_filter(self.plant, memory.step, s.ahead, self._noise))
         except (InputError, ImportError) as error:
@@ -279,7 +279,7 @@ class Run:
     def _environment(self, cars: int) -> Any:
         from isd_gym.sb3 import make_vec_env
 
-        from ._vec import Remember
+        from .environment import Remember
 
         s = self.settings
         critic = s.preview if isinstance(s, SACSettings) else 0.0
@@ -319,7 +319,7 @@ class Run:
         import torch
         from stable_baselines3 import PPO
 
-        from ._sac import GroupSAC
+        from .sac import GroupSAC
 
         s = self.settings
         there = self._claim()
@@ -385,7 +385,7 @@ class Run:
 
     def _imitate(self, model: Any) -> None:
         """Start from the teacher, if it exists for this network."""
-        from ._warm import warm_start
+        from .imitation import warm_start
 
         begin = time.perf_counter()
         try:
@@ -443,7 +443,7 @@ class Run:
         Returns:
             The policy.
         """
-        from ._convert import build
+        from isd_gym.contrib.actors import build
 
         return build(
             self.average,
@@ -551,7 +551,7 @@ class Run:
             usual = from_nothing(usual)
         own_ranges = bool(self.spread) and self.spread != robust()[0]  # such as those of a diagnosis
         if own_ranges or describe(replace(s, steps=usual.steps)) != describe(usual):
-            return "isd_gym.agents.train.train with the settings below"
+            return "isd_gym.contrib.training.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
         if is_unaided:
             words.append("--from-nothing")

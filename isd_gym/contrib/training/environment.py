@@ -9,16 +9,15 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
+from isd_gym.agents.policy import FEATURE_LIMIT, Head
 from isd_gym.env._task import usual_level
-
-from .policy import FEATURE_LIMIT, Head
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-    from ._memory import Memory
+    from isd_gym.agents._memory import Memory
 
 ROAD_STRIDE = 2  # control steps between the points of the road ahead
 ROAD_RISE = 2e-3  # m, RMS of the rises of the paper's road between the points

@@ -14,6 +14,7 @@ import os
 import pickle
 import pickletools
 import re
+import sys
 import warnings
 import zipfile
 from collections.abc import Mapping
@@ -24,15 +25,18 @@ import numpy as np
 
 from isd_gym._common.errors import InputError, how_to_install, shown
 from isd_gym._common.inputs import number, parse_json, read_bytes, too_large
+from isd_gym.agents._entry import entry_of
+from isd_gym.agents._memory import Memory
+from isd_gym.agents.policy import Head, Policy
+from isd_gym.contrib.actors import actor_layers, build
 from isd_gym.env._history import BOUND
 from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
 from isd_gym.physics.network import Network
 
-from ._memory import Memory
-from .policy import Head, Policy
-
 if TYPE_CHECKING:
+    from isd_gym.benchmark.driving import Entry
     from isd_gym.physics._vehicle import Vehicle
+    from isd_gym.physics.cost import StageCost
 
 #: limit of the total unpacked size of an archive's parts [bytes]
 ARCHIVE_LIMIT = 512 * 2**20
@@ -210,92 +214,6 @@ def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
         return mean, np.sqrt(variance + epsilon), clip
     except InputError as error:
         raise InputError(f"'{path}' is not a saved VecNormalize ({error})") from None
-
-
-def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
-    """Return the layers of the deterministic actor in a state dict of Stable-Baselines3.
-
-    Args:
-        state: Array by name.
-
-    Returns:
-        Algorithm ('ppo' includes A2C, 'td3' includes DDPG, or 'sac'), and weights (out, in) and biases (out,)
-            of the layers.
-
-    Raises:
-        InputError: The state dict is no flat MlpPolicy of PPO, SAC or TD3.
-    """
-    if "action_net.weight" in state:
-        kind, hidden, last = "ppo", "mlp_extractor.policy_net.", "action_net"
-    elif "actor.mu.weight" in state:
-        kind, hidden, last = "sac", "actor.latent_pi.", "actor.mu"
-    elif "actor.mu.0.weight" in state:
-        kind, hidden, last = "td3", "actor.mu.", ""
-    else:
-        raise InputError("no MlpPolicy of PPO, SAC or TD3")
-    if any("features_extractor" in key and not key.startswith("critic") for key in state):
-        raise InputError(
-            "its features extractor has weights of its own; only the flat MlpPolicy can be converted"
-        )
-    if any("lstm" in key for key in state):
-        raise InputError("its policy is recurrent; only the flat MlpPolicy can be converted")
-    if kind == "td3" and any(key.startswith("actor.latent_pi.") for key in state):
-        raise InputError(
-            "its SAC explores with gSDE, whose clipped mean is not supported; train without use_sde"
-        )
-    inner = [
-        k.removeprefix(hidden).removesuffix(".weight")
-        for k in state
-        if k.startswith(hidden) and k.endswith(".weight")
-    ]
-    if not all(i.isascii() and i.isdecimal() and len(i) < 4 for i in inner):
-        raise InputError("its layers are not numbered")
-    names = [f"{hidden}{i}" for i in sorted(inner, key=int)] + ([last] if last else [])
-    for name in (f"{n}.{part}" for n in names for part in ("weight", "bias")):
-        if name not in state:
-            raise InputError(f"{shown(name)} is missing")
-    return kind, [(state[f"{n}.weight"], state[f"{n}.bias"]) for n in names]
-
-
-def build(
-    state: Mapping[str, np.ndarray],
-    *,
-    activation: str,
-    memory: Memory,
-    head: Head,
-    high: float = 1.0,
-    **options: Any,
-) -> Policy:
-    """Return the policy of a state dict of Stable-Baselines3.
-
-    Args:
-        state: Array by name.
-        activation: 'tanh' or 'relu'.
-        memory: Features of the observations.
-        head: Conversion of the output to a current.
-        high: Bound of the action space in training.
-        options: Further arguments of `Policy`.
-
-    Returns:
-        The policy.
-
-    Raises:
-        InputError: The weights are unsuitable.
-    """
-    kind, layers = actor_layers(state)
-    if any(value.dtype.kind != "f" for layer in layers for value in layer):
-        raise InputError("weights that are no floats")
-    # PPO's mean is in the unit of the action, that of SAC and TD3 in [-1, 1]
-    if kind == "ppo" and high != 1.0:
-        layers[-1] = (layers[-1][0] / high, layers[-1][1] / high)
-    return Policy(
-        layers,
-        memory=memory,
-        head=head,
-        activation=activation,
-        output="clip" if kind == "ppo" else "tanh",
-        **options,
-    )
 
 
 def _space(data: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
@@ -528,3 +446,27 @@ def convert(
     except InputError as error:
         text = str(error)
         raise InputError(text if where in text else f"{where}: {text}") from None
+
+
+def open_policy(
+    name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
+) -> Entry | None:
+    """Return the policy of an archive as an entry of a score.
+
+    Args:
+        name: The .zip file.
+        model: Network of the score.
+        cost: Without effect.
+        control_step: Control step [s].
+        options: `trained`, options of the training (`trained_options`); others as for a policy folder.
+
+    Returns:
+        The entry; None for other names.
+    """
+    if not name.lower().endswith(".zip"):
+        return None
+    given: dict[str, Any] = dict(trained_options(options["trained"]) if options.get("trained") else {})
+    policy = convert(name, network=model, **given)
+    if "normalisation" in policy.info and "normalize" not in given:
+        print(f"{name}: normalised by '{policy.info['normalisation']}' beside it", file=sys.stderr)
+    return entry_of(policy, name, model, control_step, options)

@@ -15,9 +15,9 @@ import pytest
 from isd_gym._common.errors import InputError
 from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Echo, Memory, _Echo
-from isd_gym.agents._wheelbase import car_filter, road_model
 from isd_gym.agents.policy import Head, Policy
-from isd_gym.agents.settings import PPOSettings, SACSettings, tuned
+from isd_gym.contrib.training.settings import PPOSettings, SACSettings, tuned
+from isd_gym.contrib.training.wheelbase import car_filter, road_model
 from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
@@ -329,8 +329,8 @@ def brief(monkeypatch):
     """Settings of a training of a few thousand steps, and nothing scored that takes long."""
     if find_spec("stable_baselines3") is None:
         pytest.skip("Stable-Baselines3 (and torch) not installed")
-    import isd_gym.agents._wheelbase as wheelbase
-    import isd_gym.agents.train as module
+    import isd_gym.contrib.training.train as module
+    import isd_gym.contrib.training.wheelbase as wheelbase
 
     def known(network: Network, *_: object) -> tuple:  # made once for all runs
         own = memory(network.name)
@@ -374,7 +374,7 @@ class Killed(Exception):
 )
 def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_path):
     """Killed half-way, a run goes on from its checkpoint, twice to the same result; its policy drives and is scored."""
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     settings, out, twin = brief[algorithm], tmp_path / "run", tmp_path / "twin"
 
@@ -410,7 +410,7 @@ def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_pa
 @needs_sb3
 @pytest.mark.filterwarnings("ignore")
 def test_a_warm_start_drives_like_the_law(brief, tmp_path):
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     settings = replace(brief["ppo"], steps=512, warm_steps=900, warm_updates=600)
     report = train("ppo", tmp_path / "run", settings=settings, network="half-car-isd", say=lambda line: None)
@@ -420,7 +420,7 @@ def test_a_warm_start_drives_like_the_law(brief, tmp_path):
 
 @needs_sb3
 def test_the_tuned_settings_of_a_car_can_be_typed(tmp_path):
-    from isd_gym.agents.train import train
+    from isd_gym.contrib.training.train import train
 
     half = tuned("ppo", vehicle(Network.load("half-car-isd")))
     assert half.gamma == 0.995 and half.teacher == "mpc-wheelbase"

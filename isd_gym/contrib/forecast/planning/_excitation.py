@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..._common.errors import InputError, shown
-from ..._common.units import convert
-from ...physics.network import Channel, Network, assemble
-from ...records.data import Table
-from .._simulation.problem import Record, bare
+from isd_gym._common.errors import InputError, shown
+from isd_gym._common.units import convert
+from isd_gym.diagnosis._simulation.problem import Record, bare
+from isd_gym.physics.network import Channel, Network, assemble
+from isd_gym.records.data import Table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from ..._common.arrays import Array
+    from isd_gym._common.arrays import Array
 
 KINDS = ("multisine", "sweep", "steps", "triangle")
 #: amplitude [SI unit] and rate [SI unit/s] of a typical rig

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym._common.errors import InputError
+from isd_gym.agents._memory import Filter, tuples
 from isd_gym.baselines import noisy
 from isd_gym.baselines._model import N_SENSORS
 from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.physics._vehicle import SLEW_LIMIT
-
-from ._memory import Filter, tuples
 
 if TYPE_CHECKING:
     from isd_gym.physics.network import Network

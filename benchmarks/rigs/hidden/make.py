@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator
-from reference import simulate
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from ..reference import simulate
 from .car import CAR, DAMPER, car_base, car_inputs, car_nuisances
 from .others import (
     OTHER,

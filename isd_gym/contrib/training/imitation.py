@@ -15,6 +15,7 @@ import torch
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from isd_gym.agents.policy import Head
     from isd_gym.benchmark.driving import Entry
 
     from .settings import PPOSettings, SACSettings
@@ -45,7 +46,7 @@ def _demonstrate(
             progress(k / steps)
         present = env.present
         commanded = np.asarray(teacher.act_batch(env.observations), np.float32)
-        share = env.head.share(commanded.reshape(present.shape), present)
+        share = _share(env.head, commanded.reshape(present.shape), present)
         noisy = np.clip(share + NOISE * rng.standard_normal(share.shape, np.float32), -1.0, 1.0)
         seen.append(features)
         wanted.append(share)
@@ -64,6 +65,15 @@ def _demonstrate(
     flat = {k: v[kept].reshape(-1, v.shape[-1]) for k, v in arrays.items()}
     order = rng.permutation(len(flat["value"]))
     return {k: torch.from_numpy(np.ascontiguousarray(v[order])) for k, v in flat.items()}
+
+
+def _share(head: Head, current: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Return the output in [-1, 1] that commands given currents (count, currents) [A], as nearly as possible; zero for a residual."""
+    if head.mode == "residual":
+        return np.zeros_like(current)
+    if head.mode == "target":
+        return np.clip(current / np.float32(head.limit), -1.0, 1.0)
+    return np.clip((current - present) / np.float32(head.slew), -1.0, 1.0)
 
 
 def warm_start(

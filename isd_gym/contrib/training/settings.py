@@ -15,12 +15,11 @@ from dataclasses import dataclass, field, replace
 from importlib import resources
 from typing import Any
 
+from isd_gym.agents._memory import Memory
+from isd_gym.agents.policy import Head
 from isd_gym.env._sensors import Sensors
 from isd_gym.physics._vehicle import Vehicle, vehicle
 from isd_gym.physics.network import Network
-
-from ._memory import Memory
-from .policy import Head
 
 __all__ = [
     "PPOSettings",
@@ -146,7 +145,7 @@ class PPOSettings(_Settings):
         """
         import torch
 
-        from ._ppo import GroupBuffer, PPOPolicy
+        from .ppo import GroupBuffer, PPOPolicy
 
         return dict(
             rollout_buffer_class=GroupBuffer,
@@ -241,7 +240,7 @@ class SACSettings(_Settings):
         return self.warm_up + self.rollout * -(-self.critic_updates // self.updates) if self.teacher else 0
 
     def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
-        """Return the keyword arguments of `_sac.GroupSAC`.
+        """Return the keyword arguments of `sac.GroupSAC`.
 
         Args:
             seen: Number of columns of the policy.
@@ -250,7 +249,7 @@ class SACSettings(_Settings):
         Returns:
             Value by argument.
         """
-        from ._sac import GroupReplayBuffer, SACPolicy
+        from .sac import GroupReplayBuffer, SACPolicy
 
         return dict(
             policy=SACPolicy,
