@@ -12,9 +12,9 @@ from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.law_matching import Match, match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
-from isd_gym.diagnosis._hypotheses.score_test import ScoredStart, score_hypotheses
-from isd_gym.diagnosis._selection.admissibility import Travel, admissible_starts, is_observed
+from isd_gym.diagnosis._selection.admissibility import Travel, admissible_matches, is_observed
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
@@ -70,12 +70,13 @@ def test_no_pitch_is_offered_that_is_finer_than_the_samples() -> None:
     fitter = Fitter(problem, white_filters(np.array([0.01])))
     fit = fitter.fit(base_structure(network))
     offered = [h for h in hypotheses(network) if h.kind.periodic]
+    noise = np.array([0.01])
 
-    def pitches(starts: list[ScoredStart]) -> list[float]:
+    def pitches(starts: list[Match]) -> list[float]:
         return [s.values["pitch"] for s in starts]
 
-    every = pitches(score_hypotheses(problem, fitter, fit, offered))
-    kept = pitches(admissible_starts(problem, fitter, fit, offered))
+    every = pitches(match_laws(problem, fitter, fit, noise, offered))
+    kept = pitches(admissible_matches(problem, fitter, fit, noise, offered))
     finest = 2.5 * 0.25  # samples of a period times travel of a sample [rad]
     assert min(every) < finest < 1.05 * min(kept)
     assert len(kept) < len(every)

@@ -12,9 +12,9 @@ from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.sensitivities import tangents
 from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.law_matching import built_ways, starts_of
 from isd_gym.diagnosis._hypotheses.library import hypotheses
-from isd_gym.diagnosis._hypotheses.motion import simulate_variants
-from isd_gym.diagnosis._hypotheses.score_test import build_starts
+from isd_gym.diagnosis._hypotheses.motion import motions, simulate_variants
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
@@ -125,7 +125,8 @@ def test_every_place_of_a_law_is_simulated_beside_the_others() -> None:
         base_structure(net), base_structure(net).start, iterations=0
     )
     tried = [h for h in hypotheses(net) if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")]
-    built = [ways[0] for _, _, ways in build_starts(problem, fit, tried)]
+    starts = starts_of(problem, fit, motions(problem, fit), tried)
+    built = [ways[0] for h, start in starts if (ways := built_ways(fit, h, start))]
     seen = {
         k: y
         for chunk, _, lanes in simulate_variants(problem, fit, [b.network for b in built])

@@ -13,7 +13,7 @@ from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import motion_rows
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
-from isd_gym.diagnosis._hypotheses.score_test import residual_of
+from isd_gym.diagnosis._hypotheses.law_matching import residual_of
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Channel, Network

@@ -6,35 +6,37 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+import pytest
+
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.structure import Hypothesis, Structure, add, base_structure
+from isd_gym.diagnosis._hypotheses.law_matching import Match
 from isd_gym.diagnosis._hypotheses.library import hypotheses
-from isd_gym.diagnosis._hypotheses.score_test import ScoredStart
-from isd_gym.diagnosis._selection.screening import Screening, amplified, starts
+from isd_gym.diagnosis._selection.screening import Screening
 from isd_gym.physics.elements import Start
 from isd_gym.physics.network import Network
 
 
-def screened(effect: str, values: dict[str, float], **start: Any) -> tuple[Screening, ScoredStart]:
+def matched(effect: str, values: dict[str, float], **start: Any) -> tuple[Structure, Match]:
     structure = base_structure(Network.load("quarter-car-isd"))
-    stage = cast(
-        "Screening", SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start))
-    )
     h = next(h for h in hypotheses(structure.network) if h.effect == effect)
-    return stage, ScoredStart(h, Start(values, **start), values, 1.0)
+    return structure, Match(h, Start(values, **start), values, {}, 1.0)
 
 
-def test_a_start_that_no_law_can_have_is_left_out() -> None:
-    """The score test may ask for a force without end; a case of it ended a whole diagnosis."""
-    stage, much = screened("cogging_force", {"amplitude": 1e12, "pitch": 0.01, "phase": 0.0})
-    assert starts(stage, [much]) == []
-    stage, little = screened("cogging_force", {"amplitude": 10.0, "pitch": 0.01, "phase": 0.0})
-    assert len(starts(stage, [little])) == 1
+def test_values_that_no_law_can_have_are_refused() -> None:
+    """A match may ask for a force without end; a case of it ended a whole diagnosis."""
+    structure, much = matched("cogging_force", {"amplitude": 1e12, "pitch": 0.01, "phase": 0.0})
+    with pytest.raises(InputError):
+        much.begin(structure)
+    structure, little = matched("cogging_force", {"amplitude": 10.0, "pitch": 0.01, "phase": 0.0})
+    built, x = little.begin(structure)
+    assert len(x) == len(built.free)
 
 
-def test_a_start_grows_in_what_scales_it() -> None:
-    stage, s = screened("coulomb_friction", {"level": 100.0}, grows=("level",))
-    levels = [t.network.element(t.names[-1]).level for t in amplified(stage, s, (0.5, 5.0, 1e9))]
-    assert levels == [50.0, 500.0]
+def test_a_match_of_another_size() -> None:
+    structure, m = matched("coulomb_friction", {"level": 100.0}, grows=("level",))
+    built, _ = m.sized(5.0).begin(structure)
+    assert built.network.element(built.names[-1]).level == 500.0
 
 
 def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure() -> None:

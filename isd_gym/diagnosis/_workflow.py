@@ -20,10 +20,7 @@ from ..records._loggers.recording import Recording
 from ..records.data import Table
 from ._estimation.clock_lag import align_clocks
 from ._estimation.direct_problem import prefer_direct_problem
-from ._estimation.gauss_newton import Fitter, residuals
 from ._estimation.inverse_problem import invert
-from ._estimation.noise import whitener
-from ._hypotheses.library import hypotheses
 from ._records import (
     LEAD_IN,
     Feedback,
@@ -37,8 +34,6 @@ from ._records import (
     thin_long_record,
 )
 from ._result_builder import ResultBuilder
-from ._selection.admissibility import admissible_starts
-from ._selection.candidate import Candidate, white_noise
 from ._selection.criteria import CRITERIA, Criteria
 from ._selection.forward_backward import Search
 from ._selection.held_out import HeldOutEvaluator
@@ -53,13 +48,9 @@ from .result import Diagnosis, Stretches
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from ._selection.candidate import Candidate
     from ._selection.candidate_comparison import CandidateComparison
     from ._verdict.gates import Decision
-
-#: lengths of the segments in which a periodic law is searched, as multiples of the usual length
-SEGMENT_FACTORS = (1.0, 2.0)
-#: hypotheses at the head of the score test among which a periodic law must be
-FIRST = 3
 
 
 def diagnose(
@@ -295,7 +286,7 @@ class Workflow:
         """Run the diagnosis.
 
         Records are compared whole. Where the refitted model loses the measured motion, records are compared in segments first, each from
-        an initial state of its own. Where whole records give no name, segments are searched for a periodic law.
+        an initial state of its own.
 
         Args:
             notes: Notes so far.
@@ -309,20 +300,13 @@ class Workflow:
             refitted, error = self.refitted, self.error_of_whole_records
         is_lost = bool(self.feedback) or not error <= self.settings.astray
         if is_lost:
-            found = self._diagnose_segments(notes, start, error, periodic_only=False)
+            found = self._diagnose_segments(notes, start, error)
             if found is not None:
                 return found
             scores = self.search.select(*self.search.add_effects([refitted]))
         else:
             scores = self.search.run(refitted, self.is_decided)
-        measured = self.measure(scores)
-        decision = self.decide(scores)
-        if decision.verdict == "unknown_effect" and not is_lost:
-            for factor in SEGMENT_FACTORS:
-                found = self._diagnose_segments(notes, start, error, periodic_only=True, factor=factor)
-                if found is not None:
-                    return found
-        return self._result(scores, measured, decision, notes, start)
+        return self._result(scores, self.measure(scores), self.decide(scores), notes, start)
 
     def measure(self, scores: CandidateComparison) -> Measurements:
         """Return the measurements of a search; they are kept for the next call."""
@@ -406,17 +390,12 @@ class Workflow:
             return math.nan
         return float(max(score.training_nrmse.mean(), score.nrmse.mean()))
 
-    def segmented(self, factor: float | None = None) -> Problem:
-        """Return the problem with the records in segments, each from an initial state of its own.
-
-        Args:
-            factor: Length as a multiple of the usual length, whatever the slowest channel: between positions of rest a channel is slower
-                than the motion within one.
-        """
+    @cached_property
+    def segmented(self) -> Problem:
+        """The problem with the records in segments, each from an initial state of its own."""
         p, s = self.problem, self.settings
         slowest = max(pace(r.measured[:, j], r.interval) for r in p.records for j in range(len(p.channels)))
-        seconds = s.segment * p.time * (factor or 1.0)
-        seconds = seconds if factor else max(seconds, s.least_segment * slowest)
+        seconds = max(s.segment * p.time, s.least_segment * slowest)
         pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
         for r, role in zip(p.records, p.roles, strict=True):
             pieces[role] += cut_segments(r, seconds, s.shortest)
@@ -428,94 +407,38 @@ class Workflow:
             roles += [role] * len(kept)
         return Problem(self.network, records, roles, p.step, p.time)
 
-    def _diagnose_segments(
-        self,
-        notes: list[str],
-        start: float,
-        error: float,
-        *,
-        periodic_only: bool,
-        factor: float | None = None,
-    ) -> Diagnosis | None:
+    def _diagnose_segments(self, notes: list[str], start: float, error: float) -> Diagnosis | None:
         """Diagnose over segments: no simulation follows a rig for long that has many positions of rest, hits stops or drifts.
 
         Args:
             notes: Notes so far.
             start: Start of the work [s].
             error: Error of the refitted model over whole records.
-            periodic_only: Search for one periodic law only, and return names only.
-            factor: Length of the segments (`segmented`).
 
         Returns:
             The diagnosis; None where nothing is decided.
         """
         if not self.has_free_motion():
             return None
-        try:
-            with self.clock.until(EVIDENCE if periodic_only else 1.0):
-                return self._diagnose_in_time(notes, start, error, periodic_only, factor)
-        except TimeUp:
-            what = (
-                "a periodic law over brief stretches"
-                if periodic_only
-                else "a comparison over brief stretches"
-            )
-            self.clock.leave_out(what)
-            return None
-
-    def _diagnose_in_time(
-        self, notes: list[str], start: float, error: float, periodic_only: bool, factor: float | None
-    ) -> Diagnosis | None:
-        problem = self.segmented(factor)
-        over = self._describe_segments(problem, error, periodic_only)
+        flow = replace(self, problem=self.segmented, is_segmented=True)
+        lengths = [len(r) * r.interval for r in self.segmented.records]
+        reason: Literal["diverges", "astray", "feedback"]
+        reason = "feedback" if self.feedback else "astray" if math.isfinite(error) else "diverges"
+        over = Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)
         self.say(
             f"comparing over {over.count} stretches of {over.shortest:.2g} to {over.longest:.2g} s, each from its own state"
         )
-        flow = replace(self, problem=problem, is_segmented=True)
-        search = flow.search
         try:
             with self.clock.until(SEARCH):
-                refitted = search.fitter.refit_nominal()
-                if periodic_only and (
-                    flow.is_within_noise(refitted) or not flow.is_perhaps_periodic(refitted)
-                ):
-                    return None
-            if periodic_only:
-                scores = search.select(*search.add_effects([refitted], most=1))
-            else:
-                scores = search.run(refitted, flow.is_decided)
+                refitted = flow.search.fitter.refit_nominal()
+            scores = flow.search.run(refitted, flow.is_decided)
             measured = flow.measure(scores)
+        except TimeUp:
+            self.clock.leave_out("a comparison over brief stretches")
+            return None
         except BROKEN:
             return None
         decision = flow.decide(scores)
-        is_named = decision.verdict == "missing_effect"
         # under feedback whole records are no valid comparison
         is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
-        if not is_named and (periodic_only or not is_final):
-            return None
-        if periodic_only and not scores.foremost.hypotheses[0].kind.periodic:
-            return None
-        return flow._result(scores, measured, decision, notes, start, over)
-
-    def _describe_segments(self, problem: Problem, error: float, periodic_only: bool) -> Stretches:
-        lengths = [len(r) * r.interval for r in problem.records]
-        reason: Literal["diverges", "astray", "unnamed", "feedback"] = "unnamed"
-        if not periodic_only:
-            reason = "astray" if math.isfinite(error) else "diverges"
-        if self.feedback:
-            reason = "feedback"
-        return Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)
-
-    def is_within_noise(self, refitted: Candidate) -> bool:
-        """Return whether the refitted model errs by less than a material share beyond noise."""
-        e = self.search.evaluator
-        score = e.score_alone(refitted)
-        return float(score.excess(e.noise_share(score)).max()) < self.criteria.material
-
-    def is_perhaps_periodic(self, refitted: Candidate) -> bool:
-        """Return whether a law that is periodic in travel is among the first in the score test."""
-        p, least = self.problem, self.search.least_noise
-        filters = whitener(residuals(p, refitted.fit), white_noise(p, refitted.fit, least))
-        scored = admissible_starts(p, Fitter(p, filters), refitted.fit, hypotheses(self.network))
-        first = list(dict.fromkeys(s.hypothesis for s in scored))[:FIRST]
-        return any(h.kind.periodic for h in first)
+        return flow._result(scores, measured, decision, notes, start, over) if is_final else None

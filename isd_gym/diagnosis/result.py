@@ -404,7 +404,7 @@ class Stretches:
     #: - astray: the error over whole records exceeds `limit`.
     #: - feedback: an input follows from outputs.
     #: - unnamed: over whole records no candidate passes every gate.
-    reason: Literal["diverges", "astray", "unnamed", "feedback"]
+    reason: Literal["diverges", "astray", "feedback"]
     #: NRMSE of the refitted model over whole records, mean over channels
     error: float
     #: largest `error` at which whole records are compared

@@ -16,9 +16,11 @@ from ...physics.network import Network, assemble
 from .._records import cut_segments
 from .._simulation.problem import Problem, bare
 from .gauss_newton import Fitter
+from .noise import white_filters
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
+    from .gauss_newton import Fit
     from .structure import Structure
 
 #: how long a mode is remembered, in its own time (one over the circular frequency), from which on its phase may be lost: damping
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 LONG = 30.0
 STRETCH = 40.0  # length of the stretches, in the rig's own time: some six periods
 LEAST = 60  # samples of one
+SHORT = 0.25  # length of the first segments
+GROWTH = 1.6  # of the length of segments, from one fit to the next
 
 
 def is_lightly_damped(network: Network) -> bool:
@@ -38,18 +42,48 @@ def is_lightly_damped(network: Network) -> bool:
     return bool(np.any(np.abs(swings) > LONG * np.abs(swings.real)))
 
 
-def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
-    """Fit parameters to brief segments of the training records; None where the fit breaks down.
+def segments_of(problem: Problem, length: float = 1.0) -> Problem | None:
+    """Return the problem with the training records in segments; None where the records are no longer than a segment.
 
-    weights: a fitter of the same channels, whose weights are used.
+    Args:
+        problem: Model and records.
+        length: Length of the segments as a multiple of the usual length.
     """
-    pieces = [
-        s for i in problem.estimation for s in cut_segments(problem.records[i], STRETCH * problem.time, LEAST)
-    ]
+    seconds = length * STRETCH * problem.time
+    pieces = [s for i in problem.estimation for s in cut_segments(problem.records[i], seconds, LEAST)]
     if len(pieces) <= len(problem.estimation):
         return None
-    brief = problem.with_records(pieces, ["fit"] * len(pieces))
+    return problem.with_records(pieces, ["fit"] * len(pieces))
+
+
+def in_segments(
+    problem: Problem, fit: Fit, least_noise: Array, length: float = 1.0
+) -> tuple[Problem, Fit] | None:
+    """Return the segments of `segments_of`, and the fit with an initial state of its own for each of them."""
+    brief = segments_of(problem, length)
+    if brief is None:
+        return None
+    fitter = Fitter(brief, white_filters(least_noise))
+    return brief, fitter.fit(fit.structure, fit.x, frozen=True, iterations=4)
+
+
+def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
+    """Fit parameters to segments of the training records that grow, with the weights of a fitter.
+
+    Args:
+        problem: Model and records.
+        structure: The structure.
+        x: Start values (parameters,), transformed.
+        weights: Fitter to the whole records.
+
+    Returns:
+        Parameters (parameters,), transformed; None where the records are no longer than a segment, or a fit breaks down.
+    """
+    length, found = SHORT, None
     try:
-        return Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
+        while (brief := segments_of(problem, length)) is not None:
+            found = x = Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
+            length *= GROWTH
     except (InputError, np.linalg.LinAlgError):
         return None
+    return found

@@ -1,1 +1,1 @@
-"""Hypotheses: every effect at every place, the motion and forces there, the score test, unmodelled effects."""
+"""Hypotheses: every effect at every place, the motion and forces there, matches of laws, unmodelled effects."""

@@ -17,7 +17,7 @@ from .._simulation.problem import Problem, bare
 from .library import pairs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from ..._common.arrays import Array
     from .._estimation.gauss_newton import Fit
@@ -33,7 +33,19 @@ def motions(
 
     Where the inputs tell the rate of a pair alone, its elongation counts from the start of each record.
     """
-    out: dict[tuple[str, str], list[Array]] = {}
+    return {p: joined(own) for p, own in motions_by_record(problem, fit, also).items()}
+
+
+def joined(parts: Mapping[int, Motion]) -> Motion:
+    """Return the motions of several records, one after the other."""
+    return Motion(*(np.concatenate([getattr(m, k) for m in parts.values()]) for k in "dva"))
+
+
+def motions_by_record(
+    problem: Problem, fit: Fit, also: tuple[tuple[str, str], ...] = ()
+) -> dict[tuple[str, str], dict[int, Motion]]:
+    """Return `motions` by training record."""
+    out: dict[tuple[str, str], dict[int, Motion]] = {}
     net = fit.network
     known = {p: order_told(net, p) for p in (*pairs(net), *also)}
     where = [p for p, order in known.items() if order < 2]
@@ -42,19 +54,14 @@ def motions(
     begun = {i: fit.initial[i][:, None] for i in problem.estimation}
     seen = probe.simulate_all([probe.network], problem.estimation, begun, like=net)
     for i in problem.estimation:
+        step = problem.records[i].step
         for k, p in enumerate(where):
-            out.setdefault(p, []).append(seen[i][:, k, 0])
-    steps = [problem.records[i].step for i in problem.estimation]
-    motion = {}
-    for p, parts in out.items():
-        if known[p]:
-            v = parts
-            parts = [cumulative_trapezoid(r, dx=h, initial=0.0) for r, h in zip(v, steps, strict=True)]
-        else:
-            v = [np.gradient(d, h) for d, h in zip(parts, steps, strict=True)]
-        a = [np.gradient(x, h) for x, h in zip(v, steps, strict=True)]
-        motion[p] = Motion(np.concatenate(parts), np.concatenate(v), np.concatenate(a))
-    return motion
+            y = seen[i][:, k, 0]
+            d, v = (
+                (cumulative_trapezoid(y, dx=step, initial=0.0), y) if known[p] else (y, np.gradient(y, step))
+            )
+            out.setdefault(p, {})[i] = Motion(d, v, np.gradient(v, step))
+    return out
 
 
 def with_outputs(net: Network, outputs: tuple[Channel, ...]) -> Network:

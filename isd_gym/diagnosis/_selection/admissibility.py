@@ -15,9 +15,9 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics import elements as el
 from ...physics.network import linearise
+from .._hypotheses.law_matching import match_laws
 from .._hypotheses.motion import motions
 from .._hypotheses.position_spectrum import RESOLVED, typical_advance
-from .._hypotheses.score_test import score_hypotheses
 from .._simulation.problem import bare
 from .criteria import CRITERIA
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ...physics.network import Network
     from .._estimation.gauss_newton import Fit, Fitter
     from .._estimation.structure import Hypothesis
-    from .._hypotheses.score_test import ScoredStart
+    from .._hypotheses.law_matching import Match
     from .._simulation.problem import Problem
     from .criteria import Criteria
 
@@ -48,7 +48,7 @@ class Travel:
     passes: float
     #: range of the distance over all records [m]
     span: float
-    #: typical change of the distance between compared samples [m]
+    #: typical change of the distance between samples [m]
     advance: float
 
     def is_known(self, c: Criteria = CRITERIA) -> bool:
@@ -101,18 +101,17 @@ def travels(problem: Problem, network: Network, motion: Mapping[Pair, el.Motion]
         motion: Simulated motion of each pair over the training records.
     """
     edges = np.cumsum([problem.records[i].samples for i in problem.estimation])[:-1]
-    thin = max(problem.records[i].thin for i in problem.estimation)
-    return {pair: _travel(network, pair, np.split(m.d, edges), thin) for pair, m in motion.items()}
+    return {pair: _travel(network, pair, np.split(m.d, edges)) for pair, m in motion.items()}
 
 
-def _travel(network: Network, pair: Pair, parts: list[Array], thin: int) -> Travel:
+def _travel(network: Network, pair: Pair, parts: list[Array]) -> Travel:
     spans = [float(np.ptp(d)) for d in parts]
     ways = [float(np.sum(np.abs(np.diff(d)))) for d in parts]
     return Travel(
         is_observed=is_observed(network, pair),
         passes=sum(ways) / max(sum(spans), 1e-300),
         span=max(spans),
-        advance=typical_advance([d[::thin] for d in parts]),
+        advance=typical_advance(parts),
     )
 
 
@@ -145,36 +144,38 @@ def is_admissible(h: Hypothesis, known: Mapping[Pair, Travel], c: Criteria = CRI
     return travel is None or travel.is_known(c)
 
 
-def admissible_starts(
+def admissible_matches(
     problem: Problem,
     fitter: Fitter,
     fit: Fit,
+    noise: Array,
     candidates: Iterable[Hypothesis],
-    lost: bool = False,
+    known: Mapping[Pair, Travel] | None = None,
     c: Criteria = CRITERIA,
-) -> list[ScoredStart]:
-    """Return the starts of every admissible effect with its expected gain, largest gain first.
+) -> list[Match]:
+    """Return the matches of every admissible effect, largest gain first.
 
     Args:
         problem: Model and records.
-        fitter: Fitter with the weights of the score test.
+        fitter: Fitter with the weights of the residual.
         fit: Fit to which an effect is added.
+        noise: White noise (channels,) of the outputs.
         candidates: Effects at places.
-        lost: Whether the simulation has lost its phase (`score_hypotheses`).
+        known: What the records tell about the distance of each pair; what `problem` tells by default.
         c: Limits of the decision.
     """
-    known = travels(problem, fit.network, motions(problem, fit))
+    known = travels(problem, fit.network, motions(problem, fit)) if known is None else known
     admissible = [h for h in candidates if is_admissible(h, known, c)]
-    return [s for s in score_hypotheses(problem, fitter, fit, admissible, lost) if _is_resolved(s, known, c)]
+    return [m for m in match_laws(problem, fitter, fit, noise, admissible) if _is_resolved(m, known, c)]
 
 
-def _is_resolved(start: ScoredStart, known: Mapping[Pair, Travel], c: Criteria) -> bool:
-    """Return whether the records can show the period of a start; True for laws without a period."""
-    h = start.hypothesis
+def _is_resolved(match: Match, known: Mapping[Pair, Travel], c: Criteria) -> bool:
+    """Return whether the records can show the period of a match; True for laws without a period."""
+    h = match.hypothesis
     travel = travel_of(h.where, known)
     if travel is None or not has_period(h.kind):
         return True
-    period = h.kind(name="trial", where=h.where, **start.values, **dict(h.options)).period()
+    period = h.kind(name="trial", where=h.where, **match.values, **dict(h.options)).period()
     return period is None or travel.shows_period(period, c)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -22,10 +21,6 @@ if TYPE_CHECKING:
 
 #: decrease of the deviance (2 log L) below which a fit with its own noise has converged
 CONVERGED = 2.0
-#: a fit from another shape that ends within this share of the step has returned
-RETURNED = 0.3
-#: cost of a fit from another shape on few samples, over the first fit's, above which the fit is given up
-HOPELESS = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,38 +120,6 @@ def transfer(problem: Problem, fit: Fit, least: Array) -> Fit:
     return Fitter(problem, white_filters(least)).fit(
         fit.structure, fit.x, fit.initial, fit.offset, records=list(fit.initial), iterations=0
     )
-
-
-def refit_with_other_shape(
-    problem: Problem, candidate: Candidate, index: int | None, factor: float, least: Array, noise: Array
-) -> Candidate | None:
-    """Fit a candidate again from another value of the parameter that shapes a law.
-
-    Args:
-        problem: Model and records.
-        candidate: The candidate.
-        index: Index of the free parameter, a logarithm; None where no parameter shapes the law.
-        factor: Factor on the value.
-        least: Smallest noise (channels,).
-        noise: White noise of the weights (channels,).
-
-    Returns:
-        The new candidate; None where the fit returns to the old value, or ends with a larger error on few samples.
-    """
-    if index is None:
-        return None
-    fitter, fit, x = Fitter(problem.rough, white_filters(noise)), candidate.fit, candidate.fit.x.copy()
-    x[index] += math.log(factor)
-    try:
-        cost = fitter.cost(fit.structure, fit.x, fit.initial, fit.offset, problem.estimation)
-        again = fitter.fit(fit.structure, x, fit.initial, fit.offset, iterations=6)
-        has_returned = abs(again.x[index] - fit.x[index]) < RETURNED * abs(math.log(factor))
-        if has_returned or again.cost + again.prior > HOPELESS * cost + fit.prior:
-            return None
-        f = again if problem.rough is problem else transfer(problem, again, least)
-        return settle(problem, f.structure, f.x, least, f, iterations=4, noise=noise)
-    except BROKEN:
-        return None
 
 
 def deviance_with_noise_of(problem: Problem, candidate: Candidate, best: Candidate, least: Array) -> float:

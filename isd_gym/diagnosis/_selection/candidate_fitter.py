@@ -17,15 +17,12 @@ from .._estimation.structure import Structure, base_structure
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import TimeUp, running
 from .candidate import Candidate, deviance_with_noise_of, settle, transfer, white_noise
-from .screening import GROWTH, beginning
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
 
-#: length of the first window of a fit over growing windows, in periods; least number of samples
-WINDOW_PERIODS, LEAST_WINDOW = 6.0, 80
 #: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
 ASTRAY = 1.1
 
@@ -45,17 +42,14 @@ class CandidateFitter:
     def refit_nominal(self) -> Candidate:
         """Refit the nominal model within the stated uncertainty of its parameters.
 
-        The fit starts from the nominal values; where the motion is lightly damped, also from fits to brief segments and to growing
-        windows. The refit errs no more on the training records than the nominal model.
+        The fit starts from the nominal values; where the motion is lightly damped, also from a fit to segments. The refit errs no more on the training records than the nominal model.
         """
         p, least = self.evaluator.problem, self.evaluator.least_noise
         structure = base_structure(p.network)
         found = [settle(p, structure, structure.start, least)]
         try:
-            more = [self.from_segments(structure, structure.start, found[0])]
-            if self.is_lightly_damped or not p.network.inputs:
-                more.append(self.from_growing_windows(structure, structure.start))
-            found += [c for c in more if c is not None]
+            again = self.from_segments(structure, structure.start, found[0])
+            found += [again] if again is not None else []
         except TimeUp:
             limit = running()
             if limit is not None:
@@ -90,39 +84,12 @@ class CandidateFitter:
             The candidate; None where the motion is strongly damped, or the fit breaks down.
         """
         p, least = self.evaluator.problem, self.evaluator.least_noise
-        if not self.is_lightly_damped:
+        if p.network.inputs and not self.is_lightly_damped:
             return None
         noise = white_noise(p, similar.fit, least) if noise is None else noise
         try:
             start = fit_segments(p, structure, x, Fitter(p, whitener(residuals(p, similar.fit), noise)))
             return None if start is None else settle(p, structure, start, least, rounds=2, noise=noise)
-        except BROKEN:
-            return None
-
-    def from_growing_windows(self, structure: Structure, x: Array) -> Candidate | None:
-        """Fit a structure to the beginning of the records, which grows to the whole: the phase is kept.
-
-        Args:
-            structure: The structure.
-            x: Start values (parameters,), transformed.
-
-        Returns:
-            The candidate; None where the fit breaks down.
-        """
-        p, least = self.evaluator.problem, self.evaluator.least_noise
-        longest = max(len(p.records[i]) for i in p.estimation)
-        share = min(
-            1.0, WINDOW_PERIODS * 2.0 * math.pi * p.time / (longest * p.records[p.estimation[0]].interval)
-        )
-        initial = offset = None
-        try:
-            while share < 1.0:
-                part = beginning(p, share, LEAST_WINDOW)
-                f = Fitter(part, white_filters(least)).fit(structure, x, initial, offset, iterations=6)
-                x, initial, offset = f.x, f.initial, f.offset
-                share *= GROWTH
-            whole = Fitter(p, white_filters(least)).fit(structure, x, initial, offset, iterations=6)
-            return settle(p, structure, whole.x, least, whole, rounds=2)
         except BROKEN:
             return None
 

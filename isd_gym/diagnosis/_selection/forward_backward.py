@@ -16,7 +16,7 @@ from .candidate_fitter import CandidateFitter
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .inclusion_tests import InclusionTests
-from .screening import screen_effects
+from .screening import Screening
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -79,7 +79,6 @@ class Search:
         self,
         path: Sequence[Candidate],
         stages: Sequence[list[Candidate]] = (),
-        most: int | None = None,
         is_promising: Callable[[Candidate], bool] = lambda last: True,
     ) -> tuple[list[Candidate], list[list[Candidate]]]:
         """Add one effect at a time.
@@ -87,7 +86,6 @@ class Search:
         Args:
             path: Candidates with one more effect each; the first is the refitted nominal model.
             stages: Candidates of the stages of the path.
-            most: Largest number of effects; that of the settings by default.
             is_promising: Whether effects are added to a candidate.
 
         Returns:
@@ -96,7 +94,7 @@ class Search:
         path, stages = list(path), list(stages)
         try:
             with self.clock.until(SEARCH):
-                self._extend(path, stages, most or self.settings.depth, is_promising)
+                self._extend(path, stages, is_promising)
         except TimeUp:
             self.clock.leave_out(f"the search for {ORDINALS[min(len(path), len(ORDINALS)) - 1]} effect")
         return path, stages
@@ -105,12 +103,11 @@ class Search:
         self,
         path: list[Candidate],
         stages: list[list[Candidate]],
-        most: int,
         is_promising: Callable[[Candidate], bool],
     ) -> None:
         """Append candidates with one more effect each to a path, and their stages."""
         c, e = self.criteria, self.evaluator
-        while len(path) <= most and is_promising(path[-1]):
+        while len(path) <= self.settings.depth and is_promising(path[-1]):
             now = path[-1]
             score = e.score_path(path)[-1]
             excess = score.excess(e.noise_share(score))
@@ -151,9 +148,9 @@ class Search:
 
     def _hint(self, now: Candidate) -> Candidate | None:
         """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
-        result = screen_effects(
-            self.problem, now.fit, self.least_noise, replace(self.settings, first_round=3, finals=2)
-        )
+        result = Screening(
+            self.problem, now.fit, self.least_noise, replace(self.settings, matches=3, finals=2)
+        ).run()
         before = deviance_with_noise_of(
             self.problem, now, now, np.maximum(self.least_noise, 0.1 * result.noise)
         )
@@ -171,11 +168,8 @@ class Search:
     def _add_best(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
         """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
         p, c = self.problem, self.criteria
-        result = screen_effects(p, now.fit, self.least_noise, self.settings)
-        ranked = list(result.ranked)
-        noise = np.maximum(self.least_noise, 0.1 * result.noise)
-        if not now.hypotheses and self._is_misled(now):
-            ranked = self._with_nominal_start(ranked, now, noise)
+        result = Screening(p, now.fit, self.least_noise, self.settings).run()
+        ranked, noise = list(result.ranked), np.maximum(self.least_noise, 0.1 * result.noise)
         if not ranked:
             return None
         before = deviance_with_noise_of(p, now, now, noise)
@@ -185,28 +179,6 @@ class Search:
         stages.append(ranked)
         is_weak = gain < c.deviance_gain and c.least_removed * gap(p, now.fit) < gap(p, best.fit)
         return None if is_weak else best
-
-    def _is_misled(self, refitted: Candidate) -> bool:
-        """Return whether the refitted model errs more on validation records than the nominal model, by a material share.
-
-        Its parameters then stand for the missing effect on the training records, and fits of an effect from there end in local optima.
-        """
-        nominal, _ = self.evaluator.nominal_nrmse()
-        more = self.evaluator.score_alone(refitted).nrmse ** 2 - nominal**2
-        return bool(np.sum(more) > self.criteria.material**2)
-
-    def _with_nominal_start(
-        self, ranked: Sequence[Candidate], refitted: Candidate, noise: Array
-    ) -> list[Candidate]:
-        """Return candidates with those that are fitted from the nominal model: the better one of each hypothesis, best first."""
-        p = self.problem
-        self.say("  again from the nominal values: the refitted model errs more on validation records")
-        again = screen_effects(p, self.fitter.nominal().fit, self.least_noise, self.settings)
-        found = [(deviance_with_noise_of(p, r, refitted, noise), r) for r in (*ranked, *again.ranked)]
-        best: dict[object, Candidate] = {}
-        for _, r in sorted(found, key=lambda each: each[0]):
-            best.setdefault(r.hypotheses, r)
-        return list(best.values())
 
     # -- backward elimination -----------------------------------------------------------------------------
     def select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:

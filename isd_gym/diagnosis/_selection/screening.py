@@ -1,8 +1,4 @@
-"""One stage of forward addition: hypotheses are fitted to a window of the records, the best of them to whole records.
-
-The stage is a successive halving (Jamieson and Talwalkar, AISTATS 2016): a score test orders all hypotheses, a first round fits a part
-of them to a window, and the finals are fitted to whole records.
-"""
+"""One stage of forward addition: every law is matched to the residual, and the best matches are fitted to the records."""
 
 from __future__ import annotations
 
@@ -18,53 +14,37 @@ from ..._common.errors import InputError
 from ...physics.elements import beside
 from ...physics.network import GROUND
 from .._estimation.gauss_newton import Fit, Fitter, gap, residuals
-from .._estimation.initial_states import guess, states_along, transfer_states
-from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
-from .._estimation.noise import refined_noise, white_filters, whitener
-from .._estimation.structure import Structure, add
+from .._estimation.initial_states import guess, transfer_states
+from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped
+from .._estimation.noise import refined_noise, whitener
 from .._hypotheses.library import Hypothesis, hypotheses
-from .._hypotheses.neighbouring_periods import try_neighbouring_periods
+from .._hypotheses.motion import motions
 from .._hypotheses.position_spectrum import thinning_loses
-from .._hypotheses.score_test import ScoredStart, with_fitted_effects
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import adopt, running
-from .admissibility import admissible_starts
-from .candidate import (
-    Candidate,
-    deviance,
-    refit_with_other_shape,
-    settle,
-    simplest_first,
-    transfer,
-    white_noise,
-    with_fit,
-)
+from .admissibility import admissible_matches, travels
+from .candidate import Candidate, deviance, settle, simplest_first, transfer, white_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from ..._common.arrays import Array
-    from .._simulation.problem import Problem, Record
+    from .._estimation.structure import Structure
+    from .._hypotheses.law_matching import Match
+    from .._simulation.problem import Problem
+    from .admissibility import Travel
     from .settings import SearchSettings
 
-#: growth of the window in a free decay, and of the window in which the nominal model is refitted
-GROWTH = 1.4
-
-
-#: physics steps that cost as much as the rest of the work for a sample: outputs, filters and interpolation
-STEPS_PER_SAMPLE = 5
-
-
-@dataclass(frozen=True)
-class Window:
-    """Samples first to first + size - 1 of a record."""
-
-    first: int
-    size: int
-
-    def of(self, record: Record) -> Record:
-        """Return the window of a record."""
-        return record.part(self.first, self.first + self.size, record.name)
+#: starts of a law that are simulated, and starts that are fitted; a law over travel has an optimum per period
+TRIED, FITTED, PERIODS = 6, 2, 4
+#: variants of a law at one place that are fitted, such as the sides of a stop
+VARIANTS = 2
+#: multiples of the matched size at which an effect in series, at a drive or at a sensor is tried
+SIZES = (1.0, 4.0, 20.0, 80.0)
+#: lengths of segments that keep the phase, as multiples of the usual length
+LENGTHS = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
+#: Gauss-Newton steps of the first fit of each start, of the fit of the best start, and of a fit from segments to whole records
+FIRST, FURTHER, WHOLE = 3, 5, 8
 
 
 @dataclass(frozen=True)
@@ -77,37 +57,19 @@ class ScreeningResult:
     noise: Array
 
 
-def shape_index(candidate: Candidate) -> int | None:
-    """Return the index of the free parameter that shapes the last law; None where no parameter does."""
-    path = f"{candidate.fit.structure.names[-1]}.{candidate.hypotheses[-1].kind.shaped_by}"
-    return next((k for k, f in enumerate(candidate.fit.structure.free) if f.path == path), None)
-
-
-def widest_window(record: Record, residual: Array, settings: SearchSettings) -> Window:
-    """Return the window with the largest residual energy: elsewhere an effect may be invisible.
-
-    Args:
-        record: The record.
-        residual: Whitened residual (samples, channels).
-        settings: Size of the window.
-    """
-    size = min(max(int(settings.window * len(record)), settings.least_window), len(record))
-    energy = np.concatenate([[0.0], np.cumsum(np.sum(residual**2, axis=1))])
-    gain = energy[size:] - energy[:-size]
-    return Window(0 if gain[0] > settings.beginning * gain.max() else int(np.argmax(gain)), size)
-
-
 @dataclass(frozen=True)
 class Screening:
-    """A stage: the fit to which an effect is added, and the windows of the first round."""
+    """A stage: the fit to which an effect is added, and the records of the first fits."""
 
     problem: Problem
     current: Fit
     #: smallest noise of weights (channels,)
     least_noise: Array
     settings: SearchSettings
-    #: whether the simulation has lost the phase of a free decay, so that small effects say nothing about large ones
-    has_lost_phase: bool = False
+    #: what all samples tell about the distance of each pair; those of the problem by default
+    known: Mapping[tuple[str, str], Travel] | None = None
+    #: length of the segments, as a multiple of the usual length
+    length: float = math.inf
 
     @cached_property
     def first_noise(self) -> Array:
@@ -116,46 +78,8 @@ class Screening:
 
     @cached_property
     def fitter(self) -> Fitter:
-        """Fitter to whole records with the weights of the current fit."""
+        """Fitter with the weights of the current fit."""
         return Fitter(self.problem, whitener(residuals(self.problem, self.current), self.first_noise))
-
-    @cached_property
-    def is_lightly_damped(self) -> bool:
-        """Whether the motion lasts for many periods."""
-        return is_lightly_damped(self.problem.network)
-
-    @cached_property
-    def windows(self) -> dict[int, Window]:
-        """Window of each training record."""
-        p = self.problem
-        left = dict(zip(p.estimation, residuals(p, self.current), strict=True))
-        return {
-            i: widest_window(p.records[i], self.fitter.weights(left[i]), self.settings) for i in p.estimation
-        }
-
-    @cached_property
-    def windowed(self) -> Problem:
-        """The problem with the windows in place of the training records."""
-        cut = [self.windows[i].of(r) if i in self.windows else r for i, r in enumerate(self.problem.records)]
-        return self.problem.with_records(cut)
-
-    @cached_property
-    def window_fitter(self) -> Fitter:
-        """Fitter to the windows."""
-        return Fitter(self.windowed, self.fitter.weights)
-
-    @cached_property
-    def window_states(self) -> dict[int, Array]:
-        """Initial states of the windows in the current fit."""
-        p, now = self.problem, self.current
-        out = {}
-        for i, w in self.windows.items():
-            if w.first == 0:
-                out[i] = now.initial[i]
-            else:
-                there = states_along(p, now.structure, now.x, {i: now.initial[i]}, [w.first])[i][0]
-                out[i] = guess(self.windowed, now.network, i, there, now.structure.offsets)
-        return out
 
     @cached_property
     def coarse(self) -> Screening:
@@ -163,39 +87,48 @@ class Screening:
         p, few = self.problem, self.problem.rough
         if few is p or thinning_loses(p, self.current, self.least_noise):
             return self
-        counts = [sum(len(q.records[i]) for i in q.estimation) for q in (few, p)]
-        least = math.ceil(counts[0] / counts[1] * self.settings.least_window)
-        settings = replace(self.settings, least_window=least)
-        return replace(
-            self, problem=few, current=transfer(few, self.current, self.least_noise), settings=settings
-        )
+        known = travels(p, self.current.network, motions(p, self.current))
+        return replace(self, problem=few, current=transfer(few, self.current, self.least_noise), known=known)
+
+    @cached_property
+    def brief(self) -> Screening:
+        """The same stage on segments with initial states of their own, where the simulation may have lost the phase of a motion."""
+        p, s = self.problem, self.settings
+        keeps_phase = bool(p.network.inputs) and not is_lightly_damped(p.network)
+        if keeps_phase or gap(p, self.current) < s.wide_gap:
+            return self
+        best = self
+        for length in LENGTHS:
+            found = in_segments(p, self.current, self.least_noise, length)
+            if found is None:
+                continue
+            best = replace(self, problem=found[0], current=found[1], length=length)
+            if gap(best.problem, best.current) < s.lost_phase:
+                break
+        return best
 
     # -- hypotheses ---------------------------------------------------------------------------------------
-    def shortlist(self) -> list[list[ScoredStart]]:
-        """Return the hypotheses of the first round, each with its starts.
+    def shortlist(self) -> list[list[Match]]:
+        """Return the laws that are fitted, each with its matches.
 
-        The score test chooses. An element in series with a moved node always enters, since a small compliance says little about a large
-        one. Above a wide gap the hypotheses enter that come nearest to the records at large amplitudes.
+        An element in series with a moved node always enters, since a small compliance says little about a large one.
         """
         tried = [h for h in hypotheses(self.current.structure.network) if self.is_sensible(h)]
         moved = set(self.problem.network.moved_nodes)
-        groups: dict[object, list[ScoredStart]] = {}
-        any_sign = self.has_lost_phase or self.is_lightly_damped  # a shifted phase may turn a sign around
-        found = admissible_starts(self.problem, self.fitter, self.current, tried, any_sign)
-        for s in found:
-            always = s.hypothesis.kind.series and bool(set(s.hypothesis.where) & moved)
-            if s.hypothesis in groups or len(groups) < self.entries or always:
-                groups.setdefault(s.hypothesis, []).append(s)
-        if gap(self.problem, self.current) < self.settings.wide_gap:
-            return list(groups.values())
-        return [*groups.values(), *(g for g in self.nearest(found) if g[0].hypothesis not in groups)]
-
-    @property
-    def entries(self) -> int:
-        """Number of hypotheses of the first round: more where the windows take few physics steps."""
-        p = self.windowed
-        steps = sum(len(p.records[i]) * max(p.every(p.records[i]), STEPS_PER_SAMPLE) for i in p.estimation)
-        return max(self.settings.first_round, self.settings.cheap_steps // steps)
+        groups: dict[Hypothesis, list[Match]] = {}
+        count = 0
+        for m in admissible_matches(
+            self.problem, self.fitter, self.current, self.first_noise, tried, self.known
+        ):
+            h = m.hypothesis
+            if h not in groups:
+                alike = sum(g.effect == h.effect and set(g.where) == set(h.where) for g in groups)
+                is_first = count < self.settings.matches and alike < VARIANTS
+                if not is_first and not (h.kind.series and set(h.where) & moved):
+                    continue
+                count += is_first
+            groups.setdefault(h, []).append(m)
+        return list(groups.values())
 
     def is_sensible(self, h: Hypothesis) -> bool:
         """Return False for hypotheses that repeat an effect already in the model, in series or in parallel.
@@ -209,94 +142,98 @@ class Screening:
         is_repeated = any(e.type == h.effect and e.name in found for e in beside(network, h.where))
         return not is_repeated and h.behind not in found and not (h.kind.periodic and is_joint)
 
-    def nearest(self, found: Sequence[ScoredStart]) -> list[list[ScoredStart]]:
-        """Return the hypotheses with the smallest error at large amplitudes, without a fit."""
-        every: dict[object, list[ScoredStart]] = {}
-        for s in found:
-            every.setdefault(s.hypothesis, []).append(s)
-        scored = []
-        for group in every.values():
-            scores = _misfit(
-                self, [t for s in group for t in amplified(self, s, self.settings.amplitudes[1::2])]
-            )
-            if scores is not None and len(scores):
-                scored.append((float(scores.min()), group))
-        scored.sort(key=lambda t: t[0])
-        return [group for _, group in scored[: self.settings.nearest]]
-
     # -- fits ---------------------------------------------------------------------------------------------
-    def fit_to_windows(self, group: list[ScoredStart]) -> Candidate | None:
-        """Fit a hypothesis to the windows from its best starts; None where every fit breaks down."""
-        fitter, tries = self.window_fitter, []
-        for structure, x in starts(self, group):
-            known = transfer_states(self.windowed, self.current.network, self.window_states, structure)
+    def starts(self, group: Sequence[Match]) -> list[tuple[Structure, Array]]:
+        """Return the starts of a law with the smallest error: structure and start values (parameters,), transformed.
+
+        Each match is simulated with the parameters of the model as the match moves them, as they are fitted, and with nominal values.
+        """
+        current, kind = self.current, group[0].hypothesis.kind
+        known = {f.path: float(v) for f, v in zip(current.structure.free, current.x, strict=True)}
+        nominal = {f.path: known[f.path] if f.owner >= 0 else f.mean for f in current.structure.free}
+        sizes = (1.0,) if kind.place == "between" and not kind.series else SIZES
+        tries: list[list[tuple[Structure, Array]]] = []
+        for m in group[: PERIODS if kind.periodic else TRIED]:
+            for size in sizes if m.start.grows else (1.0,):
+                own = []
+                for base in (m.moved, known) if kind.periodic else (m.moved, known, nominal):
+                    try:
+                        own.append(replace(m, moved=base).sized(size).begin(current.structure))
+                    except InputError:
+                        continue
+                tries += [own] if own else []
+        every = [t for own in tries for t in own]
+        if not every:
+            return []
+        scores = iter(_misfit(self, every))
+        best = [min(((next(scores), k) for k in range(len(own))), key=lambda t: t[0]) for own in tries]
+        order = np.argsort([score for score, _ in best], kind="stable")
+        if kind.periodic:
+            order = np.arange(len(tries))
+        else:
+            order = np.array(list(dict.fromkeys([*order[: FITTED - 1], 0, *order]))[:FITTED])
+        return [tries[k][best[k][1]] for k in order]
+
+    def fit(self, group: Sequence[Match]) -> Candidate | None:
+        """Fit a law to the records from its best starts; None where every fit breaks down."""
+        tries = []
+        for structure, x in self.starts(group):
+            known = transfer_states(self.problem, self.current.network, self.current.initial, structure)
             try:
-                if structure.hypotheses[-1].kind.periodic:  # first find the position of rest that holds
-                    guessed = {i: guess(self.windowed, structure.at(x), i) for i in self.windowed.estimation}
-                    own, guess_cost = (
-                        fitter.cost(structure, x, s, self.current.offset, self.windowed.estimation)
-                        for s in (known, guessed)
-                    )
-                    known = guessed if guess_cost < own else known
-                f = fitter.fit(structure, x, known, self.current.offset, iterations=3)
+                guessed = {i: guess(self.problem, structure.at(x), i) for i in self.problem.estimation}
+                own, guess_cost = (
+                    self.fitter.cost(structure, x, s, self.current.offset, self.problem.estimation)
+                    for s in (known, guessed)
+                )
+                known = guessed if guess_cost < own else known
+                f = self.fitter.fit(structure, x, known, self.current.offset, iterations=FIRST)
             except BROKEN:
                 continue
-            tries.append(self._candidate(self.windowed, f))
+            tries.append(self._candidate(f))
         if not tries:
             return None
         f = min(tries, key=lambda c: c.deviance).fit
         try:
-            f = fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
+            return self._candidate(self.fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=FURTHER))
         except BROKEN:
             return None
-        return self._candidate(self.windowed, f)
 
-    def _candidate(self, problem: Problem, fit: Fit) -> Candidate:
-        return Candidate(fit, deviance(problem, fit, refined_noise(self.first_noise, self.least_noise)))
+    def _candidate(self, fit: Fit) -> Candidate:
+        noise = refined_noise(self.first_noise, self.least_noise)
+        return Candidate(fit, deviance(self.problem, fit, noise))
 
-    def fit_to_records(self, r: Candidate) -> Candidate | None:
-        """Fit a candidate of the windows to whole records; None where the fit breaks down."""
+    def continued(self, r: Candidate, brief: Screening) -> Candidate | None:
+        """Return a candidate of brief segments, fitted to segments that grow to whole records; None where the fit breaks down."""
+        f, least, length = r.fit, self.least_noise, brief.length
+        filters = whitener(residuals(brief.problem, f), white_noise(brief.problem, f, least))
         try:
-            p = self.windowed
-            filters = whitener(residuals(p, r.fit), white_noise(p, r.fit, self.least_noise))
-            known = transfer_states(self.problem, self.current.network, self.current.initial, r.fit.structure)
-            known |= {i: r.fit.initial[i] for i, w in self.windows.items() if w.first == 0}
-            fitter = Fitter(self.problem, filters)
-            f = fitter.fit(r.fit.structure, r.fit.x, known, r.fit.offset, iterations=5)
-            x = fit_segments(self.problem, f.structure, r.fit.x, fitter) if self.is_lightly_damped else None
-            if x is not None:
-                again = fitter.fit(f.structure, x, iterations=5)
-                f = again if again.cost + again.prior < f.cost + f.prior else f
+            while (found := in_segments(self.problem, f, least, length := GROWTH * length)) is not None:
+                f = Fitter(found[0], filters).fit(f.structure, f.x, found[1].initial, iterations=FURTHER)
+            return self._candidate(Fitter(self.problem, filters).fit(f.structure, f.x, iterations=WHOLE))
         except BROKEN:
             return None
-        return self._candidate(self.problem, f)
 
     def settle_noise(self, r: Candidate, noise: Array) -> Candidate | None:
-        """Fit a candidate until its own noise has converged; a periodic law also at neighbouring periods."""
+        """Fit a candidate until its own noise has converged."""
         p = self.problem
         try:
-            r = settle(p, r.fit.structure, r.fit.x, self.least_noise, r.fit, iterations=4, noise=noise)
-            for _ in range(3 if r.hypotheses[-1].kind.periodic else 0):
-                filters = whitener(residuals(p, r.fit), noise)
-                f = try_neighbouring_periods(p, Fitter(p, filters), r.fit, r.fit.structure.names[-1])
-                again = settle(p, f.structure, f.x, self.least_noise, f, rounds=2, iterations=4, noise=noise)
-                if again.deviance > r.deviance - self.settings.better_period:
-                    break
-                r = again
+            return settle(p, r.fit.structure, r.fit.x, self.least_noise, r.fit, iterations=4, noise=noise)
         except BROKEN:
             return None
-        return r
 
     def first_round(self) -> list[Candidate]:
-        """Fit the hypotheses of the shortlist to the windows, and the best of them to whole records."""
-        groups, _ = self.shortlist(), (self.window_fitter, self.window_states)
+        """Fit the laws of the shortlist, first to segments where the phase may be lost."""
+        brief = self.brief
+        groups, _ = brief.shortlist(), brief.fitter
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            fitted = _best_first(pool.map(self.fit_to_windows, groups))
+            fitted = _best_first(pool.map(brief.fit, groups))
             ranked = fitted[: self.settings.finals]
             # the deviance under coloured noise may miss the candidate that closes most of the gap
-            closest = min(fitted, key=lambda r: gap(self.windowed, r.fit), default=None)
+            closest = min(fitted, key=lambda r: gap(brief.problem, r.fit), default=None)
             ranked += [closest] if closest is not None and closest not in ranked else []
-            return _best_first(pool.map(self.fit_to_records, ranked))
+            if brief is self:
+                return ranked
+            return _best_first(pool.map(lambda r: self.continued(r, brief), ranked))
 
     def run(self) -> ScreeningResult:
         """Run the stage."""
@@ -308,21 +245,11 @@ class Screening:
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
             ranked = _best_first(pool.map(lambda r: self.settle_noise(r, noise), ranked))
-            again = [(r, k) for r in ranked[:2] for k in self.settings.shapes]
-
-            def refit(t: tuple[Candidate, float]) -> Candidate | None:
-                return refit_with_other_shape(
-                    self.problem, t[0], shape_index(t[0]), t[1], self.least_noise, noise
-                )
-
-            for (r, _), other in zip(again, pool.map(refit, again), strict=True):
-                if other is not None:
-                    ranked = [other if q is r and other.deviance < q.deviance else q for q in ranked]
         return ScreeningResult(tuple(self.rank(ranked)), noise)
 
     def _transferred(self, r: Candidate) -> Candidate | None:
         try:
-            return self._candidate(self.problem, transfer(self.problem, r.fit, self.least_noise))
+            return self._candidate(transfer(self.problem, r.fit, self.least_noise))
         except BROKEN:
             return None
 
@@ -349,135 +276,20 @@ def _best_first(found: Iterable[Candidate | None]) -> list[Candidate]:
     return sorted(best.values(), key=lambda r: r.deviance)
 
 
-# ------------------------------------------------------------------------------------------ where fits start
-
-
-def starts(screening: Screening, group: list[ScoredStart]) -> list[tuple[Structure, Array]]:
-    """Return the starts of a hypothesis with the smallest error: structure and start values (parameters,), transformed.
-
-    The starts of the score test are simulated at several amplitudes, with the nominal values of the model's own parameters. The score
-    test is local; a large effect is found by trying.
-    """
-    current, kind = screening.current, group[0].hypothesis.kind
-    if kind.periodic:  # a large step leads to another period: start from the refitted values
-        known = dict(zip((f.path for f in current.structure.free), current.x, strict=True))
-        near = [t for s in group[:3] for t in amplified(screening, s, (1.0,))]
-        return [
-            (t, np.array([known.get(f.path, v) for f, v in zip(t.free, t.start, strict=True)])) for t in near
-        ]
-    tries, c = [], screening.settings
-    for s in group[:6]:
-        more = c.large * (s.start.inverse or screening.has_lost_phase) + c.other_sign * s.start.signed
-        tries += amplified(screening, s, c.amplitudes + more)
-    if not tries:
-        return []
-    scores = _misfit(screening, tries)
-    if scores is None:
-        return [(tries[0], tries[0].start)]
-    order = np.argsort(scores)
-    picked = [tries[0]] if order[0] == 0 else [tries[order[0]], tries[0]]
-    if kind.shaped_by and len(order) > 2:
-        other = next((tries[k] for k in order[1:] if tries[k] not in picked), None)
-        picked += [other] if other is not None else []
-    return [(t, t.start) for t in picked]
-
-
-def amplified(screening: Screening, s: ScoredStart, factors: Sequence[float]) -> list[Structure]:
-    """Return a start at multiples of its amplitude; once where the effect has no amplitude."""
-    out = []
-    for factor in factors if s.start.grows else (1.0,):
-        values = dict(s.values)
-        for key in s.start.grows:
-            values[key] *= 1 / factor if s.start.inverse else factor
-        try:
-            out.append(add(with_fitted_effects(screening.current), s.hypothesis, values))
-        except InputError:
-            continue
-    return out
-
-
-def _misfit(screening: Screening, tries: Sequence[Structure]) -> Array | None:
+def _misfit(stage: Screening, tries: Sequence[tuple[Structure, Array]]) -> Array:
     """Return the sum over channels of the logarithm of the residual's variance (tries,): a drifting channel does not hide other channels."""
-    problem, current = screening.windowed, screening.current
-    if not tries:
-        return None
-    scores, nets = np.zeros(len(tries)), [t.network for t in tries]
-    initial = [transfer_states(problem, current.network, screening.window_states, t) for t in tries]
+    problem, current = stage.problem, stage.current
+    scores, nets = np.zeros(len(tries)), [t.at(x) for t, x in tries]
+    initial = [transfer_states(problem, current.network, current.initial, t) for t, _ in tries]
     at = {i: np.stack([b[i] for b in initial], axis=1) for i in problem.estimation}
     try:
-        seen = problem.simulate_all(nets, problem.estimation, at, like=nets[0])
+        seen = problem.simulate_all(nets, problem.estimation, at, like=tries[0][0].network)
     except BROKEN:
-        return None
+        return scores
     for i, y in seen.items():
         with np.errstate(over="ignore", invalid="ignore"):
             v = np.var(problem.records[i].measured[:, :, None] - y, axis=0)
-            v = v + screening.least_noise[:, None] ** 2
+            v = v + stage.least_noise[:, None] ** 2
         is_finite = np.isfinite(v).all(axis=0)
         scores += np.where(is_finite, np.sum(np.log(np.where(np.isfinite(v), v, 1.0)), axis=0), math.inf)
     return scores
-
-
-# -------------------------------------------------------------------------------------------- free decays
-
-
-def screen_effects(
-    problem: Problem, current: Fit, least_noise: Array, settings: SearchSettings
-) -> ScreeningResult:
-    """Run one stage of forward addition.
-
-    A free decay whose frequency the model misses is compared over its beginning, which then grows: later the phase is arbitrary.
-
-    Args:
-        problem: Model and records.
-        current: The fit to which an effect is added.
-        least_noise: Smallest noise of weights (channels,).
-        settings: Settings of the search.
-    """
-    if problem.network.inputs or gap(problem, current) < settings.lost_phase:
-        return Screening(problem, current, least_noise, settings).run()
-    return _screen_growing(problem, current, least_noise, settings)
-
-
-def _screen_growing(
-    problem: Problem, current: Fit, least_noise: Array, settings: SearchSettings
-) -> ScreeningResult:
-    share, part, fit = 1.0, problem, current
-    longest = max(map(len, problem.records))
-    while gap(part, fit) >= settings.lost_phase and share * longest > settings.shortest:
-        share /= 2
-        part = beginning(problem, share, settings.shortest)
-        # from the measured state: a state that is fitted at a wrong frequency is no estimate
-        fit = Fitter(part, white_filters(least_noise)).fit(current.structure, current.x, iterations=0)
-    many = replace(settings, first_round=100, finals=8)
-    ranked = list(Screening(part, fit, least_noise, many, has_lost_phase=True).run().ranked)
-
-    def change_each(change: Callable[[Candidate], Candidate]) -> None:
-        for r in list(ranked):
-            try:
-                ranked[ranked.index(r)] = change(r)
-            except BROKEN:
-                ranked.remove(r)
-
-    while share < 1.0:
-        share = min(GROWTH * share, 1.0)
-        part = beginning(problem, share, settings.shortest) if share < 1.0 else problem
-        fitter = Fitter(part, white_filters(least_noise))
-
-        def refit(r: Candidate, fitter: Fitter = fitter) -> Candidate:
-            f = fitter.fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset)
-            return with_fit(r, f, math.nan)
-
-        change_each(refit)
-    noise = least_noise
-    if ranked:
-        noise = np.min([white_noise(problem, r.fit, least_noise) for r in ranked], axis=0)
-    change_each(lambda r: settle(problem, r.fit.structure, r.fit.x, least_noise, r.fit, noise=noise))
-    ranked.sort(key=lambda r: r.deviance)
-    return ScreeningResult(tuple(simplest_first(ranked, settings.chance, settings.sure)), noise)
-
-
-def beginning(problem: Problem, share: float, least: int) -> Problem:
-    """Return the problem with the first `share` of every record, at least `least` samples where a record has as many."""
-    return problem.with_records(
-        [r.part(0, max(int(share * len(r)), min(len(r), least)), r.name) for r in problem.records]
-    )

@@ -9,37 +9,16 @@ from dataclasses import dataclass
 class SearchSettings:
     """How far the search goes. The settings are an argument of `diagnose` and are returned with the result."""
 
-    #: hypotheses that are fitted to the window of the records with the widest gap
-    first_round: int = 8
-    #: hypotheses of the first round that are fitted to whole records
+    #: laws whose matches are fitted
+    matches: int = 8
+    #: laws that are fitted with all samples and their own noise
     finals: int = 4
-    #: physics steps of a simulation of all windows up to which more hypotheses enter the first round
-    cheap_steps: int = 200_000
-    #: gap (power of the error over the power of the signal) above which the score test, which is local, says too little
+    #: gap (power of the error over the power of the signal) above which a small effect says little about a large one
     wide_gap: float = 0.1
-    #: hypotheses that enter the first round above that gap because they come nearest to the records at large amplitudes
-    nearest: int = 4
-    #: multiples of the score test's amplitude from which fits start: the test is local, and a large effect is found by trying
-    amplitudes: tuple[float, ...] = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0)
-    #: further multiples for laws whose parameter falls with the force, such as a compliance, and where the phase is lost
-    large: tuple[float, ...] = (80.0,)
-    #: further multiples where the sign is open
-    other_sign: tuple[float, ...] = (-2.0, -12.0, -80.0)
-    #: multiples of the parameter that shapes a law from which the best two candidates are fitted again
-    shapes: tuple[float, ...] = (0.5, 2.0)
-    #: decrease of the deviance (2 log L) by which a fit at a neighbouring period must be better
-    better_period: float = 5.0
     #: largest number of effects
     depth: int = 3
     #: runners-up of the first stage from which the search starts again if the first start gives no name
     turns: int = 2
-    #: share of a record that the window of the first round covers
-    window: float = 0.4
-    #: residual energy at the beginning of a record, over the largest of a window, above which the window starts there: the state at rest
-    #: is known
-    beginning: float = 0.7
-    #: smallest window [samples]
-    least_window: int = 2000
     #: deviance (2 log L) that a law with more parameters gains by chance
     chance: float = 30.0
     #: chance decrease of the deviance (2 log L) by a law with values that contradict its name

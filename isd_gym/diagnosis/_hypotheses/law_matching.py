@@ -1,0 +1,238 @@
+"""Matches of every law to the residual of a fit: one linear problem, in the space of the outputs.
+
+The residual is a sum of responses: to changes of the parameters, to initial states and offsets, and to the force of the missing law. Laws
+over the motion of two nodes have their force along the measured motion; laws in series, drives and sensors are simulated as a small effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ..._common.errors import InputError
+from ...physics.elements import PERIODS
+from ...physics.network import assemble
+from .._estimation.sensitivities import tangents
+from .._estimation.structure import Hypothesis, Structure, add
+from .._simulation.problem import Problem, bare
+from .forces import place_forces
+from .law_forces import force_responses, law_forces, measured_motions
+from .loads import loads_of, tell_gain
+from .motion import joined, setting, simulate_variants
+from .position_spectrum import spectral_pitches
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..._common.arrays import Array
+    from ...physics.elements import Motion, Start
+    from .._estimation.gauss_newton import Fit, Fitter
+
+
+@dataclass(frozen=True)
+class Match:
+    """A law at a place, matched to the residual of a fit."""
+
+    hypothesis: Hypothesis
+    start: Start
+    #: matched values of the law
+    values: dict[str, float]
+    #: parameters of the fit, transformed, as the match moves them, by path
+    moved: dict[str, float]
+    #: decrease of the cost that the match predicts
+    gain: float
+
+    def sized(self, size: float) -> Match:
+        """Return a match of another size."""
+        by = 1 / size if self.start.inverse else size
+        return replace(self, values=self.values | {k: self.values[k] * by for k in self.start.grows})
+
+    def begin(self, structure: Structure) -> tuple[Structure, Array]:
+        """Return a structure with the law, and start values of the parameters (parameters,), transformed.
+
+        Effects of the structure keep their fitted values.
+
+        Raises:
+            InputError: No law can have the matched values.
+        """
+        built = add(structure, self.hypothesis, self.values)
+        pairs = zip(built.free, built.start, strict=True)
+        return built, np.array([self.moved.get(f.path, v) for f, v in pairs])
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Whitened residual of a fit, orthogonal to the derivatives by parameters, initial states and offsets.
+
+    `whole`, `left` (rows,): residual before and after the projection; `basis` (rows, directions); `solve` (parameters, rows): parameters
+    of the fit that explain a residual; `spans`: record -> (first row, last row, outputs of the fit).
+    """
+
+    whole: Array
+    left: Array
+    basis: Array
+    solve: Array
+    spans: dict[int, tuple[int, int, Array]]
+
+    def without(self, columns: Array) -> Array:
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns), dtype=np.float64)
+
+
+def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
+    structure, own = fit.structure, len(fit.x)
+    p = own + int(problem.shared_offset.sum())  # parameters, and offsets that all records share
+    parts, spans, at = [], {}, 0
+    begun = {i: fit.initial[i] for i in problem.estimation}
+    for i, t in tangents(problem, structure, fit.x, begun).items():
+        r = (problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i]))[:, :, None]
+        free = problem.nuisances(i, t.outputs)
+        common = problem.common(t.outputs)
+        W = fitter.weights(np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2))
+        parts.append(W.reshape(-1, W.shape[2]))
+        spans[i] = (at, at + len(parts[-1]), t.outputs)
+        at += len(parts[-1])
+    by_record = block_diag(*(W[:, 1 + p :] for W in parts))
+    J = np.zeros((at + own, p + by_record.shape[1]))
+    J[:at, :p], J[:at, p:] = np.concatenate([W[:, 1 : 1 + p] for W in parts]), by_record
+    J[at:, :own] = np.diag(1 / structure.sigma)  # the stated uncertainty
+    r = np.concatenate([*(W[:, 0] for W in parts), (structure.mean - fit.x) / structure.sigma])
+    norm = np.linalg.norm(J, axis=0)
+    norm = np.where(norm > 0, norm, 1)
+    Q, R = np.linalg.qr(J / norm)
+    solve = (np.linalg.pinv(R, rcond=1e-7) @ Q.T)[:own] / norm[:own, None]
+    Q = Q[:, np.abs(np.diag(R)) > 1e-7]
+    return Residual(r, r - Q @ (Q.T @ r), Q, solve, spans)
+
+
+def match_laws(
+    problem: Problem, fitter: Fitter, fit: Fit, noise: Array, candidates: Sequence[Hypothesis]
+) -> list[Match]:
+    """Return every law at every place from every start of its shape, the largest gain first.
+
+    Args:
+        problem: Model and records.
+        fitter: Fitter with the weights of the residual.
+        fit: Fit to which an effect is added.
+        noise: White noise (channels,) of the outputs.
+        candidates: Laws at places.
+    """
+    residual = residual_of(problem, fitter, fit)
+    motion = measured_motions(problem, fit, noise)
+    starts = starts_of(problem, fit, {pair: joined(m) for pair, m in motion.items()}, candidates)
+    small = [(h, start) for h, start in starts if not _follows_motion(h)]
+    found = _match_small_effects(problem, fitter, fit, residual, small)
+    along = sorted(((h, s) for h, s in starts if _follows_motion(h)), key=lambda t: t[0].where)
+    for where, group in groupby(along, key=lambda t: t[0].where):
+        pair = (where[0], where[1])
+        found += _match_forces(problem, fitter, fit, residual, pair, motion[pair], list(group))
+    return sorted(found, key=lambda m: -m.gain)
+
+
+def _follows_motion(h: Hypothesis) -> bool:
+    """Return whether the motion of its two nodes tells the force of a law."""
+    return h.place == "between" and not (h.kind.series or h.kind.loaded or h.kind.scheduled)
+
+
+def starts_of(
+    problem: Problem,
+    fit: Fit,
+    motion: Mapping[tuple[str, str], Motion],
+    candidates: Sequence[Hypothesis],
+) -> list[tuple[Hypothesis, Start]]:
+    """Return every start of every hypothesis."""
+    forces, out = place_forces(problem, fit), []
+    lines: dict[tuple[str, ...], tuple[float, ...]] = {}
+    loads = loads_of(problem, fit, candidates)
+    for h in candidates:
+        load = loads.get(dict(h.options)["load"]) if h.kind.loaded else None
+        if h.kind.loaded and (load is None or not tell_gain(load)):
+            continue
+        pair = motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
+        if pair is not None and h.kind.periodic and h.where not in lines:
+            lines[h.where] = spectral_pitches(problem, fit, (h.where[0], h.where[1]), pair, PERIODS)
+        at = setting(problem, fit.network, h, pair, forces.at(h.where), lines.get(h.where, ()), load)
+        out += [(h, start) for start in h.kind.starts(at)]
+    return out
+
+
+def built_ways(fit: Fit, h: Hypothesis, start: Start) -> list[Structure]:
+    """Return a start built into the fitted model in each of its ways; empty where the model has no place for it."""
+    try:
+        built = [add(replace(fit.structure, network=fit.network), h, way) for way in start.ways]
+        for b in built:
+            assemble(bare(b.network))
+    except (InputError, np.linalg.LinAlgError):
+        return []
+    return built
+
+
+def _match_small_effects(
+    problem: Problem, fitter: Fitter, fit: Fit, residual: Residual, starts: Sequence[tuple[Hypothesis, Start]]
+) -> list[Match]:
+    jobs = [(h, start, built) for h, start in starts if (built := built_ways(fit, h, start))]
+    out = [np.zeros((len(residual.left), len(built))) for *_, built in jobs]
+    members = [(k, way) for k, (*_, built) in enumerate(jobs) for way in range(len(built))]
+    for chunk, i, y in simulate_variants(problem, fit, [jobs[k][2][way].network for k, way in members]):
+        first, last, point = residual.spans[i]
+        with np.errstate(over="ignore", invalid="ignore"):  # one that breaks down is left out
+            w = fitter.weights(y - point[:, :, None]).reshape(last - first, -1)
+        for lane, member in enumerate(chunk):
+            k, way = members[member]
+            out[k][first:last, way] = w[:, lane]
+    found = (_match(fit, h, start, s, residual) for (h, start, _), s in zip(jobs, out, strict=True))
+    return [m for m in found if m is not None]
+
+
+def _match_forces(
+    problem: Problem,
+    fitter: Fitter,
+    fit: Fit,
+    residual: Residual,
+    pair: tuple[str, str],
+    motion: Mapping[int, Motion],
+    starts: Sequence[tuple[Hypothesis, Start]],
+) -> list[Match]:
+    ways = [(h, way) for h, start in starts for way in start.ways]
+    step = problem.records[problem.estimation[0]].step
+    whole = law_forces(fit.network, pair, joined(motion), step, ways)
+    whole = np.where(np.isfinite(whole).all(axis=0), whole, 0.0)
+    edges = np.cumsum([len(m.d) for m in motion.values()])[:-1]
+    forces = dict(zip(motion, np.split(whole, edges), strict=True))
+    columns = np.zeros((len(residual.left), len(ways)))
+    for i, y in force_responses(problem, fit, pair, forces).items():
+        first, last, _ = residual.spans[i]
+        columns[first:last] = fitter.weights(y).reshape(last - first, -1)
+    found, at = [], 0
+    for h, start in starts:
+        found.append(_match(fit, h, start, columns[:, at : at + len(start.ways)], residual))
+        at += len(start.ways)
+    return [m for m in found if m is not None]
+
+
+def _match(fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual) -> Match | None:
+    if not (np.abs(s) < 1e100).all():  # the variant diverges, or its squares would overflow
+        return None
+    size = np.linalg.norm(s, axis=0)
+    if not np.all(size > 0):
+        return None
+    own = residual.without(s)
+    if np.any(np.linalg.norm(own, axis=0) < 1e-3 * size):
+        return None
+    amplitude = np.asarray(np.linalg.lstsq(own, residual.left, rcond=None)[0], dtype=np.float64)
+    is_wrong = not start.signed and bool(np.any(amplitude <= 0))
+    if is_wrong and not h.kind.series:
+        return None
+    # what is put in series changes the order of the equations: a small one says little about a large one
+    gain = 0.0 if is_wrong else float(residual.left @ (own @ amplitude))
+    move = residual.solve @ (residual.whole - (0.0 if is_wrong else s @ amplitude))
+    moved = {
+        f.path: float(np.clip(v + dv, f.low, f.high))
+        for f, v, dv in zip(fit.structure.free, fit.x, move, strict=True)
+    }
+    return Match(
+        h, start, h.kind.sized(start, np.ones_like(amplitude) if is_wrong else amplitude), moved, gain
+    )

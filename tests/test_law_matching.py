@@ -1,0 +1,109 @@
+"""Laws that are matched to the residual of a fit, along the measured motion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import builders
+import numpy as np
+import pytest
+from builders import channel, damper, spring
+
+from isd_gym.diagnosis._estimation.gauss_newton import Fit, Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._hypotheses.law_forces import force_responses, law_forces, measured_motions
+from isd_gym.diagnosis._hypotheses.law_matching import Match, match_laws
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._hypotheses.motion import joined, motions
+from isd_gym.diagnosis._simulation.problem import Problem, Record
+from isd_gym.physics import elements as el
+from isd_gym.physics.simulate import simulate
+
+if TYPE_CHECKING:
+    from isd_gym.physics.network import Network
+
+STEP, NOISE, PLACE = 2e-3, 2e-6, ("mass", "base")
+
+
+def rig() -> Network:
+    return builders.network(
+        "shaken",
+        [spring("mass", "base", 4000.0), damper("mass", "base", 12.0)],
+        [channel("base", "displacement", "base")],
+        [channel("mass", "displacement", "mass")],
+        masses={"mass": 2.0},
+        uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.3},
+    )
+
+
+def stage(effect: str = "", place: tuple[str, ...] = PLACE, **values: Any) -> tuple[Problem, Fit]:
+    """Return a record of the rig with a law, and the refitted rig without the law."""
+    network, rng = rig(), np.random.default_rng(7)
+    t = np.arange(3000) * STEP
+    base = sum(
+        0.004 / k * np.sin(2 * np.pi * k * t + p)
+        for k, p in zip((2, 5, 9), rng.uniform(0, 6, 3), strict=True)
+    )
+    true = network.with_element(el.TYPES[effect]("true", place, **values)) if effect else network
+    seen = simulate(true, t, {"base": base}, interpolation="auto")["mass"]
+    record = Record("run", STEP, {"base": base}, (seen + rng.normal(0, NOISE, len(t)))[:, None])
+    problem = Problem(network, [record])
+    structure = base_structure(network)
+    return problem, Fitter(problem, white_filters(np.array([NOISE]))).fit(structure, structure.start)
+
+
+def matches(problem: Problem, fit: Fit) -> list[Match]:
+    fitter = Fitter(problem, white_filters(np.array([NOISE])))
+    return match_laws(problem, fitter, fit, np.array([NOISE]), list(hypotheses(problem.network)))
+
+
+@pytest.mark.parametrize(
+    ("effect", "place", "values"),
+    [
+        ("coulomb_friction", PLACE, {"level": 1.0}),
+        ("quadratic_damping", PLACE, {"damping": 120.0}),
+        ("cubic_stiffness", PLACE, {"stiffness": 4e7}),
+        ("bump_stop", PLACE, {"clearance": 0.001, "stiffness": 4000.0}),
+        ("hysteresis", PLACE, {"level": 8.0, "stiffness": 4000.0}),
+        ("sensor_delay", ("mass",), {"delay": 0.004}),
+    ],
+)
+def test_the_law_that_is_missing_is_among_the_first_matches(
+    effect: str, place: tuple[str, ...], values: dict[str, float]
+) -> None:
+    found = matches(*stage(effect, place, **values))
+    laws = list(dict.fromkeys((m.hypothesis.effect, m.hypothesis.where) for m in found))
+    assert (effect, place) in laws[:3], laws[:6]
+
+
+def test_a_match_has_the_value_of_the_law() -> None:
+    found = matches(*stage("coulomb_friction", level=1.0))
+    friction = next(
+        m for m in found if m.hypothesis.effect == "coulomb_friction" and m.hypothesis.where == PLACE
+    )
+    assert friction.values["level"] == pytest.approx(1.0, rel=0.3)
+    assert set(friction.moved) == {"spring.stiffness", "damper.damping"}
+
+
+def test_the_measured_motion_is_nearer_to_the_truth_than_the_simulated_motion() -> None:
+    problem, fit = stage("cubic_stiffness", stiffness=4e8)
+    record = problem.records[0]
+    true = record.measured[:, 0] - record.inputs["base"]
+    measured = measured_motions(problem, fit, np.array([NOISE]))[PLACE][0].d
+    simulated = motions(problem, fit)[PLACE].d
+    assert np.std(measured - true) < 0.5 * np.std(simulated - true)
+
+
+def test_the_response_to_a_force_is_the_change_by_the_element() -> None:
+    problem, fit = stage()
+    motion = measured_motions(problem, fit, np.array([NOISE]))[PLACE]
+    h = next(h for h in hypotheses(problem.network) if h.effect == "cubic_stiffness" and h.where == PLACE)
+    values = {"stiffness": 1e3}
+    force = law_forces(fit.network, PLACE, joined(motion), STEP, [(h, values)])
+    assert force[:, 0] == pytest.approx(1e3 * motion[0].d ** 3, rel=1e-4, abs=1e-8)
+    change = force_responses(problem, fit, PLACE, {0: force})[0][:, 0, 0]
+    cubic = fit.network.with_element(el.TYPES["cubic_stiffness"]("more", PLACE, **values))
+    initial = fit.initial[0][:, None]
+    both = [problem.simulate([n], 0, initial, like=fit.network)[:, 0, 0] for n in (cubic, fit.network)]
+    assert np.std(change - (both[0] - both[1])) < 0.03 * np.std(change)
