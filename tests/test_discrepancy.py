@@ -139,6 +139,17 @@ def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins() -
     assert not is_lightly_damped(Network.load("quarter-car-isd"))
 
 
+@pytest.mark.parametrize(("damping", "is_light"), [(0.02, True), (2.0, False)])
+def test_gravity_holds_a_pendulum_as_a_spring_does(damping: float, is_light: bool) -> None:
+    from isd_gym.diagnosis._estimation.multiple_shooting import is_lightly_damped
+
+    gravity = builders.element("gravity", "gravity_sine", "bob", "ground", torque=8.4)
+    elements = [gravity, damper("bob", "ground", damping)]
+    angle = builders.channel("x", "angle", "bob")
+    pendulum = builders.model("pendulum", elements, [], [angle], inertias={"bob": 1.0})
+    assert is_lightly_damped(Network.load(pendulum)) == is_light
+
+
 @pytest.mark.slow
 def test_records_driven_harder_than_those_fitted_to_do_not_hide_what_was_found() -> None:
     d = of_family("shaken_acc.friction_ground", 305)

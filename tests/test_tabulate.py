@@ -1,6 +1,8 @@
 """The law that no list has: tables with a smooth prior, the laws nearest to them, and the verdict that shows one."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +10,10 @@ from builders import channel, damper, element, model, spring
 
 from isd_gym import simulate
 from isd_gym.diagnosis import diagnose
+from isd_gym.diagnosis._selection.free_force import Table as TableStructure
 from isd_gym.diagnosis._selection.free_force import _axis, _directions, fit_in_place_of, force_over
-from isd_gym.physics.elements import Motion, SensorGain, SeriesCompliance
+from isd_gym.diagnosis._selection.weights import statements_of
+from isd_gym.physics.elements import Motion, SensorGain, SeriesCompliance, TabulatedForce
 from isd_gym.physics.network import Network
 from isd_gym.records import schemas
 from isd_gym.records.data import Table
@@ -40,6 +44,17 @@ def test_the_prior_of_a_table_is_zero_at_rest_smooth_and_as_large_as_it_was_said
     assert 9.0 < spread[np.argmax(np.abs(x))] < 10.1  # far from rest nothing is known of it
     rough = np.abs(np.diff(basis, 2, axis=0)).max()
     assert rough < 2.0
+
+
+@pytest.mark.parametrize(("over", "kind"), [("elongation", "elastic"), ("rate", "other"), ("both", "other")])
+def test_a_table_of_the_distance_alone_is_elastic(over, kind):
+    net = Network.load(MODEL)
+    force = TabulatedForce("missing", ("mass", "base"), force=(-1.0, 0.0, 1.0), elongation=(-1.0, 0.0, 1.0))
+    structure = TableStructure(
+        replace(net, elements=(*net.elements, force)), (), element="missing", over=over
+    )
+    told = SimpleNamespace(fit=SimpleNamespace(structure=structure), hypotheses=())
+    assert {(s.place, s.kind) for s in statements_of(None, told, told)} == {(("base", "mass"), kind)}
 
 
 @pytest.mark.parametrize("law", [lambda x: 5 * np.tanh(2 * x), lambda x: x**3, lambda x: x * np.exp(-(x**2))])

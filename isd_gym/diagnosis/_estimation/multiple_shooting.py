@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..._common.errors import InputError
-from ...physics.network import Network, assemble
+from ...physics.network import Network, linearise
 from .._records import cut_segments
 from .._simulation.problem import Problem, bare
 from .gauss_newton import Fitter
@@ -33,12 +33,13 @@ GROWTH = 1.6  # of the length of segments, from one fit to the next
 
 
 def is_lightly_damped(network: Network) -> bool:
-    """Return whether a mode of the network lasts for many periods."""
-    asm = assemble(bare(network))
-    if not asm.size[0]:
-        return False
-    poles = np.linalg.eigvals(asm.rate[:, asm.columns("x")])
-    swings = poles[np.abs(poles.imag) > 1e-9 * np.abs(poles).max()]
+    """Return whether a mode of the network, about rest, lasts for many periods."""
+    still = bare(network)
+    try:
+        poles = np.linalg.eigvals(linearise(still).A)
+    except InputError:  # a law without a slope: the linear part
+        poles = np.linalg.eigvals(linearise(still, laws=True).A)
+    swings = poles[np.abs(poles.imag) > 1e-9 * np.abs(poles).max(initial=0.0)]
     return bool(np.any(np.abs(swings) > LONG * np.abs(swings.real)))
 
 

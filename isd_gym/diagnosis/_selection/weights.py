@@ -96,7 +96,9 @@ def statements_of(search: Search, candidate: Candidate, best: Candidate) -> froz
     structure = candidate.fit.structure
     if isinstance(structure, Table):
         pair = structure.network.element(structure.element).between
-        return frozenset({Statement(tuple(sorted(pair)), "other", FREE_FORCE)})
+        # a force of the distance alone is elastic, whatever its law
+        kind = "elastic" if structure.over == "elongation" else "other"
+        return frozenset({Statement(tuple(sorted(pair)), kind, FREE_FORCE)})
     alike = (
         candidate is not best
         and best.hypotheses

@@ -97,7 +97,7 @@ def _template() -> Template:
     env.filters |= {f.__name__.removeprefix("_"): f for f in filters}
     env.globals |= {
         "CHANGES": CHANGES, "EXCESS": EXCESS, "NOT_BORNE_OUT": NOT_BORNE_OUT, "OVER": OVER, "PERHAPS": PERHAPS, "REPORTED": REPORTED,
-        "UNLIKE": UNLIKE,
+        "TYPES": TYPES, "UNLIKE": UNLIKE,
     }  # fmt: skip
     return env.get_template("statements.txt")
 

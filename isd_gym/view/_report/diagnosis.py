@@ -262,7 +262,9 @@ class View:
             if f.kind == "other":
                 stated[1] = ("kind", "none of the library", f.kind_probability)
             else:
-                stated += [("law", self.spoken(law.effect), law.probability) for law in f.laws[:1]]
+                for law in f.laws[:1]:
+                    name = self.spoken(law.effect) if law.effect in el.TYPES else "none of the library"
+                    stated.append(("law", name, law.probability))
             graded = [(level, text, share, grade(share)) for level, text, share in stated]
             rows.append(
                 [(text, f"{name}, {share:.2f}", observed(level, name)) for level, text, share, name in graded]
