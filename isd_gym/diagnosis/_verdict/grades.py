@@ -42,9 +42,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (13, 13), "probable": (1, 1), "possible": (4, 2)},
-        "kind": {"certain": (11, 9), "probable": (3, 2), "possible": (11, 3)},
-        "law": {"certain": (4, 3), "probable": (1, 1), "possible": (0, 0)},
+        "place": {"certain": (16, 16), "probable": (1, 1), "possible": (9, 5)},
+        "kind": {"certain": (14, 11), "probable": (3, 2), "possible": (17, 4)},
+        "law": {"certain": (5, 4), "probable": (2, 1), "possible": (6, 0)},
     },
 }
 
