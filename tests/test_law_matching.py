@@ -107,3 +107,33 @@ def test_the_response_to_a_force_is_the_change_by_the_element() -> None:
     initial = fit.initial[0][:, None]
     both = [problem.simulate([n], 0, initial, like=fit.network)[:, 0, 0] for n in (cubic, fit.network)]
     assert np.std(change - (both[0] - both[1])) < 0.03 * np.std(change)
+
+
+def test_the_response_of_a_pendulum_in_full_swing_is_the_change_by_the_element() -> None:
+    network = builders.network(
+        "pendulum",
+        [
+            builders.element("gravity", "gravity_sine", "arm", "ground", torque=10.0),
+            damper("arm", "ground", 0.05, "bearing"),
+        ],
+        [],
+        [channel("angle", "angle", "arm")],
+        inertias={"arm": 1.0},
+        uncertainty={"gravity.torque": 0.05},
+    )
+    swing = Problem(network, [Record("swing", 0.02, {}, np.zeros((500, 1)))])
+    start = np.array([[1.0], [0.0]])
+    seen = swing.simulate([network], 0, start)
+    assert np.max(np.abs(seen)) > 0.9  # the start is not lost
+    problem = Problem(network, [Record("swing", 0.02, {}, seen[:, :, 0])])
+    structure = base_structure(network)
+    fit = Fitter(problem, white_filters(np.array([1e-4]))).fit(structure, structure.start)
+    place = ("arm", "ground")
+    motion = measured_motions(problem, fit, np.array([1e-4]))[place]
+    h = next(h for h in hypotheses(network) if h.effect == "coulomb_friction" and h.where == place)
+    force = law_forces(fit.network, place, joined(motion), 0.02, [(h, {"level": 1e-3})])
+    change = force_responses(problem, fit, place, {0: force})[0][:, 0, 0]
+    slowed = fit.network.with_element(el.TYPES["coulomb_friction"]("more", place, level=1e-3))
+    initial = fit.initial[0][:, None]
+    both = [problem.simulate([n], 0, initial, like=fit.network)[:, 0, 0] for n in (slowed, fit.network)]
+    assert np.std(change - (both[0] - both[1])) < 0.05 * np.std(change)

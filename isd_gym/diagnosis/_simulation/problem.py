@@ -414,8 +414,8 @@ class Problem:
     ) -> Array:
         """Outputs (n, channels, lanes) in the channels' units of networks of one structure over record `index`.
 
-        `initial` (states, lanes): initial state in the coordinates of the assembly of `like`, mapped to each lane's own
-        coordinates by the motion of the nodes. Without it everything starts at rest at the first sample.
+        `initial` (states, lanes): initial state in the coordinates of the assembly of `like`, by default the first network, mapped to each
+        lane's own coordinates by the motion of the nodes. Without it everything starts at rest at the first sample.
         """
         begun = None if initial is None else {index: initial}
         return self.simulate_all(networks, [index], begun, like=like)[index]
@@ -513,9 +513,9 @@ class Problem:
 
     def _start(self, plant: Plant, initial: Array | None, like: Network | None) -> Array:
         lanes = len(plant.networks)
-        if initial is None or like is None:
+        if initial is None:
             return np.zeros((plant.n, lanes))
-        source = assemble(bare(like))
+        source = assemble(bare(like or plant.networks[0]))
         # most lanes differ in parameters that the motion of the nodes does not depend on
         keys = [asm.position.tobytes() + asm.velocity.tobytes() for asm in plant.assemblies]
         distinct = dict(zip(keys, plant.assemblies, strict=True))
