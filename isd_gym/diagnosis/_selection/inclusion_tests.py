@@ -11,6 +11,7 @@ import numpy as np
 from .._estimation.gauss_newton import gap
 from .._estimation.structure import in_line, twin
 from .candidate import Candidate, is_special_case
+from .comparison import compare
 from .criteria import Criteria, is_material
 from .equivalent_laws import force_difference, is_sound
 from .held_out import HeldOutEvaluator, error_reduction
@@ -44,10 +45,16 @@ class InclusionTests:
     ) -> bool:
         """Return whether the first candidate is preferred to the second although it has more parameters.
 
-        Its prediction is better by one standard error, and by more than unmodelled effects make.
+        Its prediction is better by one standard error, and by more than unmodelled effects make. On the validation records alone, which took
+        no part in the fit, it is not worse by one standard error.
         """
-        comparison = scores.score(first).compare_with(scores.score(second))
-        return comparison.is_preferred(self.criteria) and self.differs_materially(scores, first, second)
+        now, then = scores.score(first), scores.score(second)
+        is_worse = compare(then.validation_lpd, now.validation_lpd).errors > self.criteria.simpler_errors
+        return (
+            not is_worse
+            and now.compare_with(then).is_preferred(self.criteria)
+            and self.differs_materially(scores, first, second)
+        )
 
     def differs_materially(self, scores: CandidateComparison, chosen: Candidate, other: Candidate) -> bool:
         """Return whether two candidates differ by more than unmodelled effects make.
