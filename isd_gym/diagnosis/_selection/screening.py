@@ -23,10 +23,18 @@ from .._hypotheses.position_spectrum import thinning_loses
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import adopt, running
 from .admissibility import admissible_matches, travels
-from .candidate import Candidate, deviance, settle, simplest_first, transfer, white_noise
+from .candidate import (
+    Candidate,
+    deviance,
+    settle,
+    simpler_structures,
+    simplest_first,
+    transfer,
+    white_noise,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from ..._common.arrays import Array
     from .._estimation.structure import Structure
@@ -198,6 +206,33 @@ class Screening:
         except BROKEN:
             return None
 
+    def leading(self, fitted: Sequence[Candidate]) -> list[Candidate]:
+        """Return the first candidates, and the candidate that closes most of the gap, which the deviance under coloured noise may miss."""
+        closest = min(fitted, key=lambda r: gap(self.problem, r.fit), default=None)
+        first = [*fitted[: self.settings.finals]]
+        return first if closest is None or closest in first else [*first, closest]
+
+    def special_cases(self, r: Candidate, tried: Collection[tuple[Hypothesis, ...]]) -> list[Candidate]:
+        """Fit the special cases of the last law of a candidate that were not tried, from the candidate's values.
+
+        Friction that sticks does not follow the measured motion, and a law with more parameters may be matched in its place.
+        """
+        own = zip(r.fit.structure.free, r.fit.x, strict=True)
+        known = {f.path: v for f, v in own if f.owner < len(r.hypotheses) - 1}
+        out = []
+        for gone, structure in simpler_structures(self.problem, r):
+            is_last = gone is r.hypotheses[-1] and structure.hypotheses[:-1] == r.hypotheses[:-1]
+            if len(structure.hypotheses) != len(r.hypotheses) or not is_last or structure.hypotheses in tried:
+                continue
+            x = np.array([known.get(f.path, v) for f, v in zip(structure.free, structure.start, strict=True)])
+            try:
+                states = transfer_states(self.problem, r.fit.network, r.fit.initial, structure)
+                f = self.fitter.fit(structure, x, states, r.fit.offset, iterations=FIRST + FURTHER)
+            except BROKEN:
+                continue
+            out.append(self._candidate(f))
+        return out
+
     def _candidate(self, fit: Fit) -> Candidate:
         noise = refined_noise(self.first_noise, self.least_noise)
         return Candidate(fit, deviance(self.problem, fit, noise))
@@ -226,11 +261,14 @@ class Screening:
         brief = self.brief
         groups, _ = brief.shortlist(), brief.fitter
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            fitted = _best_first(pool.map(brief.fit, groups))
-            ranked = fitted[: self.settings.finals]
-            # the deviance under coloured noise may miss the candidate that closes most of the gap
-            closest = min(fitted, key=lambda r: gap(brief.problem, r.fit), default=None)
-            ranked += [closest] if closest is not None and closest not in ranked else []
+            ranked = brief.leading(_best_first(pool.map(brief.fit, groups)))
+            tried = {r.hypotheses for r in ranked} | {
+                (*self.current.structure.hypotheses, g[0].hypothesis) for g in groups
+            }
+            plainer = [
+                r for found in pool.map(lambda r: brief.special_cases(r, tried), ranked) for r in found
+            ]
+            ranked = brief.leading(_best_first([*ranked, *plainer]))
             if brief is self:
                 return ranked
             return _best_first(pool.map(lambda r: self.continued(r, brief), ranked))
