@@ -184,21 +184,23 @@ def same_effects(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bo
 
 
 def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[Candidate]:
-    """Move the first special case that fits as well as the best candidate to the front.
+    """Move the simplest candidate that fits as well as the best candidate to the front: special cases, and laws whose values agree with the name.
 
     Args:
         ranked: Candidates, smallest deviance first.
         chance: Deviance (2 log L) that a law with more parameters gains by chance.
         sure: Chance gain of a law with values that contradict its name.
     """
-    if not ranked:
-        return ranked
-    best = ranked[0]
-    for r in ranked[1:]:
-        behind = r.deviance - best.deviance
-        is_imitation = not best.well_formed(last=True) and r.well_formed(last=True) and behind < sure
-        if is_imitation or (is_special_case(best.hypotheses[-1], r.hypotheses[-1]) and behind < chance):
-            return [r, *(q for q in ranked if q is not r)]
+    seen: list[Candidate] = []
+    while ranked and ranked[0] not in seen:
+        best = ranked[0]
+        seen.append(best)
+        for r in ranked[1:]:
+            behind = r.deviance - best.deviance
+            is_imitation = not best.well_formed(last=True) and r.well_formed(last=True) and behind < sure
+            if is_imitation or (is_special_case(best.hypotheses[-1], r.hypotheses[-1]) and behind < chance):
+                ranked = [r, *(q for q in ranked if q is not r)]
+                break
     return ranked
 
 
