@@ -207,10 +207,15 @@ class Screening:
             return None
 
     def leading(self, fitted: Sequence[Candidate]) -> list[Candidate]:
-        """Return the first candidates, and the candidate that closes most of the gap, which the deviance under coloured noise may miss."""
+        """Return the first candidates, and the candidate that closes most of the gap."""
+        first = self.closers_first(fitted)[: self.settings.finals]
         closest = min(fitted, key=lambda r: gap(self.problem, r.fit), default=None)
-        first = [*fitted[: self.settings.finals]]
         return first if closest is None or closest in first else [*first, closest]
+
+    def closers_first(self, fitted: Sequence[Candidate]) -> list[Candidate]:
+        """Order candidates by deviance, those that close half of the gap first: the deviance under coloured noise may miss the gap."""
+        half = 0.5 * gap(self.problem, self.current)
+        return sorted(fitted, key=lambda r: (gap(self.problem, r.fit) > half, r.deviance))
 
     def special_cases(self, r: Candidate, tried: Collection[tuple[Hypothesis, ...]]) -> list[Candidate]:
         """Fit the special cases of the last law of a candidate that were not tried, from the candidate's values.
@@ -292,16 +297,11 @@ class Screening:
             return None
 
     def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:
-        """Order candidates by deviance.
-
-        If the first candidate leaves more than half of the gap, a candidate that closes half of the gap is moved to the front.
-        """
-        ranked = sorted(ranked, key=lambda r: r.deviance)
-        widths = [gap(self.problem, r.fit) for r in ranked]
-        if ranked and min(widths) < 0.5 * gap(self.problem, self.current) < widths[0]:
-            closest = ranked[int(np.argmin(widths))]
-            ranked = [closest, *(r for r in ranked if r is not closest)]
-        return simplest_first(ranked, self.settings.chance, self.settings.sure)
+        """Order candidates; among those that close half of the gap, or among all if none does, the simplest of the best goes first."""
+        ordered, half = self.closers_first(ranked), 0.5 * gap(self.problem, self.current)
+        count = sum(gap(self.problem, r.fit) <= half for r in ordered) or len(ordered)
+        first = simplest_first(ordered[:count], self.settings.chance, self.settings.sure)
+        return [*first, *ordered[count:]]
 
 
 def _best_first(found: Iterable[Candidate | None]) -> list[Candidate]:
