@@ -199,7 +199,7 @@ def test_a_damper_that_differs_by_direction_is_named_at_its_corner(end) -> None:
         [table(records[0], "estimation")],
         owner,
         validate=[table(records[1], "validation")],
-        settings=SearchSettings(depth=1, first_round=3, finals=2, turns=0),
+        settings=SearchSettings(depth=1, matches=3, finals=2, turns=0),
     )
     assert named(d) == {("asymmetric_damping", frozenset((f"body_{end}", f"wheel_{end}")))}
 

@@ -53,7 +53,7 @@ class Rig:
             self.training,
             self.model,
             validate=self.validation,
-            settings=SearchSettings(first_round=4, finals=2, turns=0, jobs=jobs),
+            settings=SearchSettings(matches=4, finals=2, turns=0, jobs=jobs),
         )
 
     def with_tables(self, change: Any) -> Rig:
