@@ -60,7 +60,7 @@ class InclusionTests:
         """Return whether two candidates differ by more than unmodelled effects make.
 
         The forces of their laws differ by more than an unmodelled effect has. The error of a channel falls by more than the envelope of
-        unmodelled effects, or by half of its excess beyond this envelope, on held-out or on training records.
+        unmodelled effects, or by half of its excess, on held-out or on training records.
         """
         c, now, then = self.criteria, scores.score(chosen), scores.score(other)
         if self.law_difference(chosen, other) < c.small_effect:
@@ -68,8 +68,7 @@ class InclusionTests:
         problem = self.evaluator.problem
         on_training = 1.0 - gap(problem, chosen.fit) / gap(problem, other.fit)
         removed = max(scores.explained_fraction(then, now), on_training)
-        is_beyond = bool(np.any(then.excess(scores.noise) > self.unmodelled_envelope(other)))
-        return self.exceeds_envelope(scores, chosen, other) or (is_beyond and removed >= c.least_removed)
+        return self.exceeds_envelope(scores, chosen, other) or removed >= c.least_removed
 
     def exceeds_envelope(self, scores: CandidateComparison, chosen: Candidate, other: Candidate) -> bool:
         """Return whether the error of a channel falls by more than the envelope of unmodelled effects."""
