@@ -107,11 +107,7 @@ class Sensors:
         return self == Sensors()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the attributes that differ from exact sensors, as plain data.
-
-        Returns:
-            Value by attribute.
-        """
+        """Return the attributes that differ from exact sensors, as plain data."""
         usual = asdict(Sensors())
         return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items() if v != usual[k]}
 

@@ -115,11 +115,7 @@ def from_dict(data: Any) -> Network:
 
 
 def to_dict(network: Network) -> dict[str, Any]:
-    """Return the JSON object of a model.
-
-    Returns:
-        Plain data (`isd-model/1`).
-    """
+    """Return the JSON object of a model (`isd-model/1`)."""
     out: dict[str, Any] = {"schema": SCHEMA, "name": network.name}
     if network.description:
         out["description"] = network.description
@@ -240,13 +236,7 @@ def read_element(data: Any, index: int) -> el.Element:
 
 
 def read_channel(data: Any, kind: str, index: int) -> Channel:
-    """Return an input or output of a model file.
-
-    Args:
-        data: Entry of the channel.
-        kind: 'inputs' or 'outputs'.
-        index: Index of the entry, for messages.
-    """
+    """Return an input or output of a model file; kind ('inputs' or 'outputs') and index of the entry are for messages."""
     name = _name_of(data, kind, index)
     where = f"{kind[:-1]} '{name}'"
     _check_keys(

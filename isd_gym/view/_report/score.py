@@ -208,11 +208,7 @@ class Shown:
         )
 
     def change(self, name: str, key: str) -> np.ndarray:
-        """Return the change of each episode against the same episode of the reference.
-
-        Returns:
-            Changes (episodes,), as fractions.
-        """
+        """Return the change of each episode against the same episode of the reference (episodes,), as fractions."""
         own, base = (self._by_episode(n, key) for n in (name, self.reference))
         with np.errstate(divide="ignore", invalid="ignore"):
             return own / base - 1.0
