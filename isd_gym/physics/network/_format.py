@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import fields
@@ -12,7 +11,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any, cast
 
 from ..._common.errors import InputError, shown
-from ..._common.inputs import parse_json, read_bytes
+from ..._common.inputs import is_number, parse_json, read_bytes
 from ..._common.units import QUANTITIES, TURNING, si_of
 from .. import elements as el
 from ._bodies import AXES, LEVER_UNITS, Body, Lever, angle_node, body_of
@@ -270,9 +269,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         hint = f' (that is the unit of "quantity": "{other}")' if other else ""
         raise InputError(f"{where}: unit '{data['unit']}' cannot be converted to '{si}'{hint}")
     noise = data.get("noise")
-    if noise is not None and (
-        isinstance(noise, bool) or not isinstance(noise, int | float) or not 0 < noise < math.inf
-    ):
+    if noise is not None and not (is_number(noise) and noise > 0):
         raise InputError(
             f'{where}: "noise" must be a positive RMS in the channel\'s unit, not {shown(noise)}'
         )
