@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._common.files import check_folder, whole_folder, write_text
+from ..._common.plugins import find_wing
 from ..._common.seeds import road_name
 from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, picture
 from .plots import INK, LOOKS, MUTED, Look, caption, density, looks, page, percent, style
@@ -292,39 +293,12 @@ def spectra(shown: Shown) -> Chart | None:
     )
 
 
-def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
-    """Return the causal bound in the plane of travel and acceleration for several tyre loads, if its conditions hold.
-
-    Returns:
-        Change of the tyre load, and curve (k, 2) of travel change and acceleration change.
-    """
-    from ..._common.errors import InputError
-    from ..._common.plugins import REFERENCES, plugins
-
-    if score.plant is None or score.comparable.lq_bound:
-        return []
-    for point in plugins(REFERENCES, "lq_front"):
-        travel = np.array([-0.5, -0.4, -0.35, -0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3])
-        out = []
-        for tyre in (0.0, 0.03):
-            try:
-                out.append(
-                    (
-                        tyre,
-                        point.load()(tyre, travel, network=score.plant, speed=score.speed, road=score.ground),
-                    )
-                )
-            except InputError:  # a road or a car without such a bound
-                return []
-        return [(tyre, curve) for tyre, curve in out if len(curve) > 2]
-    return []
-
-
 def trade_off(shown: Shown) -> Chart:
     """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load."""
     marks = [*_policy_marks(shown), *_published_marks(shown)]
     xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
-    curves = fronts(shown.score)
+    bounds = find_wing("ceilings")
+    curves = bounds.fronts(shown.score) if bounds else []
     lines = []
     for (tyre, curve), dashes in zip(curves, ("-", (0, (5, 2))), strict=False):
         label = f"causal bound at tyre load {percent(tyre, 0)}"
