@@ -55,3 +55,8 @@ def pushed_mass(name: str, outputs: list[dict[str, Any]], **more: Any) -> Networ
     """Return a mass of 5 kg on a spring of 2000 N/m and a damper of 30 N s/m, pushed by a force."""
     parts = [spring("mass", "ground", 2000.0), damper("mass", "ground", 30.0)]
     return network(name, parts, [channel("push", "force", "mass")], outputs, masses={"mass": 5.0}, **more)
+
+
+def decoupled_half_car() -> Network:
+    """Return the half car whose pitch inertia is m a b, so that the axles do not feel one another."""
+    return Network.load("half-car-isd").with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import decoupled_half_car
 
 from isd_gym import baselines
 from isd_gym._common.errors import InputError
@@ -17,11 +18,6 @@ from isd_gym.physics.network import Network
 
 HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")
 KINDS = {"half-car-isd": "half car", "full-car-passive": "full car"}
-
-
-def decoupled():
-    """The half car with the pitch inertia m a b: no coupling between the axles."""
-    return HALF.with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
 
 
 # ------------------------------------------------------------------------------------- what is refused
@@ -88,7 +84,7 @@ def test_corners_share_the_weight_by_the_lever_rule():
 @pytest.mark.parametrize("policy", ["skyhook", "lqg", "mpc", "mpc-friction"])
 def test_on_a_decoupled_half_car_each_corner_is_driven_as_a_quarter_car(policy):
     """Two quarter cars are driven; the half car that they make up gets the same currents."""
-    steps, net = 300, decoupled()
+    steps, net = 300, decoupled_half_car()
     quarters, wanted = [], []
     for axle in range(2):
         env = ISDSuspensionVectorEnv(1, autoreset_mode="disabled")

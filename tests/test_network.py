@@ -1,7 +1,6 @@
 """Models: reading, refusing, writing; and the equations assembled from them, against hand-derived ones."""
 
 import copy
-import json
 
 import builders
 import numpy as np
@@ -11,7 +10,7 @@ from scipy.integrate import solve_ivp, trapezoid
 
 from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network, assemble, builtin_networks, linearise
+from isd_gym.physics.network import Network, assemble, linearise
 from isd_gym.physics.simulate import simulate
 
 KAPPA, SPEED = 5e-7, 20.0
@@ -27,12 +26,6 @@ def rms_on_the_papers_road(space):
 
 def car(name="quarter-car-isd"):
     return Network.load(name).to_dict()
-
-
-@pytest.mark.parametrize("name", builtin_networks())
-def test_builtin_round_trip(name):
-    net = Network.load(name)
-    assert Network.from_dict(json.loads(net.dumps())) == net
 
 
 def test_passive_car_matches_the_analytic_figures():
@@ -90,10 +83,6 @@ def test_no_inertance_leaves_spring_and_dampers_in_series():
     np.testing.assert_allclose(
         linearise(bare).response(f), linearise(small).response(f), rtol=1e-6, atol=1e-9
     )
-
-
-def test_states_of_the_default_car():
-    assert assemble(Network.load("quarter-car-isd")).size[0] == 7
 
 
 @pytest.mark.parametrize("path", ["body.mass", "wheel.mass", "inerter.inertance", "leak.damping"])

@@ -25,7 +25,6 @@ from isd_gym.records import schemas
 from isd_gym.records.data import Table
 
 STEP, SAMPLES, NOISE = 2e-3, 4000, 1e-5  # [s], -, [m]
-TRUE = {"mass.mass": 2.0, "spring.stiffness": 900.0, "damper.damping": 9.0}
 
 
 def rig(*extra, **values):
