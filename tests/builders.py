@@ -2,7 +2,10 @@
 
 from typing import Any
 
+import numpy as np
+
 from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
 
 #: unit of a channel unless another one is given
 UNITS = {
@@ -60,3 +63,37 @@ def pushed_mass(name: str, outputs: list[dict[str, Any]], **more: Any) -> Networ
 def decoupled_half_car() -> Network:
     """Return the half car whose pitch inertia is m a b, so that the axles do not feel one another."""
     return Network.load("half-car-isd").with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
+
+
+#: a passive quarter car with the sensors of a test drive
+QUARTER_CAR = model(
+    "quarter",
+    [
+        spring("body", "wheel", 22000.0),
+        damper("body", "wheel", 1500.0),
+        spring("wheel", "road", 192000.0, "tyre"),
+    ],
+    [channel("road", "displacement", "road")],
+    [
+        channel("body_acceleration", "acceleration", "body"),
+        channel("wheel_acceleration", "acceleration", "wheel"),
+        channel("travel", "displacement", "body", "wheel"),
+    ],
+    masses={"body": 345.0, "wheel": 45.0},
+)
+
+
+def drive_quarter_car(
+    step: float = 2.5e-3, seconds: float = 12.0, seed: int = 0
+) -> tuple[Any, dict[str, Any]]:
+    """Return time and columns of a drive of the quarter car on a road of sines, with 2 % noise."""
+    rng = np.random.default_rng(seed)
+    time = step * np.arange(round(seconds / step))
+    f = np.geomspace(0.3, 15, 50)
+    heights = sum(
+        2e-3 / k * np.sin(2 * np.pi * k * time + p) for k, p in zip(f, rng.uniform(0, 6.3, 50), strict=True)
+    )
+    said = simulate(QUARTER_CAR, time, {"road": heights})
+    return time, {"road": heights} | {
+        k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
+    }

@@ -28,8 +28,10 @@ from isd_gym.agents.policy import (
     Policy,
     read_safetensors,
 )
+from isd_gym.baselines import make
 from isd_gym.benchmark.policies import conventional
 from isd_gym.contrib.exports.archives import convert, read_torch
+from isd_gym.contrib.exports.onnx import export_onnx
 from isd_gym.contrib.training.settings import MEMORY
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
@@ -106,8 +108,6 @@ def test_each_car_has_a_memory_of_its_own(rng):
 
 def test_a_residual_of_nothing_is_the_lqg():
     """The filter in float32 and in its own coordinates commands what `isd_gym.baselines.lqg` does, stick and slip included."""
-    from isd_gym.baselines import make
-
     memory = filtered()
     layers = [(np.zeros((1, memory.width(6))), np.zeros(1))]
     policy = Policy(layers, memory=memory, head=Head("residual"))
@@ -394,8 +394,6 @@ def test_a_zip_is_not_loaded_as_a_policy(tmp_path):
 def test_onnx_is_the_policy(rng, tmp_path, mode, output):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from isd_gym.contrib.exports.onnx import export_onnx
-
     policy = small_policy(rng, Head(mode), filtered() if mode == "residual" else MEMORY)
     policy.output = output
     session = runtime.InferenceSession(export_onnx(policy, tmp_path / "p.onnx"))

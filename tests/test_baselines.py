@@ -25,7 +25,7 @@ from isd_gym.baselines._model import (
 )
 from isd_gym.baselines._qp import Osqp, Outcome
 from isd_gym.baselines.controller import clean, limit
-from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _plan
+from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _forces, _plan, _roll
 from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.baselines.mpc import Mpc, MpcSettings
 from isd_gym.env._environment import ISDSuspensionVectorEnv
@@ -352,8 +352,6 @@ def test_osqp_statuses_are_read(monkeypatch):
 
 def test_expected_friction_balances_rate_and_force():
     """The implicit friction: rate and force at the end of the step satisfy v = free + g f and f = level erf(...)."""
-    from isd_gym.baselines.friction import _forces
-
     rng = np.random.default_rng(5)
     for _ in range(200):
         free, spread = rng.normal(0, 0.2), 10 ** rng.uniform(-3.5, -0.5)
@@ -388,8 +386,6 @@ def test_one_sweep_solves_a_linear_problem():
 
 def test_plan_is_a_local_minimum():
     """At a plan on the real car, no small allowed change of any move costs less."""
-    from isd_gym.baselines.friction import _roll
-
     controller = FrictionMpc(CAR, None, STEP, FrictionMpcSettings(iterations=60, horizon=12))
     m = controller.prediction
     x = np.linalg.pinv(m.C[[1, 2, 3, 4]]) @ np.array([0.01, 0.15, 0.003, -0.05])

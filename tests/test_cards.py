@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 from program import assert_one_line, run
 
+from isd_gym._commands._card_table import print_track
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark.scoring import fingerprints, score
+from isd_gym.contrib.ceilings.ceiling import known
+from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
 ON = {"episodes": 4, "duration": 0.5}
 
@@ -144,9 +147,6 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path):
 
 
 def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(capsys):
-    from isd_gym._commands._card_table import print_track
-    from isd_gym.contrib.ceilings.ceiling import known
-
     card = cards.load("ISDSuspension-v0")
     rows = cards.ranking(card, "preview-0.1", (), lambda s: known("quarter-car-isd", preview=s))
     rows = {row["policy"]: row for row in rows}
@@ -158,8 +158,6 @@ def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(capsys):
 
 
 def test_no_regret_where_no_ceiling_is_known(card, capsys):
-    from isd_gym._commands._card_table import print_track
-
     print_track(card, "brief")  # half a second of road is no sample for a mean over roads
     assert "regret" not in capsys.readouterr().out.lower()
 
@@ -190,8 +188,6 @@ def tracks():
 @pytest.mark.parametrize("name", cards.built_in())
 def test_the_reward_threshold_is_the_best_classical_controller(name, tracks):
     from gymnasium.envs.registration import registry
-
-    from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
     card = cards.load(name)
     threshold = tracks.reward_threshold(card)

@@ -6,6 +6,9 @@ from builders import channel, friction, network, spring
 from rigs import reference
 from scipy.signal import lsim, sawtooth
 
+from isd_gym._common.errors import InputError
+from isd_gym.benchmark.policies import Idle
+from isd_gym.benchmark.scoring import Entry, drive
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import paper_road
 from isd_gym.physics.simulate import simulate
@@ -84,9 +87,6 @@ def test_linear_network_is_exact():
 
 
 def test_long_run_on_the_papers_road_is_the_analytic_value():
-    from isd_gym.benchmark.policies import Idle
-    from isd_gym.benchmark.scoring import Entry, drive
-
     run = drive(
         Entry("passive", lambda: Idle("passive")),
         Network.load("quarter-car-passive"),
@@ -186,8 +186,6 @@ def test_sensor_faults_act_on_their_channel_only():
 
 
 def test_simulate_refuses_bad_input():
-    from isd_gym._common.errors import InputError
-
     time = np.arange(100) * STEP
     with pytest.raises(InputError, match="input 'current' is missing"):
         simulate("quarter-car-isd", time, {"road": 0 * time})

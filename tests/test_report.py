@@ -20,6 +20,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
+from isd_gym._commands._score_table import print_score
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark import _show as show
 from isd_gym.benchmark._comparability import Comparable
@@ -36,7 +37,7 @@ from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis._verdict.explanation import draw_law as series_law
 from isd_gym.diagnosis._verdict.gates import gates_of
 from isd_gym.diagnosis.result import BestCandidate, Tabulated
-from isd_gym.physics.elements import TYPES, CoulombFriction
+from isd_gym.physics.elements import TYPES, CoulombFriction, parameter_fields
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records import schemas
@@ -514,8 +515,6 @@ def test_a_diagnosis_without_records_still_has_a_page(diagnosis, tmp_path):
 def test_every_effect_of_the_library_has_a_test_that_could_refute_it():
     import string
 
-    from isd_gym.physics.elements import parameter_fields
-
     kept = {"motor"}
     tests = {
         name: cls.test for name, cls in TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")
@@ -681,8 +680,6 @@ def test_the_tables_cut_no_figure(small_score, monkeypatch, width):
     import io
 
     import rich.console
-
-    from isd_gym._commands._score_table import print_score
 
     rows = [json.loads(json.dumps(row)) for row in small_score.policies]
     for row in rows:

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from isd_gym._commands import app
 from isd_gym._common.errors import InputError, ReportError
+from isd_gym.contrib.fleet import cases as module
 from isd_gym.contrib.fleet.cases import (
     Case,
     _task,
@@ -20,6 +21,7 @@ from isd_gym.contrib.fleet.cases import (
     page,
     write_page,
 )
+from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, write_table
 
 
@@ -164,8 +166,6 @@ def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
 
 
 def test_a_broken_result_of_a_case_is_made_again(tmp_path, monkeypatch):
-    from isd_gym.contrib.fleet import cases as module
-
     case(tmp_path / "cases", "van_2024-05-01", "a.csv")
     _, _, found = results({"2024-05-01": (500.0, 5.0)})
     (good,) = found.values()
@@ -186,8 +186,6 @@ def test_a_broken_result_of_a_case_is_made_again(tmp_path, monkeypatch):
 
 
 def test_a_case_that_cannot_be_diagnosed_is_told_and_the_others_go_on(tmp_path):
-    from isd_gym.physics.network import Network
-
     rig = Network.load("force-rig")
     for name in ("a_2024-01-01", "b_2024-01-01"):
         (tmp_path / "cases" / name).mkdir(parents=True)

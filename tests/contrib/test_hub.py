@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from isd_gym import _commands as cli
 from isd_gym._common.errors import InputError
 from isd_gym.agents.policy import SHIPPED, Policy
 from isd_gym.benchmark import _cards as cards
@@ -150,8 +151,6 @@ def test_what_is_somebody_else_s_is_left_alone(tmp_path):
 
 def test_the_command(tmp_path, monkeypatch, capsys):
     import sys
-
-    from isd_gym import _commands as cli
 
     seen = {}
     monkeypatch.setattr(

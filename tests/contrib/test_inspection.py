@@ -6,7 +6,8 @@ import builders
 import numpy as np
 import pytest
 import typer
-from builders import channel, damper, spring
+from builders import QUARTER_CAR as CAR
+from builders import channel, damper, drive_quarter_car, spring
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -14,51 +15,22 @@ from typer.testing import CliRunner
 from isd_gym import _commands as cli
 from isd_gym._commands import FiniteCommand
 from isd_gym._common.errors import InputError
-from isd_gym.contrib.inspection import inspect, lines, page
+from isd_gym.contrib.inspection import head, inspect, lines, page
 from isd_gym.contrib.inspection.command import command
 from isd_gym.contrib.inspection.consistency import integral_consistency
 from isd_gym.contrib.inspection.facts import sparkline
 from isd_gym.diagnosis._records import read_record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
-from isd_gym.records._loggers import ChannelMap, Column, Logger, mended, rasters, runs
+from isd_gym.records._loggers import ChannelMap, Column, Logger, Raster, mended, rasters, runs
 from isd_gym.records._loggers.record_reading import records_of, road_of
 from isd_gym.records.data import Table, write_table
 from isd_gym.records.schemas import load
 
-CAR = builders.model(
-    "quarter",
-    [
-        spring("body", "wheel", 22000.0),
-        damper("body", "wheel", 1500.0),
-        spring("wheel", "road", 192000.0, "tyre"),
-    ],
-    [channel("road", "displacement", "road")],
-    [
-        channel("body_acceleration", "acceleration", "body"),
-        channel("wheel_acceleration", "acceleration", "wheel"),
-        channel("travel", "displacement", "body", "wheel"),
-    ],
-    masses={"body": 345.0, "wheel": 45.0},
-)
-
-
-def drive(step=2.5e-3, seconds=12.0, seed=0):
-    rng = np.random.default_rng(seed)
-    time = step * np.arange(round(seconds / step))
-    f = np.geomspace(0.3, 15, 50)
-    heights = sum(
-        2e-3 / k * np.sin(2 * np.pi * k * time + p) for k, p in zip(f, rng.uniform(0, 6.3, 50), strict=True)
-    )
-    said = simulate(CAR, time, {"road": heights})
-    return time, {"road": heights} | {
-        k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
-    }
-
 
 @pytest.fixture(scope="module")
 def run():
-    return drive()
+    return drive_quarter_car()
 
 
 def found(tmp_path, run, names, units=None, suffix=".csv", factors=None):
@@ -249,8 +221,6 @@ def test_a_picture_shows_the_extremes():
 
 
 def raster(time, **columns):
-    from isd_gym.records._loggers import Raster
-
     return Raster("rec.csv", np.asarray(time, float), {k: np.asarray(v, float) for k, v in columns.items()})
 
 
@@ -557,7 +527,6 @@ def test_a_diagnosis_refuses_a_dead_output_in_one_line(tmp_path, run, program):
 
 def test_the_rate_is_that_of_the_mean_step_without_gaps():
     """Stamps that jitter between 2 and 3 ms, twice as often 2 ms, with a gap: the median step would give 500 Hz."""
-    from isd_gym.contrib.inspection import head
     from isd_gym.records._loggers.recording import Raster
 
     steps = np.tile([0.002, 0.002, 0.0025], 400)

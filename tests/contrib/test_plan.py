@@ -13,7 +13,9 @@ from builders import channel, damper, friction, spring
 from typer.testing import CliRunner
 
 from isd_gym._common.errors import InputError
+from isd_gym._common.units import convert
 from isd_gym.contrib.forecast import plan, read_rivals
+from isd_gym.contrib.forecast.command import command
 from isd_gym.contrib.forecast.planning import (
     KINDS,
     Excitation,
@@ -29,6 +31,7 @@ from isd_gym.diagnosis import Criteria, diagnose
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, read_table
+from isd_gym.records.data import Table as Kept
 from isd_gym.records.schemas import load
 
 if TYPE_CHECKING:
@@ -198,8 +201,6 @@ def test_a_rig_that_cannot_be_is_refused_with_one_line(choice: dict[str, Any], w
 def run(*words: str) -> Any:
     import typer
 
-    from isd_gym.contrib.forecast.command import command
-
     app = typer.Typer()
     app.command()(command)
     return CliRunner().invoke(app, list(words))
@@ -277,7 +278,6 @@ def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> N
     assert isinstance(lost.exception, InputError) and "--rename COLUMN=stroke" in str(lost.exception)
     named = ("--rename", "Weg=stroke", "--rename", "az=acceleration", "--unit", "stroke=cm")
     asked = {}
-    from isd_gym.records.data import Table as Kept
 
     def kept(network: Network, tables: list[Kept], **options: Any) -> Any:
         asked["stroke"] = tables[0]["stroke"], tables[0].units.get("stroke")
@@ -287,8 +287,6 @@ def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> N
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isd_gym.contrib.forecast.workflow.plan", kept)
         assert "enough" in str(run(str(model), str(log), *named, *more).exception)
-        from isd_gym._common.units import convert
-
         values, unit = asked["stroke"]
         np.testing.assert_allclose(convert(np.asarray(values), unit or "mm", "mm"), stroke, atol=1e-6)
         assert asked["columns"] >= {"stroke", "acceleration"}

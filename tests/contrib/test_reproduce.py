@@ -10,7 +10,8 @@ import pytest
 from isd_gym._common.errors import InputError
 from isd_gym.contrib.reproduce import page, rig, show
 from isd_gym.contrib.reproduce.device import device
-from isd_gym.contrib.reproduce.study import SCHEMA
+from isd_gym.contrib.reproduce.road_level import road_level
+from isd_gym.contrib.reproduce.study import SCHEMA, Study
 from isd_gym.physics.network import Network
 
 
@@ -87,9 +88,6 @@ def test_whole_page(tmp_path):
 
 def test_the_road_level_claims_no_travel_that_does_not_come_out(tmp_path):
     """Table 7's passive row: acceleration and tyre load within 1 %, travel 6 % short."""
-    from isd_gym.contrib.reproduce.road_level import road_level
-    from isd_gym.contrib.reproduce.study import Study
-
     study = Study(tmp_path, True, lambda task, share: None)
     section = road_level(study)
     a, l, f = study.figures["passive"]["κ = 5·10⁻⁷ m³/cycle (used here)"]

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from program import assert_one_line, run
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Entry
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import score
+from isd_gym.benchmark.scoring import drive, score
 from isd_gym.contrib import engine
 from isd_gym.contrib.engine import Task
 from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
@@ -240,10 +241,6 @@ def test_over_all_conditions_each_counts_the_same():
 
 
 def test_the_watch_sees_what_is_not_allowed():
-    from collections import Counter
-
-    from isd_gym.benchmark.scoring import drive
-
     class Wild:
         name = "wild"
 
