@@ -26,7 +26,6 @@ from isd_gym.agents.policy import (
     WEIGHTS_NAME,
     Head,
     Policy,
-    read_safetensors,
 )
 from isd_gym.baselines import make
 from isd_gym.benchmark.policies import conventional
@@ -213,14 +212,6 @@ def test_a_spoilt_folder_is_one_clear_line(rng, tmp_path, spoil, says):
     spoil(folder)
     with pytest.raises(InputError, match=says):
         Policy.load(folder)
-
-
-@pytest.mark.parametrize(
-    "blob", [b"", b"\xff" * 8, b"\x02" + b"\0" * 7 + b"[]", b"\x09" + b"\0" * 7 + b'{"a": {}}']
-)
-def test_no_safetensors_is_said(blob):
-    with pytest.raises(InputError, match="safetensors"):
-        read_safetensors(blob)
 
 
 def test_a_car_with_other_inputs_is_refused(rng):

@@ -13,12 +13,6 @@ from isd_gym.physics.network import Network
 from isd_gym.records.data import read_table
 
 
-def test_importing_the_package_stays_light():
-    code = "import isd_gym, sys; print([m for m in ('numpy','numba','torch','gymnasium','matplotlib') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
 def test_help_is_light_and_knows_the_commands_of_all_packages():
     """--help lists train, reproduce, ... with the first sentence of each, and imports none of their libraries."""
     code = (

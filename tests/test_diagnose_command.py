@@ -7,7 +7,6 @@ import json
 import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -403,26 +402,6 @@ def test_ambiguous_with_the_test_that_would_decide(
 
 
 @pytest.mark.slow
-def test_a_unit_for_co_simulation(files: Path, tmp_path: Path) -> None:
-    pytest.importorskip("pythonfmu", reason="exporting the unit wants pythonfmu")
-    pytest.importorskip("fmpy", reason="running the unit wants fmpy")
-    from isd_gym.contrib.fmi.export import export_fmu
-
-    unit = export_fmu(OWN, tmp_path / "rig.fmu", step=1.0 / RATE)
-    free = ["--uncertain", "spring.stiffness=0.2", "--uncertain", "damper.damping=0.2"]
-    records = [files / "stiffer1.csv", "--validate", files / "stiffer2.csv"]
-    o = diagnosed(tmp_path / "out", *records, "--model", unit, "--trust-fmu", *free)
-    assert o.document["verdict"] == "parameters_only"
-    assert o.document["summary"].startswith(
-        "Refitted parameters explain the difference; no effect is missing ("
-    )
-    q = o.document["parameters"]["spring.stiffness"]
-    assert q["value"] == pytest.approx(2250.0, rel=0.02)
-    values = ElementTree.parse(o.folder / "parameters.ssv")
-    assert "spring.stiffness" in {e.get("name") for e in values.iter()}
-
-
-@pytest.mark.slow
 def test_a_fleet(files: Path, library: None, tmp_path: Path) -> None:
     cases = tmp_path / "cases"
     for date, level in (("2024-05-01", 12.0), ("2024-07-01", 18.0)):
@@ -466,12 +445,6 @@ def car() -> Network:
     )
 
 
-def rough(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A road [m] that is white in velocity."""
-    steps = rng.standard_normal(len(t) - 1) * np.sqrt(4e-4 * (t[1] - t[0]))
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
 def smooth(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A road [m] of sines from 0.4 to 9 Hz."""
     f, phase = rng.uniform(0.4, 9.0, 30), rng.uniform(0.0, 6.0, 30)
@@ -503,24 +476,3 @@ def test_a_car_cut_at_its_wheel(library: None, tmp_path: Path) -> None:
         e.type for e in o.model.elements
     }
     assert any("left out: tyre" in note for note in o.document["notes"])
-
-
-@pytest.mark.slow
-def test_a_road_that_nobody_measured(tmp_path: Path) -> None:
-    """The damper of the model is 30 % off; the wheel's mass sets the scale."""
-    replace(car(), uncertainty={"damper.damping": 0.3}).with_parameters({"damper.damping": 1950.0}).save(
-        tmp_path / "car.json"
-    )
-    write_table(tmp_path / "drive.csv", drive(car(), 1, rough))
-    out = tmp_path / "out"
-    words = ["diagnose", tmp_path / "drive.csv", "--model", tmp_path / "car.json", "--out", out]
-    done = CliRunner().invoke(cli.app, [*map(str, words), "--unmeasured", "road"])
-    assert done.exit_code == 0, (done.output, done.exception)
-    told = json.loads((out / "unmeasured.json").read_text())
-    jsonschema.Draft202012Validator(schemas.load("isd-unmeasured/1")).validate(told)
-    assert told["road"] == "road" and "damper.damping" in done.output
-    found = Network.load(out / "model.json")
-    assert found.parameters["damper.damping"] == pytest.approx(car().parameters["damper.damping"], rel=0.05)
-    t = np.arange(0, 1, 0.004)
-    moved = simulate(found, t, {"road": 0.01 * np.sin(9 * t)})
-    assert all(np.isfinite(y).all() for y in moved.values())

@@ -673,22 +673,6 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path):
     ]
 
 
-def test_a_converted_policy_goes_nowhere_but_its_folder(tmp_path):
-    archive(tmp_path / "m.zip")
-    own = tmp_path / "own.txt"
-    own.write_text("mine")
-    folder = tmp_path / "docs"
-    folder.mkdir()
-    (folder / JSON_NAME).symlink_to(own)
-    refused(lambda: convert(tmp_path / "m.zip").save(folder), "a link")
-    (folder / JSON_NAME).unlink()
-    (folder / "thesis.tex").write_text("years")
-    refused(lambda: convert(tmp_path / "m.zip").save(folder), "not empty")
-    assert own.read_text() == "mine" and [p.name for p in folder.iterdir()] == ["thesis.tex"]
-    saved = convert(tmp_path / "m.zip").save(tmp_path / "policy")
-    assert Policy.load(convert(tmp_path / "m.zip").save(saved)).name == "m"
-
-
 KILLED = """
 import os, signal, sys
 from pathlib import Path
@@ -769,20 +753,6 @@ def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
     isolated._stop()
     refused(lambda: read_table(path), "more than 0 s")
     isolated._stop()
-
-
-@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2, 3))])
-def test_five_changed_bytes_of_a_mat_file_are_no_fault(seed, tmp_path):
-    """The library behind it faults on some of these; here each is a table or one line."""
-    path, rng = table(tmp_path, ".mat", 20), np.random.default_rng(seed)
-    whole_file = bytearray(path.read_bytes())
-    for _ in range(100):
-        data = whole_file.copy()
-        for place in rng.integers(0, len(data), 5):
-            data[place] = rng.integers(256)
-        path.write_bytes(data)
-        with contextlib.suppress(InputError):
-            read_table(path)
 
 
 def test_what_would_unpack_to_too_much_is_not_unpacked(tmp_path, monkeypatch):

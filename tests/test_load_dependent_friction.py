@@ -160,31 +160,6 @@ def test_friction_only_takes_energy():
     assert seen["friction"][sliding] == pytest.approx(expected[sliding], rel=1e-6)
 
 
-def test_a_free_drive_loses_its_energy():
-    time = np.arange(0.0, 3.0, 1e-3)
-    outputs = [
-        channel(f"{n}_{q}", q, n, unit=u)
-        for n in ("rotor", "link")
-        for q, u in (("displacement", "m"), ("velocity", "m/s"))
-    ]
-    still = {"drive": np.where(time < 0.05, 200.0, 0.0), "weight": np.zeros(len(time))}
-    seen = simulate(joint(outputs=outputs), time, still)
-    stretch = seen["rotor_displacement"] - seen["link_displacement"]
-    energy = 0.5 * seen["rotor_velocity"] ** 2 + 1.5 * seen["link_velocity"] ** 2 + 2000.0 * stretch**2
-    free = energy[time > 0.06]
-    assert np.diff(free).max() < 1e-9 * free.max() and free[-1] < 1e-2 * free[0]
-
-
-def test_halving_the_step_halves_the_error():
-    """The load is that at the start of a step, and friction slides: first order."""
-    time, inputs = driven(seconds=2.0, step=4e-3, weight=25.0)
-    places = [simulate(joint(), time, inputs, step=4e-3 / n)["place"] for n in (1, 2, 4, 8, 64)]
-    errors = [np.sqrt(np.mean((p - places[-1]) ** 2)) for p in places[:-1]]
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert errors[-1] < 0.01 * np.std(places[-1])
-    assert np.mean(orders) > 0.9
-
-
 def test_the_force_of_a_motor_is_a_load():
     def net(rub):
         return builders.network(

@@ -230,13 +230,6 @@ def test_the_command_names_the_friction_of_a_rig_whose_table_is_told_by_its_rate
     assert verdict(model, rub, quantity, rng, tmp_path) == ["coulomb_friction", ["m", "table"]]
 
 
-@pytest.mark.slow
-def test_the_command_names_the_friction_of_an_inerter_that_is_driven_by_a_speed(tmp_path):
-    rub = friction("rod", "ground", 40.0)
-    found = verdict(INERTER, rub, "velocity", np.random.default_rng(3), tmp_path)
-    assert found == ["coulomb_friction", ["rod", "ground"]]
-
-
 def verdict(model, hidden, quantity, rng, folder):
     """What `isd-gym diagnose` names where `hidden` is missing in the model: [effect, terminals]."""
     t = np.arange(0, 20, 5e-3)

@@ -65,14 +65,6 @@ def body_top(picture: np.ndarray) -> int:
     return int(where(picture, rendering.BLUE)[0].min())
 
 
-@pytest.mark.parametrize(("cars", "width", "height"), [(1, 640, 400), (2, 960, 600), (1, 721, 455)])
-def test_a_frame_has_the_size_that_was_asked_for(cars: int, width: int, height: int) -> None:
-    picture = frame(*[snapshot()] * cars, width=width, height=height)
-    assert picture.shape == (height, width, 3)
-    assert picture.dtype == np.uint8
-    picture[0, 0] = 0  # it belongs to the caller
-
-
 def test_the_body_moves_up_by_the_stated_factor() -> None:
     rise = 0.02
     still, risen = frame(snapshot()), frame(snapshot(body=rise, piston=rise))

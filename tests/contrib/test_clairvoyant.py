@@ -103,13 +103,6 @@ def _costs(name: str, episodes: int) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["lqg", "mpc-friction", "mpc-friction-preview"])
-def test_no_controller_is_better_on_the_first_roads(name):
-    known = oracle.reference(episodes=2)
-    assert np.all(_costs(name, 2) > known["value"]) and np.all(known["value"] > known["lower"])
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["isd-passive", "skyhook", "add", "lqg", "lqr-full", "mpc", "mpc-friction"])
 def test_no_causal_controller_is_better_on_its_road(name):
     assert np.all(_costs(name, 32) > oracle.reachable("quarter-car-isd")["value"])

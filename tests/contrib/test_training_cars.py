@@ -406,18 +406,6 @@ def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_pa
     assert np.isfinite(cost(found, steps=100))
 
 
-@pytest.mark.slow
-@needs_sb3
-@pytest.mark.filterwarnings("ignore")
-def test_a_warm_start_drives_like_the_law(brief, tmp_path):
-    from isd_gym.contrib.training.train import train
-
-    settings = replace(brief["ppo"], steps=512, warm_steps=900, warm_updates=600)
-    report = train("ppo", tmp_path / "run", settings=settings, network="half-car-isd", say=lambda line: None)
-    # level with no controller that is blind to the rear road: some 24 % below the passive car
-    assert report["training"]["curve"][0]["cost"] < 0.73 * report["training"]["references"]["passive"]
-
-
 @needs_sb3
 def test_the_tuned_settings_of_a_car_can_be_typed(tmp_path):
     from isd_gym.contrib.training.train import train
