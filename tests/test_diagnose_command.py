@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html.parser
 import json
 import re
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from builders import channel, friction, pushed_mass
+from html_page import Page
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
@@ -82,56 +82,6 @@ def record(
     return Table(t[keep] - t[keep][0], noisy, f"r{seed}")
 
 
-class Text(html.parser.HTMLParser):
-    """The text of a page, and the tags that are open at its end."""
-
-    VOID = frozenset(
-        [
-            "area",
-            "base",
-            "br",
-            "col",
-            "embed",
-            "hr",
-            "img",
-            "input",
-            "link",
-            "meta",
-            "source",
-            "track",
-            "wbr",
-            "path",
-            "rect",
-            "circle",
-            "line",
-        ]
-    )
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.pieces: list[str] = []
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag in self.open:
-            while self.open.pop() != tag:
-                pass
-
-    def handle_data(self, data: str) -> None:
-        if not self.open or self.open[-1] not in ("script", "style"):
-            self.pieces.append(data)
-
-    @property
-    def text(self) -> str:
-        return " ".join("".join(self.pieces).split())
-
-
 @dataclass(frozen=True)
 class Outcome:
     """A finished command: output folder, JSON document and printed text."""
@@ -145,8 +95,8 @@ class Outcome:
         return Network.load(self.folder / "model.json")
 
     @property
-    def page(self) -> Text:
-        return Text((self.folder / "report.html").read_text())
+    def page(self) -> Page:
+        return Page(self.folder / "report.html")
 
 
 def diagnosed(out: Path, *words: object) -> Outcome:
@@ -168,7 +118,7 @@ def check_folder(o: Outcome) -> None:
     assert not re.search(r"\b(inf|nan|None)\b", d["summary"])
     first = re.split(r" \(|; |(?<=[a-z])\. ", d["summary"])[0]
     assert first in " ".join(o.printed.split())
-    assert o.page.open == [] and first in o.page.text
+    assert first in " ".join(o.page.text.split())
     for file in o.folder.iterdir():
         if file.suffix == ".svg":
             assert "<path" in file.read_text(), file.name  # not blank
@@ -416,8 +366,7 @@ def test_a_fleet(files: Path, library: None, tmp_path: Path) -> None:
     told = json.loads((out / "fleet.json").read_text())
     assert told["schema"] == "isd-fleet/1" and told["missing"] == 0
     assert [c["verdict"] for c in told["cases"]] == ["missing_effect"] * 2
-    page = Text((out / "fleet.html").read_text())
-    assert page.open == [] and "coulomb friction" in page.text
+    assert "coulomb friction" in Page(out / "fleet.html").text
     for case in told["cases"]:
         stored = json.loads((out / case["file"]).read_text())["result"]
         jsonschema.Draft202012Validator(schemas.load("isd-diagnosis/1")).validate(stored["diagnosis"])
@@ -472,6 +421,7 @@ def test_a_car_cut_at_its_wheel(library: None, tmp_path: Path) -> None:
     assert o.document["verdict"] == "missing_effect", o.document["summary"]
     (effect,) = o.document["effects"]
     assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == {"body", "wheel"}
+    assert effect["parameters"]["level"]["value"] == pytest.approx(150.0, rel=0.1)
     assert {"tyre", "coulomb_friction"} <= {e.name for e in o.model.elements} | {
         e.type for e in o.model.elements
     }

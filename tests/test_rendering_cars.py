@@ -376,7 +376,7 @@ def test_show_films_cars(tmp_path: Path, network: str, size: tuple[int, int]) ->
         assert (np.asarray(film.convert("RGB")) != begin).any(axis=2).mean() > 0.01
 
 
-@pytest.mark.parametrize("network", ["half-car-isd", "full-car-passive"])
+@pytest.mark.parametrize("network", ["quarter-car-isd", "half-car-isd", "full-car-passive"])
 def test_show_plays_cars_in_a_window(network: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     done = CliRunner().invoke(cli.app, ["show", "passive", "--network", network, "--seconds", "0.1"])

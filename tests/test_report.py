@@ -3,7 +3,6 @@
 import base64
 import hashlib
 import html
-import html.parser
 import json
 import re
 from dataclasses import replace
@@ -15,6 +14,7 @@ import matplotlib.figure
 import numpy as np
 import pytest
 from builders import element
+from html_page import Page
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
@@ -183,7 +183,7 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
     return made
 
 
-def reopened(d: Diagnosis, page: Path) -> "Page":
+def reopened(d: Diagnosis, page: Path) -> Page:
     """Open every file of a written report again and check it against the result; return the page."""
     folder = page.parent
 
@@ -240,47 +240,6 @@ def no_bound(monkeypatch):
 def quick(monkeypatch):
     """One figure is enough where folders are looked at."""
     monkeypatch.setattr(report, "FIGURES", report.FIGURES[:1])
-
-
-class Page(html.parser.HTMLParser):
-    """What a page refers to, and its plain text."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.charts: list[dict] = []
-        self.links: list[str] = []
-        self.tags: list[str] = []
-        self.open: list[str] = []
-        self.text = ""
-        self.policies: list[str] = []
-        self.scripts: list[str] = []
-        self.figures: list[str] = []
-        self.inside = False  # whether a script is being read
-        self.feed(path.read_text(encoding="utf-8"))
-        assert not self.open, f"never closed: {self.open}"
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        if tag not in ("meta", "img", "br"):
-            self.open.append(tag)
-        if tag == "svg" and dict(attrs)["class"] == "chart":
-            self.charts.append(dict(attrs))
-        self.inside = tag == "script"
-        if tag == "figure":
-            self.figures.append(dict(attrs)["id"].removeprefix("figure-"))
-        if dict(attrs).get("http-equiv") == "Content-Security-Policy":
-            self.policies.append(dict(attrs)["content"])
-        self.links += [v for k, v in attrs if k in ("src", "href") and not v.startswith("data:")]
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-        self.inside = False
-
-    def handle_data(self, data):
-        if self.inside:
-            self.scripts.append(data)
-        elif not {"figure", "svg"} <= set(self.open):  # texts of a chart are no words of the page
-            self.text += data
 
 
 def check_page(path: Path) -> Page:
