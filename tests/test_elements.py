@@ -44,10 +44,6 @@ def test_a_kind_that_is_none_of_the_list_is_refused():
     assert "test_odd" not in el.TYPES
 
 
-def test_a_class_of_a_users_own_is_of_another_kind_unless_it_says_so():
-    assert el.Element.mechanism == "other"
-
-
 # ------------------------------------------------------------------------------------- drives and sensors
 
 MOTOR = builders.model(
@@ -427,17 +423,6 @@ def test_friction_follows_the_logged_temperature():
     seen = simulate(logged(RUBS), time, {"push": np.full(len(time), 1.5), "oil": warming})["speed"]
     assert np.abs(seen[time < 4.0]).max() < 1e-9
     assert seen[-1] == pytest.approx((1.5 - 0.8) / 3.0, rel=2e-2)
-
-
-def test_a_friction_at_its_reference_is_coulomb_friction():
-    time = np.arange(0, 5, 1e-3)
-    push = 5 * np.sin(2.3 * time)
-    coulomb = {"type": "coulomb_friction", "level": 2.0}
-    oil = {"oil": np.full(len(time), 20.0)}
-    one = simulate(logged(RUBS), time, {"push": push, **oil})["speed"]
-    two = simulate(logged(coulomb), time, {"push": push, **oil})["speed"]
-    assert np.ptp(two) > 0.5
-    assert np.allclose(one, two, rtol=0, atol=2e-5)
 
 
 def test_a_logged_channel_beside_a_current_and_a_record_without_it_is_the_same_to_the_last_bit():

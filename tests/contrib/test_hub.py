@@ -46,20 +46,6 @@ def test_the_card_says_what_hubs_read(folder):
     assert "| 1 | `ppo` |" in body and "`passive`" in body and "&#96;train&#96;" in body
 
 
-def test_the_return_is_the_environment_s_own(folder):
-    import gymnasium
-
-    policy, env = Policy.load(folder), gymnasium.make("ISDSuspension-v0")
-    observation, _ = env.reset(options={"scoring_road": 0})
-    policy.reset()
-    total, truncated = 0.0, False
-    while not truncated:
-        observation, reward, _, truncated, _ = env.step(np.array([policy.act(observation)]))
-        total += reward
-    costs = json.loads((folder / "score.json").read_text())["raw"]["ppo"]["cost"]
-    assert total == pytest.approx(-hub.EPISODE_STEPS * costs[0], rel=1e-6)
-
-
 def test_it_holds_the_policy_the_film_and_nothing_else(folder):
     imageio = pytest.importorskip("imageio.v3")
     assert sorted(p.name for p in folder.iterdir()) == sorted(hub.HUB[2])
@@ -139,14 +125,6 @@ def test_the_name_of_a_policy_is_text_in_the_card(folder):
     text = hub._card(policy, policy.name, json.loads((folder / hub.SCORE).read_text()))
     body = text.split("\n---\n", 1)[1]
     assert "<script" not in body and "[x](" not in body and body.lstrip().startswith("# &#60;script&#62;")
-
-
-def test_what_is_somebody_else_s_is_left_alone(tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.tex").write_text("years")
-    with pytest.raises(InputError, match="holds no earlier hub folder"):
-        hub.write(Policy.load("ppo"), tmp_path / "mine")
-    assert (tmp_path / "mine" / "thesis.tex").read_text() == "years"
 
 
 def test_the_command(tmp_path, monkeypatch, capsys):

@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from isd_gym._common.errors import InputError
 from isd_gym.contrib.reproduce import page, rig, show
 from isd_gym.contrib.reproduce.device import device
 from isd_gym.contrib.reproduce.road_level import road_level
@@ -47,13 +46,6 @@ def test_identification_finds_another_rig_s_values():
     assert fit["oil.stiffness"] == pytest.approx(9e5, rel=0.01)
     assert fit["leak.damping"] == pytest.approx(800.0, rel=0.02)
     assert fit["share"] == pytest.approx(0.01, rel=0.3)
-
-
-def test_foreign_folder_is_left_alone(tmp_path):
-    (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match=r"thesis\.tex"):
-        page.reproduce(tmp_path, quick=True)
-    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 def test_failure_leaves_nothing(tmp_path, monkeypatch):

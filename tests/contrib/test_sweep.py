@@ -21,7 +21,7 @@ from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive, score
 from isd_gym.contrib import engine
 from isd_gym.contrib.engine import Task
-from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
+from isd_gym.contrib.sweep.conditions import _watched, overall, sweep
 from isd_gym.contrib.sweep.grid import Condition, Grid
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
@@ -292,11 +292,6 @@ def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path):
     assert run("sweep", good, "--out", out).returncode == 0
     assert "| heavy |" in (out / "sweep.md").read_text()
     assert run("sweep", tmp_path / "absent.toml", "--out", out).returncode == 2
-
-
-def test_an_item_is_small():
-    text = json.dumps(drive_item("skyhook", None, 0, 8, 0.5, {}))
-    assert len(text) < 3000
 
 
 # ------------------------------------------------------------------------------------------------------- a cluster
