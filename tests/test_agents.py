@@ -38,10 +38,6 @@ from isd_gym.physics.network import Network
 if TYPE_CHECKING:
     from pathlib import Path
 
-needs_sb3 = pytest.mark.skipif(
-    find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
-)
-
 
 def small_policy(rng: np.random.Generator, head: Head | None = None, memory: Memory = MEMORY) -> Policy:
     sizes = [memory.width(6), 8, 1]
@@ -292,7 +288,6 @@ def sb3():
     return stable_baselines3
 
 
-@needs_sb3
 def test_the_adapter_is_the_single_environment(sb3):
     from isd_gym.sb3 import make_vec_env
 
@@ -312,7 +307,6 @@ def test_the_adapter_is_the_single_environment(sb3):
         assert not done.any() and infos == [{}, {}, {}]
 
 
-@needs_sb3
 def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
     from isd_gym.contrib.training.environment import Remember
     from isd_gym.sb3 import make_vec_env
@@ -343,7 +337,6 @@ def trained(sb3, kind: str, env, **options):
     return algorithm("MlpPolicy", env, **small, **options).learn(64)
 
 
-@needs_sb3
 @pytest.mark.parametrize(("kind", "rescale"), [("PPO", True), ("SAC", False), ("TD3", True)])
 def test_numpy_does_what_sb3_would(sb3, kind, rescale, tmp_path):
     from stable_baselines3.common.vec_env import VecNormalize
@@ -361,7 +354,6 @@ def test_numpy_does_what_sb3_would(sb3, kind, rescale, tmp_path):
     np.testing.assert_allclose(policy.act_batch(obs), wanted[:, 0] * (5.0 if rescale else 1.0), atol=2e-5)
 
 
-@needs_sb3
 def test_weights_are_read_as_torch_reads_them(sb3, tmp_path):
     import torch
 

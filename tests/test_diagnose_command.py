@@ -307,6 +307,9 @@ def test_unknown_effect_with_its_table(files: Path, library: None, tmp_path: Pat
     assert "Force between mass and ground, as a table over travel" in o.page.text
     assert "the completed model; use it as" in o.page.text and (o.folder / "law.svg").exists()
     assert d["best_table"]["explained"] == d["tabulated"]["explained"] >= 0.5
+    axis = np.array(d["tabulated"]["elongation"])
+    true, inside = 4e6 * axis**3, np.abs(axis) < 0.6 * np.abs(axis).max()
+    assert np.abs(d["tabulated"]["force"] - true)[inside].max() < 0.2 * np.abs(true).max()
     assert f"removes {100 * d['tabulated']['explained']:.0f} %" in d["summary"]
     rejected = d["best_candidate"]
     assert rejected is None or [g["gate"] for g in rejected["failed_gates"]] == [

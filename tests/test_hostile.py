@@ -15,7 +15,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from program import assert_one_line, run
-from scipy.io import savemat
 
 from isd_gym._common.errors import InputError, markdown, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
@@ -797,33 +796,6 @@ def test_a_text_table_may_hold_anything(text, says, tmp_path):
     path = tmp_path / "t.csv"
     path.write_text(text)
     refused(lambda: read_table(path, expected={"x": "m"}), says)
-
-
-def test_one_reader_for_all_tables_so_a_road_in_millimetres_is_one(tmp_path):
-    x = np.arange(0, 50, 0.25)
-    z = 0.02 * np.sin(x)
-    ways = {
-        "head.csv": "distance [m],height [mm]\n"
-        + "".join(f"{a},{1e3 * b}\n" for a, b in zip(x, z, strict=True)),
-        "rows.csv": "rig 7\n\ndistance;height\nm;mm\n"
-        + "".join(f"{a};{1e3 * b}\n".replace(".", ",") for a, b in zip(x, z, strict=True)),
-        "bom.txt": "\ufeffHeight (cm)\tDistance (mm)\n"
-        + "".join(f"{1e2 * b}\t{1e3 * a}\n" for a, b in zip(x, z, strict=True)),
-    }
-    for name, text in ways.items():
-        (tmp_path / name).write_text(text)
-    savemat(tmp_path / "m.mat", {"distance": x, "height": 1e3 * z, "units": {"height": "mm"}})
-    for name in (*ways, "m.mat"):
-        np.testing.assert_allclose(road(tmp_path / name).profile, z, atol=1e-12)
-        np.testing.assert_allclose(road(tmp_path / name).abscissa, x, atol=1e-12)
-    rng = np.random.default_rng(0)
-    (tmp_path / "f.csv").write_text(
-        "distance,height\n"
-        + "".join(f"{a},{b}\n" for a, b in zip(x, 20 * rng.standard_normal(len(x)), strict=True))
-    )
-    refused(lambda: road(tmp_path / "f.csv"), "is the height in mm")
-    (tmp_path / "u.csv").write_text("distance [m],height [N]\n0,0\n1,0\n")
-    refused(lambda: road(tmp_path / "u.csv"), "unit 'N' cannot be converted to 'm'")
 
 
 def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):

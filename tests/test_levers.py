@@ -33,11 +33,6 @@ PUSH = channel("push", "force", "mass")
 MOTION = [channel("place", "displacement", "mass"), channel("shock", "acceleration", "mass")]
 
 
-def agree(one, other):
-    a, b = transfer(one, FREQUENCY), transfer(other, FREQUENCY)
-    assert np.abs(a / b - 1.0).max() < 1e-9
-
-
 def rack(mass=2.0, inertia=0.003, ratio=0.012):
     """An inerter as built: rod and pinion, a flywheel on the shaft."""
     return model(

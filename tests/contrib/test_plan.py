@@ -31,7 +31,6 @@ from isd_gym.diagnosis import Criteria, diagnose
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, read_table
-from isd_gym.records.data import Table as Kept
 from isd_gym.records.schemas import load
 
 if TYPE_CHECKING:
@@ -246,7 +245,9 @@ def test_bad_options_are_answered_with_one_line_and_nothing_is_written(
     assert not (tmp_path / "plan.json").exists()
 
 
-def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> None:
+def test_the_columns_of_data_may_have_other_names_and_units(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same test, its columns called and scaled as a logger does: by --rename and --unit, and by a map."""
     model = tmp_path / "model.json"
     model.write_text(json.dumps(MASS))
@@ -260,21 +261,19 @@ def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> N
     lost = run(str(model), str(log), *more)
     assert isinstance(lost.exception, InputError) and "--rename COLUMN=stroke" in str(lost.exception)
     named = ("--rename", "Weg=stroke", "--rename", "az=acceleration", "--unit", "stroke=cm")
-    asked = {}
+    wrong = run(str(model), str(log), "--rename", "Weg=strok", *more)
+    assert "did you mean 'stroke'" in str(wrong.exception)
+    asked: list[Any] = []
 
-    def kept(network: Network, tables: list[Kept], **options: Any) -> Any:
-        asked["stroke"] = tables[0]["stroke"], tables[0].units.get("stroke")
-        asked["columns"] = set(tables[0].columns)
+    def kept(network: Network, tables: list[Table], **options: Any) -> Any:
+        asked.extend(tables)
         raise InputError("enough")
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("isd_gym.contrib.forecast.workflow.plan", kept)
-        assert "enough" in str(run(str(model), str(log), *named, *more).exception)
-        values, unit = asked["stroke"]
-        np.testing.assert_allclose(convert(np.asarray(values), unit or "mm", "mm"), stroke, atol=1e-6)
-        assert asked["columns"] >= {"stroke", "acceleration"}
-        wrong = run(str(model), str(log), "--rename", "Weg=strok", *more)
-        assert "did you mean 'stroke'" in str(wrong.exception)
+    monkeypatch.setattr("isd_gym.contrib.forecast.workflow.plan", kept)
+    assert "enough" in str(run(str(model), str(log), *named, *more).exception)
+    unit = asked[0].units.get("stroke") or "mm"
+    np.testing.assert_allclose(convert(np.asarray(asked[0]["stroke"]), unit, "mm"), stroke, atol=1e-6)
+    assert set(asked[0].columns) >= {"stroke", "acceleration"}
     alone = run(str(model), *QUICK, "--rename", "Weg=stroke")
     assert "are for DATA" in str(alone.exception)
 
