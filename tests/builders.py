@@ -6,6 +6,7 @@ import numpy as np
 
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
 
 #: unit of a channel unless another one is given
 UNITS = {
@@ -97,3 +98,14 @@ def drive_quarter_car(
     return time, {"road": heights} | {
         k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
     }
+
+
+def table(columns: Any, name: str) -> Table:
+    """Return the columns of a generated rig, its time among them, as a table."""
+    columns = dict(columns)
+    return Table(columns.pop("time"), columns, name)
+
+
+def named(d: Any) -> set[tuple[str, frozenset[str]]]:
+    """Return the effects that a diagnosis names, each with its channel or its terminals."""
+    return {(e.effect, frozenset([e.channel] if e.channel else e.between or ())) for e in d.effects}

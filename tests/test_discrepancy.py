@@ -9,7 +9,7 @@ from typing import Any
 import builders
 import numpy as np
 import pytest
-from builders import damper, element, network
+from builders import damper, element, named, network, table
 from rigs import families
 from rigs.hidden import make_case
 from scipy.integrate import solve_ivp
@@ -48,15 +48,6 @@ from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, check
 
 approx = pytest.approx
-
-
-def table(columns, name: str) -> Table:
-    columns = dict(columns)
-    return Table(columns.pop("time"), columns, name)
-
-
-def named(d: Diagnosis) -> set[tuple[str, frozenset[str]]]:
-    return {(e.effect, frozenset([e.channel] if e.channel else e.between or ())) for e in d.effects}
 
 
 def run(kind: str, seed: int, settings: SearchSettings | None = None) -> tuple[Diagnosis, Any]:

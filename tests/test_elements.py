@@ -299,15 +299,6 @@ def test_whole_turns_are_tried_where_the_nodes_turn():
     assert el.CoggingForce.variants(with_effects(), ("cart", "ground")) == [{"turn": "any"}]
 
 
-def test_degressive_damping_is_linear_at_rest_and_bounded_at_speed():
-    law = el.DegressiveDamping("x", ("a", "b"), damping=300.0, knee=0.2)  # type: ignore[call-arg]
-    v = np.linspace(-3.0, 3.0, 61)
-    assert law.curve(v) == pytest.approx(300.0 * v / (1 + np.abs(v) / 0.2))
-    assert law.curve(np.array([1e-6])) == pytest.approx(300e-6, rel=1e-5)
-    assert law.curve(np.array([0.2])) == pytest.approx(0.5 * 300.0 * 0.2)
-    assert law.curve(np.array([1e6])) == pytest.approx(300.0 * 0.2, rel=1e-5)
-
-
 def test_a_mass_behind_a_degressive_damper_loses_speed_as_its_equation_says():
     mass, c, knee = 2.0, 30.0, 0.1
     model = builders.model(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import element
+from builders import element, named, table
 from rigs import families
 from rigs.families.bench import outputs
 from rigs.families.half_car import FRONT, REAR, half_car
@@ -15,14 +15,13 @@ from rigs.families.plant import Signal, integrate
 from rigs.reference import simulate as by_reference
 
 from isd_gym import simulate
-from isd_gym.diagnosis import Diagnosis, diagnose
+from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.structure import in_line
 from isd_gym.diagnosis._hypotheses.forces import _measured_force
 from isd_gym.diagnosis._hypotheses.library import pairs
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.elements._base import held_still
 from isd_gym.physics.network import Network
-from isd_gym.records.data import Table
 
 
 def waves(time: np.ndarray, late: float = 0.0) -> Signal:
@@ -155,13 +154,6 @@ def test_the_scale_of_force_is_the_inertia_of_what_the_sensor_sits_on() -> None:
 
 
 # ------------------------------------------------------------------------------------------------- to the end
-def table(columns, name: str) -> Table:
-    columns = dict(columns)
-    return Table(columns.pop("time"), columns, name)
-
-
-def named(d: Diagnosis) -> set[tuple[str, frozenset[str]]]:
-    return {(e.effect, frozenset([e.channel] if e.channel else e.between or ())) for e in d.effects}
 
 
 def test_there_are_sixteen_effects_at_either_axle_and_three_clean_cars() -> None:

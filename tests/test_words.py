@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 from typing import Any, get_args
 
 import pytest
+from test_criteria import GOOD
 
 from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
@@ -31,22 +32,13 @@ FRICTION = {
     "confidence": 0.9,
     "parameters": {"level": {"value": 3.0, "low": 2.9, "high": 3.1, "unit": "N"}},
 }
-SEEN = Evidence(
+SEEN = replace(
+    GOOD,
     channels=("travel",),
-    before=(0.4,),
-    refit=(0.3,),
     after=(0.02,),
-    noise=(0.02,),
-    noise_known=(True,),
-    envelope=(0.03,),
     effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=0.05),),
-    elpd_diff=2000.0,
-    elpd_dse=200.0,
     explained=0.99,
-    rival_loss=50.0,
-    force_loss=50.0,
     richest=(0.02,),
-    richest_share=0.4,
 )
 
 

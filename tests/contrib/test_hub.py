@@ -9,7 +9,6 @@ import pytest
 from isd_gym import _commands as cli
 from isd_gym._common.errors import InputError
 from isd_gym.agents.policy import SHIPPED, Policy
-from isd_gym.benchmark import _cards as cards
 from isd_gym.contrib import hub
 
 pytest.importorskip("pygame", reason="films need isd-gym[render]")
@@ -54,35 +53,6 @@ def test_it_holds_the_policy_the_film_and_nothing_else(folder):
     ).read_bytes()
     about = imageio.immeta(folder / "replay.mp4", plugin="FFMPEG")
     assert about["duration"] == pytest.approx(0.22, abs=0.05) and about["size"][0] > 600
-
-
-def test_a_whole_score_stands_among_the_references(folder):
-    card = cards.load("ISDSuspension-v0")
-    one = next(t for t in card["tracks"] if t["track"] == "standard")
-    whole = {k: one[k] for k in (*cards.SAME, "roads")}
-    raw = {name: one["policies"][name]["episodes"] for name in ("passive", "lqg")}
-    rows = [
-        {
-            "policy": "lqg",
-            **{
-                k: cards.compare(k, np.array(v), np.array(raw["passive"][k]), "-")
-                for k, v in raw["lqg"].items()
-            },
-        }
-    ]
-    found = {
-        **whole,
-        "schema": "isd-score/1",
-        "policies": rows,
-        "raw": {"passive": raw["passive"], "mine": raw["lqg"]},
-    }
-    rows[0]["policy"] = "mine"
-    rows[0]["share_of_causal_gain"] = 0.8
-    before, own = (np.mean(raw[name]["cost"]) for name in ("passive", "lqg"))
-    ceiling = before - (before - own) / 0.8  # the least cost of causal controllers
-    text = hub._card(Policy.load("ppo"), "mine-ISDSuspension-v0", found)
-    assert "`mpc-friction`" in text and "`mine`" in text and card["digest"][:16] in text
-    assert f"for causal controllers: {own - ceiling:.4f}." in text
 
 
 @pytest.mark.slow
