@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tracks
 from program import assert_one_line, run
 
 from isd_gym._commands._card_table import print_track
@@ -174,19 +174,8 @@ def test_the_shipped_cards_are_whole():
             assert np.allclose(own, track["roads"][:2], rtol=1e-6, atol=1e-9)
 
 
-@pytest.fixture(scope="module")
-def tracks():
-    """The script that makes the cards."""
-    path = Path(__file__).parents[1] / "benchmarks" / "tracks.py"
-    spec = importlib.util.spec_from_file_location("tracks", path)
-    script = importlib.util.module_from_spec(spec)
-    sys.modules["tracks"] = script  # dataclasses look their module up
-    spec.loader.exec_module(script)
-    return script
-
-
 @pytest.mark.parametrize("name", cards.built_in())
-def test_the_reward_threshold_is_the_best_classical_controller(name, tracks):
+def test_the_reward_threshold_is_the_best_classical_controller(name):
     from gymnasium.envs.registration import registry
 
     card = cards.load(name)
@@ -200,7 +189,7 @@ def test_the_reward_threshold_is_the_best_classical_controller(name, tracks):
     assert max(returns["passive"], returns["skyhook"], returns["mpc"]) < threshold
 
 
-def test_every_track_of_the_script_is_in_a_card(tracks):
+def test_every_track_of_the_script_is_in_a_card():
     shipped = {(name, track["track"]) for name in cards.built_in() for track in cards.load(name)["tracks"]}
     assert shipped == {(track.environment, track.name) for track in tracks.TRACKS}
     for track in tracks.TRACKS:

@@ -77,17 +77,6 @@ def test_a_short_score_says_nothing_of_bounds(tmp_path):
         assert row["share_of_reachable_gain"] is None and row["share_of_causal_gain"] is None
 
 
-def test_simulate_writes_the_models_channels(tmp_path):
-    t = np.arange(0, 1, 0.002)
-    rows = "\n".join(f"{a:.4f},{0.005 * np.sin(12 * a):.9f},0" for a in t)
-    (tmp_path / "d.csv").write_text("time,road,current\n" + rows + "\n")
-    done = run("simulate", "quarter-car-isd", tmp_path / "d.csv", "--out", tmp_path / "o.csv")
-    assert done.returncode == 0, done.stderr
-    table = read_table(tmp_path / "o.csv")
-    assert set(table.columns) == {c.name for c in Network.load("quarter-car-isd").outputs}
-    assert len(table.time) == len(t)
-
-
 def test_simulate_takes_other_names_and_writes_over_no_record(tmp_path):
     t = np.arange(0, 1, 0.01)
     (tmp_path / "d.csv").write_text(

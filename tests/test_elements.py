@@ -124,6 +124,9 @@ def test_an_environment_refuses_what_its_drive_does_not_have():
 @pytest.mark.parametrize(
     ("effect", "expected"),
     [
+        ({"type": "sensor_gain", "gain": 1.2}, lambda y: 1.2 * y),
+        ({"type": "sensor_bias", "bias": 0.3}, lambda y: y + 0.3),
+        ({"type": "sensor_delay", "delay": 0.04}, lambda y: np.concatenate([np.full(4, y[0]), y[:-4]])),
         ({"type": "sensor_magnitude"}, np.abs),
         ({"type": "sensor_dead_zone", "width": 0.02}, lambda y: np.sign(y) * np.maximum(np.abs(y) - 0.02, 0)),
     ],
@@ -131,10 +134,11 @@ def test_an_environment_refuses_what_its_drive_does_not_have():
 def test_laws_of_a_sensor(effect, expected):
     time = np.arange(400) * 0.01
     current = np.sin(3 * time)
-    truth = simulate(with_effects(), time, {"current": current})["speed"]
-    seen = simulate(with_effects({"channel": "speed", **effect}), time, {"current": current})["speed"]
-    assert truth.min() < -0.05 < 0.05 < truth.max()
-    assert np.allclose(seen, expected(truth), rtol=0, atol=1e-15)
+    truth = simulate(with_effects(), time, {"current": current})
+    seen = simulate(with_effects({"channel": "speed", **effect}), time, {"current": current})
+    assert truth["speed"].min() < -0.05 < 0.05 < truth["speed"].max()
+    assert np.allclose(seen["speed"], expected(truth["speed"]), rtol=0, atol=1e-12)
+    assert np.array_equal(seen["thrust"], truth["thrust"])
 
 
 def test_a_sensor_may_be_late_or_lead():

@@ -107,24 +107,6 @@ def test_weights_for_tyre_load_and_current():
         StageCost(current=-1.0)
 
 
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"road": "moon"}, "no road 'moon'"),
-        ({"speed": 0.0}, "speed must be a number"),
-        ({"network": "force-rig"}, "is no car"),
-        ({"observation": "all"}, "observation must be one of"),
-        ({"randomize": {"roof.mass": (0.8, 1.2)}}, "no parameter 'roof.mass'"),
-        ({"randomize": {"body.mass": (1.2, 0.8)}}, "needs 0 < low <= high"),
-        ({"control_step": 0.0017}, "not a whole multiple"),
-        ({"render_mode": "ascii"}, "render_mode must be"),
-    ],
-)
-def test_bad_options(kwargs, message):
-    with pytest.raises(InputError, match=message):
-        ISDSuspensionEnv(**kwargs)
-
-
 def test_autoreset_as_gymnasium_has_it():
     env = gym.make_vec("ISDSuspension-v0", 3, max_episode_steps=5)
     assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP

@@ -14,7 +14,7 @@ from scipy.special import k1
 from isd_gym._common.errors import InputError
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.physics._vehicle import vehicle
-from isd_gym.physics.cost import FULL_CAR, HALF_CAR, StageCost
+from isd_gym.physics.cost import FULL_CAR, HALF_CAR
 from isd_gym.physics.network import Network, linearise
 from isd_gym.physics.road import Road, paper_road
 
@@ -140,21 +140,6 @@ NO_CARS = {
 def test_networks_that_are_no_cars(message):
     with pytest.raises(InputError, match=message):
         ISDSuspensionEnv(NO_CARS[message])
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"cost": {"roll": 0.1}}, "does not roll"),
-        ({"cost": {"yaw": 0.1}}, "no 'yaw'"),
-        ({"cost": StageCost(travel_reference=(1e-3, 2e-3, 3e-3))}, "3 values for 2 corners"),
-        ({"cost": {"travel_reference": (1e-3, 0.0)}}, "must be from 1e-12"),
-        ({"randomize": {"wheel.mass": (0.8, 1.2)}}, "no parameter 'wheel.mass'"),
-    ],
-)
-def test_bad_options(options, message):
-    with pytest.raises(InputError, match=message):
-        ISDSuspensionEnv("half-car-isd", **options)
 
 
 # ----------------------------------------------------------------------------------- one and many

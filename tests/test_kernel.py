@@ -162,29 +162,6 @@ def test_energy_balance():
     assert by_road + by_motor == pytest.approx(kinetic + elastic + spent, abs=1e-3 * scale)
 
 
-def test_sensor_faults_act_on_their_channel_only():
-    net = Network.load("quarter-car-isd")
-    time, road = a_road(1.0)
-    inputs = {"road": road, "current": np.zeros_like(time)}
-    true = simulate(net, time, inputs)
-    for fault in (
-        {"type": "sensor_gain", "gain": 1.2},
-        {"type": "sensor_bias", "bias": 0.3},
-        {"type": "sensor_delay", "delay": 4e-3},
-    ):
-        seen = simulate(
-            net.with_element({"name": "s", "channel": "body_acceleration", **fault}), time, inputs
-        )
-        np.testing.assert_array_equal(seen["tyre_force"], true["tyre_force"])
-        a = true["body_acceleration"]
-        expected = {
-            "sensor_gain": 1.2 * a,
-            "sensor_bias": a + 0.3,
-            "sensor_delay": np.concatenate([np.full(4, a[0]), a[:-4]]),
-        }
-        np.testing.assert_allclose(seen["body_acceleration"], expected[fault["type"]], atol=1e-12)
-
-
 def test_simulate_refuses_bad_input():
     time = np.arange(100) * STEP
     with pytest.raises(InputError, match="input 'current' is missing"):

@@ -118,19 +118,6 @@ def test_workers_in_processes():
         env.close()
 
 
-def test_pictures_of_a_batch_are_those_of_its_cars():
-    pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
-    many, one = cars(render_mode="rgb_array"), gym.make(NAME, render_mode="rgb_array").unwrapped
-    many.reset(seed=7), one.reset(seed=8)
-    for a in currents(12):
-        many.step(a), one.step(a[1])
-    pictures = many.render()
-    assert isinstance(pictures, tuple) and len(pictures) == CARS
-    np.testing.assert_array_equal(pictures[1], one.render())
-    assert not np.array_equal(pictures[0], pictures[1])
-    many.close(), one.close()
-
-
 @theirs
 def test_videos(tmp_path):
     if not hasattr(vector, "RecordVideo"):

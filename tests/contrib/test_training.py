@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import pickle
 import shutil
 from dataclasses import replace
 from operator import attrgetter
-from pathlib import Path
 
 import numpy as np
 import pytest
+import study
 from gymnasium import spaces
 
 from isd_gym._common.errors import InputError
@@ -421,12 +420,6 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative():
 
 @pytest.mark.tools
 def test_the_study_s_interval_is_that_of_seeds_and_roads(rng):
-    spec = importlib.util.spec_from_file_location(
-        "study", Path(__file__).parents[2] / "benchmarks" / "study.py"
-    )
-    assert spec is not None and spec.loader is not None
-    study = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(study)
     assert study.iqm(np.array([0.0, 1.0, 2.0, 3.0, 100.0, -50.0, 4.0, 5.0])) == pytest.approx(2.5)
     reference = rng.uniform(0.7, 1.0, 32)
     own = 0.8 * reference * (1 + 0.01 * rng.standard_normal((5, 1)))  # seeds differ by 1 %, roads not at all
