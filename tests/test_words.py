@@ -16,7 +16,6 @@ from isd_gym.diagnosis._verdict.wording import (
     KINDS,
     NOT_BORNE_OUT,
     TESTS,
-    described,
     failures,
     plain_number,
     plain_value,
@@ -84,11 +83,6 @@ def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so() -> None:
     assert "rises from 30.0 % to 90.0 %" in summary_of(document(after=0.9))
     assert NOT_BORNE_OUT in summary_of(document(after=0.9))
     assert "Next: repeat the test" in summary_of(document(after=0.9))
-
-
-def test_a_number_without_a_unit_has_none_in_the_text() -> None:
-    effect = {**FRICTION, "parameters": {**FRICTION["parameters"], "exponent": {"value": 1.0, "unit": "-"}}}
-    assert "exponent 1)" in described(effect)
 
 
 def test_a_refit_that_errs_more_than_the_model_as_given_is_told() -> None:
@@ -244,26 +238,6 @@ def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:
     assert not refuted.title.startswith("Missing: a force")
 
 
-def test_the_length_of_stretches_is_the_one_that_was_compared() -> None:
-    over = {"count": 4, "shortest": 7.5, "longest": 15.0, "reason": "astray", "error": 0.61, "limit": 0.5}
-    said = summary_of(document(stretches=over))
-    assert "over 4 stretches of 7.5 to 15 s" in said and "is 61.0 % (limit 50 %)" in said
-
-
-def test_what_is_left_beside_a_name_is_told() -> None:
-    addition = {"effects": ["backlash"], "where": [["a", "b"]], "error": 0.05}
-    left = {
-        "channel": "travel",
-        "after": 0.2,
-        "noise_floor": 0.02,
-        "when": "everywhere",
-        "candidate": addition,
-    }
-    said = summary_of(document(after=0.2, remainder=left))
-    assert "An error of 20.0 % in travel remains (noise 2.0 %). Another effect may be missing." in said
-    assert "backlash between a and b, would reduce the error to 5.0 %" in said
-
-
 def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
     rivals = [
         {"effects": [name], "where": [["mass", "ground"]], "excess": excess, "why_not": ""}
@@ -352,12 +326,6 @@ def test_a_figure_that_is_not_finite_does_not_lose_the_result() -> None:
     assert plain_number(None) == "unknown"
     assert failures([gate("g", float("nan"), ">", 1.0, "").to_dict() | {"value": None}]) == (
         "g is unknown (needed above 1)"
-    )
-
-
-def test_a_force_that_the_controller_explains_is_told_in_words() -> None:
-    assert failures([gate("not the controller", 0.789, "<", 0.5, "").to_dict()]) == (
-        "the controller's input explains 79 % of its force (less than 50 % needed)"
     )
 
 

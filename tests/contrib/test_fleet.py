@@ -137,15 +137,6 @@ def test_the_first_line_of_the_page_is_the_finding():
     assert "<h1>5 of 5 cases have no result</h1>" in page(merge(cases, tasks, {}))
 
 
-def test_a_sentence_in_a_table_may_wrap():
-    """A fleet's page is no wider than its window: only the small print under figures stays in one line."""
-    cases, tasks, found = results({"2024-01-01": (300.0, 8.0)})
-    found[tasks[0].key]["diagnosis"]["summary"] = "A long sentence. " * 9
-    text = page(merge(cases, tasks, found))
-    assert '<small class="prose">A long sentence.' in text
-    assert "td small.prose { white-space: normal; }" in text
-
-
 def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
     case(tmp_path, "fleet/van_2024-01-01", "a.csv", "model.json")
     cases, tasks, found = results({"2024-01-01": (300.0, 8.0)})
