@@ -155,21 +155,6 @@ def test_riccati_value_is_the_cost_of_the_rollout():
 # ----------------------------------------------------------------------------------------- estimator
 
 
-def test_kalman_estimate_converges_to_the_true_state():
-    """From a wrong state, in the linear plant without noise: absolute velocity and tyre deflection are not measured."""
-    m = prediction_model(frictionless(), STEP)
-    filter_ = Estimator(m, Sensors(), 0.0)
-    rng = np.random.default_rng(1)
-    x = rng.normal(size=(m.n, 1)) * np.sqrt(np.diag(m.W))[:, None] * 30
-    first = np.abs(x[:, 0]).max()
-    for _ in range(16_000):
-        current = rng.normal()
-        x = m.A @ x + m.B[:, None] * current
-        y = m.C[:5] @ x + m.D[:5, None] * current
-        estimate = filter_.update(np.vstack([y, [[current]]]))
-    assert np.abs(x - estimate).max() < 1e-3 * first
-
-
 def test_estimate_on_the_car_is_the_state():
     """On the real car, friction and all. What the road did within the last 5 ms no sensor has seen yet: 1.4 mm, 270 N
     of tyre load, of which a part is missing; everything else is within a few per cent of its RMS."""
@@ -219,19 +204,6 @@ def test_stage_cost_is_the_objective():
         form = 0.5 * moves @ controller._P @ moves + q @ moves
         direct = objective(x0, present, moves) - objective(x0, present, np.zeros(6))
         assert form == pytest.approx(direct, rel=1e-9)
-
-
-def test_long_unconstrained_mpc_is_the_regulator():
-    """A horizon of 400 steps without cost-to-go gives the first move of the infinite-horizon regulator."""
-    settings = MpcSettings(
-        horizon=400, moves=(1,) * 400, terminal=False, friction="equivalent", centring=0.5, move=0.5
-    )
-    controller = Mpc(CAR, None, STEP, settings)
-    m = controller.linear.model
-    K, _ = move_regulator(m, controller.weights)
-    x = np.sqrt(np.diag(stationary(m.A, m.W) + 1e-12)) * 1e-3
-    free = -controller._inverse @ (controller._linear_term @ np.append(x, 0.01))
-    assert free[0] == pytest.approx(-K @ np.append(x, 0.01), rel=1e-3)
 
 
 def test_cost_to_go_makes_a_short_horizon_long():
@@ -481,21 +453,6 @@ def test_no_observation_breaks_a_controller(name, network):
     for _ in range(8000 if signals == 6 else 12000):  # several times the 5 s until a road's level is trusted
         calm[currents] = command = controller.act(calm)
     assert np.abs(command).max() < 0.5
-
-
-@pytest.mark.parametrize("name", ["lqg", "mpc", "mpc-friction"])
-def test_wrong_model_is_survived(name):
-    """The controller believes in equation (8) as printed, the plant is the default car: limits hold, nothing breaks."""
-    controller = baselines.make(name, model="quarter-car-eq8")
-    assert controller.model.name == "quarter-car-eq8"
-    env = ISDSuspensionVectorEnv(1, autoreset_mode="disabled")
-    obs, _ = env.reset(seed=9)
-    controller.reset()
-    for _ in range(300):
-        command = controller.act(obs[0])
-        assert abs(command - float(obs[0, 5])) <= SLEW_LIMIT + 1e-9
-        obs, _, terminated, *_ = env.step(np.array([[command]]))
-        assert not terminated.any()
 
 
 def test_ranking_on_the_papers_road():
