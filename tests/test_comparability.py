@@ -38,15 +38,6 @@ def test_every_condition_counts(change, left_out):
     assert (found.left_out is None) == (not left_out)
 
 
-def test_the_reasons_are_one_line():
-    few = "2 x 4 s is too small a sample"
-    line = Comparable(tables="another road", lq_bound=few, ceiling=few).left_out
-    assert line == (
-        "Left out: Tables 7 and 8 of the paper (another road); the LQ bound and the causal ceiling "
-        "(2 x 4 s is too small a sample)."
-    )
-
-
 def test_a_small_sample_has_no_share_of_the_causal_gain():
     entries = [passive(CAR), Entry("isd-passive", lambda: Idle("isd-passive"))]
     usual = {"reference": entries[0], "duration": 1.0, "ceiling": lambda preview: {"change": -0.3}}
