@@ -217,7 +217,7 @@ def _pushed(
     mean = 0.5 * (
         forces + np.append(forces[1:], forces[-1:], axis=0)
     )  # an input of a motor is held over a step
-    records = [replace(record, inputs={**record.inputs, PUSH: column}) for column in mean.T]
+    records = [record.with_inputs({**record.inputs, PUSH: column}) for column in mean.T]
     whole = Problem(network, records, None, problem.step, problem.time)
     begun = None if fit is None else {k: fit.initial[i][:, None] for k in range(len(records))}
     seen = whole.simulate_all(

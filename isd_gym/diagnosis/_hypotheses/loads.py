@@ -12,7 +12,7 @@ import numpy as np
 
 from ..._common.arrays import rms
 from ..._common.errors import InputError
-from .motion import with_outputs
+from .motion import watched
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -40,14 +40,12 @@ def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> 
     names = list(dict.fromkeys(dict(h.options)["load"] for h in candidates if h.kind.loaded))
     if not names:
         return {}
-    network = fit.network
-    watched = with_outputs(network, tuple(network.probe(f"_{n}", "force", element=n) for n in names))
-    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
+    probes = tuple(fit.network.probe(f"_{n}", "force", element=n) for n in names)
     try:
-        seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=network)
+        seen = watched(problem, fit, probes)
     except (InputError, np.linalg.LinAlgError):
         return {}
-    return {n: [seen[i][:, k, 0] for i in problem.estimation] for k, n in enumerate(names)}
+    return {n: [seen[i][:, k] for i in problem.estimation] for k, n in enumerate(names)}
 
 
 def tell_gain(loads: Sequence[Array]) -> bool:

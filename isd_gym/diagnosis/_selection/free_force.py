@@ -79,7 +79,7 @@ class Table(Structure):
         """The network with its own free parameters alone."""
         return Structure(self.network, self.free[: len(self.free) - self.basis.shape[1]])
 
-    def at(self, x: Array) -> Network:
+    def _network(self, x: Array) -> Network:
         own = self.own
         force = self.basis @ x[len(own.free) :]
         return own.at(x[: len(own.free)]).with_table(self.element, force.reshape(self.shape).tolist())
