@@ -279,9 +279,7 @@ def with_sensor_offsets(network: Network, offsets: Sequence[float] | None) -> Ne
 
     The outputs keep `"offset": "free"`: a later diagnosis estimates the remaining offset.
 
-    Args:
-        network: The model.
-        offsets: Offset of each output, equal for all records [unit of the channel]; None for no offset.
+    `offsets`: Offset of each output, equal for all records [unit of the channel]; None for no offset.
 
     Returns:
         The model. The bias of a channel that has one already changes by the offset.

@@ -101,16 +101,10 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
 def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str, Array]:
     """Compute the forces of the elements between two nodes over all records to fit by.
 
-    Args:
-        problem: records and channels.
-        fit: fitted structure with its initial states.
-        where: the two nodes; the sign of each force is that of an element from the first to the second.
+    `where`: the two nodes; the sign of each force is that of an element from the first to the second.
 
     Returns:
         Force [N] (samples,), or torque [N m], by element.
-
-    Raises:
-        InputError: the simulation breaks down.
     """
     net, pair = fit.network, set(where)
     here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
@@ -122,16 +116,8 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
 def work_share(problem: Problem, fit: Fit, name: str) -> float:
     """Return the share of an element in the work that all elements of a network dissipate over the records to fit by.
 
-    Args:
-        problem: Records and channels.
-        fit: Fitted structure with its initial states.
-        name: The element.
-
     Returns:
         Share from 0 to 1; 0 for an element that stores energy only.
-
-    Raises:
-        InputError: The simulation breaks down.
     """
     net = fit.network
     lossy = [e for e in net.elements if e.place == "between" and e.mechanism in DISSIPATIVE]
@@ -148,15 +134,8 @@ def work_share(problem: Problem, fit: Fit, name: str) -> float:
 def lossy_share(problem: Problem, fit: Fit) -> float:
     """Return the largest force of an element that dissipates over the largest force of all elements, as root mean squares over the records to fit by.
 
-    Args:
-        problem: Records and channels.
-        fit: Fitted structure with its initial states.
-
     Returns:
         Share from 0 to 1; 1 without an element that dissipates.
-
-    Raises:
-        InputError: The simulation breaks down.
     """
     elements = [e for e in fit.network.elements if e.place == "between"]
     forces: dict[str, Array] = {}
@@ -170,9 +149,7 @@ def lossy_share(problem: Problem, fit: Fit) -> float:
 def dissipated_work(force: Array, motion: Motion) -> float:
     """Return the mean power of the equivalent viscous damper of a force: a spring in parallel takes the part that returns.
 
-    Args:
-        force: Force over the motion (samples,) [N].
-        motion: Motion of the force's two nodes.
+    `force`: Force over the motion (samples,) [N].
 
     Returns:
         Mean power [W].

@@ -29,10 +29,7 @@ LEAST_DIFFERENCE = 0.3
 def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> dict[str, list[Array]]:
     """Return the loads of frictions in the training records, as a fitted simulation computes them.
 
-    Args:
-        problem: Model and records.
-        fit: A fit with the initial states of the training records.
-        candidates: Hypotheses; those without a load do not count.
+    `candidates`: Hypotheses; those without a load do not count.
 
     Returns:
         Load of each training record (samples,) [N], or [N m] where nodes turn, by element; empty where the simulation breaks down.

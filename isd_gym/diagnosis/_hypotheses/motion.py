@@ -92,14 +92,10 @@ def setting(
 ) -> Setting:
     """Return the setting from which an effect derives the start values of its fit.
 
-    Args:
-        problem: Model and records.
-        network: The fitted model.
-        h: The effect at its place.
-        motion: Motion of the place; None at a motor or a channel.
-        force: Typical force of the place [N].
-        pitches: Periods of travel [m] to begin with.
-        load: Load of a friction in each training record (samples,) [N].
+    `motion`: Motion of the place; None at a motor or a channel.
+    `force`: Typical force of the place [N].
+    `pitches`: Periods of travel [m] to begin with.
+    `load`: Load of a friction in each training record (samples,) [N].
     """
     signal, time, samples = 1.0, problem.time, None
     if h.place == "element":

@@ -53,10 +53,7 @@ def fit_simulation_error(
     Parameters and sensor offsets are free; the first samples of each record give its initial state. The fit starts at the values of the
     candidate. Each channel is weighted by its residual.
 
-    Args:
-        evaluator: Training, validation and test records, with the whole records.
-        candidate: The candidate.
-        held_from: Time from which each whole record took no part in fitting [s].
+    `held_from`: Time from which each whole record took no part in fitting [s].
 
     Returns:
         The structure with its offsets, the parameters (transformed), and the errors of the free runs. None where the error does not fall by `LEAST_GAIN` over all data, or
@@ -101,15 +98,8 @@ def _minimise(
 ) -> tuple[Structure, Array]:
     """Minimise the squared free-run errors of the training data, with the stated uncertainty as prior.
 
-    Args:
-        whole: Whole records.
-        structure: The structure with its sensor offsets.
-        x: Start values (parameters,), transformed.
-        noise: Weight of each channel, as its deviation (channels,).
-        least: Noise of each channel (channels,), for the initial states.
-
-    Returns:
-        The structure with new offsets, and the parameters.
+    `noise`: Weight of each channel, as its deviation (channels,).
+    `least`: Noise of each channel (channels,), for the initial states.
     """
     own = np.flatnonzero(whole.shared_offset)
     free, p, q = structure.free, len(x), len(own)
@@ -212,18 +202,11 @@ def run_freely(
 ) -> dict[int, Array]:
     """Simulate records from the initial states that their first samples give.
 
-    Args:
-        problem: Model and records.
-        structure: Structure with its sensor offsets.
-        x: Free parameters, transformed (parameters,).
-        noise: Noise of each channel (channels,).
-        records: Indices of the records; all by default.
+    `noise`: Noise of each channel (channels,).
+    `records`: Indices of the records; all by default.
 
     Returns:
         Residuals (samples, channels) by record. Channels with an offset per record are without the mean residual of the record.
-
-    Raises:
-        InputError: A simulation breaks down.
     """
     every = list(range(len(problem.records))) if records is None else list(records)
     begun = first_states(_heads(problem), structure, x, noise, every)

@@ -184,9 +184,7 @@ def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
 def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array:
     """Compute the root of the mean variance within groups of series.
 
-    Args:
-        series: Signals (samples, channels).
-        groups: Name of the group of each series.
+    `series`: Signals (samples, channels).
 
     Returns:
         Deviation (channels,) about the means of the groups, at least 1e-300.
@@ -371,9 +369,7 @@ class Problem:
     def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
         """Return the nuisances of a record at the start of a fit.
 
-        Args:
-            index: Index of the record.
-            shared: Known offsets (channels,) of the sensors that all records share.
+        `shared`: Known offsets (channels,) of the sensors that all records share.
 
         Returns:
             Offsets (channels,) and further lags (clocks,): zero but for `shared`.
