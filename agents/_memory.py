@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym._common.errors import InputError, shown
-from isd_gym._common.inputs import number
+from isd_gym._common.inputs import is_whole, number
 from isd_gym.env._history import LARGEST, SIGNALS, History, Remembered, history_of
 
 if TYPE_CHECKING:
@@ -118,11 +118,7 @@ class Filter:
                 raise InputError(f"memory: filter's {name} must be > 0 and at most {LARGEST:g}, not {size:g}")
         if not all(self.K[j][j] > 0 for j in range(nf)):
             raise InputError("memory: filter's diagonal of K must be > 0")
-        if (
-            isinstance(self.current, bool)
-            or not isinstance(self.current, int)
-            or not 0 <= self.current < SIGNALS
-        ):
+        if not is_whole(self.current, 0, SIGNALS - 1):
             raise InputError(
                 f"memory: filter's current must be the place of a signal, not {shown(self.current)}"
             )

@@ -30,14 +30,7 @@ _PREVIEW = 0.25  # default preview of the controllers with preview [s]
 
 
 def noisy(share: float) -> Any:
-    """Return the sensor noise that an estimator should assume.
-
-    Args:
-        share: Noise as a share of the robust track's noise (`isd_gym.env._sensors.NOISE`) [-].
-
-    Returns:
-        Standard deviations of the measured signals.
-    """
+    """Return the standard deviations that an estimator should assume for a share of the robust track's noise (`isd_gym.env._sensors.NOISE`)."""
     from isd_gym.env._sensors import NOISE
 
     from ._model import Sensors

@@ -11,12 +11,7 @@ from scipy import sparse
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a solver.
-
-    Attributes:
-        x: Solution (n,); None without a reliable solution.
-        status: Status of the solver.
-    """
+    """Result of a solver: solution (n,), None without a reliable one, and status."""
 
     x: np.ndarray | None
     status: str

@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from ._common.errors import InputError
 from ._common.files import check_file, whole
+from ._common.inputs import is_whole
 from .benchmark.driving import Entry
 from .benchmark.policies import find, passive
 from .benchmark.scoring import drive
@@ -228,7 +229,7 @@ class ScoreCallback(BaseCallback):
     ) -> None:
         super().__init__(verbose)
         for name, value in (("every", every), ("roads", roads)):
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+            if value is not None and not is_whole(value, 1):
                 raise InputError(f"{name} must be a whole number >= 1, not {value!r}")
         if not 0.1 <= duration <= 1e3:
             raise InputError(f"duration must be 0.1 to 1000 s, not {duration!r}")

@@ -2,7 +2,11 @@
 
 from typing import Any
 
+import numpy as np
+
 from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
+from isd_gym.records.data import Table
 
 #: unit of a channel unless another one is given
 UNITS = {
@@ -55,3 +59,53 @@ def pushed_mass(name: str, outputs: list[dict[str, Any]], **more: Any) -> Networ
     """Return a mass of 5 kg on a spring of 2000 N/m and a damper of 30 N s/m, pushed by a force."""
     parts = [spring("mass", "ground", 2000.0), damper("mass", "ground", 30.0)]
     return network(name, parts, [channel("push", "force", "mass")], outputs, masses={"mass": 5.0}, **more)
+
+
+def decoupled_half_car() -> Network:
+    """Return the half car whose pitch inertia is m a b, so that the axles do not feel one another."""
+    return Network.load("half-car-isd").with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
+
+
+#: a passive quarter car with the sensors of a test drive
+QUARTER_CAR = model(
+    "quarter",
+    [
+        spring("body", "wheel", 22000.0),
+        damper("body", "wheel", 1500.0),
+        spring("wheel", "road", 192000.0, "tyre"),
+    ],
+    [channel("road", "displacement", "road")],
+    [
+        channel("body_acceleration", "acceleration", "body"),
+        channel("wheel_acceleration", "acceleration", "wheel"),
+        channel("travel", "displacement", "body", "wheel"),
+    ],
+    masses={"body": 345.0, "wheel": 45.0},
+)
+
+
+def drive_quarter_car(
+    step: float = 2.5e-3, seconds: float = 12.0, seed: int = 0
+) -> tuple[Any, dict[str, Any]]:
+    """Return time and columns of a drive of the quarter car on a road of sines, with 2 % noise."""
+    rng = np.random.default_rng(seed)
+    time = step * np.arange(round(seconds / step))
+    f = np.geomspace(0.3, 15, 50)
+    heights = sum(
+        2e-3 / k * np.sin(2 * np.pi * k * time + p) for k, p in zip(f, rng.uniform(0, 6.3, 50), strict=True)
+    )
+    said = simulate(QUARTER_CAR, time, {"road": heights})
+    return time, {"road": heights} | {
+        k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
+    }
+
+
+def table(columns: Any, name: str) -> Table:
+    """Return the columns of a generated rig, its time among them, as a table."""
+    columns = dict(columns)
+    return Table(columns.pop("time"), columns, name)
+
+
+def named(d: Any) -> set[tuple[str, frozenset[str]]]:
+    """Return the effects that a diagnosis names, each with its channel or its terminals."""
+    return {(e.effect, frozenset([e.channel] if e.channel else e.between or ())) for e in d.effects}

@@ -26,20 +26,17 @@ from isd_gym.agents.policy import (
     WEIGHTS_NAME,
     Head,
     Policy,
-    read_safetensors,
 )
+from isd_gym.baselines import make
 from isd_gym.benchmark.policies import conventional
 from isd_gym.contrib.exports.archives import convert, read_torch
+from isd_gym.contrib.exports.onnx import export_onnx
 from isd_gym.contrib.training.settings import MEMORY
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-needs_sb3 = pytest.mark.skipif(
-    find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
-)
 
 
 def small_policy(rng: np.random.Generator, head: Head | None = None, memory: Memory = MEMORY) -> Policy:
@@ -106,8 +103,6 @@ def test_each_car_has_a_memory_of_its_own(rng):
 
 def test_a_residual_of_nothing_is_the_lqg():
     """The filter in float32 and in its own coordinates commands what `isd_gym.baselines.lqg` does, stick and slip included."""
-    from isd_gym.baselines import make
-
     memory = filtered()
     layers = [(np.zeros((1, memory.width(6))), np.zeros(1))]
     policy = Policy(layers, memory=memory, head=Head("residual"))
@@ -215,14 +210,6 @@ def test_a_spoilt_folder_is_one_clear_line(rng, tmp_path, spoil, says):
         Policy.load(folder)
 
 
-@pytest.mark.parametrize(
-    "blob", [b"", b"\xff" * 8, b"\x02" + b"\0" * 7 + b"[]", b"\x09" + b"\0" * 7 + b'{"a": {}}']
-)
-def test_no_safetensors_is_said(blob):
-    with pytest.raises(InputError, match="safetensors"):
-        read_safetensors(blob)
-
-
 def test_a_car_with_other_inputs_is_refused(rng):
     with pytest.raises(InputError, match="quarter-car-passive"):
         small_policy(rng).check("quarter-car-passive")
@@ -301,7 +288,6 @@ def sb3():
     return stable_baselines3
 
 
-@needs_sb3
 def test_the_adapter_is_the_single_environment(sb3):
     from isd_gym.sb3 import make_vec_env
 
@@ -321,7 +307,6 @@ def test_the_adapter_is_the_single_environment(sb3):
         assert not done.any() and infos == [{}, {}, {}]
 
 
-@needs_sb3
 def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
     from isd_gym.contrib.training.environment import Remember
     from isd_gym.sb3 import make_vec_env
@@ -352,7 +337,6 @@ def trained(sb3, kind: str, env, **options):
     return algorithm("MlpPolicy", env, **small, **options).learn(64)
 
 
-@needs_sb3
 @pytest.mark.parametrize(("kind", "rescale"), [("PPO", True), ("SAC", False), ("TD3", True)])
 def test_numpy_does_what_sb3_would(sb3, kind, rescale, tmp_path):
     from stable_baselines3.common.vec_env import VecNormalize
@@ -370,7 +354,6 @@ def test_numpy_does_what_sb3_would(sb3, kind, rescale, tmp_path):
     np.testing.assert_allclose(policy.act_batch(obs), wanted[:, 0] * (5.0 if rescale else 1.0), atol=2e-5)
 
 
-@needs_sb3
 def test_weights_are_read_as_torch_reads_them(sb3, tmp_path):
     import torch
 
@@ -394,8 +377,6 @@ def test_a_zip_is_not_loaded_as_a_policy(tmp_path):
 def test_onnx_is_the_policy(rng, tmp_path, mode, output):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from isd_gym.contrib.exports.onnx import export_onnx
-
     policy = small_policy(rng, Head(mode), filtered() if mode == "residual" else MEMORY)
     policy.output = output
     session = runtime.InferenceSession(export_onnx(policy, tmp_path / "p.onnx"))

@@ -1,7 +1,5 @@
 """Turned, mislabelled and swapped channels are refused before the refit; defects of a rig are not."""
 
-from pathlib import Path
-
 import builders
 import numpy as np
 import pytest
@@ -150,33 +148,3 @@ def test_the_diagnosis_refuses_at_once_and_goes_on_when_accepted(monkeypatch):
     for accept in ("sign", "all"):
         with pytest.raises(Reached):
             diagnose([turned], CAR, accept=[accept])
-
-
-SHARED = Path(__file__).resolve().parents[2] / "shared"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the shared rigs are not here")
-@pytest.mark.parametrize("family", ["rigs", "blind", "real"])
-def test_no_shared_rig_is_refused(family, monkeypatch):
-    from isd_gym.records._loggers.record_reading import records_of
-
-    class Compared(Exception):
-        pass
-
-    def stop(problem):
-        raise Compared(find_misreading(problem))
-
-    monkeypatch.setattr(workflow, "find_misreading", stop)
-    compared = 0
-    for path in sorted((SHARED / family).glob("*/model.json")):
-        network = Network.load(path)
-        files = sorted(path.parent.glob("*.csv"))
-        if (path.parent / "map.json").exists():
-            continue
-        records = [r for f in files for r in records_of(f, network, (*network.inputs, *network.outputs))]
-        with pytest.raises(Compared) as said:
-            diagnose(records, network, accept=["all"])
-        assert str(said.value) == "", path.parent.name
-        compared += 1
-    assert compared > 10

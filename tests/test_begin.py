@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from builders import friction
-from test_inspection import CAR, drive
+from builders import QUARTER_CAR as CAR
+from builders import drive_quarter_car, friction
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
@@ -37,7 +37,7 @@ AT_FIRST = {
 @pytest.fixture(scope="module")
 def moving():
     """A drive whose record begins in mid-motion."""
-    time, columns = drive()
+    time, columns = drive_quarter_car()
     return Table(time[1200:], {k: v[1200:] for k, v in columns.items()}, "drive")
 
 

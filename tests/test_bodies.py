@@ -8,14 +8,14 @@ import builders
 import control
 import numpy as np
 import pytest
-from builders import damper, model
+from builders import damper, decoupled_half_car
 from rigs import reference
 
 import isd_gym.physics.simulate
 from isd_gym import simulate
 from isd_gym._common.errors import InputError
 from isd_gym.physics._kernel.layout import GENERAL
-from isd_gym.physics.network import Channel, Network, assemble, cut, linearise, rejoin, transfer
+from isd_gym.physics.network import Network, assemble, cut, linearise, rejoin, transfer
 
 OLD = ("force-rig", "force-rig-eq6", "quarter-car-eq8", "quarter-car-isd", "quarter-car-passive")
 CARS = ("half-car-isd", "half-car-passive", "full-car-isd", "full-car-passive")
@@ -59,50 +59,21 @@ def largest(a, b):
 # ------------------------------------------------------------------------------------------- decoupled axles
 
 
-def decoupled():
-    return Network.load("half-car-isd").with_parameters({"body.inertia.pitch": 690.0 * FRONT * FRONT})
-
-
 @pytest.mark.parametrize("end", ["front", "rear"])
 def test_with_a_pitch_inertia_of_m_a_b_each_corner_is_a_quarter_car(drive, end, monkeypatch):
     """Friction sticks and slips, end stops are hit; both cars law by law, and each on its own way through a step."""
     own = {"road": drive[f"road_{end}"], "current": drive[f"current_{end}"]}
-    half = simulate(decoupled(), drive["time"], inputs(drive))
+    half = simulate(decoupled_half_car(), drive["time"], inputs(drive))
     quarter = simulate("quarter-car-isd", drive["time"], own)
     for name in SIGNALS:
         assert np.std(half[f"{name}_{end}"]) == pytest.approx(np.std(quarter[name]), rel=1e-3)
     numbers = isd_gym.physics.simulate._law_numbers
     monkeypatch.setattr(isd_gym.physics.simulate, "_law_numbers", lambda *a: (GENERAL, *numbers(*a)[1:]))
-    half = simulate(decoupled(), drive["time"], inputs(drive))
+    half = simulate(decoupled_half_car(), drive["time"], inputs(drive))
     quarter = simulate("quarter-car-isd", drive["time"], own)
     assert np.abs(quarter["device_travel"]).max() > 0.02465  # the end stop acts
     for name in SIGNALS:
         assert largest(half[f"{name}_{end}"], quarter[name]) < 1e-9
-
-
-def test_centre_and_pitch_are_the_mean_and_the_difference_of_the_ends(drive):
-    half = simulate("half-car-isd", drive["time"], inputs(drive))
-    front, rear = half["body_acceleration_front"], half["body_acceleration_rear"]
-    assert largest(half["body_acceleration"], 0.5 * (front + rear)) < 1e-12
-    assert largest(half["pitch_acceleration"], (rear - front) / (2 * FRONT)) < 1e-12  # nose down is positive
-    assert (
-        largest(half["driver_acceleration"], half["body_acceleration"] - 0.1 * half["pitch_acceleration"])
-        < 1e-12
-    )
-
-
-def test_decoupled_axles_do_not_feel_one_another():
-    space = linearise(decoupled(), damping=seals(decoupled()))
-    quarter = linearise("quarter-car-isd", damping={"seal": SEAL})
-    for name in SIGNALS:
-        y, x = space.outputs.index(f"{name}_front"), quarter.outputs.index(name)
-        for own, of_quarter in (("road_front", "road"), ("current_front", "current")):
-            response = space.response(FREQUENCY)[:, y, space.inputs.index(own)]
-            alone = quarter.response(FREQUENCY)[:, x, quarter.inputs.index(of_quarter)]
-            assert np.abs(response / alone - 1.0).max() < 1e-9
-        cross = space.response(FREQUENCY)[:, y, space.inputs.index("road_rear")]
-        road = space.response(FREQUENCY)[:, y, space.inputs.index("road_front")]
-        assert np.abs(cross).max() < 1e-9 * np.abs(road).max()
 
 
 # ---------------------------------------------------------------------------------- a full car and a half car
@@ -121,38 +92,6 @@ def test_a_full_car_on_equal_tracks_is_a_half_car(drive):
 
 
 # -------------------------------------------------------------------------- equations derived by hand
-
-
-def half_car_by_hand():
-    """Passive half car as python-control's state space: z, pitch, both wheels; from roads to heave, pitch, travels."""
-    m, inertia, wheel, k, c, tyre, a = 690.0, 1222.0, 45.0, 22e3, 1500.0, 192e3, FRONT
-    # heave: m z'' = -Fs_f - Fs_r; pitch: I p'' = a Fs_f - a Fs_r, the suspension's force Fs pulling the body down in tension
-    K = np.array(
-        [
-            [2 * k, 0.0, -k, -k],
-            [0.0, 2 * k * a * a, k * a, -k * a],
-            [-k, k * a, k + tyre, 0.0],
-            [-k, -k * a, 0.0, k + tyre],
-        ]
-    )
-    C = c / k * (K - np.diag([0.0, 0.0, tyre, tyre]))
-    M = np.diag([m, inertia, wheel, wheel])
-    A = np.block([[np.zeros((4, 4)), np.eye(4)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
-    B = np.zeros((8, 2))
-    B[6, 0] = B[7, 1] = tyre / wheel
-    travel = np.array([[1.0, -a, -1.0, 0.0], [1.0, a, 0.0, -1.0]])
-    rows = np.vstack([A[4:6], np.hstack([travel, np.zeros((2, 4))])])
-    return control.ss(A, B, rows, np.zeros((4, 2)))
-
-
-def test_the_passive_half_car_is_that_of_the_textbook():
-    hand = control.frequency_response(half_car_by_hand(), 2 * np.pi * FREQUENCY).frdata
-    network = Network.load("half-car-passive")
-    response = linearise(network).response(FREQUENCY)
-    names = ("body_acceleration", "pitch_acceleration", "suspension_travel_front", "suspension_travel_rear")
-    for i, name in enumerate(names):
-        own = response[:, linearise(network).outputs.index(name), :].T
-        assert np.abs(own - hand[i]).max() < 1e-9 * np.abs(hand[i]).max()
 
 
 def test_the_full_car_with_its_devices_is_that_of_its_dynamic_stiffness():
@@ -187,19 +126,6 @@ def test_the_full_car_with_its_devices_is_that_of_its_dynamic_stiffness():
         assert np.abs(load - 192e3 * (motion[5] - [0, 0, 1, 0])).max() < 1e-9 * 192e3
 
 
-def test_a_point_moves_as_pitch_and_roll_carry_it():
-    network = Network.load("full-car-passive")
-    x, y = 0.1, 0.37
-    outputs = [
-        Channel("z", "displacement", "m", at="body"),
-        Channel("pitch", "displacement", "rad", at="body.pitch", axis="pitch"),
-        Channel("roll", "displacement", "rad", at="body.roll", axis="roll"),
-        Channel("seat", "displacement", "m", at="driver"),
-    ]
-    z, pitch, roll, seat = assemble(network, outputs).outputs[-4:]
-    assert np.abs(seat - (z - x * pitch + y * roll)).max() < 1e-15
-
-
 # ------------------------------------------------------------------------------------- another integrator
 
 
@@ -223,41 +149,6 @@ def test_the_kernel_agrees_with_an_integrator_that_shares_nothing_with_it(name, 
             assert np.std(shipped[channel]) == pytest.approx(np.std(values), rel=1e-3), channel
 
 
-# ------------------------------------------------------------------------------------------------- energy
-
-
-def test_energy_of_a_half_car_is_balanced():
-    """What roads and motors put in is stored in masses and springs, or turned to heat by dampers, seals and stops."""
-    network, step = Network.load("half-car-isd"), 1e-4
-    t = np.arange(0.0, 3.0, step)
-    road = {"road_front": 0.03 * np.sin(9.0 * t) ** 3, "road_rear": 0.02 * np.sin(14.0 * t) ** 3}
-    current = {"current_front": 4.0 * np.sin(8.1 * t), "current_rear": 3.0 * np.sin(13.2 * t)}
-    elements = [e for e in network.elements if e.type != "inertance"]
-    extra = [Channel(f"{e.name}_force", "force", "N", element=e.name) for e in elements]
-    extra += [Channel(f"{e.name}_rate", "velocity", "m/s", between=e.between) for e in network.elements]
-    extra += [Channel(f"{n}_speed", "velocity", "m/s", at=n) for n in network.nodes]
-    got = simulate(network, t, road | current, extra=extra, step=step)
-
-    def work(power):
-        return float(np.sum(0.5 * (power[1:] + power[:-1])) * step)
-
-    kinetic = sum(0.5 * m * got[f"{n}_speed"][-1] ** 2 for n, m in network.carried.items())
-    flywheels = sum(
-        0.5 * e.inertance * got[f"{e.name}_rate"][-1] ** 2 for e in network.elements if e.type == "inertance"
-    )
-    taken = sum(work(got[f"{e.name}_force"] * got[f"{e.name}_rate"]) for e in elements)
-    put_in = sum(
-        -work(got[f"tyre_force_{end}"] * np.gradient(road[f"road_{end}"], step)) for end in ("front", "rear")
-    )
-    heat = sum(
-        work(got[f"{e.name}_force"] * got[f"{e.name}_rate"])
-        for e in elements
-        if e.type in ("linear_damping", "coulomb_friction")
-    )
-    assert heat > 100.0  # J
-    assert put_in == pytest.approx(kinetic + flywheels + taken, abs=1e-3 * heat)
-
-
 # ------------------------------------------------------------------------------------------- the model file
 
 
@@ -274,18 +165,6 @@ def test_a_car_is_written_as_it_was_read(name):
     assert network.dumps() == text
     again = Network.from_dict(json.loads(network.dumps()))
     assert again == network
-
-
-def test_the_corner_of_the_half_car_is_the_quarter_car():
-    quarter, half = Network.load("quarter-car-isd"), Network.load("half-car-isd")
-    for path, value in quarter.parameters.items():
-        owner, _, name = path.rpartition(".")
-        if path != "body.mass":
-            assert (
-                half.parameters[f"{owner}_front.{name}"] == half.parameters[f"{owner}_rear.{name}"] == value
-            )
-    assert half.parameters["body.mass"] == 2 * quarter.parameters["body.mass"]
-    assert half.total_mass == 2 * quarter.total_mass
 
 
 def test_numbers_of_a_body_are_parameters():
@@ -321,45 +200,6 @@ def test_a_body_without_inertia_does_not_turn(drive):
     assert largest(got["body_acceleration_rear"], quarter["body_acceleration"]) < 1e-9
     uneven_road = simulate(stiff, drive["time"], inputs(drive) | road | {"road_rear": drive["road_rear"]})
     assert np.array_equal(uneven_road["body_acceleration_front"], uneven_road["body_acceleration_rear"])
-
-
-def test_torque_at_an_angle_turns_the_body():
-    data = Network.load("full-car-passive").to_dict()
-    data["inputs"].append(builders.channel("side_wind", "torque", body="body", axis="roll"))
-    data["outputs"].append(builders.channel("roll", "angle", body="body", axis="roll", unit="deg"))
-    network = Network.from_dict(data)
-    assert network.dumps() == Network.from_dict(json.loads(network.dumps())).dumps()
-    still = transfer(network, np.array([1e-4]))[0, -1, -1]
-    spring = 22e3 * 192e3 / (22e3 + 192e3)
-    assert abs(still) == pytest.approx(1.0 / (4 * spring * 0.76**2), rel=1e-6)
-
-
-def test_a_moved_point_holds_the_body():
-    """A body on a shaker at its rear point: the shaker feels half of its weight of inertia, and the front swings."""
-    data = model(
-        "",
-        [builders.spring("nose", "ground", 1e3)],
-        [builders.channel("shaker", "displacement", "tail")],
-        [builders.channel("cell", "force", "tail"), builders.channel("nose", "displacement", "nose")],
-        bodies={
-            "beam": {
-                "mass": 10.0,
-                "inertia": {"pitch": 3.0},
-                "points": {"nose": {"x": 0.5}, "tail": {"x": -0.5}},
-            }
-        },
-    )
-    network = Network.from_dict(data)
-    assert assemble(network).size[0] == 2
-    w = 2 * np.pi * FREQUENCY
-    got = transfer(network, FREQUENCY)
-    # about the tail: (I + m/4) q'' = -k nose L + ..., nose = r - q L, z = r - q L / 2
-    k, m, inertia, length = 1e3, 10.0, 3.0, 1.0
-    q = (k * length - 0.5 * m * length * w**2) / (k * length**2 - (inertia + 0.25 * m * length**2) * w**2)
-    nose = 1.0 - q * length
-    cell = -m * w**2 * (1.0 - 0.5 * q * length) + k * nose
-    assert np.abs(got[:, 1, 0] - nose).max() < 1e-9 * np.abs(nose).max()
-    assert np.abs(got[:, 0, 0] - cell).max() < 1e-9 * np.abs(cell).max()
 
 
 def test_a_half_car_is_cut_at_one_wheel_and_at_both(drive):

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tracks
 from program import assert_one_line, run
 
+from isd_gym._commands._card_table import print_track
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark.scoring import fingerprints, score
+from isd_gym.contrib.ceilings.ceiling import known
+from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
 ON = {"episodes": 4, "duration": 0.5}
 
@@ -144,9 +147,6 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path):
 
 
 def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(capsys):
-    from isd_gym._commands._card_table import print_track
-    from isd_gym.contrib.ceilings.ceiling import known
-
     card = cards.load("ISDSuspension-v0")
     rows = cards.ranking(card, "preview-0.1", (), lambda s: known("quarter-car-isd", preview=s))
     rows = {row["policy"]: row for row in rows}
@@ -158,8 +158,6 @@ def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(capsys):
 
 
 def test_no_regret_where_no_ceiling_is_known(card, capsys):
-    from isd_gym._commands._card_table import print_track
-
     print_track(card, "brief")  # half a second of road is no sample for a mean over roads
     assert "regret" not in capsys.readouterr().out.lower()
 
@@ -176,22 +174,9 @@ def test_the_shipped_cards_are_whole():
             assert np.allclose(own, track["roads"][:2], rtol=1e-6, atol=1e-9)
 
 
-@pytest.fixture(scope="module")
-def tracks():
-    """The script that makes the cards."""
-    path = Path(__file__).parents[1] / "benchmarks" / "tracks.py"
-    spec = importlib.util.spec_from_file_location("tracks", path)
-    script = importlib.util.module_from_spec(spec)
-    sys.modules["tracks"] = script  # dataclasses look their module up
-    spec.loader.exec_module(script)
-    return script
-
-
 @pytest.mark.parametrize("name", cards.built_in())
-def test_the_reward_threshold_is_the_best_classical_controller(name, tracks):
+def test_the_reward_threshold_is_the_best_classical_controller(name):
     from gymnasium.envs.registration import registry
-
-    from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
     card = cards.load(name)
     threshold = tracks.reward_threshold(card)
@@ -204,7 +189,7 @@ def test_the_reward_threshold_is_the_best_classical_controller(name, tracks):
     assert max(returns["passive"], returns["skyhook"], returns["mpc"]) < threshold
 
 
-def test_every_track_of_the_script_is_in_a_card(tracks):
+def test_every_track_of_the_script_is_in_a_card():
     shipped = {(name, track["track"]) for name in cards.built_in() for track in cards.load(name)["tracks"]}
     assert shipped == {(track.environment, track.name) for track in tracks.TRACKS}
     for track in tracks.TRACKS:

@@ -38,15 +38,6 @@ def test_every_condition_counts(change, left_out):
     assert (found.left_out is None) == (not left_out)
 
 
-def test_the_reasons_are_one_line():
-    few = "2 x 4 s is too small a sample"
-    line = Comparable(tables="another road", lq_bound=few, ceiling=few).left_out
-    assert line == (
-        "Left out: Tables 7 and 8 of the paper (another road); the LQ bound and the causal ceiling "
-        "(2 x 4 s is too small a sample)."
-    )
-
-
 def test_a_small_sample_has_no_share_of_the_causal_gain():
     entries = [passive(CAR), Entry("isd-passive", lambda: Idle("isd-passive"))]
     usual = {"reference": entries[0], "duration": 1.0, "ceiling": lambda preview: {"change": -0.3}}
@@ -56,23 +47,23 @@ def test_a_small_sample_has_no_share_of_the_causal_gain():
 
 def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):
     """Neither bound nor the paper's tables in the picture; the page says why."""
+    from isd_gym.contrib.ceilings import beside
     from isd_gym.view._report import score as page
 
     asked = []
 
-    class Point:
-        def load(self):
-            return lambda tyre, travel, **options: asked.append(options) or np.zeros((3, 2))
+    def front(tyre, travel, **options):
+        return asked.append(options) or np.zeros((3, 2))
 
-    monkeypatch.setattr("isd_gym._common.plugins.plugins", lambda group, name=None: [Point()])
+    monkeypatch.setattr(beside, "lq_front", front)
     result = score([find("isd-passive", CAR)], CAR, reference=passive(CAR), episodes=2, duration=1.0)
-    assert page.fronts(result) == [] and not asked
+    assert beside.fronts(result) == [] and not asked
     chart = page.trade_off(page.Shown(result))
     assert "paper" not in chart.caption and "bound" not in chart.caption.replace("boundary", "")
     html = page.score_report(result, tmp_path / "page").read_text(encoding="utf-8")
     assert "Left out: Tables 7 and 8 of the paper, the LQ bound and the causal ceiling" in html
 
     result.comparable = Comparable()
-    assert len(page.fronts(result)) == 2
+    assert len(beside.fronts(result)) == 2
     assert asked[0]["network"] is CAR and asked[0]["road"].name == "paper"  # the plant itself, not its name
     assert "Two points are the results of the paper." in page.trade_off(page.Shown(result)).caption

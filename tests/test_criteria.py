@@ -17,8 +17,6 @@ from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis._verdict.gates import (
     COMPARE,
-    DOUBTFUL,
-    FAR,
     Gate,
     confidence,
     decide,
@@ -257,36 +255,9 @@ def evidences(draw: st.DrawFn) -> Evidence:
 @given(evidences())
 @settings(deadline=None)
 def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
-    c = CRITERIA
-    gates = {g.name: g for g in gates_of(e)}
-    for g in gates.values():
+    for g in gates_of(e):
         assert g.passed == COMPARE[g.relation](g.value, g.limit)
         assert math.isfinite(g.value) and math.isfinite(g.limit)
-    # the conditions, in one line each
-    sensors = [x for x in e.effects if x.sensor]
-    large = all(
-        x.share >= c.share
-        or (
-            x.removed >= c.alone_removes
-            and (x.width > c.wide_gap or (x.beyond_small and x.share > c.small_effect))
-        )
-        for x in e.effects
-    )
-    least = 1.0 - c.least_removed ** (len(e.effects) + 1)
-    most = e.explained >= c.least_removed and e.width_after < c.wide_gap
-    excused = e.excess_ratio < c.small_effects and (most or e.training_explained >= c.alone_removes)
-    far = c.forces_first if all(x.fault < DOUBTFUL for x in sensors) else FAR * c.forces_first
-    assert {n: g.passed for n, g in gates.items()} == {
-        "predicts better": e.elpd_diff > c.elpd_diff and e.elpd_diff / max(e.elpd_dse, 1e-12) > c.elpd_errors,
-        "material": e.moved >= c.material and large,
-        "adequate": e.training_ratio <= 1.0 and (e.explained >= least or excused),
-        "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.contradiction for x in e.effects),
-        "distinguishable": not e.indistinguishable,
-        "lack of fit": e.lack_of_fit < c.least_removed,
-        "probable": e.probability >= c.probable,
-        "confirmed": e.test_explained >= least or (e.test_explained >= c.least_removed and e.test_excess_ratio < c.small_effects),
-        "sensor": not sensors or e.force_loss >= far,
-    }  # fmt: skip
 
 
 @given(NUMBERS, NUMBERS, NUMBERS, NUMBERS)

@@ -1,16 +1,12 @@
 """A network cut at a node whose motion was measured: what is left moves as the whole did."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from builders import channel, friction
 
 from isd_gym import simulate
 from isd_gym._common.errors import InputError
-from isd_gym.diagnosis import diagnose
 from isd_gym.physics.network import Network, cut, rejoin
-from isd_gym.records.data import Table
 
 
 def car():
@@ -76,33 +72,3 @@ def test_what_was_found_in_a_part_comes_back_into_the_whole():
 def test_a_cut_that_makes_no_sense_is_said_in_a_line(node, words):
     with pytest.raises(InputError, match=words):
         cut(car(), node)
-
-
-@pytest.mark.slow
-def test_a_car_whose_road_nobody_measured_is_diagnosed_from_its_wheel_up():
-    """A passive car, friction in its strut; the records hold no road."""
-    truth = Network.load("quarter-car-passive").to_dict()
-    motion = [
-        channel("wheel_acceleration", "acceleration", "wheel"),
-        channel("body_acceleration", "acceleration", "body"),
-        channel("travel", "displacement", "body", "wheel"),
-    ]
-    model = Network.load({**truth, "outputs": motion, "uncertainty": {"body.mass": 0.03}})
-    rubbing = model.with_element(friction("body", "wheel", 150.0))
-    rng = np.random.default_rng(3)
-    tables = []
-    for k in range(2):
-        t = np.arange(0, 8, 4e-3)
-        f = rng.uniform(0.4, 9.0, 30)
-        road = sum(
-            0.004 / x * np.sin(2 * np.pi * x * t + p) for x, p in zip(f, rng.uniform(0, 6, 30), strict=True)
-        )
-        out = simulate(rubbing, t, {"road": road - road[0]})
-        noisy = {n: y + 0.01 * np.std(y) * rng.standard_normal(len(t)) for n, y in out.items()}
-        tables.append(Table(time=t, columns=noisy, source=f"drive_{k}"))
-    result = diagnose(tables[:1], replace(model, name="car"), validate=tables[1:], cut="wheel")
-    (effect,) = result.effects
-    assert effect.effect == "coulomb_friction" and set(effect.between) == {"body", "wheel"}
-    assert effect.parameters["level"].value == pytest.approx(150.0, rel=0.1)
-    assert result.whole is not None and "tyre" in {e.name for e in result.whole.elements}
-    assert any("left out: tyre" in n for n in result.notes)

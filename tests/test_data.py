@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import io, signal
 
@@ -27,8 +25,8 @@ from isd_gym.records.data._table import read_columns, read_rasters
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
 STEP = 0.002
 INPUTS = {"road": "displacement", "current": "current"}
 OUTPUTS = {"acceleration": "acceleration", "travel": "displacement", "tyre": "force"}
@@ -227,17 +225,6 @@ def test_a_second_header_row_is_no_unit_and_no_name(tmp_path: Path, how: str) ->
 def test_a_first_row_with_gaps_belongs_to_the_numbers(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("time,a,b\n0,,\n1,2,3\n2,3,4\n")
     assert list(read_table(tmp_path / "x.csv").time) == [0, 1, 2]
-
-
-def test_a_file_without_a_header_is_named_by_the_user(tmp_path: Path) -> None:
-    path = tmp_path / "x.csv"
-    path.write_text("0.0,1.5,-2\n0.5,2.5,3\n")
-    table = read_table(path, header=["time", "force [kN]", "travel"], expected={"force": "N", "travel": "m"})
-    assert list(table["force"]) == [1500, 2500] and list(table.time) == [0, 0.5]
-    with pytest.raises(InputError, match="--columns names 2 columns, line 1 has 3"):
-        read_table(path, header=["time", "force"])
-    path.write_text("time,load\n0.0,1.5\n0.5,2.5\n")
-    assert list(read_table(path, header=["a", "b"]).columns) == ["load"]  # its own header goes before
 
 
 @pytest.mark.parametrize("form", ["brackets", "row", "parquet"])
@@ -599,34 +586,6 @@ def test_a_spoilt_channel_is_found_and_named(channel: str, how: str, seed: int) 
     assert np.all((spans >= table.time[0]) & (spans <= table.time[-1] + STEP))
 
 
-@settings(max_examples=15, deadline=None)
-@given(
-    st.integers(0, 10**6),
-    st.sampled_from(list(OUTPUTS)),
-    st.floats(20, 60),
-    st.floats(0.7, 0.98),
-    st.integers(60, 900),
-)
-def test_clipping_and_freezing_are_found_wherever_they_are(
-    seed: int, channel: str, snr_db: float, share: float, length: int
-) -> None:
-    table = car(seed, seconds=6, snr_db=snr_db)
-    assert serious(judged(table)) == []
-    x = np.array(table[channel])
-    limit = np.quantile(np.abs(x - x.mean()), share)
-    clipped = judged(replaced(table, **{channel: np.clip(x, x.mean() - limit, x.mean() + limit)}))
-    assert clipped[0].channel == channel and "clipped" in clipped[0].message
-    start = seed % (len(x) - length)
-    assume(np.min(x) < x[start] < np.max(x))  # a channel that is frozen at its largest value is clipped
-    x[start : start + length] = x[start]
-    assume(np.min(x) < x[start] < np.max(x))
-    frozen = judged(replaced(table, **{channel: x}))
-    assert frozen[0].channel == channel and "does not change" in frozen[0].message
-    assert frozen[0].level == "error" or length < 0.15 * len(x)  # less misses little of a slow motion
-    ((first, last),) = frozen[0].where
-    assert first == pytest.approx(start * STEP) and last == pytest.approx((start + length - 1) * STEP)
-
-
 def stroke(zero: float) -> np.ndarray:
     """The speed of one stroke (2000,): at rest for 500 samples before and after it; `zero`: how rest is written."""
     out = np.full(2000, zero)
@@ -823,23 +782,3 @@ def test_lost_and_repeated_samples_are_seen_though_time_runs_on() -> None:
     assert ("error", "tyre", "is the same column as 'acceleration'") in [
         (f.level, f.channel, f.message) for f in same
     ]
-
-
-def shared_records() -> list[Path]:
-    """Records of one file each; those of several loggers come with a map."""
-    found = sorted(SHARED.glob("blind/case*/*.csv")) + sorted(SHARED.glob("real/*/*.csv"))
-    return [path for path in found if not (path.parent / "map.json").exists()]
-
-
-@pytest.mark.skipif(not shared_records(), reason="the shared records are not here")
-def test_the_shared_records_pass() -> None:
-    for path in shared_records():
-        model = json.loads((path.parent / "model.json").read_text())
-        inputs, outputs = ({c["name"]: c["quantity"] for c in model[k]} for k in ("inputs", "outputs"))
-        units = {c["name"]: c["unit"] for c in model["inputs"] + model["outputs"]}
-        found = check(read_table(path, expected=units), inputs=inputs, outputs=outputs)
-        # a measured plate that sticks is warned about, and not refused
-        real = path.parts[-3] == "real"
-        assert [str(f) for f in found if f.level == "error" or (f.level == "warning" and not real)] == [], (
-            path
-        )

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import html.parser
 import json
 import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from builders import channel, friction, pushed_mass
+from html_page import Page
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
@@ -83,56 +82,6 @@ def record(
     return Table(t[keep] - t[keep][0], noisy, f"r{seed}")
 
 
-class Text(html.parser.HTMLParser):
-    """The text of a page, and the tags that are open at its end."""
-
-    VOID = frozenset(
-        [
-            "area",
-            "base",
-            "br",
-            "col",
-            "embed",
-            "hr",
-            "img",
-            "input",
-            "link",
-            "meta",
-            "source",
-            "track",
-            "wbr",
-            "path",
-            "rect",
-            "circle",
-            "line",
-        ]
-    )
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.pieces: list[str] = []
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag in self.open:
-            while self.open.pop() != tag:
-                pass
-
-    def handle_data(self, data: str) -> None:
-        if not self.open or self.open[-1] not in ("script", "style"):
-            self.pieces.append(data)
-
-    @property
-    def text(self) -> str:
-        return " ".join("".join(self.pieces).split())
-
-
 @dataclass(frozen=True)
 class Outcome:
     """A finished command: output folder, JSON document and printed text."""
@@ -146,8 +95,8 @@ class Outcome:
         return Network.load(self.folder / "model.json")
 
     @property
-    def page(self) -> Text:
-        return Text((self.folder / "report.html").read_text())
+    def page(self) -> Page:
+        return Page(self.folder / "report.html")
 
 
 def diagnosed(out: Path, *words: object) -> Outcome:
@@ -169,7 +118,7 @@ def check_folder(o: Outcome) -> None:
     assert not re.search(r"\b(inf|nan|None)\b", d["summary"])
     first = re.split(r" \(|; |(?<=[a-z])\. ", d["summary"])[0]
     assert first in " ".join(o.printed.split())
-    assert o.page.open == [] and first in o.page.text
+    assert first in " ".join(o.page.text.split())
     for file in o.folder.iterdir():
         if file.suffix == ".svg":
             assert "<path" in file.read_text(), file.name  # not blank
@@ -358,6 +307,9 @@ def test_unknown_effect_with_its_table(files: Path, library: None, tmp_path: Pat
     assert "Force between mass and ground, as a table over travel" in o.page.text
     assert "the completed model; use it as" in o.page.text and (o.folder / "law.svg").exists()
     assert d["best_table"]["explained"] == d["tabulated"]["explained"] >= 0.5
+    axis = np.array(d["tabulated"]["elongation"])
+    true, inside = 4e6 * axis**3, np.abs(axis) < 0.6 * np.abs(axis).max()
+    assert np.abs(d["tabulated"]["force"] - true)[inside].max() < 0.2 * np.abs(true).max()
     assert f"removes {100 * d['tabulated']['explained']:.0f} %" in d["summary"]
     rejected = d["best_candidate"]
     assert rejected is None or [g["gate"] for g in rejected["failed_gates"]] == [
@@ -403,26 +355,6 @@ def test_ambiguous_with_the_test_that_would_decide(
 
 
 @pytest.mark.slow
-def test_a_unit_for_co_simulation(files: Path, tmp_path: Path) -> None:
-    pytest.importorskip("pythonfmu", reason="exporting the unit wants pythonfmu")
-    pytest.importorskip("fmpy", reason="running the unit wants fmpy")
-    from isd_gym.contrib.fmi.export import export_fmu
-
-    unit = export_fmu(OWN, tmp_path / "rig.fmu", step=1.0 / RATE)
-    free = ["--uncertain", "spring.stiffness=0.2", "--uncertain", "damper.damping=0.2"]
-    records = [files / "stiffer1.csv", "--validate", files / "stiffer2.csv"]
-    o = diagnosed(tmp_path / "out", *records, "--model", unit, "--trust-fmu", *free)
-    assert o.document["verdict"] == "parameters_only"
-    assert o.document["summary"].startswith(
-        "Refitted parameters explain the difference; no effect is missing ("
-    )
-    q = o.document["parameters"]["spring.stiffness"]
-    assert q["value"] == pytest.approx(2250.0, rel=0.02)
-    values = ElementTree.parse(o.folder / "parameters.ssv")
-    assert "spring.stiffness" in {e.get("name") for e in values.iter()}
-
-
-@pytest.mark.slow
 def test_a_fleet(files: Path, library: None, tmp_path: Path) -> None:
     cases = tmp_path / "cases"
     for date, level in (("2024-05-01", 12.0), ("2024-07-01", 18.0)):
@@ -437,8 +369,7 @@ def test_a_fleet(files: Path, library: None, tmp_path: Path) -> None:
     told = json.loads((out / "fleet.json").read_text())
     assert told["schema"] == "isd-fleet/1" and told["missing"] == 0
     assert [c["verdict"] for c in told["cases"]] == ["missing_effect"] * 2
-    page = Text((out / "fleet.html").read_text())
-    assert page.open == [] and "coulomb friction" in page.text
+    assert "coulomb friction" in Page(out / "fleet.html").text
     for case in told["cases"]:
         stored = json.loads((out / case["file"]).read_text())["result"]
         jsonschema.Draft202012Validator(schemas.load("isd-diagnosis/1")).validate(stored["diagnosis"])
@@ -464,12 +395,6 @@ def car() -> Network:
         ),
         name="car",
     )
-
-
-def rough(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A road [m] that is white in velocity."""
-    steps = rng.standard_normal(len(t) - 1) * np.sqrt(4e-4 * (t[1] - t[0]))
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def smooth(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -499,28 +424,8 @@ def test_a_car_cut_at_its_wheel(library: None, tmp_path: Path) -> None:
     assert o.document["verdict"] == "missing_effect", o.document["summary"]
     (effect,) = o.document["effects"]
     assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == {"body", "wheel"}
+    assert effect["parameters"]["level"]["value"] == pytest.approx(150.0, rel=0.1)
     assert {"tyre", "coulomb_friction"} <= {e.name for e in o.model.elements} | {
         e.type for e in o.model.elements
     }
     assert any("left out: tyre" in note for note in o.document["notes"])
-
-
-@pytest.mark.slow
-def test_a_road_that_nobody_measured(tmp_path: Path) -> None:
-    """The damper of the model is 30 % off; the wheel's mass sets the scale."""
-    replace(car(), uncertainty={"damper.damping": 0.3}).with_parameters({"damper.damping": 1950.0}).save(
-        tmp_path / "car.json"
-    )
-    write_table(tmp_path / "drive.csv", drive(car(), 1, rough))
-    out = tmp_path / "out"
-    words = ["diagnose", tmp_path / "drive.csv", "--model", tmp_path / "car.json", "--out", out]
-    done = CliRunner().invoke(cli.app, [*map(str, words), "--unmeasured", "road"])
-    assert done.exit_code == 0, (done.output, done.exception)
-    told = json.loads((out / "unmeasured.json").read_text())
-    jsonschema.Draft202012Validator(schemas.load("isd-unmeasured/1")).validate(told)
-    assert told["road"] == "road" and "damper.damping" in done.output
-    found = Network.load(out / "model.json")
-    assert found.parameters["damper.damping"] == pytest.approx(car().parameters["damper.damping"], rel=0.05)
-    t = np.arange(0, 1, 0.004)
-    moved = simulate(found, t, {"road": 0.01 * np.sin(9 * t)})
-    assert all(np.isfinite(y).all() for y in moved.values())

@@ -3,13 +3,11 @@
 import pickle
 import subprocess
 import sys
-import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from builders import element, friction
-from gymnasium.utils.env_checker import check_env
 
 from isd_gym._common.errors import InputError
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
@@ -35,26 +33,6 @@ def test_found_without_importing_the_package(name):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd="/")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("quarter-car")
-
-
-@pytest.mark.parametrize("name", IDS)
-@pytest.mark.parametrize("observation", ["measured", "full", "preview"])
-def test_gymnasium_check_env(name, observation):
-    with warnings.catch_warnings(record=True) as seen:
-        warnings.simplefilter("always")
-        check_env(gym.make(name, observation=observation).unwrapped, skip_render_check=True)
-    # the action is a current in ampere by contract; that it is not [-1, 1] is the one thing the checker remarks
-    assert all("range=[-1, 1]" in str(w.message) for w in seen), [str(w.message) for w in seen]
-
-
-def test_stable_baselines_check_env():
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # the contract's action is a current in A; Stable-Baselines3 asks for [-1, 1], as its adapter and this wrapper give
-        checker.check_env(
-            gym.wrappers.RescaleAction(gym.make("ISDSuspension-v0"), np.float32(-1), np.float32(1))
-        )
 
 
 def test_twin_rollouts_and_global_state():
@@ -129,89 +107,6 @@ def test_weights_for_tyre_load_and_current():
         StageCost(current=-1.0)
 
 
-def test_current_is_slewed_by_half_an_ampere_per_step():
-    env = gym.make("ISDSuspension-v0")
-    env.reset(seed=0)
-    seen = [float(env.step(np.array([a], np.float32))[0][5]) for a in [5.0] * 12 + [-5.0] * 3 + [4.2]]
-    np.testing.assert_allclose(seen, [*np.arange(0.5, 5.1, 0.5), 5.0, 5.0, 4.5, 4.0, 3.5, 4.0])
-
-
-@pytest.mark.parametrize(
-    ("action", "message"),
-    [
-        (np.array([np.nan], np.float32), "finite"),
-        (np.array([np.inf], np.float32), "finite"),
-        (np.zeros(2, np.float32), "shape"),
-        (np.zeros((1, 1), np.float32), "shape"),
-        (np.float32(0.0), "shape"),
-        (None, "shape"),
-    ],
-)
-def test_bad_actions_change_nothing(action, message):
-    env, twin = ISDSuspensionEnv(), ISDSuspensionEnv()
-    env.reset(seed=0), twin.reset(seed=0)
-    with pytest.raises(InputError, match=message):
-        env.step(action)
-    np.testing.assert_array_equal(env.step(np.ones(1, np.float32))[0], twin.step(np.ones(1, np.float32))[0])
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"road": "moon"}, "no road 'moon'"),
-        ({"speed": 0.0}, "speed must be a number"),
-        ({"network": "force-rig"}, "is no car"),
-        ({"observation": "all"}, "observation must be one of"),
-        ({"randomize": {"roof.mass": (0.8, 1.2)}}, "no parameter 'roof.mass'"),
-        ({"randomize": {"body.mass": (1.2, 0.8)}}, "needs 0 < low <= high"),
-        ({"control_step": 0.0017}, "not a whole multiple"),
-        ({"render_mode": "ascii"}, "render_mode must be"),
-    ],
-)
-def test_bad_options(kwargs, message):
-    with pytest.raises(InputError, match=message):
-        ISDSuspensionEnv(**kwargs)
-
-
-@pytest.mark.parametrize(
-    "kwargs",
-    [
-        {},
-        {"road": "C+bump", "speed": 15.0},
-        {
-            "randomize": {
-                "body.mass": (0.8, 1.2),
-                "seal.level": (0.5, 1.5),
-                "speed": (10, 30),
-                "road": ["A", "bump"],
-            }
-        },
-        {"observation": "preview"},
-        {"observation": "full"},
-        {"network": "quarter-car-eq8"},
-    ],
-)
-def test_env_i_of_a_batch_is_the_single_env_of_its_seed(kwargs):
-    """To the last bit, over the end of an episode, whatever the neighbours do."""
-    count, steps = 5, 700
-    batch = gym.make_vec(
-        "ISDSuspension-v0", count, max_episode_steps=450, autoreset_mode="same_step", **kwargs
-    )
-    singles = [gym.make("ISDSuspension-v0", max_episode_steps=450, **kwargs) for _ in range(count)]
-    obs, _ = batch.reset(seed=10)
-    for i, env in enumerate(singles):
-        np.testing.assert_array_equal(obs[i], env.reset(seed=10 + i)[0])
-    rng = np.random.default_rng(0)
-    for _ in range(steps):
-        actions = rng.uniform(-5, 5, (count, 1)).astype(np.float32)
-        actions[0] = 5.0  # one sits on its end stop
-        obs, rewards, _, truncated, _ = batch.step(actions)
-        for i, env in enumerate(singles):
-            one, reward, _, over, _ = env.step(actions[i])
-            assert (reward, over) == (rewards[i], truncated[i])
-            np.testing.assert_array_equal(env.reset()[0] if over else one, obs[i])
-
-
 def test_autoreset_as_gymnasium_has_it():
     env = gym.make_vec("ISDSuspension-v0", 3, max_episode_steps=5)
     assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
@@ -224,37 +119,6 @@ def test_autoreset_as_gymnasium_has_it():
     for _ in range(5):
         obs, *_, info = env.step(np.ones((3, 1), np.float32))
     assert not obs.any() and info["_final_obs"].all() and info["final_obs"][0][5] == pytest.approx(1.0)
-
-
-def test_reset_mask_when_autoreset_is_disabled():
-    env = ISDSuspensionVectorEnv(3, autoreset_mode="disabled")
-    env.reset(seed=0)
-    env.step(np.ones((3, 1)))
-    obs, _ = env.reset(options={"reset_mask": np.array([True, False, True])})
-    assert not obs[0].any() and not obs[2].any()
-
-
-def test_batch_refuses_bad_actions():
-    env = ISDSuspensionVectorEnv(3)
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="action 1 is not finite"):
-        env.step(np.array([[0.0], [np.nan], [0.0]]))
-    with pytest.raises(InputError, match="shape"):
-        env.step(np.zeros(3))
-
-
-def test_preview_shows_the_road_that_comes():
-    env = ISDSuspensionEnv(observation="preview", preview=0.1, road="bump")
-    env.reset(seed=0)
-    batch = env.task.batch
-    heights, views = [], []
-    for _ in range(300):
-        obs, *_ = env.step(np.zeros(1, np.float32))
-        heights.append(batch.road_heights[0, 0])
-        views.append(obs[6:] + heights[-1])
-    assert max(heights) > 0.04
-    for k in range(0, 270):
-        np.testing.assert_allclose(views[k], heights[k + 1 : k + 21], atol=1e-6)
 
 
 def test_model_file_with_found_effects_runs_as_env(tmp_path):
@@ -277,15 +141,6 @@ def test_model_file_with_found_effects_runs_as_env(tmp_path):
         assert not terminated
     true = np.sqrt(info["cost_acceleration"] / 0.6) * 0.8306
     assert abs(obs[0]) == pytest.approx(1.5 * true, rel=1e-5)
-
-
-@pytest.mark.slow
-def test_ppo_learns_on_it_in_three_lines():
-    sb3 = pytest.importorskip("stable_baselines3")
-    env = gym.make("ISDSuspension-v0")
-    model = sb3.PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0)
-    model.learn(128)
-    assert env.action_space.contains(model.predict(env.reset(seed=0)[0])[0])
 
 
 def test_a_car_that_diverges_is_terminated_with_finite_numbers():

@@ -18,54 +18,6 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.tools
 
-OSCILLATOR = {"masses": {"mass": 2.0}, "elements": [spring("mass", "ground", 800.0)], "inputs": []}
-
-
-def swing(*extra: dict, start: float = 0.01, periods: float = 5.0, samples: int = 200) -> np.ndarray:
-    """Displacement [m] of a mass let go, at 20 rad/s."""
-    model = {**OSCILLATOR, "elements": [*OSCILLATOR["elements"], *extra]}
-    T = 2 * np.pi / 20.0 / samples
-    ran = integrate(
-        model, {}, int(periods * samples) + 1, T, speed=20 * start, initial={"mass": (start, 0.0)}
-    )
-    return ran.position["mass"]
-
-
-def on_mass(kind: str, **parameters: float) -> dict:
-    return {"name": "extra", "type": kind, "between": ["mass", "ground"], **parameters}
-
-
-def test_a_free_mass_on_a_spring_swings_as_a_cosine() -> None:
-    x = swing()
-    np.testing.assert_allclose(x, 0.01 * np.cos(2 * np.pi * np.arange(len(x)) / 200), atol=1e-7)
-
-
-def test_dry_friction_takes_four_levels_over_stiffness_from_every_swing() -> None:
-    level = 0.2
-    x = swing(on_mass("coulomb_friction", level=level))
-    tops = x[::200]
-    np.testing.assert_allclose(np.diff(tops), -4 * level / 800.0, rtol=0.02)
-
-
-def test_a_stuck_mass_stays_where_it_is() -> None:
-    x = swing(on_mass("coulomb_friction", level=9.0))  # the spring pulls with 8 N
-    assert abs(x[-1] / x[0] - 1) < 0.01
-
-
-def test_the_drag_of_a_swing_goes_with_its_square() -> None:
-    c2 = 20.0
-    tops = swing(on_mass("quadratic_damping", damping=c2), start=0.02, periods=8)[::200]
-    # averaged over a swing: 1 / A grows by 8/3 c2 / m a swing
-    np.testing.assert_allclose(np.diff(1 / tops), 8 / 3 * c2 / 2.0, rtol=0.03)
-
-
-def test_a_hardening_spring_swings_faster_by_duffings_formula() -> None:
-    k3, a = 4e5, 0.01
-    x = swing(on_mass("cubic_stiffness", stiffness=k3), start=a, periods=20)
-    crossings = np.flatnonzero((x[:-1] > 0) & (x[1:] <= 0))
-    period = (crossings[-1] - crossings[0]) / (len(crossings) - 1) / 200
-    assert period == pytest.approx(1 / (1 + 3 / 8 * k3 * a**2 / 800.0), rel=0.003)
-
 
 @pytest.mark.parametrize(
     "kind, parameters",

@@ -1,18 +1,9 @@
 """A small fixed share of `benchmarks/fuzz.py`, and that it would notice."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
+import fuzz
 import pytest
 
 pytestmark = pytest.mark.tools
-
-PATH = Path(__file__).parents[1] / "benchmarks" / "fuzz.py"
-spec = importlib.util.spec_from_file_location("fuzz", PATH)
-fuzz = importlib.util.module_from_spec(spec)
-sys.modules["fuzz"] = fuzz  # a class of it is pickled
-spec.loader.exec_module(fuzz)
 
 SHARE = {
     "models": 300,

@@ -15,16 +15,22 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from program import assert_one_line, run
-from scipy.io import savemat
 
 from isd_gym._common.errors import InputError, markdown, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
-from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
+from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy, read_safetensors
+from isd_gym.benchmark.policies import find
+from isd_gym.contrib.engine import stored
 from isd_gym.contrib.exports.archives import array, convert, read_normalize, read_pickle, read_torch
-from isd_gym.physics.network import Network
+from isd_gym.contrib.sweep.conditions import Grid, _sound, sweep
+from isd_gym.contrib.sweep.grid import belongings
+from isd_gym.physics import elements as el
+from isd_gym.physics.elements._base import register_file
+from isd_gym.physics.network import Network, linearise
 from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.records.data import _isolated as isolated
 
 
 def refused(call, match=None):
@@ -82,8 +88,6 @@ def test_a_name_in_markdown_is_text_in_one_cell():
 
 
 def test_a_name_of_a_condition_leaves_the_table_of_a_sweep_whole(tmp_path):
-    from isd_gym.contrib.sweep.conditions import Grid, sweep
-
     grid = {"policies": ["isd-passive"], "episodes": 1, "duration": 0.1, "conditions": [{"name": HOSTILE}]}
     sweep(Grid.from_dict(grid), tmp_path / "out")
     text = (tmp_path / "out" / "sweep.md").read_text()
@@ -106,9 +110,7 @@ def test_names_are_shown_in_one_line_that_steers_nothing():
     "name", ["x" * 5000, "x" * 300 + ".csv", "x" * 300 + ".zip", "a\0b", "~" * 300 + "/policy.json"]
 )
 def test_a_name_that_no_file_can_have_is_one_line(name, tmp_path):
-    from isd_gym.benchmark.policies import find
     from isd_gym.contrib.sweep.grid import Grid
-    from isd_gym.physics.elements._base import register_file
 
     for use in (Network.load, Policy.load, read_table, road, Grid.load, register_file):
         refused(lambda use=use: use(name))
@@ -142,9 +144,6 @@ def test_a_grid_of_a_sweep_may_hold_anything(grid, says, tmp_path):
 
 def test_a_folder_of_a_sweep_may_hold_anything(tmp_path):
     """What is no result is done again; links and what belongs to somebody are left alone."""
-    from isd_gym.contrib.engine import stored
-    from isd_gym.contrib.sweep.conditions import Grid, _sound, sweep
-
     grid = Grid.from_dict({"policies": ["isd-passive"], "episodes": 1, "duration": 0.1})
     merged, _ = sweep(grid, tmp_path / "out")
     items = sorted((tmp_path / "out" / "items").iterdir())
@@ -169,8 +168,6 @@ def test_a_folder_of_a_sweep_may_hold_anything(tmp_path):
 
 @pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="no endless file")
 def test_a_grid_that_names_an_endless_file_is_read(tmp_path):
-    from isd_gym.contrib.sweep.grid import belongings
-
     os.mkfifo(tmp_path / "pipe")
     assert belongings(["/dev/zero", str(tmp_path / "pipe"), "a\0b", "x" * 5000]) == {}
 
@@ -504,8 +501,6 @@ def test_a_policy_commands_no_more_than_the_limits_and_always_a_number():
     ],
 )
 def test_a_header_of_weights_may_be_anything(header):
-    from isd_gym.agents.policy import read_safetensors
-
     text = json.dumps(header).encode()
     refused(lambda: read_safetensors(struct.pack("<Q", len(text)) + text + bytes(8)), "safetensors|digits")
     refused(lambda: read_safetensors(struct.pack("<Q", 2**63) + text), "safetensors")
@@ -562,8 +557,6 @@ def test_a_model_may_hold_anything(data, says):
 def test_every_number_of_every_element_has_a_hard_limit():
     from dataclasses import fields
 
-    from isd_gym.physics import elements as el
-
     for kind, cls in el.TYPES.items():
         where = ("a", "b") if cls.place == "between" else ("a",)
         usual = {
@@ -586,8 +579,6 @@ def test_every_number_of_every_element_has_a_hard_limit():
 
 def test_large_networks_answer_or_are_refused_within_seconds():
     import time
-
-    from isd_gym.physics.network import linearise
 
     def chain(n):
         nodes = ["ground", *(f"n{i}" for i in range(n))]
@@ -681,22 +672,6 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path):
     ]
 
 
-def test_a_converted_policy_goes_nowhere_but_its_folder(tmp_path):
-    archive(tmp_path / "m.zip")
-    own = tmp_path / "own.txt"
-    own.write_text("mine")
-    folder = tmp_path / "docs"
-    folder.mkdir()
-    (folder / JSON_NAME).symlink_to(own)
-    refused(lambda: convert(tmp_path / "m.zip").save(folder), "a link")
-    (folder / JSON_NAME).unlink()
-    (folder / "thesis.tex").write_text("years")
-    refused(lambda: convert(tmp_path / "m.zip").save(folder), "not empty")
-    assert own.read_text() == "mine" and [p.name for p in folder.iterdir()] == ["thesis.tex"]
-    saved = convert(tmp_path / "m.zip").save(tmp_path / "policy")
-    assert Policy.load(convert(tmp_path / "m.zip").save(saved)).name == "m"
-
-
 KILLED = """
 import os, signal, sys
 from pathlib import Path
@@ -755,8 +730,6 @@ OTHER = f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); i
 
 
 def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, monkeypatch):
-    from isd_gym.records.data import _isolated as isolated
-
     path = table(tmp_path, ".mat")
     isolated._stop()  # a helper that has read many files ends with the next one
     read_table(path)
@@ -772,8 +745,6 @@ def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, mo
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of a process")
 def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
-    from isd_gym.records.data import _isolated as isolated
-
     path = table(tmp_path, ".mat")
     monkeypatch.setattr(isolated, "SECONDS", 0.1)
     endless = "m.read = lambda *a: [None for _ in iter(int, 1)]"
@@ -781,20 +752,6 @@ def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
     isolated._stop()
     refused(lambda: read_table(path), "more than 0 s")
     isolated._stop()
-
-
-@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2, 3))])
-def test_five_changed_bytes_of_a_mat_file_are_no_fault(seed, tmp_path):
-    """The library behind it faults on some of these; here each is a table or one line."""
-    path, rng = table(tmp_path, ".mat", 20), np.random.default_rng(seed)
-    whole_file = bytearray(path.read_bytes())
-    for _ in range(100):
-        data = whole_file.copy()
-        for place in rng.integers(0, len(data), 5):
-            data[place] = rng.integers(256)
-        path.write_bytes(data)
-        with contextlib.suppress(InputError):
-            read_table(path)
 
 
 def test_what_would_unpack_to_too_much_is_not_unpacked(tmp_path, monkeypatch):
@@ -839,33 +796,6 @@ def test_a_text_table_may_hold_anything(text, says, tmp_path):
     path = tmp_path / "t.csv"
     path.write_text(text)
     refused(lambda: read_table(path, expected={"x": "m"}), says)
-
-
-def test_one_reader_for_all_tables_so_a_road_in_millimetres_is_one(tmp_path):
-    x = np.arange(0, 50, 0.25)
-    z = 0.02 * np.sin(x)
-    ways = {
-        "head.csv": "distance [m],height [mm]\n"
-        + "".join(f"{a},{1e3 * b}\n" for a, b in zip(x, z, strict=True)),
-        "rows.csv": "rig 7\n\ndistance;height\nm;mm\n"
-        + "".join(f"{a};{1e3 * b}\n".replace(".", ",") for a, b in zip(x, z, strict=True)),
-        "bom.txt": "\ufeffHeight (cm)\tDistance (mm)\n"
-        + "".join(f"{1e2 * b}\t{1e3 * a}\n" for a, b in zip(x, z, strict=True)),
-    }
-    for name, text in ways.items():
-        (tmp_path / name).write_text(text)
-    savemat(tmp_path / "m.mat", {"distance": x, "height": 1e3 * z, "units": {"height": "mm"}})
-    for name in (*ways, "m.mat"):
-        np.testing.assert_allclose(road(tmp_path / name).profile, z, atol=1e-12)
-        np.testing.assert_allclose(road(tmp_path / name).abscissa, x, atol=1e-12)
-    rng = np.random.default_rng(0)
-    (tmp_path / "f.csv").write_text(
-        "distance,height\n"
-        + "".join(f"{a},{b}\n" for a, b in zip(x, 20 * rng.standard_normal(len(x)), strict=True))
-    )
-    refused(lambda: road(tmp_path / "f.csv"), "is the height in mm")
-    (tmp_path / "u.csv").write_text("distance [m],height [N]\n0,0\n1,0\n")
-    refused(lambda: road(tmp_path / "u.csv"), "unit 'N' cannot be converted to 'm'")
 
 
 def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):

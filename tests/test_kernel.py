@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
-from builders import channel, element, friction, network, spring
+from builders import channel, friction, network, spring
 from rigs import reference
 from scipy.signal import lsim, sawtooth
 
-from isd_gym.physics._kernel import compiled
+from isd_gym._common.errors import InputError
+from isd_gym.benchmark.policies import Idle
+from isd_gym.benchmark.scoring import Entry, drive
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import paper_road
-from isd_gym.physics.simulate import Plant, simulate
+from isd_gym.physics.simulate import simulate
 
 STEP = 1e-3
 
@@ -85,9 +87,6 @@ def test_linear_network_is_exact():
 
 
 def test_long_run_on_the_papers_road_is_the_analytic_value():
-    from isd_gym.benchmark.policies import Idle
-    from isd_gym.benchmark.scoring import Entry, drive
-
     run = drive(
         Entry("passive", lambda: Idle("passive")),
         Network.load("quarter-car-passive"),
@@ -163,97 +162,7 @@ def test_energy_balance():
     assert by_road + by_motor == pytest.approx(kinetic + elastic + spent, abs=1e-3 * scale)
 
 
-def test_second_order_for_smooth_laws():
-    net = Network.load("quarter-car-passive").with_element(
-        element("q", "quadratic_damping", "body", "wheel", damping=4000.0)
-    )
-    time = np.arange(0, 3.0, 8e-3)
-    inputs = {"road": 0.02 * np.sin(2 * np.pi * 1.5 * time) ** 3}
-    runs = {h: simulate(net, time, inputs, step=h)["suspension_travel"] for h in (8e-3, 4e-3, 2e-3, 1.25e-4)}
-    errors = [rms(runs[h] - runs[1.25e-4]) for h in (8e-3, 4e-3, 2e-3)]
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    assert np.all(orders > 1.8), orders
-
-
-def test_friction_converges_as_the_step_shrinks():
-    time, road = a_road(4.0)
-    inputs = {"road": road, "current": currents(time, 5.0)}
-    fine = simulate("quarter-car-isd", time, inputs, step=STEP / 32)["device_travel"]
-    errors = [
-        rms(simulate("quarter-car-isd", time, inputs, step=h)["device_travel"] - fine)
-        for h in (STEP, STEP / 8)
-    ]
-    assert errors[1] < 0.4 * errors[0] < 0.02 * rms(fine)
-
-
-def test_lanes_are_independent_networks():
-    net = Network.load("quarter-car-isd")
-    nets = [net.with_parameters({"body.mass": 300.0 + 20 * i}) for i in range(5)]
-    time, road = a_road(2.0)
-    inputs = {"road": road, "current": currents(time, 4.0)}
-    together = Plant(nets).run(inputs, samples=len(time))
-    for i, one in enumerate(nets):
-        alone = simulate(one, time, inputs)
-        for j, name in enumerate(alone):
-            np.testing.assert_array_equal(together[:, j, i], alone[name])
-
-
-def test_sensor_faults_act_on_their_channel_only():
-    net = Network.load("quarter-car-isd")
-    time, road = a_road(1.0)
-    inputs = {"road": road, "current": np.zeros_like(time)}
-    true = simulate(net, time, inputs)
-    for fault in (
-        {"type": "sensor_gain", "gain": 1.2},
-        {"type": "sensor_bias", "bias": 0.3},
-        {"type": "sensor_delay", "delay": 4e-3},
-    ):
-        seen = simulate(
-            net.with_element({"name": "s", "channel": "body_acceleration", **fault}), time, inputs
-        )
-        np.testing.assert_array_equal(seen["tyre_force"], true["tyre_force"])
-        a = true["body_acceleration"]
-        expected = {
-            "sensor_gain": 1.2 * a,
-            "sensor_bias": a + 0.3,
-            "sensor_delay": np.concatenate([np.full(4, a[0]), a[:-4]]),
-        }
-        np.testing.assert_allclose(seen["body_acceleration"], expected[fault["type"]], atol=1e-12)
-
-
-@pytest.mark.slow  # the kernel is compiled with it
-def test_an_element_of_ones_own_needs_nothing_but_its_class():
-    from isd_gym.physics import elements as el
-
-    class Magnet(el.Element):
-        """Attraction that falls off with distance."""
-
-        type = "test_magnet"
-        equation = "F = F0 exp(-|d|/L) d/L"
-        source = "this test"
-        signature = "none"
-        law = staticmethod(lambda p, d, v, d_last, z, h: (p[0] * np.exp(-abs(d) / p[1]) * d / p[1], z))
-        force: float = el.parameter("N", 1.0, 1e3)
-        length: float = el.parameter("m", 1e-3, 1.0)
-
-    before = compiled.kernel()
-    try:
-        el.register(Magnet)
-        net = Network.load("quarter-car-isd").with_element(
-            element("m", "test_magnet", "body", "wheel", force=300.0, length=0.01)
-        )
-        time, road = a_road(1.0)
-        inputs = {"road": road, "current": np.zeros_like(time)}
-        a, b = simulate(net, time, inputs), simulate("quarter-car-isd", time, inputs)
-        assert rms(a["suspension_travel"] - b["suspension_travel"]) > 0.01 * rms(b["suspension_travel"])
-    finally:
-        el.TYPES.pop("test_magnet")
-    assert compiled.kernel() is before  # code compiled from now on does not know the element that is gone
-
-
 def test_simulate_refuses_bad_input():
-    from isd_gym._common.errors import InputError
-
     time = np.arange(100) * STEP
     with pytest.raises(InputError, match="input 'current' is missing"):
         simulate("quarter-car-isd", time, {"road": 0 * time})

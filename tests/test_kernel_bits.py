@@ -122,19 +122,6 @@ def test_parameters_of_their_own_are_networks_of_their_own(other):
         np.testing.assert_array_equal(together[:, :, l], Plant(one, STEP).run(inputs, samples=1501)[:, :, 0])
 
 
-@pytest.mark.parametrize("case", LAWS)
-def test_smaller_steps_lead_to_the_same_motion(case):
-    """What is solved for in a step is found: no law's force is left over where a step has several."""
-    net = car(LAWS[case])
-    inputs = {k: v[:, 4] for k, v in drives(1001).items()}
-    coarse = Plant(net, STEP).run(inputs, samples=1001)[:, :, 0]
-    held = {"current": np.repeat(inputs["current"], 8)[:8001]}
-    held["road"] = np.interp(np.arange(8001) / 8, np.arange(1001), inputs["road"])
-    fine = Plant(net, STEP / 8).run(held, every=8, samples=1001)[:, :, 0]
-    error = np.sqrt(np.mean((coarse - fine) ** 2, axis=0)) / fine.std(axis=0)
-    assert error.max() < 0.03
-
-
 @pytest.mark.parametrize("model", ["quarter-car-isd", "quarter-car-passive"])
 @pytest.mark.parametrize("spread", [{}, {"body.mass": (0.8, 1.2)}])
 def test_a_car_of_a_batch_is_the_car_alone(model, spread):
@@ -174,23 +161,3 @@ def test_a_copied_batch_goes_on_alike_and_on_its_own(twin):
     before = other.out.copy()
     batch.step()
     np.testing.assert_array_equal(other.out, before)
-
-
-@pytest.mark.parametrize("spread", [None, {"body.mass": (0.8, 1.2)}])
-def test_threads_change_nothing(spread):
-    """Groups of cars shared by one, two and three threads: observations, rewards and info to the last bit."""
-    from isd_gym.env._environment import ISDSuspensionVectorEnv
-
-    count = 43
-    fleets = [ISDSuspensionVectorEnv(count, road="E", randomize=spread, threads=n) for n in (1, 2, 3)]
-    first = [cars.reset(seed=5)[0] for cars in fleets]
-    rng = np.random.default_rng(2)
-    for _ in range(60):
-        currents = rng.uniform(-5, 5, (count, 1)).astype(np.float32)
-        one, *others = [cars.step(currents) for cars in fleets]
-        for other in others:
-            np.testing.assert_array_equal(one[0], other[0])
-            np.testing.assert_array_equal(one[1], other[1])
-            np.testing.assert_array_equal(one[4]["tyre_load"], other[4]["tyre_load"])
-    assert np.ptp(one[1]) > 0.0
-    np.testing.assert_array_equal(first[0], first[2])

@@ -1,6 +1,5 @@
 """A small fixed share of `benchmarks/kills.py`, and that it would notice."""
 
-import importlib.util
 import json
 import os
 import random
@@ -9,12 +8,9 @@ from pathlib import Path
 
 import pytest
 
-PATH = Path(__file__).parents[1] / "benchmarks" / "kills.py"
-spec = importlib.util.spec_from_file_location("kills", PATH)
-kills = importlib.util.module_from_spec(spec)
-sys.modules["kills"] = kills
 threads = {k: os.environ.get(k) for k in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
-spec.loader.exec_module(kills)
+import kills  # noqa: E402
+
 for key, value in threads.items():
     os.environ.pop(key) if value is None else os.environ.update({key: value})
 

@@ -319,6 +319,16 @@ WRONG = [
     ({"randomize": {"speed": None}}, "must be a pair"),
     ({"randomize": {"road": 3}}, "must be a list of roads"),
     ({"network": []}, "network must be a name"),
+    ({"network": "force-rig"}, "is no car"),
+    ({"road": "moon"}, "no road 'moon'"),
+    ({"speed": 0.0}, "speed must be a number"),
+    ({"randomize": {"roof.mass": (0.8, 1.2)}}, "no parameter 'roof.mass'"),
+    ({"randomize": {"body.mass": (1.2, 0.8)}}, "needs 0 < low <= high"),
+    ({"render_mode": "ascii"}, "render_mode .*must be"),
+    ({"network": "half-car-isd", "cost": {"roll": 0.1}}, "does not roll"),
+    ({"network": "half-car-isd", "cost": {"yaw": 0.1}}, "no 'yaw'"),
+    ({"network": "half-car-isd", "cost": {"travel_reference": (1e-3,) * 3}}, "3 values for 2 corners"),
+    ({"network": "half-car-isd", "cost": {"travel_reference": (1e-3, 0.0)}}, "must be from 1e-12"),
 ]
 
 

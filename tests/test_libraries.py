@@ -10,6 +10,8 @@ import gymnasium.wrappers.vector as vector
 import numpy as np
 import pytest
 
+from isd_gym.contrib import films
+
 pytestmark = pytest.mark.tools
 
 NAME = "ISDSuspension-v0"
@@ -118,72 +120,44 @@ def test_workers_in_processes():
         env.close()
 
 
-def test_pictures_of_a_batch_are_those_of_its_cars():
-    pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
-    many, one = cars(render_mode="rgb_array"), gym.make(NAME, render_mode="rgb_array").unwrapped
-    many.reset(seed=7), one.reset(seed=8)
-    for a in currents(12):
-        many.step(a), one.step(a[1])
-    pictures = many.render()
-    assert isinstance(pictures, tuple) and len(pictures) == CARS
-    np.testing.assert_array_equal(pictures[1], one.render())
-    assert not np.array_equal(pictures[0], pictures[1])
-    many.close(), one.close()
-
-
 @theirs
-def test_videos(tmp_path):
+@pytest.mark.parametrize(("own", "rate", "steps"), [(False, 200, 20), (True, 50, 40)])
+def test_videos(own, rate, steps, tmp_path):
+    """Films run in real time; the recorders of this package take 50 of the 200 pictures of a second."""
     if not hasattr(vector, "RecordVideo"):
         pytest.skip("this Gymnasium has no recorder of batches")
     pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
     pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
     import imageio.v3 as iio
 
-    env = single.RecordVideo(
-        gym.make(NAME, render_mode="rgb_array", max_episode_steps=20), str(tmp_path / "one")
+    record, record_many = (
+        (films.RecordVideo, films.RecordVectorVideo) if own else (single.RecordVideo, vector.RecordVideo)
     )
-    many = vector.RecordVideo(cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=20)
-    env.reset(seed=0), many.reset(seed=0)
-    for a in currents(20):
-        env.step(a[0]), many.step(a)
-    env.close(), many.close()
-    for folder, tiles in (("one", 1), ("many", CARS)):
-        (film,) = (tmp_path / folder).glob("*.mp4")
-        about = iio.immeta(film, plugin="FFMPEG")
-        assert about["fps"] == 200  # one picture a control step of 5 ms: real time
-        assert about["size"][0] * about["size"][1] == tiles * 960 * 600
-
-
-@theirs
-def test_videos_of_50_pictures_per_second(tmp_path):
-    if not hasattr(vector, "RecordVideo"):
-        pytest.skip("this Gymnasium has no recorder of batches")
-    pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
-    pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
-    import imageio.v3 as iio
-
-    from isd_gym.contrib.films import RecordVectorVideo, RecordVideo
-
-    one, twin = (gym.make(NAME, render_mode="rgb_array", max_episode_steps=40) for _ in range(2))
-    env = RecordVideo(one, str(tmp_path / "one"))
-    many = RecordVectorVideo(cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=8)
+    one, twin = (gym.make(NAME, render_mode="rgb_array", max_episode_steps=steps) for _ in range(2))
+    env = record(one, str(tmp_path / "one"))
+    length = 8 if own else steps
+    many = record_many(
+        cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=8 if own else length
+    )
     env.reset(seed=0), many.reset(seed=0), twin.reset(seed=0)
     drawn = [twin.render()]
-    for k, a in enumerate(currents(40), 1):
+    for k, a in enumerate(currents(steps), 1):
         over = env.step(a[0])[3]
         twin.step(a[0])
-        if k <= 8:
+        if k <= length:
             many.step(a)
-        if k % 4 == 0:
+        if k % (200 // rate) == 0:
             drawn.append(twin.render())
     assert over
     np.testing.assert_array_equal(env.recorded_frames, drawn)
     env.close(), many.close()
-    for folder, seconds in (("one", 0.2), ("many", 0.04)):
+    for folder, tiles in (("one", 1), ("many", CARS)):
         (film,) = (tmp_path / folder).glob("*.mp4")
         about = iio.immeta(film, plugin="FFMPEG")
-        assert about["fps"] == 50
-        assert about["duration"] == pytest.approx(seconds, abs=0.021)  # real time
+        assert about["fps"] == rate
+        assert about["size"][0] * about["size"][1] == tiles * 960 * 600
+        if folder == "one":
+            assert about["duration"] == pytest.approx(steps / 200, abs=0.021)
 
 
 # ----------------------------------------------------------------------------------------- others

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import channel
-from test_inspection import CAR, drive
+from builders import QUARTER_CAR as CAR
+from builders import channel, drive_quarter_car
 
 from isd_gym._common.errors import InputError
 from isd_gym.contrib.inspection import inspect, lines
@@ -16,8 +16,8 @@ from isd_gym.diagnosis._records import build_record, read_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
-from isd_gym.records._loggers import ChannelMap, Recording, Signal
-from isd_gym.records.data import Table
+from isd_gym.records._loggers import ChannelMap, Recording, Signal, runs
+from isd_gym.records.data import Table, write_table
 
 NETWORK = Network.load(CAR)
 CHANNELS = (*NETWORK.inputs, *NETWORK.outputs)
@@ -27,7 +27,7 @@ CHANNELS = (*NETWORK.inputs, *NETWORK.outputs)
 def truth():
     """A drive at 4 kHz without noise, from rest."""
     time = 2.5e-4 * np.arange(40001)
-    coarse, columns = drive(seconds=11.0)
+    coarse, columns = drive_quarter_car(seconds=11.0)
     heights = np.interp(time, coarse, columns["road"] * np.minimum(coarse, 1.0))
     return time, {"road": heights} | simulate(CAR, time, {"road": heights})
 
@@ -145,9 +145,6 @@ def test_a_rate_below_twice_the_motion_is_refused(truth):
 
 
 def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
-    from isd_gym.records._loggers import runs
-    from isd_gym.records.data import write_table
-
     t = even(2.5e-3)
     for name in ("a", "b"):
         write_table(tmp_path / f"{name}.csv", Table(t, {c.name: np.sin(t) for c in CHANNELS}))
@@ -164,8 +161,6 @@ def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
 
 
 def test_absolute_stamps_of_two_loggers_share_their_origin(tmp_path):
-    from isd_gym.records._loggers import runs
-
     for name, first, columns in (("a", 0.0, CHANNELS[:1]), ("b", 1.25, CHANNELS[1:])):
         rows = [",".join(["stamp", *(c.name for c in columns)])]
         for k in range(600):

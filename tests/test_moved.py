@@ -1,18 +1,16 @@
 """Nodes that are moved by their velocity or acceleration: against the closed solution, and what they cannot tell."""
 
 import copy
-import json
 from dataclasses import replace
 
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, friction, spring
-from typer.testing import CliRunner
+from builders import channel, damper, element, friction, named, spring
 
 from isd_gym import simulate
-from isd_gym._commands import app
 from isd_gym._common.errors import InputError
+from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import states_along
 from isd_gym.diagnosis._estimation.noise import white_filters
@@ -22,6 +20,7 @@ from isd_gym.diagnosis._hypotheses.missing_force import Deconvolution
 from isd_gym.diagnosis._hypotheses.motion import motions
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network, assemble, linearise
+from isd_gym.records.data import Table
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98
 TABLE = builders.model(
@@ -221,42 +220,16 @@ def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_kno
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("quantity", "level"), [("velocity", 0.5), ("acceleration", 1.5)])
-def test_the_command_names_the_friction_of_a_rig_whose_table_is_told_by_its_rate(quantity, level, tmp_path):
-    rng = np.random.default_rng(2)
+def test_the_friction_of_a_rig_whose_table_is_told_by_its_rate_is_named(quantity, level):
+    rng, t = np.random.default_rng(2), np.arange(0, 20, 5e-3)
     model = shaken(quantity)
     model["outputs"] = model["outputs"][1:2]  # the travel
     model["uncertainty"] = {"k.stiffness": 0.05, "c.damping": 0.5}
-    rub = friction("m", "table", level)
-    assert verdict(model, rub, quantity, rng, tmp_path) == ["coulomb_friction", ["m", "table"]]
-
-
-@pytest.mark.slow
-def test_the_command_names_the_friction_of_an_inerter_that_is_driven_by_a_speed(tmp_path):
-    rub = friction("rod", "ground", 40.0)
-    found = verdict(INERTER, rub, "velocity", np.random.default_rng(3), tmp_path)
-    assert found == ["coulomb_friction", ["rod", "ground"]]
-
-
-def verdict(model, hidden, quantity, rng, folder):
-    """What `isd-gym diagnose` names where `hidden` is missing in the model: [effect, terminals]."""
-    t = np.arange(0, 20, 5e-3)
-    (name,) = (c["name"] for c in model["inputs"])
-    phases = rng.uniform(0, 6, 5)
-    drive = sum(np.sin(2 * np.pi * f * t + p) for f, p in zip((0.3, 0.7, 1.1, 1.6, 2.3), phases, strict=True))
-    drive *= {"velocity": 0.1, "acceleration": 1.5}[quantity]
-    truth = {**model, "elements": [*model["elements"], hidden]}
-    out = simulate(truth, t, {name: drive})
-    columns = [t, drive, *(out[c["name"]] * (1 + 0 * t) for c in model["outputs"])]
-    columns[2:] = [y + 0.01 * y.std() * rng.standard_normal(len(t)) for y in columns[2:]]
-    header = ",".join(["time", name, *(c["name"] for c in model["outputs"])])
-    np.savetxt(folder / "run.csv", np.stack(columns, axis=1), delimiter=",", header=header, comments="")
-    (folder / "model.json").write_text(json.dumps(model))
-    done = CliRunner().invoke(
-        app, ["diagnose", str(folder / "run.csv"), "--model", str(folder / "model.json"), "--out", str(folder / "found")]
-    )  # fmt: skip
-    assert done.exit_code == 0, done.output
-    assert (folder / "found" / "report.html").stat().st_size > 10_000
-    said = json.loads((folder / "found" / "diagnosis.json").read_text())
-    assert said["verdict"] == "missing_effect"
-    (effect,) = said["effects"]
-    return [effect["effect"], list(effect["between"])]
+    phases = zip((0.3, 0.7, 1.1, 1.6, 2.3), rng.uniform(0, 6, 5), strict=True)
+    size = {"velocity": 0.1, "acceleration": 1.5}[quantity]
+    drive = size * sum(np.sin(2 * np.pi * f * t + p) for f, p in phases)
+    truth = {**model, "elements": [*model["elements"], friction("m", "table", level)]}
+    travel = simulate(truth, t, {"u": drive})["d"]
+    noisy = travel + 0.01 * travel.std() * rng.standard_normal(len(t))
+    found = diagnose([Table(t, {"u": drive, "d": noisy}, "run")], model)
+    assert named(found) == {("coulomb_friction", frozenset({"m", "table"}))}

@@ -16,8 +16,7 @@ from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import residual_of
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.network import Channel, Network
-from isd_gym.records.schemas import load
+from isd_gym.physics.network import Network
 
 STEP, SAMPLES = 2e-3, 1500
 OFFSET, NOISE = 0.013, 2e-5  # [m]
@@ -74,19 +73,6 @@ def test_an_offset_is_read_and_written(text: str, value: str | None) -> None:
 def test_another_offset_is_refused(wrong: object) -> None:
     with pytest.raises(InputError, match='"offset" must be "free"'):
         stand(wrong)  # type: ignore[arg-type]
-
-
-def test_a_channel_made_in_code_is_checked() -> None:
-    network = stand()
-    with pytest.raises(InputError, match="offset must be 'free'"):
-        network.__class__(
-            network.name, network.masses, network.elements, network.inputs,
-            (Channel("position", "displacement", "m", at="mass", offset=True),),  # type: ignore[arg-type]
-        )  # fmt: skip
-
-
-def test_the_schema_knows_the_offset_of_a_record() -> None:
-    assert '"record"' in str(load("isd-model/1")).replace("'", '"')
 
 
 # ---------------------------------------------------------------------------------------------------- the fit

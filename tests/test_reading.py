@@ -9,6 +9,7 @@ from builders import channel, damper, network, spring
 from program import run
 from scipy.io import savemat
 
+from isd_gym._commands.simulate import command
 from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
 from isd_gym.contrib.inspection import inspect
@@ -16,6 +17,7 @@ from isd_gym.records._loggers import ChannelMap, Recording
 from isd_gym.records._loggers.record_reading import records_of
 from isd_gym.records.data import Table, read_table
 from isd_gym.records.data._table import read_rasters
+from isd_gym.records.schemas import check as of_schema
 
 RIG = network(
     "shaker",
@@ -94,8 +96,6 @@ def test_a_file_without_time_is_read_at_a_rate(tmp_path):
     found.map("rig.json").save(tmp_path / "map.json")  # the map remembers the rate
     (record,) = records_of(path, RIG, WANTED, by=ChannelMap.load(tmp_path / "map.json"))
     check(record)
-    from isd_gym.records.schemas import check as of_schema
-
     of_schema(json.loads((tmp_path / "map.json").read_text()), "isd-map/1", "the map")
     for rate in (0.0, float("nan"), float("inf"), -3.0):
         with pytest.raises(InputError, match="--rate must be"):
@@ -220,8 +220,6 @@ def test_runs_side_by_side_are_two_records(heads, tmp_path):
     check(two, second)
     with pytest.raises(InputError, match="2 tables side by side"):
         read_table(tmp_path / "a.csv")
-    from isd_gym._commands.simulate import command
-
     RIG.save(tmp_path / "rig.json")
     with pytest.raises(InputError, match="holds 2 runs side by side"):
         command(str(tmp_path / "rig.json"), [tmp_path / "a.csv"], tmp_path / "out.csv")

@@ -10,6 +10,7 @@ import jsonschema
 import numpy as np
 import pytest
 from builders import channel, damper, element, spring
+from test_words import document
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
@@ -25,7 +26,6 @@ from isd_gym.records import schemas
 from isd_gym.records.data import Table
 
 STEP, SAMPLES, NOISE = 2e-3, 4000, 1e-5  # [s], -, [m]
-TRUE = {"mass.mass": 2.0, "spring.stiffness": 900.0, "damper.damping": 9.0}
 
 
 def rig(*extra, **values):
@@ -224,21 +224,14 @@ def test_a_law_that_explains_nearly_as_much_is_told_and_the_amplitudes_are():
         "tied": True,
         "error": {k: {"position": v} for k, v in (("joint", 0.1), ("differing", 0.07), ("alone", 0.07))},
     }
-    rest = {
-        "verdict": "parameters_only", "reason": "noise", "effects": [], "parameters": {}, "gates": [], "stretches": None, "small_effects": [],
-        "gap": {"held_out": {k: {"position": 0.1} for k in ("before", "refit", "noise_floor")}}, "findings": [],
-        "criteria": {"material": 0.03, "probable": 0.5, "certain": 0.8}, "best_candidate": None, "next_experiment": None,
-        "evidence": {k: [] for k in ("channels", "refit", "noise", "envelope", "noise_known", "limits", "effects")},
-    }  # fmt: skip
-    told = statements_of(rest | {"record_differences": found}).text
+    told = statements_of(document(record_differences=found)).text
     assert "Damping of damper differs between records: 12 to 12.5 N s/m in a and c and 19 N s/m in b." in told
     assert "falls from 10.0 % to 7.0 % (50 % of the squared error beyond noise)" in told
     assert "Quadratic damping between mass and ground with one value for all records removes 45 %" in told
     assert "do not decide" in told and "by a factor of 1.9" in told
     clear = found | {"tied": False, "explained_by_law": 0.03, "amplitude": 3 * [{"position": 1.0}]}
-    told = statements_of(
-        rest | {"record_differences": clear} | {"verdict": "unknown_effect", "reason": "records_differ"}
-    ).text
+    unknown = {"verdict": "unknown_effect", "reason": "records_differ", "effects": []}
+    told = statements_of(document(record_differences=clear, **unknown)).text
     assert (
         "No known law removes more than 3 %." in told and "decide" not in told and "amplitude of" not in told
     )

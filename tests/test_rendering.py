@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -65,14 +64,6 @@ def body_top(picture: np.ndarray) -> int:
     return int(where(picture, rendering.BLUE)[0].min())
 
 
-@pytest.mark.parametrize(("cars", "width", "height"), [(1, 640, 400), (2, 960, 600), (1, 721, 455)])
-def test_a_frame_has_the_size_that_was_asked_for(cars: int, width: int, height: int) -> None:
-    picture = frame(*[snapshot()] * cars, width=width, height=height)
-    assert picture.shape == (height, width, 3)
-    assert picture.dtype == np.uint8
-    picture[0, 0] = 0  # it belongs to the caller
-
-
 def test_the_body_moves_up_by_the_stated_factor() -> None:
     rise = 0.02
     still, risen = frame(snapshot()), frame(snapshot(body=rise, piston=rise))
@@ -87,14 +78,6 @@ def test_a_road_that_rises_under_everything_changes_nothing() -> None:
     assert np.array_equal(frame(lifted), frame(snapshot()))
 
 
-def test_the_picture_widens_its_scale_before_the_body_leaves_it() -> None:
-    far = 0.4
-    top = body_top(scene(frame(snapshot(body=far, piston=far, joint=far))))
-    assert 0 <= top < body_top(scene(frame(snapshot())))
-    deep = frame(snapshot(body=-far, piston=-far, joint=-far))
-    assert body_top(scene(deep)) > body_top(scene(frame(snapshot())))
-
-
 def test_the_scale_stays_wide_until_the_time_begins_anew() -> None:
     renderer = Renderer("rgb_array", width=640, height=400)
     fresh = renderer.draw(snapshot())
@@ -105,14 +88,6 @@ def test_the_scale_stays_wide_until_the_time_begins_anew() -> None:
     rise = body_top(scene(fresh)) - body_top(scene(later))
     assert 0 < rise < 0.5 * 0.02 * PIXELS_PER_METRE
     assert np.array_equal(again, fresh)
-
-
-def test_two_cars_share_the_scale() -> None:
-    calm = passive(body=0.02)
-    wild = passive(body=0.15)
-    alone, beside = frame(calm, calm), frame(calm, wild)
-    half = alone.shape[1] * 3 // 10
-    assert body_top(beside[:, :half]) > body_top(alone[:, :half])
 
 
 def arrows(picture: np.ndarray, colour: tuple[int, int, int]) -> list[int]:
@@ -152,18 +127,6 @@ def test_a_stop_that_is_hit_is_marked_on_its_side() -> None:
         stop = columns[rows < rows.min() + 15]  # the stop stands above the gauge's words
         assert (stop.mean() > 186 + 24 + 34) == (travel > 0)
         assert np.ptp(stop) < 8
-
-
-def test_the_mover_goes_right_when_the_device_extends() -> None:
-    """Oil pushed out above the piston enters the motor's cylinder at its left end."""
-    travel = 0.01
-    out, back = (scene(frame(snapshot(joint=-d)))[:, 225:263] for d in (travel, -travel))
-
-    def mover(part: np.ndarray) -> float:
-        rows = np.nonzero((part.sum(axis=2) < 3 * 60).sum(axis=1) >= 12)[0]  # only the mover is that wide
-        return float(np.nonzero(part[int(np.median(rows))].sum(axis=1) < 3 * 60)[0].mean())
-
-    assert mover(out) - mover(back) == pytest.approx(2 * travel / LIMIT * 23, abs=1.5)
 
 
 def test_the_words_state_the_scales(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -391,18 +354,3 @@ def test_a_film_that_cannot_be_is_refused_in_one_line(
         write_video(tmp_path / "car.mp4", frames, 25)
     assert str(caught.value) == f"writing an MP4 needs imageio-ffmpeg: {how_to_install('render')}"
     assert list(tmp_path.iterdir()) == []
-
-
-def test_time_may_start_anywhere_and_the_plots_forget() -> None:
-    renderer = Renderer("rgb_array", width=640, height=400)
-    start = snapshot(time=100.0)
-    first = renderer.draw(start)
-    renderer.draw(replace(start, time=101.0, body_acceleration=2.5))
-    for time in (110.0, 110.02):
-        last = renderer.draw(replace(start, time=time))
-    assert first is not None and last is not None
-    curve = last[134:244, 412:626]
-    assert where(curve, rendering.BLUE, 40)[1].size > 0
-    assert (
-        where(curve[: len(curve) // 3], rendering.BLUE, 40)[1].size == 0
-    )  # the peak of nine seconds ago is gone

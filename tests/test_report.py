@@ -3,10 +3,8 @@
 import base64
 import hashlib
 import html
-import html.parser
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,12 +14,11 @@ import matplotlib.figure
 import numpy as np
 import pytest
 from builders import element
-from PIL import Image
+from html_page import Page
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
 from isd_gym._common.errors import InputError
-from isd_gym.benchmark import _show as show
 from isd_gym.benchmark._comparability import Comparable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
@@ -29,14 +26,13 @@ from isd_gym.diagnosis import Contender, Diagnosis, Effect, Gate, Law, Place, Qu
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
-from isd_gym.diagnosis._hypotheses.missing_force import Deconvolution
 from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis._verdict.explanation import draw_law as series_law
 from isd_gym.diagnosis._verdict.gates import gates_of
 from isd_gym.diagnosis.result import BestCandidate, Tabulated
-from isd_gym.physics.elements import TYPES, CoulombFriction
+from isd_gym.physics.elements import TYPES, CoulombFriction, parameter_fields
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records import schemas
@@ -187,7 +183,7 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
     return made
 
 
-def reopened(d: Diagnosis, page: Path) -> "Page":
+def reopened(d: Diagnosis, page: Path) -> Page:
     """Open every file of a written report again and check it against the result; return the page."""
     folder = page.parent
 
@@ -237,54 +233,13 @@ def small_score():
 @pytest.fixture(autouse=True)
 def no_bound(monkeypatch):
     """The causal bound takes seconds and is tested beside the baselines."""
-    monkeypatch.setattr(score_page, "fronts", lambda score: [])
+    monkeypatch.setattr("isd_gym.contrib.ceilings.beside.fronts", lambda score: [])
 
 
 @pytest.fixture
 def quick(monkeypatch):
     """One figure is enough where folders are looked at."""
     monkeypatch.setattr(report, "FIGURES", report.FIGURES[:1])
-
-
-class Page(html.parser.HTMLParser):
-    """What a page refers to, and its plain text."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.charts: list[dict] = []
-        self.links: list[str] = []
-        self.tags: list[str] = []
-        self.open: list[str] = []
-        self.text = ""
-        self.policies: list[str] = []
-        self.scripts: list[str] = []
-        self.figures: list[str] = []
-        self.inside = False  # whether a script is being read
-        self.feed(path.read_text(encoding="utf-8"))
-        assert not self.open, f"never closed: {self.open}"
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        if tag not in ("meta", "img", "br"):
-            self.open.append(tag)
-        if tag == "svg" and dict(attrs)["class"] == "chart":
-            self.charts.append(dict(attrs))
-        self.inside = tag == "script"
-        if tag == "figure":
-            self.figures.append(dict(attrs)["id"].removeprefix("figure-"))
-        if dict(attrs).get("http-equiv") == "Content-Security-Policy":
-            self.policies.append(dict(attrs)["content"])
-        self.links += [v for k, v in attrs if k in ("src", "href") and not v.startswith("data:")]
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-        self.inside = False
-
-    def handle_data(self, data):
-        if self.inside:
-            self.scripts.append(data)
-        elif not {"figure", "svg"} <= set(self.open):  # texts of a chart are no words of the page
-            self.text += data
 
 
 def check_page(path: Path) -> Page:
@@ -328,32 +283,6 @@ def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
 
 def _held(d):
     return d.traces[-1].time, d.traces[-1].inputs
-
-
-def test_a_force_that_is_applied_is_found_again():
-    """The reconstruction against a known force: a chirp between body and wheel of a linear car."""
-    car = Network.load("quarter-car-passive")
-    n, step = 4000, 2.5e-3
-    t = step * np.arange(n)
-    names = [c.name for c in car.outputs]
-    # what it looks at to see how fast the motion is
-    wave = {c: np.sin(2 * np.pi * 5.0 * t) for c in names}
-    probe = Deconvolution.of(car, ("body", "wheel"), t, wave)
-    force = 100 * np.sin(2 * np.pi * (1.0 + 0.5 * t) * t) * np.hanning(n)
-    spectrum = np.fft.rfft(force)[probe.first : probe.first + len(probe.frequency)]
-    rng = np.random.default_rng(0)
-    residual, noise = {}, {}
-    for j, name in enumerate(names):
-        whole = np.zeros(n // 2 + 1, complex)
-        whole[probe.first : probe.first + len(spectrum)] = spectrum * probe.gain[:, j] / probe.factors[j]
-        clean = np.fft.irfft(whole, n)
-        noise[name] = 0.02 * clean.std()
-        residual[name] = clean + noise[name] * rng.standard_normal(n)
-    found, moved = probe.force(residual, noise)
-    middle = slice(n // 8, -n // 8)
-    assert np.sqrt(np.mean((found - force)[middle] ** 2)) < 0.1 * force[middle].std()
-    slope = np.gradient(moved[:, 0], step)[middle]
-    assert np.sqrt(np.mean((moved[middle, 1] - slope) ** 2)) < 0.05 * slope.std()
 
 
 def test_report_stands_alone_and_says_it_all(written):
@@ -513,8 +442,6 @@ def test_a_diagnosis_without_records_still_has_a_page(diagnosis, tmp_path):
 
 def test_every_effect_of_the_library_has_a_test_that_could_refute_it():
     import string
-
-    from isd_gym.physics.elements import parameter_fields
 
     kept = {"motor"}
     tests = {
@@ -676,60 +603,7 @@ def test_numbers_are_printed_without_exponents(value, text):
     assert plots.number(value) == text
 
 
-@pytest.mark.parametrize("width", [80, 118])
-def test_the_tables_cut_no_figure(small_score, monkeypatch, width):
-    import io
-
-    import rich.console
-
-    from isd_gym._commands._score_table import print_score
-
-    rows = [json.loads(json.dumps(row)) for row in small_score.policies]
-    for row in rows:
-        row["energy"]["value"], row["share_of_reachable_gain"] = 13456.0, 0.41
-        row["limit_violations"] |= {"current": 98765}
-    out, made = io.StringIO(), rich.console.Console
-    monkeypatch.setattr(rich.console, "Console", lambda **k: made(file=out, width=width))
-    print_score(replace(small_score, policies=rows))
-    text = out.getvalue()
-    assert "…" not in text and max(map(len, text.splitlines())) <= width
-    for row in rows:
-        q = row["tyre_load_rms"]
-        assert text.count("13456") == len(rows) and text.count("98765") == len(rows)
-        assert f"{row['cost']['value']:.3f}" in text and f"{q['value']:.0f}" in text
-        if q["change"]:
-            assert f"[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]" in text
-
-
 # ------------------------------------------------------------------------------------------------------ show
-
-
-def test_both_cars_drive_over_the_same_road():
-    car = Network.load("quarter-car-isd")
-    entries = [find(n, car) for n in ("skyhook", "passive")]
-    shots = list(show.snapshots(entries, car, seconds=0.2, seed=4))
-    assert len(shots) == 41 and [s.label for s in shots[0]] == ["skyhook", "passive"]
-    assert shots[-1][0].time == pytest.approx(0.2)
-    left, right = shots[-1]
-    here = [round(s.road_behind / s.road_step) for s in (left, right)]
-    assert left.road_profile[: here[0] + 1] == pytest.approx(right.road_profile[: here[1] + 1], abs=0)
-    assert left.current != 0.0 and right.current_limit is None
-    assert left.suspension_travel != right.suspension_travel
-
-
-def test_film_has_the_frames_of_its_length(tmp_path):
-
-    car = Network.load("quarter-car-isd")
-    done = []
-    show.film([find("passive", car)], car, tmp_path / "a.gif", seconds=0.4, progress=done.append)
-    with Image.open(tmp_path / "a.gif") as film:
-        assert film.size == (720, 450)
-        seen = []
-        for k in range(film.n_frames):
-            film.seek(k)
-            seen.append(film.info["duration"])
-    assert sum(seen) == pytest.approx(440, abs=1)  # frames at 0, 40, ..., 400 ms
-    assert done[-1] == 1.0 and sorted(done) == done
 
 
 # ------------------------------------------------------------------------------------------------ command line
@@ -828,56 +702,6 @@ def test_diagnose_renames_and_converts(told, tmp_path, monkeypatch):
     done = CliRunner().invoke(cli.app, [*args, "--rename", "z_r=road", "--unit", "road=mm"])
     assert done.exit_code == 0, done.output
     assert told[0][0][0]["road"] == pytest.approx(1e-3)
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (["--validate", "none.csv"], r"none\.csv: no such file"),
-        (["--rename", "road"], "--rename wants COLUMN=CHANNEL"),
-        (["--unit", "road=furlong"], "furlong"),
-        (["--uncertain", "body.mass=5"], "wants a share from 0 to 1"),
-        (["--out", "taken"], r"taken.*notes\.txt"),
-        (["--json", "no/such/x.json"], "no folder"),
-        (["--model", "nowhere.json"], "nowhere"),
-    ],
-)
-def test_diagnose_refuses_bad_input_before_the_work(told, tmp_path, monkeypatch, more, message):
-    monkeypatch.chdir(tmp_path)
-    tables(tmp_path, "a.csv")
-    (tmp_path / "taken").mkdir()
-    (tmp_path / "taken" / "notes.txt").write_text("mine")
-    args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found", *more]
-    with pytest.raises(InputError, match=message):
-        CliRunner().invoke(cli.app, args, catch_exceptions=False)
-    assert told == [] and not Path("found").exists()
-
-
-def test_show_without_a_display_says_what_to_do(monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
-        monkeypatch.delenv(name, raising=False)
-    if not sys.platform.startswith("linux"):
-        pytest.skip("other systems always have a display")
-    with pytest.raises(InputError, match=r"--out FILE\.mp4"):
-        CliRunner().invoke(cli.app, ["show", "passive", "--seconds", "0.1"], catch_exceptions=False)
-
-
-def test_show_plays_in_a_window(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    done = CliRunner().invoke(cli.app, ["show", "isd-passive", "--against", "passive", "--seconds", "0.1"])
-    assert done.exit_code == 0, done.output
-
-
-def test_the_gap_has_a_scale_however_narrow_it_is(diagnosis):
-    gap = {
-        stage: dict.fromkeys(row, value)
-        for (stage, row), value in zip(diagnosis.gap.items(), (0.112, 0.105, 0.1, 0.063), strict=True)
-    }
-    chart = report.draw_gap(report.View(replace(diagnosis, gap=gap)))
-    fig = matplotlib.figure.Figure()
-    charts.draw(fig, chart)
-    low, high = fig.axes[0].get_xlim()
-    assert sum(low <= t <= high for t in fig.axes[0].get_xticks()) > 2
 
 
 # ------------------------------------------------------------------------------------------------------- charts

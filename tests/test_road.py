@@ -8,7 +8,6 @@ from isd_gym._common.errors import InputError
 from isd_gym.physics.road import (
     ISO_CLASSES,
     PAPER_KAPPA,
-    Road,
     bump,
     iso_road,
     paper_road,
@@ -59,19 +58,6 @@ def test_velocity_of_the_papers_road_is_white_with_the_stated_intensity(step):
     assert abs(np.mean((blocks / blocks.std()) ** 4) - 3.0) < 0.2  # a sum of twenty is as good as normal
 
 
-def test_class_heights_do_not_depend_on_speed():
-    spread = [
-        np.std(
-            [
-                iso_road("B").heights(d, speed=v, step=1e-3, rng=np.random.default_rng(s))[-1]
-                for s in range(400)
-            ]
-        )
-        for v, d in ((10.0, 20.0), (40.0, 5.0))
-    ]
-    assert spread[0] == pytest.approx(spread[1], rel=0.15)
-
-
 def test_profiles():
     rng = np.random.default_rng(0)
     z = bump(height=0.06, length=3.0, at=10.0).heights(2.0, speed=20.0, rng=rng)
@@ -116,13 +102,3 @@ def test_bad_recordings(tmp_path, text, message):
     (tmp_path / "r.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         road(tmp_path / "r.csv")
-
-
-def test_unknown_road_lists_the_known():
-    with pytest.raises(InputError, match="no road 'moon': paper"):
-        road("moon")
-
-
-def test_same_generator_same_road():
-    draw = [Road("r", roughness=1e-4).heights(1.0, rng=np.random.default_rng(1)) for _ in range(2)]
-    np.testing.assert_array_equal(*draw)

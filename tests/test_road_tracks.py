@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
-from scipy.signal import csd, welch
 from scipy.special import kv
 
 from isd_gym._common.errors import InputError
@@ -48,64 +46,6 @@ def words(counter, count):
 
 
 # ------------------------------------------------------------------------------------------------ coherence
-
-
-@pytest.mark.parametrize("n", [0.0, 0.01, 0.1, 0.3])
-def test_coherence_is_that_of_an_isotropic_surface(n):
-    """Both transforms of the autocovariance exp(-k_c r), along a line and along a parallel line, by quadrature."""
-    cutoff, width = 0.05, 1.5
-    slow = 2 * np.pi * cutoff
-
-    def transform(b):
-        def covariance(s):
-            return 2 * math.exp(-slow * math.hypot(s, b)) * math.cos(2 * np.pi * n * s)
-
-        return quad(covariance, 0, 80 / slow, limit=2000, epsabs=1e-11)[0]
-
-    assert formula(n, width, cutoff) == pytest.approx(transform(width) / transform(0.0), abs=1e-8)
-
-
-FITTED_BAND = (0.03, 300.0)  # of x
-
-
-def fit_coherence():
-    """Fit poles and weights of sum 1 to x K1(x): rising powers of the relative error of 1 - gamma, by least squares."""
-    from scipy.optimize import least_squares
-
-    x = np.geomspace(*FITTED_BAND, 500)
-    wanted = 1 - x * kv(1, x)
-    square = x[:, None] ** 2
-
-    def unpack(theta):
-        weights = theta[tracks.DIFFERENCE_STATES :]
-        return np.exp(theta[: tracks.DIFFERENCE_STATES]), np.append(weights, 1 - weights.sum())
-
-    def error(theta):
-        poles, weights = unpack(theta)
-        return (weights * square / (square + poles**2)).sum(axis=1) / wanted - 1
-
-    theta = np.array([*np.log([0.06, 0.35, 1.5, 8.0]), 0.004, 0.1, 0.95])
-    for power in (1, 3, 7, 15, 31):
-        worst = np.abs(error(theta)).max()
-        theta = least_squares(
-            lambda t, q=power, e=worst: np.sign(error(t)) * np.abs(error(t) / e) ** q,
-            theta, x_scale="jac", max_nfev=2000,
-        ).x  # fmt: skip
-    return unpack(theta)
-
-
-def test_stored_poles_are_those_of_the_fit():
-    """Refit and stored numbers reach the same smallest maximum of the relative error of 1 - gamma."""
-    x = np.geomspace(*FITTED_BAND, 1000)
-
-    def worst(poles, weights):
-        gamma = (weights * poles**2 / (x[:, None] ** 2 + poles**2)).sum(axis=1)
-        return np.abs((1 - gamma) / (1 - x * kv(1, x)) - 1).max()
-
-    stored = worst(np.array(tracks.COHERENCE_POLES), np.array(tracks.COHERENCE_WEIGHTS))
-    assert stored < 0.01
-    assert worst(*fit_coherence()) == pytest.approx(stored, rel=0.02)
-    assert sum(tracks.COHERENCE_WEIGHTS) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_the_fitted_density_is_positive_at_all_frequencies():
@@ -158,16 +98,6 @@ def test_samples_of_the_difference_have_the_autocovariance_of_the_continuous_pro
         assert got == pytest.approx(wanted, rel=1e-7, abs=1e-9 * powers.sum())
 
 
-@pytest.mark.parametrize("width", [1.0, 1.5, 3.0])
-def test_variance_between_the_tracks_is_that_of_the_surface(width):
-    """On an isotropic random walk, heights at the distance r differ by the variance intensity times r, in any direction."""
-    ground, step = paper_road(), 1e-3
-    intensity = (2 * np.pi) ** 2 * ground.roughness * 0.01 / 2
-    poles, gains = (a[SUM_STATES:] for a in ground.track_filters(width, 20.0, step))
-    variance = 4 * (np.outer(gains, gains) / (1 - np.outer(poles, poles))).sum()
-    assert variance == pytest.approx(intensity * width, rel=0.02)
-
-
 def test_filters_are_stable_and_cached():
     poles, gains = paper_road().track_filters(1.5, 20.0, 1e-3)
     assert poles.shape == gains.shape == (TRACK_STATES,)
@@ -179,44 +109,6 @@ def test_filters_are_stable_and_cached():
 
 
 # ---------------------------------------------------------------------------------------------- realisations
-
-
-def estimates(ground, speed, step, *, roads=24, length=8000.0, metres=500.0):
-    """Frequencies, densities of left and right, and cross-spectral density over distance, averaged over roads.
-
-    Welch's method on the differences between samples, which are nearly white: no leakage from long waves.
-    """
-    rate = 1 / (speed * step)
-    options = {"fs": rate, "nperseg": int(metres * rate), "detrend": False, "window": "hann"}
-    totals = [0.0, 0.0, 0.0]
-    for seed in range(roads):
-        rng = np.random.default_rng(seed)
-        z = ground.wheel_heights(AXLE, length / speed, speed=speed, step=step, rng=rng)
-        left, right = np.diff(z, axis=1)
-        n, p = welch(left, **options)
-        parts = p, welch(right, **options)[1], csd(left, right, **options)[1]
-        totals = [t + part / roads for t, part in zip(totals, parts, strict=True)]
-    whitening = np.abs(1 - np.exp(-2j * np.pi * n[1:] / rate)) ** 2
-    return n[1:], *(t[1:] / whitening for t in totals)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
-@pytest.mark.parametrize(("speed", "step"), [(10.0, 2e-3), (30.0, 1e-3)])
-def test_realisations_have_the_density_and_the_coherence(ground, speed, step):
-    """In octave bands of ISO 8608: density of each track within 5 %, gamma within 0.03, no phase between the sides."""
-    n, left, right, cross = estimates(ground, speed, step)
-    target = ground.psd(n)
-    edges = 0.011 * 2.0 ** np.arange(9)
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
-        band = (n >= low) & (n < min(high, 2.83))
-        for side in (left, right):
-            assert (side / target)[band].mean() == pytest.approx(1.0, abs=0.05), (low, high)
-        gamma = (cross / target)[band].mean() / np.sqrt(
-            (left / target)[band].mean() * (right / target)[band].mean()
-        )
-        assert gamma.real == pytest.approx(formula(n[band], 1.5).mean(), abs=0.03), (low, high)
-        assert abs(gamma.imag) < 0.03, (low, high)
 
 
 def test_drawn_numbers_are_those_of_the_counters():
@@ -302,19 +194,6 @@ def test_rear_wheel_passes_the_same_road_at_any_speed(speed):
     curvature = 0.01 * (2 * np.pi * 0.5 * speed * 1e-3) ** 2
     away = np.abs(place) > speed * 1e-3  # the kink at the start is met between two steps
     np.testing.assert_allclose(rear[away], wanted[away], rtol=0, atol=curvature / 8 + 2e-8)
-
-
-@pytest.mark.parametrize("part", [0.25, 0.5, 0.8])
-def test_gain_of_the_interpolation(part):
-    """The documented gain, and a phase of `part` steps at low frequency."""
-    count, step = 4000, 1e-3
-    impulse = np.zeros(count)
-    impulse[10] = 1.0
-    response = np.fft.rfft(tracks.delayed(impulse, 7 + part)) / np.fft.rfft(impulse)
-    F = np.fft.rfftfreq(count, step)
-    gain = np.sqrt(1 - 2 * part * (1 - part) * (1 - np.cos(2 * np.pi * F * step)))
-    np.testing.assert_allclose(np.abs(response), gain, atol=1e-12)
-    assert np.angle(response[4]) == pytest.approx(-2 * np.pi * F[4] * step * (7 + part), abs=1e-6)
 
 
 def test_delay_longer_than_the_drive():

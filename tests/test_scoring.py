@@ -144,13 +144,6 @@ def test_policies_of_the_same_name_are_called_by_their_paths(tmp_path):
             score(twice, CAR, episodes=1, duration=0.5)
 
 
-def test_the_conventional_car_keeps_the_networks_own_masses():
-    heavy = CAR.with_parameters({"body.mass": 400.0, "damper.damping": 2000.0})
-    car = conventional(heavy)
-    assert car.masses["body"] == 400.0 and car.element("damper").damping == 2000.0
-    assert car.element("damper").between == ("body", "wheel")
-
-
 def test_the_conventional_car_takes_masses_by_their_order():
     data = CAR.to_dict()
     text = json.dumps(data).replace('"body"', '"sprung"').replace('"wheel"', '"unsprung"')

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ import pytest
 from builders import channel, damper, spring
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
+from test_words import document
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import diagnose
@@ -170,24 +170,13 @@ def test_the_last_fit_is_dropped_where_it_gains_nothing_or_the_motion_is_lost() 
 
 def test_the_summary_tells_both_estimates() -> None:
     values = {"value": 1.0, "low": 0.9, "high": 1.1, "unit": "N/m"}
-    document = json.loads(
-        json.dumps(
-            {
-                "verdict": "missing_effect",
-                "effects": [{"effect": "cubic_stiffness", "between": list(PAIR), "parameters": {}}],
-                "gap": {"held_out": {k: {"position": 0.1} for k in ("before", "refit", "after", "noise_floor")}},
-                "remainder": None, "small_effects": [], "criteria": {"material": 0.03}, "gates": [], "stretches": None,
-                "evidence": {"limits": [], "channels": [], "noise": [], "noise_known": []},
-                "simulation_fit": {
-                    "values": {"spring.stiffness": 1.3},
-                    "data": {"before": {"position": 0.02}, "after": {"position": 0.01}},
-                    "held_out": {"before": {"position": 0.02}, "after": {"position": 0.01}},
-                    "outside": {"spring.stiffness": values},
-                },
-            }
-        )
-    )  # fmt: skip
-    said = summary_of(document)
+    fit = {
+        "values": {"spring.stiffness": 1.3},
+        "data": {"before": {"position": 0.02}, "after": {"position": 0.01}},
+        "held_out": {"before": {"position": 0.02}, "after": {"position": 0.01}},
+        "outside": {"spring.stiffness": values},
+    }
+    said = summary_of(document(simulation_fit=fit))
     assert "falls from 2.0 % to 1.0 % in position" in said
     assert "spring.stiffness 1.3 N/m (0.9 to 1.1)" in said
 

@@ -1,22 +1,17 @@
 """The law that no list has: tables with a smooth prior, the laws nearest to them, and the verdict that shows one."""
 
-import json
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from builders import channel, damper, element, model, spring
+from builders import channel, damper, model, spring
 
-from isd_gym import simulate
-from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._selection.free_force import Table as TableStructure
 from isd_gym.diagnosis._selection.free_force import _axis, _directions, fit_in_place_of, force_over
 from isd_gym.diagnosis._selection.weights import statements_of
 from isd_gym.physics.elements import Motion, SensorGain, SeriesCompliance, TabulatedForce
 from isd_gym.physics.network import Network
-from isd_gym.records import schemas
-from isd_gym.records.data import Table
 
 MODEL = model(
     "shaken",
@@ -76,39 +71,3 @@ def test_the_force_of_an_element_over_a_motion():
         e = net.with_element({"name": "x", "between": ["mass", "base"], **extra}).element("x")
         m = Motion(np.zeros(2), np.array([-0.5, 0.5]), np.zeros(2))
         assert np.allclose(force_over(e, m), e.curve(m.v))
-
-
-@pytest.mark.slow
-def test_a_bistable_force_is_drawn_with_its_band_and_closes_the_gap(tmp_path):
-    """F = -A d exp(-(d/w)^2): no list has it. The table in model.json is read again and does what it did."""
-    knots = np.linspace(-0.2, 0.2, 401)
-    force = -500.0 * knots * np.exp(-((knots / 0.02) ** 2))
-    law = element("odd", "tabulated_force", "mass", "base", elongation=knots.tolist(), force=force.tolist())
-    truth = Network.load(MODEL).with_element(law)
-    rng, tables = np.random.default_rng(5), []
-    for k in range(3):
-        t = np.arange(0, 12, 5e-3)
-        f = rng.uniform(0.3, 7.0, 40)
-        base = sum(
-            0.006 / x * np.sin(2 * np.pi * x * t + p) for x, p in zip(f, rng.uniform(0, 6, 40), strict=True)
-        )
-        base = base - base[0]
-        out = simulate(truth, t, {"moved": base})
-        noisy = {n: y + 0.01 * np.std(y) * rng.standard_normal(len(t)) for n, y in out.items()}
-        tables.append(Table(time=t, columns={"moved": base, **noisy}, source=f"shake_{k}"))
-    result = diagnose(tables[:1], MODEL, validate=tables[1:])
-    found = result.tabulated
-    assert result.verdict == "unknown_effect" and found is not None
-    assert found.over == "elongation" and set(found.between) == {"mass", "base"}
-    assert result.closed > 0.8
-    axis = np.array(found.elongation)
-    true = -500.0 * axis * np.exp(-((axis / 0.02) ** 2))
-    inside = np.abs(axis) < 0.6 * np.abs(axis).max()
-    assert np.abs(found.force - true)[inside].max() < 0.2 * np.abs(true).max()
-    result.save(tmp_path / "out")
-    again = Network.load(tmp_path / "out" / "model.json")
-    assert again.element(found.element).type == "tabulated_force"
-    data = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert data["tabulated"]["over"] == "elongation" and data["tabulated"]["nearest"] is not None
-    jsonschema = pytest.importorskip("jsonschema")
-    jsonschema.validate(data, schemas.load("isd-diagnosis/1"))

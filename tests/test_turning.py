@@ -123,16 +123,6 @@ def test_a_friction_that_differs_by_direction_holds_and_slides_at_its_own_level_
         assert v[1000] == pytest.approx(speed, abs=2e-3)
 
 
-def test_asymmetric_friction_dissipates_what_the_push_puts_in():
-    rub = element("rub", "asymmetric_friction", "m", "ground", extension=6.0, compression=2.0)
-    t = np.arange(0, 10, 1e-3)
-    push = 12.0 * np.sin(2 * np.pi * 0.7 * t)
-    v = simulate(cart(rub), t, {"push": push})["v"]
-    work = np.sum(push * v) * 1e-3
-    lost = np.sum(np.where(v > 0, 6.0, 2.0) * np.abs(v)) * 1e-3
-    assert work == pytest.approx(lost + v[-1] ** 2, rel=5e-3)  # m v^2 / 2, m = 2
-
-
 def test_a_damping_that_starts_at_zero_may_be_fitted():
     model = {**PENDULUM, "uncertainty": {"bearing.damping": 0.1}}
     model["elements"] = [

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from builders import decoupled_half_car
 
 from isd_gym import baselines
 from isd_gym._common.errors import InputError
@@ -143,7 +144,7 @@ def test_a_quarter_car_has_no_wheelbase():
 
 def test_the_bound_of_a_decoupled_half_car_is_that_of_its_quarter_cars():
     """Weights under which heave and pitch cost what the accelerations of the axles cost, and no knowledge of the rear road."""
-    net = Network.load("half-car-isd").with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
+    net = decoupled_half_car()
     quarter = lq_bound("quarter-car-isd", weights=(0.6, 0.3, 0.0))
     a, l, _ = reference("quarter-car-isd")
     # (a_front^2 + a_rear^2) / 2 = heave^2 + (1.35 pitch)^2

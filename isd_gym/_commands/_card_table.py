@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from .._common.errors import InputError, plain
+from .._common.plugins import wing
 from ._columns import print_columns
-from ._score_bounds import known_ceilings
 from .console import printer
 
 
@@ -76,4 +76,4 @@ def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | N
     except InputError:  # of a file on another machine
         return None
     left_out = comparable(plant, ground, speed, one["episodes"], duration).ceiling
-    return None if left_out else known_ceilings(plant, ground, speed, duration)
+    return None if left_out else wing("ceilings").known_ceilings(plant, ground, speed, duration)

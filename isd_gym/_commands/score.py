@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .._common.plugins import find_wing
 from ._card_table import print_track
 from ._options import (
     DurationOption,
@@ -22,7 +23,6 @@ from ._options import (
     TrainedOption,
     option,
 )
-from ._score_bounds import bounds_beside, known_ceilings, known_optimum
 from ._score_table import print_score
 from .console import check_file, progress, warm_up, write_json
 
@@ -118,8 +118,9 @@ def command(
 
         card = cards.load(against)
         track = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]
-    ceilings = known_ceilings(plant, ground, speed, duration)
-    known = known_optimum(plant, ground, speed, episodes, seed, duration)
+    bounds = find_wing("ceilings")
+    ceilings = bounds and bounds.known_ceilings(plant, ground, speed, duration)
+    known = bounds and bounds.reachable(plant, ground, speed, episodes, seed, duration)
     with progress() as update:
         warm_up(update)
         result = run(
@@ -132,7 +133,8 @@ def command(
             progress=update,
             **drives,
         )
-    result.references |= bounds_beside(result, known, ceilings)
+    if bounds:
+        result.references |= bounds.bounds_beside(result, known, ceilings)
     made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
     write_json(json_file, made)
     if report is not None:

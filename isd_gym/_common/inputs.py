@@ -167,6 +167,11 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
+def is_whole(value: Any, least: int, most: float = math.inf) -> bool:
+    """Return whether a value is a whole number within limits; truth values and NumPy's whole numbers are none."""
+    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+
+
 def number(value: Any, where: str) -> float:
     """Return a value as a finite float."""
     if isinstance(value, bool) or not isinstance(value, int | float):

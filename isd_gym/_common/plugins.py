@@ -1,4 +1,4 @@
-"""Entry points through which packages offer policies, commands and reference scores.
+"""Entry points through which packages offer policies, commands and readers of files.
 
 Installed packages announce entry points as usual. The table below, a copy of the one in pyproject.toml, counts
 where the distribution is not installed (a source tree, a zip archive, a worker's folder), or is an older one.
@@ -12,7 +12,7 @@ from typing import Any
 
 from .errors import InputError
 
-POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gym.references"
+POLICIES, COMMANDS = "isd_gym.policies", "isd_gym.commands"
 #: formats of tables by suffix
 READERS = "isd_gym.readers"
 #: parts of `isd_gym.contrib` that the core reaches by name
@@ -34,12 +34,6 @@ OWN = {
         "reproduce": "isd_gym.contrib.reproduce:command",
         "ceiling": "isd_gym.contrib.ceilings.ceiling:command",
     },
-    REFERENCES: {
-        "clairvoyant": "isd_gym.contrib.ceilings.clairvoyant:reachable",
-        "lq_front": "isd_gym.contrib.ceilings.bounds:lq_front",
-        "wheelbase_bound": "isd_gym.contrib.ceilings.bounds:wheelbase_bound",
-        "ceiling": "isd_gym.contrib.ceilings.ceiling:known",
-    },
     READERS: {
         "lvm": "isd_gym.contrib.bench_files.entry:lvm",
         "mat73": "isd_gym.contrib.bench_files.entry:mat73",
@@ -49,6 +43,7 @@ OWN = {
         "xlsx": "isd_gym.contrib.bench_files.entry:xlsx",
     },
     WINGS: {
+        "ceilings": "isd_gym.contrib.ceilings.beside",
         "fleet": "isd_gym.contrib.fleet.command",
         "fmi": "isd_gym.contrib.fmi.command",
         "forecast": "isd_gym.contrib.forecast.planning",
@@ -69,8 +64,13 @@ def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
     return [found[key] for key in sorted(found) if name in (None, key)]
 
 
+def find_wing(name: str) -> Any:
+    """Import a part of the package outside its core; None where the installation lacks the part."""
+    return next((point.load() for point in plugins(WINGS, name)), None)
+
+
 def wing(name: str) -> Any:
     """Import a part of the package outside its core."""
-    for point in plugins(WINGS, name):
-        return point.load()
-    raise InputError(f"this installation has no '{name}': it lacks isd_gym.contrib.{name}")
+    if (found := find_wing(name)) is None:
+        raise InputError(f"this installation has no '{name}': it lacks isd_gym.contrib.{name}")
+    return found

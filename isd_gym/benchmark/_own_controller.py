@@ -76,16 +76,7 @@ def _call(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 class OwnController:
-    """A user's controller, whose errors and values are checked.
-
-    Args:
-        made: Class of the controller, or a function that returns the current for an observation.
-        file: The file, for messages.
-        attribute: Name of the class or function.
-
-    Raises:
-        InputError: The class cannot be called without arguments, or has no `act`.
-    """
+    """A user's controller (a class, or a function of the observation), whose errors and values are checked."""
 
     def __init__(self, made: Callable[..., Any], file: Path, attribute: str) -> None:
         self._file, self._label = file, f"{file}:{attribute}"

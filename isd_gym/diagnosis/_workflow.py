@@ -208,12 +208,7 @@ def _diagnose_inverse(
 
 
 def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
-    """Return the time [s] from which each whole record takes no part in fitting; infinite for records that are fitted to the end.
-
-    Args:
-        whole: The whole records.
-        problem: The same records as `split_records` returns them, training records first.
-    """
+    """Return the time [s] from which each whole record takes no part in fitting; infinite for records that are fitted to the end."""
     fitted = len(problem.estimation)
     if len(whole.records) == fitted == 1:
         return (float(problem.records[1].time[0]),)
@@ -288,9 +283,7 @@ class Workflow:
         Records are compared whole. Where the refitted model loses the measured motion, records are compared in segments first, each from
         an initial state of its own.
 
-        Args:
-            notes: Notes so far.
-            start: Start of the work [s].
+        `start`: Start of the work [s].
         """
         p = self.problem
         self.say(
@@ -410,10 +403,7 @@ class Workflow:
     def _diagnose_segments(self, notes: list[str], start: float, error: float) -> Diagnosis | None:
         """Diagnose over segments: no simulation follows a rig for long that has many positions of rest, hits stops or drifts.
 
-        Args:
-            notes: Notes so far.
-            start: Start of the work [s].
-            error: Error of the refitted model over whole records.
+        `start`: Start of the work [s].
 
         Returns:
             The diagnosis; None where nothing is decided.

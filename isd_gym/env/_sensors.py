@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._common.errors import InputError, shown
-from .._common.inputs import is_number
+from .._common.inputs import is_number, is_whole
 from ..physics._kernel.jit import compiled
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Sensors:
         elif not (is_number(noise) and noise >= 0):
             raise InputError(f"noise must be 0 or more, or such a (low, high), not {shown(noise)}")
         delay = self.delay
-        if isinstance(delay, bool) or not isinstance(delay, int) or not 0 <= delay <= MOST_LATE:
+        if not is_whole(delay, 0, MOST_LATE):
             raise InputError(f"delay must be 0 to {MOST_LATE} whole control steps, not {shown(delay)}")
         for name, unit in (("road_error", "m"), ("road_lag", "s")):
             if not (is_number(value := getattr(self, name)) and value >= 0):
@@ -107,11 +107,7 @@ class Sensors:
         return self == Sensors()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the attributes that differ from exact sensors, as plain data.
-
-        Returns:
-            Value by attribute.
-        """
+        """Return the attributes that differ from exact sensors, as plain data."""
         usual = asdict(Sensors())
         return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items() if v != usual[k]}
 

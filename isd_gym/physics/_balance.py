@@ -72,13 +72,10 @@ class Balance:
         return np.array([self._answer(j, d[j], s[j]) - force[j] for j in self.smooth])
 
     def solve(self) -> Array:
-        """Return the forces on which all laws agree, or the last ones tried.
+        """Return the forces (laws,) [N] on which all laws agree, or the last ones tried.
 
         Newton steps for all smooth laws at once come first. A law that does not agree then is bisected between a too small and a too
         large force.
-
-        Returns:
-            Forces (laws,) [N].
         """
         force, smooth = np.zeros(len(self.laws)), self.smooth
         if not (self.by_elongation[:, smooth].any() or self.by_rate[:, smooth].any() or self.dry):

@@ -388,11 +388,7 @@ class Batch:
         self.plant.place(self._mats, i, part)
 
     def get_state(self, i: int) -> dict[str, Any]:
-        """Return the state of a car and of the road that is drawn for it.
-
-        Returns:
-            Arrays and numbers by name, for `set_state` of any batch with the same network and options.
-        """
+        """Return the state of a car and of its road, for `set_state` of any batch with the same network and options."""
         (group, lane), of, tracks = divmod(i, WIDTH), self.of, self.of.tracks
         slot = len(self.table) // (self.count * tracks)
         ways = self._ways[:, i].copy()
@@ -450,11 +446,7 @@ class Batch:
     # ----------------------------------------------------------------------------------------- step
 
     def step(self) -> np.ndarray:
-        """Run one control step with the currents in `current` (after `set_cost`: `target`).
-
-        Returns:
-            Signals (signals, count) [SI], a view of `out`.
-        """
+        """Run one control step with the currents in `current` (after `set_cost`: `target`); return the signals (signals, count) [SI]."""
         drive = self._drive or self._compiled()
         if len(self._calls) == 1:
             self.broken = drive(*self._calls[0])
@@ -489,11 +481,8 @@ class Batch:
         return self.cars[self.of.current : self.of.current + self.of.currents]
 
     def alone(self) -> tuple[float, ...]:
-        """Return the results of the first car.
-
-        Returns:
-            Minus the cost, terms of the cost, dynamic tyre loads [N], 1 for each exceeded limit, and 1 for a broken
-                car.
+        """Return the results of the first car: minus the cost, terms of the cost, dynamic tyre loads [N], 1 for each exceeded limit,
+        and 1 for a broken car.
         """
         return self._first_results.tolist()
 
@@ -539,14 +528,9 @@ class Batch:
         return self.road_heights[self._setup[self.of.leader : self.of.leader + self.of.tracks]]
 
     def road_ahead(self, points: int | None = None, track: int = 0) -> np.ndarray:
-        """Return a track ahead relative to the height under its first wheel.
+        """Return a track ahead relative to the height under its first wheel (count, points) [m], one point per control step.
 
-        Args:
-            points: Number of points, one per control step; None for all drawn points.
-            track: Index of the track, the left track before the right track.
-
-        Returns:
-            Heights (count, points) [m].
+        None for all drawn points; the left track comes before the right track.
         """
         begin = int(self._setup[place.NOW])
         ahead = self._ahead[: self.count].reshape(self.count, self.of.tracks, self.points)[:, track]
@@ -584,11 +568,7 @@ def posterior_ranges(network: Network, found: str | Path) -> dict[str, tuple[flo
 
 
 def with_found_ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
-    """Return ranges of `randomize` with the intervals of a diagnosis in place of its folder.
-
-    Returns:
-        Ranges without the key 'found'.
-    """
+    """Return ranges of `randomize` with the intervals of a diagnosis in place of its folder, the key 'found'."""
     out = {"found": given} if isinstance(given, str | Path) else dict(given or {})
     if "found" not in out:
         return out

@@ -31,13 +31,8 @@ FREQUENCIES = np.geomspace(0.1, 100.0, 60)  # of the tyre load [Hz]; wheel hop i
 def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
     """Return the share of the time in which the tyre that pulls most often has a negative total load; 0 for tyres that lift off.
 
-    The load is normally distributed, with the variance of the linear car without friction and current. Fixed
+    The load is normally distributed, with the variance of the linear car without friction and current, at a speed [m/s]. Fixed
     profiles are not counted.
-
-    Args:
-        car: The car.
-        ground: The road.
-        speed: Speed [m/s].
     """
     if ground.roughness == 0.0:
         return 0.0
@@ -63,13 +58,7 @@ def _lifts_off(car: Vehicle, corner: Corner) -> bool:
 
 
 def warn_of_pulling_tyres(car: Vehicle, roads: Iterable[Road], speed: float) -> None:
-    """Warn of roads on which a tyre would pull for more than `LARGEST_SHARE` of the time.
-
-    Args:
-        car: The car.
-        roads: Roads; the roughest decides.
-        speed: Highest speed [m/s].
-    """
+    """Warn of roads on which a tyre would pull for more than `LARGEST_SHARE` of the time at the highest speed [m/s]."""
     ground = max(roads, key=lambda road: road.roughness)
     try:
         share = pulling_share(car, ground, speed)

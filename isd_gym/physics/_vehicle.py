@@ -124,23 +124,13 @@ class Vehicle:
         return tuple(c.named("tyre_load") for c in self.corners)
 
     def thrust(self, corner: Corner) -> float:
-        """Return the thrust of a corner's motor at its terminals per current.
-
-        Returns:
-            Thrust constant [N/A]; 0 without a motor.
-        """
+        """Return the thrust of a corner's motor at its terminals per current [N/A]; 0 without a motor."""
         motor = next((e for e in self.network.elements if e.name == corner.motor), None)
         return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
 
     def arms(self, x: float, y: float) -> tuple[float, ...]:
-        """Return the factors on the accelerations of the body that give the vertical acceleration of a point.
-
-        Args:
-            x: Distance of the point in front of the centre of gravity [m].
-            y: Distance to the left of the centre of gravity [m].
-
-        Returns:
-            Factors (1 + axes,) on vertical [m/s^2] and angular accelerations [rad/s^2], in the order of `measured`.
+        """Return the factors (1 + axes,) on vertical and angular accelerations, in the order of `measured`, that give the vertical
+        acceleration of a point x [m] in front and y [m] to the left of the centre of gravity.
         """
         return (1.0, *(-x if axis == "pitch" else y for axis in self.axes))
 
@@ -358,11 +348,7 @@ def _nearest(
 
 
 def kind(network: Network) -> str:
-    """Return the kind of a car.
-
-    Returns:
-        'quarter car', 'half car', 'full car' or 'car with 3 corners'.
-    """
+    """Return the kind of a car: 'quarter car', 'half car', 'full car' or 'car with 3 corners'."""
     corners = len(vehicle(network).corners)
     return {1: "quarter car", 2: "half car", 4: "full car"}.get(corners, f"car with {corners} corners")
 

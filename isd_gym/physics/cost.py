@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from .._common.errors import InputError, shown
+from .._common.inputs import is_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,10 +27,6 @@ Signal = TypeVar("Signal", float, np.ndarray)
 MOTIONS = ("acceleration", "pitch", "roll")
 _TERMS = (*MOTIONS, "travel", "tyre_load", "current")
 LARGEST = 1e12  # of weights and references, and of one over a reference
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def square(weight: Any, signal: Any) -> Any:
@@ -93,15 +90,13 @@ class StageCost:
     def __post_init__(self) -> None:
         for name in _TERMS:
             weight, reference = getattr(self, name), getattr(self, f"{name}_reference")
-            if not (_is_number(weight) and 0.0 <= weight <= LARGEST):
+            if not (is_number(weight) and 0.0 <= weight <= LARGEST):
                 raise InputError(f"the weight of {name} must be from 0 to {LARGEST:g}, not {shown(weight)}")
             if name in ("travel", "tyre_load") and isinstance(reference, list | tuple):
                 reference = tuple(reference)
                 object.__setattr__(self, f"{name}_reference", reference)
             values = reference if isinstance(reference, tuple) else (reference,)
-            if not (
-                values and all(_is_number(value) and 1 / LARGEST <= value <= LARGEST for value in values)
-            ):
+            if not (values and all(is_number(value) and 1 / LARGEST <= value <= LARGEST for value in values)):
                 raise InputError(
                     f"the reference of {name} must be from {1 / LARGEST:g} to {LARGEST:g}, not {shown(reference)}"
                 )

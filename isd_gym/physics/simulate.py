@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -43,6 +44,7 @@ Interpolation = Literal["linear", "smooth", "spline", "auto"]
 #: parts of the base vector for the motion of a node, each the derivative of the preceding part
 PARTS = ("r", "v", "alpha")
 _TOLD = dict(zip(MOTIONS, PARTS, strict=True))
+_DISCRETE = 200  # discrete networks that are kept
 _SEPARATE = 1e-6  # relative coupling of devices below which a closed form is used
 _AT_ONCE = 1e-12  # smaller velocities are rounding [m/s per N or A]; corresponds to a damper of 1e12 N s/m
 
@@ -125,7 +127,8 @@ def _step_matrices(asm: Assembly, B: np.ndarray, step: float) -> tuple[np.ndarra
     return phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
 
 
-def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> _Discrete:
+@lru_cache(maxsize=_DISCRETE)
+def discretise(asm: Assembly, step: float, columns: tuple[int, ...]) -> _Discrete:
     """Return the exact discretisation of the linear part: first-order hold for `columns`, zero-order hold for
     currents and friction.
 
@@ -360,7 +363,7 @@ class Plant:
                     once[id(net)] = replace(linear[key], network=net, laws=_law_elements(net))
         self.assemblies = [once[id(net)] for net in self.networks]
         first = self.assemblies[0]
-        used = sorted({c for asm in linear.values() for c in _columns(asm)})
+        used = tuple(sorted({c for asm in linear.values() for c in _columns(asm)}))
         self.u_columns = used
         self.channels = (*first.network.outputs, *extra)
         self._by_difference = first.outputs_by_difference
@@ -486,6 +489,7 @@ class Plant:
         shared: dict[
             int, tuple[np.ndarray, np.ndarray]
         ] = {}  # most lanes differ in the parameters of laws alone
+        solved: dict[tuple[int, int, bytes, bytes], int] = {}  # lane with the same balance
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
             if id(asm.rate) not in shared:
@@ -496,12 +500,17 @@ class Plant:
                 )
             given = np.zeros(asm.elongation.shape[1])
             given[asm.columns("x")] = x[:, lane]
-            given[self.u_columns] = inputs[:, lane if inputs.shape[1] > 1 else 0]
+            given[list(self.u_columns)] = inputs[:, lane if inputs.shape[1] > 1 else 0]
             if held is not None:
                 given[asm.columns("I")] = held[:, lane if held.shape[1] > 1 else 0]
             laws = [asm.laws[i] for i in order]
             own = np.arange(asm.columns("f").start, asm.columns("f").stop)[order]
             E, R = shared[id(asm.rate)]
+            key = id(asm.laws), id(asm.rate), (E @ given).tobytes(), (R @ given).tobytes()
+            if key in solved:
+                state[at.states :, lane] = state[at.states :, solved[key]]
+                continue
+            solved[key] = lane
             f[:, lane] = Balance(laws, E @ given, R @ given, E[:, own], R[:, own], self.step).solve()
             given[own] = f[:, lane]
             d[:, lane], s[:, lane] = E @ given, R @ given

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from isd_gym._commands import app
 from isd_gym._common.errors import InputError, ReportError
+from isd_gym.contrib.fleet import cases as module
 from isd_gym.contrib.fleet.cases import (
     Case,
     _task,
@@ -20,6 +21,7 @@ from isd_gym.contrib.fleet.cases import (
     page,
     write_page,
 )
+from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, write_table
 
 
@@ -135,15 +137,6 @@ def test_the_first_line_of_the_page_is_the_finding():
     assert "<h1>5 of 5 cases have no result</h1>" in page(merge(cases, tasks, {}))
 
 
-def test_a_sentence_in_a_table_may_wrap():
-    """A fleet's page is no wider than its window: only the small print under figures stays in one line."""
-    cases, tasks, found = results({"2024-01-01": (300.0, 8.0)})
-    found[tasks[0].key]["diagnosis"]["summary"] = "A long sentence. " * 9
-    text = page(merge(cases, tasks, found))
-    assert '<small class="prose">A long sentence.' in text
-    assert "td small.prose { white-space: normal; }" in text
-
-
 def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
     case(tmp_path, "fleet/van_2024-01-01", "a.csv", "model.json")
     cases, tasks, found = results({"2024-01-01": (300.0, 8.0)})
@@ -164,8 +157,6 @@ def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
 
 
 def test_a_broken_result_of_a_case_is_made_again(tmp_path, monkeypatch):
-    from isd_gym.contrib.fleet import cases as module
-
     case(tmp_path / "cases", "van_2024-05-01", "a.csv")
     _, _, found = results({"2024-05-01": (500.0, 5.0)})
     (good,) = found.values()
@@ -186,8 +177,6 @@ def test_a_broken_result_of_a_case_is_made_again(tmp_path, monkeypatch):
 
 
 def test_a_case_that_cannot_be_diagnosed_is_told_and_the_others_go_on(tmp_path):
-    from isd_gym.physics.network import Network
-
     rig = Network.load("force-rig")
     for name in ("a_2024-01-01", "b_2024-01-01"):
         (tmp_path / "cases" / name).mkdir(parents=True)

@@ -14,6 +14,8 @@ from isd_gym._common.errors import InputError
 from isd_gym.contrib.fmi.cosimulation import Unit
 from isd_gym.contrib.fmi.export import export_fmu
 from isd_gym.contrib.fmi.identification import diagnose_unit
+from isd_gym.contrib.fmi.identification.comparison import FmuComparison
+from isd_gym.contrib.fmi.identification.diagnosis import _read
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, write_table
 
@@ -116,9 +118,6 @@ def test_what_agrees_is_left_alone_and_what_the_unit_hides_is_not_named(unit):
 
 def test_the_unit_is_stepped_so_that_its_inputs_are_not_late(unit):
     """A unit knows an input at the beginning of a step alone: run naively it would be a step late, 1 % noise or none."""
-    from isd_gym.contrib.fmi.identification.comparison import FmuComparison
-    from isd_gym.contrib.fmi.identification.diagnosis import _read
-
     r, ports = _read(record(RIG, 4, "a", 800), unit.model, [], [])
     c = FmuComparison(unit, unit.model, [r], ports)
     c.settle(lambda line: None)

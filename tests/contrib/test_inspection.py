@@ -6,7 +6,8 @@ import builders
 import numpy as np
 import pytest
 import typer
-from builders import channel, damper, spring
+from builders import QUARTER_CAR as CAR
+from builders import channel, damper, drive_quarter_car, spring
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -14,51 +15,22 @@ from typer.testing import CliRunner
 from isd_gym import _commands as cli
 from isd_gym._commands import FiniteCommand
 from isd_gym._common.errors import InputError
-from isd_gym.contrib.inspection import inspect, lines, page
+from isd_gym.contrib.inspection import head, inspect, lines, page
 from isd_gym.contrib.inspection.command import command
 from isd_gym.contrib.inspection.consistency import integral_consistency
 from isd_gym.contrib.inspection.facts import sparkline
 from isd_gym.diagnosis._records import read_record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
-from isd_gym.records._loggers import ChannelMap, Column, Logger, mended, rasters, runs
+from isd_gym.records._loggers import ChannelMap, Column, Logger, Raster, mended, rasters, runs
 from isd_gym.records._loggers.record_reading import records_of, road_of
 from isd_gym.records.data import Table, write_table
 from isd_gym.records.schemas import load
 
-CAR = builders.model(
-    "quarter",
-    [
-        spring("body", "wheel", 22000.0),
-        damper("body", "wheel", 1500.0),
-        spring("wheel", "road", 192000.0, "tyre"),
-    ],
-    [channel("road", "displacement", "road")],
-    [
-        channel("body_acceleration", "acceleration", "body"),
-        channel("wheel_acceleration", "acceleration", "wheel"),
-        channel("travel", "displacement", "body", "wheel"),
-    ],
-    masses={"body": 345.0, "wheel": 45.0},
-)
-
-
-def drive(step=2.5e-3, seconds=12.0, seed=0):
-    rng = np.random.default_rng(seed)
-    time = step * np.arange(round(seconds / step))
-    f = np.geomspace(0.3, 15, 50)
-    heights = sum(
-        2e-3 / k * np.sin(2 * np.pi * k * time + p) for k, p in zip(f, rng.uniform(0, 6.3, 50), strict=True)
-    )
-    said = simulate(CAR, time, {"road": heights})
-    return time, {"road": heights} | {
-        k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
-    }
-
 
 @pytest.fixture(scope="module")
 def run():
-    return drive()
+    return drive_quarter_car()
 
 
 def found(tmp_path, run, names, units=None, suffix=".csv", factors=None):
@@ -249,8 +221,6 @@ def test_a_picture_shows_the_extremes():
 
 
 def raster(time, **columns):
-    from isd_gym.records._loggers import Raster
-
     return Raster("rec.csv", np.asarray(time, float), {k: np.asarray(v, float) for k, v in columns.items()})
 
 
@@ -369,15 +339,6 @@ def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, program, 
     assert re.search(words, simulated(program, tmp_path, "car.json", "--map", tmp_path / "map.json"))
 
 
-def test_a_missing_column_names_what_helps(tmp_path, run, program):
-    time, columns = run
-    write_table(tmp_path / "a.csv", Table(time, {"base": columns["road"]}))
-    write_table(tmp_path / "b.csv", Table(time, {"travel": columns["travel"]}))
-    (tmp_path / "car.json").write_text(json.dumps(CAR))
-    said = simulated(program, tmp_path, "car.json", data="a.csv+b.csv")
-    assert "--map FILE" in said and "isd-gym inspect" in said
-
-
 SWING = builders.model(
     "swing",
     [spring("mass", "base", 800.0)],
@@ -439,30 +400,6 @@ def said(program, *words):
     return done.output
 
 
-def test_two_columns_of_one_name_are_listed_and_the_fitting_unit_is_taken(tmp_path, run, program):
-    time, columns = run
-    head = "time,road (m),travel (V),travel (mm),body_acceleration,wheel_acceleration"
-    travel = columns["travel"]
-    rest = columns["body_acceleration"], columns["wheel_acceleration"]
-    file = written(tmp_path / "rec.csv", head, time, columns["road"], 2.5 + 50 * travel, 1e3 * travel, *rest)
-    (tmp_path / "car.json").write_text(json.dumps(CAR))
-    out = said(
-        program, "inspect", file, "--model", tmp_path / "car.json", "--out", tmp_path / "map.json"
-    ).splitlines()
-    assert [s.split()[:3] for s in out if s.startswith("  travel (")][:2] == [
-        ["travel", "(V)", "V"],
-        ["travel", "(mm)", "mm"],
-    ]
-    assert json.loads((tmp_path / "map.json").read_text())["channels"]["travel"]["column"] == "travel (mm)"
-    network = Network.load(CAR)
-    by = {"by": ChannelMap.load(tmp_path / "map.json")}
-    both = [f"{file}+{written(tmp_path / 'more.csv', 'time,other', time, time)}", file]
-    for names, path in ((by, file), ({}, file), ({}, both[0]), ({"rename": {"travel (mm)": "travel"}}, file)):
-        (record,) = records_of(path, network, (*network.inputs, *network.outputs), **names)
-        x = record["travel"] if isinstance(record, Table) else record.signals["travel"].values
-        np.testing.assert_allclose(x, travel, atol=1e-9)
-
-
 def test_a_file_without_a_header_is_read_by_the_names_that_are_told(tmp_path, run, program):
     time, columns = run
     file = written(tmp_path / "bare.csv", "", time, *columns.values())
@@ -487,21 +424,6 @@ def test_a_file_without_a_header_is_read_by_the_names_that_are_told(tmp_path, ru
     for more in (["--columns", names], ["--map", tmp_path / "map.json"]):
         said(program, "simulate", model, file, "--out", out, *more)
         np.testing.assert_allclose(np.loadtxt(out, delimiter=",", skiprows=1)[:, 3], truth, atol=1e-6)
-
-
-def test_the_rate_of_rounded_stamps_is_the_true_one(tmp_path, program):
-    time = np.arange(5000) / 1024
-    x = np.sin(9 * time)
-    file = written(tmp_path / "rec.csv", "time,x", np.round(time, 3), x)
-    text = said(program, "inspect", file)
-    assert "5000 samples, 1024 Hz" in text and "stamps are rounded to 0.001 s" in text
-    assert "twice" not in text and "uneven" not in text and "gap" not in text
-    notes = []
-    (piece,) = mended(rasters(file)[0], notes)
-    assert np.abs(piece.time - piece.time[0] - time).max() < 1e-5 and "1024" in notes[0]
-    swing = Network.load(SWING)
-    (record,) = records_of(file, swing, swing.outputs)
-    assert record.signals["x"].step == pytest.approx(1 / 1024, rel=1e-6) and record.notes
 
 
 TURNING = builders.model(
@@ -557,7 +479,6 @@ def test_a_diagnosis_refuses_a_dead_output_in_one_line(tmp_path, run, program):
 
 def test_the_rate_is_that_of_the_mean_step_without_gaps():
     """Stamps that jitter between 2 and 3 ms, twice as often 2 ms, with a gap: the median step would give 500 Hz."""
-    from isd_gym.contrib.inspection import head
     from isd_gym.records._loggers.recording import Raster
 
     steps = np.tile([0.002, 0.002, 0.0025], 400)

@@ -61,13 +61,6 @@ def test_the_data_are_the_environments(name, tmp_path):
         assert truncated
 
 
-def test_a_relative_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_dataset(find("isd-passive", CAR), "set", CAR, **SHORT)
-    assert minari.MinariDataset("set").total_steps == 200
-    assert [p.name for p in tmp_path.iterdir()] == ["set"]
-
-
 def test_a_plant_of_ones_own_travels_with_the_data(tmp_path):
     mine = CAR.with_parameters({"seal.level": 321.0})
     folder = write_dataset(Entry("idle", lambda: Idle("idle")), tmp_path / "set", mine, **SHORT)

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from isd_gym._common.errors import InputError
 from isd_gym.contrib.reproduce import page, rig, show
 from isd_gym.contrib.reproduce.device import device
-from isd_gym.contrib.reproduce.study import SCHEMA
+from isd_gym.contrib.reproduce.road_level import road_level
+from isd_gym.contrib.reproduce.study import SCHEMA, Study
 from isd_gym.physics.network import Network
 
 
@@ -48,13 +48,6 @@ def test_identification_finds_another_rig_s_values():
     assert fit["share"] == pytest.approx(0.01, rel=0.3)
 
 
-def test_foreign_folder_is_left_alone(tmp_path):
-    (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match=r"thesis\.tex"):
-        page.reproduce(tmp_path, quick=True)
-    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
-
-
 def test_failure_leaves_nothing(tmp_path, monkeypatch):
     def broken(study):
         raise RuntimeError("midway")
@@ -87,9 +80,6 @@ def test_whole_page(tmp_path):
 
 def test_the_road_level_claims_no_travel_that_does_not_come_out(tmp_path):
     """Table 7's passive row: acceleration and tyre load within 1 %, travel 6 % short."""
-    from isd_gym.contrib.reproduce.road_level import road_level
-    from isd_gym.contrib.reproduce.study import Study
-
     study = Study(tmp_path, True, lambda task, share: None)
     section = road_level(study)
     a, l, f = study.figures["passive"]["κ = 5·10⁻⁷ m³/cycle (used here)"]

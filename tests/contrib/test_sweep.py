@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
+from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,10 +18,10 @@ from program import assert_one_line, run
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Entry
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import score
+from isd_gym.benchmark.scoring import drive, score
 from isd_gym.contrib import engine
 from isd_gym.contrib.engine import Task
-from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
+from isd_gym.contrib.sweep.conditions import _watched, overall, sweep
 from isd_gym.contrib.sweep.grid import Condition, Grid
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
@@ -124,31 +124,6 @@ def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable
     assert not list((tmp_path / "out").glob(".*"))  # nothing half-written
 
 
-@pytest.mark.slow
-def test_killed_as_a_whole_it_goes_on_where_it_was(tmp_path, importable):
-    code = (
-        "from pathlib import Path\nfrom isd_gym.contrib import engine\nimport test_sweep\n"
-        f"folder = Path({str(tmp_path)!r})\n"
-        "if __name__ == '__main__':\n"
-        "    engine.run(test_sweep._tasks('slow', folder, 12), folder / 'out', jobs=2)\n"
-    )
-    script = tmp_path / "go.py"
-    script.write_text(code)
-    process = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
-    while not list((tmp_path / "out").glob("[!.]*.json")):
-        time.sleep(0.05)
-        assert process.poll() is None
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    tasks = _tasks("slow", tmp_path, 12)
-    kept = engine.stored(tasks, tmp_path / "out")
-    assert 0 < len(kept) < 12
-    outcome = engine.run(tasks, tmp_path / "out")
-    assert [outcome.results[t.key] for t in tasks] == [i**2 for i in range(12)]
-    # what had a result was not done again; what was under way when it was killed may have been
-    assert len(_done(tmp_path)) <= 12 + 2 and set(_done(tmp_path)) == set(range(12))
-
-
 def test_shards_are_a_partition():
     tasks = _tasks("noted", Path("x"), 11)
     parts = [engine.shard(tasks, f"{i}/3") for i in range(3)]
@@ -240,10 +215,6 @@ def test_over_all_conditions_each_counts_the_same():
 
 
 def test_the_watch_sees_what_is_not_allowed():
-    from collections import Counter
-
-    from isd_gym.benchmark.scoring import drive
-
     class Wild:
         name = "wild"
 
@@ -323,11 +294,6 @@ def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path):
     assert run("sweep", tmp_path / "absent.toml", "--out", out).returncode == 2
 
 
-def test_an_item_is_small():
-    text = json.dumps(drive_item("skyhook", None, 0, 8, 0.5, {}))
-    assert len(text) < 3000
-
-
 # ------------------------------------------------------------------------------------------------------- a cluster
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
@@ -365,74 +331,6 @@ def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable, clu
     assert set(_done(tmp_path)) == set(range(16)) and len(_done(tmp_path)) <= 17
     again = engine.run(tasks, tmp_path / "out", engine="ray", address=address)
     assert again.results == outcome.results and len(_done(tmp_path)) <= 17
-
-
-#: a package that brings a policy, which kills its worker on one of the roads until it is mended
-DEADLY = """
-import os, signal
-from pathlib import Path
-from isd_gym.benchmark.driving import Entry, Idle
-
-class Deadly(Idle):
-    def __init__(self):
-        super().__init__("deadly")
-        if not (Path(__file__).parent / "mended").exists():
-            os.kill(os.getpid(), signal.SIGKILL)
-
-def open_policy(name, model, cost, control_step, options):
-    return Entry(name, Deadly) if name == "deadly" else None
-"""
-
-
-@pytest.fixture
-def deadly(tmp_path, monkeypatch):
-    """The file that mends the policy `deadly`, which programs started from here know of."""
-    folder = tmp_path / "site"
-    (folder / "deadly-1.0.dist-info").mkdir(parents=True)
-    (folder / "deadly.py").write_text(DEADLY)
-    (folder / "deadly-1.0.dist-info" / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n"
-    )
-    (folder / "deadly-1.0.dist-info" / "entry_points.txt").write_text(
-        "[isd_gym.policies]\ndeadly = deadly:open_policy\n"
-    )
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
-    return folder / "mended"
-
-
-def _command(*words: str) -> subprocess.CompletedProcess[str]:
-    code = f"import sys; sys.argv = ['isd-gym', 'sweep', *{list(words)!r}]; from isd_gym._commands import main\nif __name__ == '__main__': main()"
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
-
-
-def _twice(folder: Path, deadly: Path, *words: str) -> None:
-    """The command with a policy that dies, and again once it is mended."""
-    (folder / "grid.toml").write_text(GRID.replace("isd-passive", "deadly"))
-    line = (str(folder / "grid.toml"), "--out", str(folder / "out"), *words)
-    first = _command(*line)
-    assert first.returncode == 1, first.stderr
-    assert "6 items are missing" in first.stderr and "worker died 2 times" in first.stderr
-    assert "Traceback" not in first.stderr and "heavy" in first.stdout
-    made = {p: p.stat().st_mtime_ns for p in (folder / "out" / "items").iterdir()}
-    assert len(made) == 12  # the rest went on
-    deadly.touch()
-    second = _command(*line)
-    assert second.returncode == 0, second.stderr
-    assert len(list((folder / "out" / "items").iterdir())) == 18
-    assert all(p.stat().st_mtime_ns == at for p, at in made.items())  # nothing was done twice
-    assert json.loads((folder / "out" / "sweep.json").read_text())["missing"] == 0
-
-
-@pytest.mark.slow
-def test_a_policy_that_kills_its_worker_costs_its_items_alone(tmp_path, deadly):
-    _twice(tmp_path, deadly, "--jobs", "2")
-
-
-@needs_ray
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_the_same_on_a_ray_cluster(tmp_path, deadly, cluster):
-    _twice(tmp_path, deadly, "--engine", "ray", "--address", cluster[0])
 
 
 @needs_ray

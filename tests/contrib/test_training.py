@@ -5,25 +5,31 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
-from importlib.util import find_spec
-from pathlib import Path
+from operator import attrgetter
 
 import numpy as np
 import pytest
+import study
+from gymnasium import spaces
 
 from isd_gym._common.errors import InputError
-from isd_gym.agents.policy import (
-    Head,
-    Policy,
-)
-from isd_gym.contrib.training.settings import MEMORY, SETTINGS
+from isd_gym._common.files import claim_folder, held
+from isd_gym.agents.policy import Head, Policy
+from isd_gym.contrib.training.settings import MEMORY, SETTINGS, PPOSettings, SACSettings, robust
 
-needs_sb3 = pytest.mark.skipif(
-    find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
-)
+torch = pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+import isd_gym.contrib.training.train as module  # noqa: E402
+from isd_gym.contrib.training.environment import Remember  # noqa: E402
+from isd_gym.contrib.training.ppo import GroupBuffer, PPOPolicy  # noqa: E402
+from isd_gym.contrib.training.sac import GroupReplayBuffer, SACPolicy  # noqa: E402
+from isd_gym.sb3 import make_vec_env  # noqa: E402
+
+load, save = (getattr(pytest.importorskip("safetensors.numpy"), name) for name in ("load", "save"))
+train = module.train
+torch.set_num_threads(1)
+pytestmark = pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn of themselves
 
 
 @pytest.fixture
@@ -32,23 +38,8 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture
-def sb3():
-    if find_spec("stable_baselines3") is None:
-        pytest.skip("Stable-Baselines3 (and torch) not installed")
-    import torch
-
-    torch.set_num_threads(1)
-    import stable_baselines3
-
-    return stable_baselines3
-
-
-@pytest.fixture
 def brief(monkeypatch):
     """Training that takes a second: few steps, short validation."""
-    import isd_gym.contrib.training.train as module
-    from isd_gym.contrib.training.settings import PPOSettings, SACSettings
-
     monkeypatch.setattr(module, "VALIDATION_EPISODES", 2)
     monkeypatch.setattr(module, "SCORE_EPISODES", 2)
     monkeypatch.setattr(module, "BASELINES", ())
@@ -75,18 +66,14 @@ class Killed(Exception):
 
 
 @pytest.mark.parametrize(("algorithm", "least"), [("ppo", 327680), ("sac", 4096)])
-def test_fewer_steps_than_a_rollout_are_refused_at_once(sb3, algorithm, least, tmp_path):
-    from isd_gym.contrib.training.train import train
-
+def test_fewer_steps_than_a_rollout_are_refused_at_once(algorithm, least, tmp_path):
     with pytest.raises(InputError, match=f"1000 steps are less than one rollout .*: give {least} or more"):
         train(algorithm, tmp_path / "run", steps=1000)
     assert not (tmp_path / "run").exists()
     assert SETTINGS[algorithm]().rollout == least
 
 
-def test_a_short_run_of_sac_says_that_its_policy_stays_the_imitation(sb3, tmp_path, monkeypatch):
-    import isd_gym.contrib.training.train as module
-
+def test_a_short_run_of_sac_says_that_its_policy_stays_the_imitation(tmp_path, monkeypatch):
     lines = []
     monkeypatch.setattr(module.Run, "go", lambda self: {})
     module.train("sac", tmp_path / "run", steps=100_000, say=lines.append)
@@ -96,12 +83,8 @@ def test_a_short_run_of_sac_says_that_its_policy_stays_the_imitation(sb3, tmp_pa
     assert not lines
 
 
-@needs_sb3
-@pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn of themselves
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
-    from isd_gym.contrib.training.train import train
-
+def test_training_goes_on_where_it_was_killed(brief, algorithm, tmp_path):
     settings, out = brief[algorithm], tmp_path / "run"
     lines: list[str] = []
 
@@ -137,19 +120,11 @@ def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
         train(algorithm, out, settings=replace(settings, gamma=0.5))
 
 
-@needs_sb3
-@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
 def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
-    sb3, brief, algorithm, tmp_path, monkeypatch
+    brief, algorithm, tmp_path, monkeypatch
 ):
     """Weights, moments, counts and buffer to the last bit; what does not fit, or holds code, is one line."""
-    from operator import attrgetter
-
-    import torch
-
-    import isd_gym.contrib.training.train as module
-
     settings, out = brief[algorithm], tmp_path / "run"
     models = []
 
@@ -246,25 +221,9 @@ def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
         module.train(algorithm, out, settings=longer, say=lambda line: None)
 
 
-def load(blob: bytes) -> dict[str, np.ndarray]:
-    from safetensors.numpy import load
-
-    return load(blob)
-
-
-def save(tensors: dict[str, np.ndarray]) -> bytes:
-    from safetensors.numpy import save
-
-    return save(tensors)
-
-
 @pytest.mark.slow
-@needs_sb3
-@pytest.mark.filterwarnings("ignore")
-def test_training_deletes_nothing_but_its_own_checkpoints(sb3, brief, tmp_path):
+def test_training_deletes_nothing_but_its_own_checkpoints(brief, tmp_path):
     """Copies and notes of the user stay, also within a checkpoint that is replaced by the next."""
-    from isd_gym.contrib.training.train import train
-
     settings, out = replace(brief["ppo"], teacher=None), tmp_path / "run"
     train("ppo", out, settings=settings, say=lambda line: None)
     (kept,) = out.glob("checkpoint-*")
@@ -282,11 +241,7 @@ def test_training_deletes_nothing_but_its_own_checkpoints(sb3, brief, tmp_path):
 
 
 @pytest.mark.slow
-@needs_sb3
-@pytest.mark.filterwarnings("ignore")
-def test_a_training_that_diverges_or_has_nothing_to_learn_is_one_line(sb3, brief, tmp_path):
-    from isd_gym.contrib.training.train import train
-
+def test_a_training_that_diverges_or_has_nothing_to_learn_is_one_line(brief, tmp_path):
     settings = replace(brief["ppo"], teacher=None)
     with pytest.raises(InputError, match="does not move the car"):
         train("ppo", tmp_path / "flat", settings=settings, road="flat")
@@ -294,21 +249,14 @@ def test_a_training_that_diverges_or_has_nothing_to_learn_is_one_line(sb3, brief
         train("ppo", tmp_path / "run", settings=replace(settings, learning_rate=1e30), say=lambda line: None)
 
 
-@needs_sb3
-def test_two_trainings_do_not_share_a_folder(sb3, tmp_path):
-    from isd_gym._common.files import claim_folder, held
-    from isd_gym.contrib.training.train import FOLDER, train
-
-    taken = held(claim_folder(tmp_path / "run", *FOLDER), "training run")
+def test_two_trainings_do_not_share_a_folder(tmp_path):
+    taken = held(claim_folder(tmp_path / "run", *module.FOLDER), "training run")
     with taken, pytest.raises(InputError, match="another process"):
         train("ppo", tmp_path / "run")
     assert not list((tmp_path / "run").iterdir())
 
 
-@needs_sb3
-def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
-    from isd_gym.contrib.training.train import train
-
+def test_a_folder_of_other_things_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     with pytest.raises(InputError, match="not empty"):
         train("ppo", tmp_path)
@@ -317,13 +265,9 @@ def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
 
 
 @pytest.mark.slow
-@needs_sb3
-@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(sb3, brief, tmp_path, monkeypatch, algorithm):
+def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(brief, tmp_path, monkeypatch, algorithm):
     """Progress begins at once, never passes the whole, and what was done counts when the run goes on."""
-    from isd_gym.contrib.training.train import train
-
     # a brief training is over before the next word
     monkeypatch.setattr("isd_gym.contrib.training.train.SHOW_EVERY", 0.0)
     told: list[tuple[str, float]] = []
@@ -352,12 +296,8 @@ def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(sb3, brief, tmp_path, mo
 
 
 @pytest.mark.slow
-@needs_sb3
-@pytest.mark.filterwarnings("ignore")
-def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
+def test_a_warm_start_drives_like_its_teacher(brief, tmp_path):
     """A few hundred updates are enough to be far better than no current at all."""
-    from isd_gym.contrib.training.train import train
-
     settings = replace(
         brief["sac"],
         teacher="lqg",
@@ -374,12 +314,7 @@ def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
 
 
 @pytest.mark.slow
-@needs_sb3
-@pytest.mark.filterwarnings("ignore")
-def test_a_spread_of_cars_and_another_road_can_be_trained_on(sb3, brief, tmp_path):
-    from isd_gym.contrib.training.settings import robust
-    from isd_gym.contrib.training.train import train
-
+def test_a_spread_of_cars_and_another_road_can_be_trained_on(brief, tmp_path):
     lines: list[str] = []
     settings = replace(brief["ppo"], steps=256, teacher=None)
     train("ppo", tmp_path / "run", settings=settings, randomize=True, road="C", say=lines.append)
@@ -393,14 +328,7 @@ def test_a_spread_of_cars_and_another_road_can_be_trained_on(sb3, brief, tmp_pat
         train("ppo", tmp_path / "run", settings=settings, road="C")
 
 
-@needs_sb3
-def test_the_road_ahead_is_the_critic_s_alone(sb3):
-    import torch
-    from gymnasium import spaces
-
-    from isd_gym.contrib.training.ppo import PPOPolicy
-    from isd_gym.contrib.training.sac import SACPolicy
-
+def test_the_road_ahead_is_the_critic_s_alone():
     box = spaces.Box(-1.0, 1.0, (6,), np.float32)
     action = spaces.Box(-1.0, 1.0, (1,), np.float32)
     policy = SACPolicy(box, action, lambda _: 1e-3, seen=4, net_arch=dict(pi=[8], qf=[8]))
@@ -413,11 +341,7 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
     assert not without.predict_values(y).any()
 
 
-@needs_sb3
-def test_on_a_spread_every_road_counts_the_same(sb3):
-    from isd_gym.contrib.training.environment import Remember
-    from isd_gym.sb3 import make_vec_env
-
+def test_on_a_spread_every_road_counts_the_same():
     def cost(even, **options):
         cars = make_vec_env(16, env_id="ISDSuspension-v0", rescale=False, max_episode_steps=300, **options)
         env = Remember(cars, MEMORY, Head("increment"), even=even)
@@ -436,16 +360,7 @@ def test_on_a_spread_every_road_counts_the_same(sb3):
     assert cost(True) == cost(False)
 
 
-@needs_sb3
-def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
-    import torch
-    from gymnasium import spaces
-
-    from isd_gym.contrib.training.environment import Remember
-    from isd_gym.contrib.training.ppo import GroupBuffer
-    from isd_gym.contrib.training.sac import GroupReplayBuffer
-    from isd_gym.sb3 import make_vec_env
-
+def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative():
     env = Remember(
         make_vec_env(4, env_id="ISDSuspension-v0", rescale=False, stagger=True, max_episode_steps=8),
         MEMORY,
@@ -505,14 +420,6 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
 
 @pytest.mark.tools
 def test_the_study_s_interval_is_that_of_seeds_and_roads(rng):
-    import importlib.util
-
-    spec = importlib.util.spec_from_file_location(
-        "study", Path(__file__).parents[2] / "benchmarks" / "study.py"
-    )
-    assert spec is not None and spec.loader is not None
-    study = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(study)
     assert study.iqm(np.array([0.0, 1.0, 2.0, 3.0, 100.0, -50.0, 4.0, 5.0])) == pytest.approx(2.5)
     reference = rng.uniform(0.7, 1.0, 32)
     own = 0.8 * reference * (1 + 0.01 * rng.standard_normal((5, 1)))  # seeds differ by 1 %, roads not at all
@@ -527,30 +434,3 @@ def test_the_study_s_interval_is_that_of_seeds_and_roads(rng):
     # of the first road alone the optimum is known: 0.35 of 0.5
     assert f"| {where} | ppo | 2 | 0.6500 | +5.0 % | 70.0 % | -35.0 %" in text
     assert f"| {where} | mpc (best MPC) |" in text
-
-
-@needs_sb3
-@pytest.mark.slow
-def test_a_real_kill_costs_one_interval_at_most(sb3, tmp_path):
-    """kill -9 in the middle; the same call ends the run, with the checkpoint's curve kept."""
-    code = (
-        "import warnings; warnings.simplefilter('ignore')\n"
-        "import isd_gym.contrib.training.train as t\nfrom isd_gym.contrib.training.settings import PPOSettings\n"
-        "t.BASELINES = ()\nt.VALIDATION_EPISODES = t.SCORE_EPISODES = 2\n"
-        "s = PPOSettings(steps=65536, cars=64, horizon=32, tail=16, batch=512, teacher=None, evaluations=8,"
-        " checkpoint_seconds=0.0)\n"
-        f"t.train('ppo', {str(tmp_path / 'run')!r}, settings=s, say=lambda line: print(line, flush=True))\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        for line in process.stdout:
-            if line.strip().startswith(("37.5", "40.6", "43.8", "46.9", "50")):
-                process.kill()
-                break
-    assert process.returncode == -9
-    kept = json.loads((next((tmp_path / "run").glob("checkpoint-*")) / "state.json").read_text())["curve"]
-    assert len(kept) >= 2
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.startswith("resuming")
-    curve = Policy.load(tmp_path / "run" / "policy").info["training"]["curve"]
-    assert curve[: len(kept)] == kept and curve[-1]["steps"] >= 65536

@@ -17,7 +17,7 @@ import numpy as np
 
 from isd_gym._common.errors import InputError, markdown, plain, shown
 from isd_gym._common.files import check_folder, whole_folder
-from isd_gym._common.plugins import REFERENCES, plugins
+from isd_gym._common.plugins import wing
 from isd_gym.agents.policy import JSON_NAME, WEIGHTS_NAME, Policy
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark._show import film
@@ -109,13 +109,12 @@ def write(
             seconds=seconds,
             progress=lambda s: told("filming", s),
         )
-        known = plugins(REFERENCES, "ceiling")
         found = score(
             [entry],
             plant,
             reference=passive(plant),
             episodes=episodes,
-            ceiling=lambda preview: known[0].load()(plant, preview=preview) if known else None,
+            ceiling=lambda preview: wing("ceilings").known(plant, preview=preview),
             progress=told,
         ).to_dict()
         found["command"] = _command(policy)

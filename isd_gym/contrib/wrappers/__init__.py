@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium import spaces
 
 from isd_gym._common.errors import InputError, shown
+from isd_gym._common.inputs import is_whole
 from isd_gym.env._history import BOUND, History, Remembered
 
 __all__ = [
@@ -36,7 +37,7 @@ class Hold(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(self, env: gym.Env[Any, Any], steps: int) -> None:
         """Wrap an environment."""
         super().__init__(env)
-        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+        if not is_whole(steps, 1):
             raise InputError(f"hold must be a whole number of steps from 1 on, not {shown(steps)}")
         self.steps = steps
 

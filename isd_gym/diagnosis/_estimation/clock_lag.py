@@ -73,14 +73,9 @@ def align_clocks(
 ) -> tuple[list[Record], list[Lag]]:
     """Estimate the lags between clocks together with the parameters of a model.
 
-    Args:
-        records: Records; records with a single clock stay as they are.
-        network: The model.
-        limit: Largest lag in the search [s].
-        previous: Lags found with an earlier model and applied to `records`. They replace the wide search.
-
-    Returns:
-        Records with aligned clocks, and the lags.
+    `records`: Records; records with a single clock stay as they are.
+    `limit`: Largest lag in the search [s].
+    `previous`: Lags found with an earlier model and applied to `records`. They replace the wide search.
     """
     if not any(r.clocks for r in records):
         return list(records), []
@@ -203,11 +198,7 @@ def _search_lags(
 ) -> tuple[dict[str, float], str, list[float]]:
     """Search the lags of the clocks of a record over a wide range, clock by clock.
 
-    Args:
-        problem: The records.
-        base: The nominal model.
-        index: Index of the record.
-        limit: Largest lag [s].
+    `limit`: Largest lag [s].
 
     Returns:
         Lags by clock [s], a reason to doubt the lags, and rival lags of a single clock to be fitted [s].
@@ -280,14 +271,11 @@ def _find_rivals(
 ) -> tuple[str, list[float]]:
     """Return a reason to doubt the best lag, and further minima of the wide search for a fit [s].
 
-    Args:
-        trials: Lags of the wide search [s] (n,).
-        costs: Cost by lag (n,).
-        best: The best lag after refinement [s].
-        least: Cost of the best lag.
-        count: Number of samples.
-        pace: Time scale of the record [s].
-        doubt: Reason to doubt the lag of an earlier clock, returned by default.
+    `trials`: Lags of the wide search [s] (n,).
+    `costs`: Cost by lag (n,).
+    `best`: The best lag after refinement [s].
+    `pace`: Time scale of the record [s].
+    `doubt`: Reason to doubt the lag of an earlier clock, returned by default.
     """
     far = np.abs(trials - best) > 2.0 * pace
     if far.any() and float(costs[far].min()) < 1.15 * least + 0.02 * count:
@@ -307,10 +295,7 @@ def _find_rivals(
 def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tuple[Record, str]:
     """Return a record with the best lag after a fit of parameters and initial state, and a reason to doubt the lag.
 
-    Args:
-        record: The record with the best lag of the wide search.
-        rivals: Rival lags of the only clock [s].
-        network: The model.
+    `rivals`: Rival lags of the only clock [s].
     """
     (clock,) = record.clocks
     structure, tried = base_structure(network), []

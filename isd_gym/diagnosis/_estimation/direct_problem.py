@@ -41,12 +41,9 @@ def prefer_direct_problem(
 ) -> tuple[list[Record], Network, str] | None:
     """Swap motion and force where the direct problem is the better one.
 
-    Args:
-        records: Measured records before any filter, training records first.
-        network: The nominal model, with a displacement as input and the force at the same node as output.
-        training: Number of training records.
-        least_noise: Noise of the computed force, as a share of its deviation, from which on the direct problem is tried.
-        largest_error: Largest error of the refitted direct model over the error of a straight line through each record.
+    `network`: The nominal model, with a displacement as input and the force at the same node as output.
+    `least_noise`: Noise of the computed force, as a share of its deviation, from which on the direct problem is tried.
+    `largest_error`: Largest error of the refitted direct model over the error of a straight line through each record.
 
     Returns:
         Records and model with the force as input and the displacement as output, and a note. None where the noise of the motion does
@@ -81,11 +78,6 @@ def prefer_direct_problem(
 def swap_roles(network: Network, given: Channel, computed: Channel) -> Network:
     """Return the model with an output as input and an input as output: the force at a node and the displacement of the node, either way.
 
-    Args:
-        network: The nominal model.
-        given: Input of the model.
-        computed: Output of the model at the same node.
-
     Raises:
         InputError: The node has no inertia, or a force sensor at another moved node forbids the swap.
     """
@@ -98,14 +90,7 @@ def swap_roles(network: Network, given: Channel, computed: Channel) -> Network:
 
 
 def swap_channels(record: Record, network: Network, given: Channel, computed: Channel) -> Record:
-    """Return an unfiltered record of `network` with the channels of the model after `swap_roles`.
-
-    Args:
-        record: Measured record before any filter.
-        network: The model before the swap.
-        given: Its input.
-        computed: Its output.
-    """
+    """Return an unfiltered record of `network` with the channels of the model after `swap_roles`."""
     j = network.outputs.index(computed)
     inputs = {k: v for k, v in record.inputs.items() if k != given.name}
     inputs[computed.name] = convert(record.measured[:, j], computed.unit, computed.si)

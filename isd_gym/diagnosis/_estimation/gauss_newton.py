@@ -98,11 +98,7 @@ class Fitter(Objective):
 
         The estimate is the mean over records, weighted by information; initial states are eliminated per record.
 
-        Args:
-            structure: The structure.
-            x: Its transformed parameters (parameters,).
-            records: Indices of the records. Default: those to fit by.
-            initial: Initial states to begin with, by record.
+        `records`: Indices of the records. Default: those to fit by.
 
         Returns:
             The structure with its offsets; the same structure where no sensor has an offset for all records.
@@ -382,12 +378,8 @@ class Fitter(Objective):
     ) -> tuple[Array, Array, dict[int, tuple[Array, Array]]]:
         """Return the normal equations of responses in the records, linearised, with initial states and nuisances eliminated.
 
-        Args:
-            structure: The structure.
-            x: Its transformed parameters (parameters,).
-            initial: Initial state by record.
-            responses: Responses (samples, channels, m) by record.
-            over: Steps of central differences (`tangents`).
+        `responses`: Responses (samples, channels, m) by record.
+        `over`: Steps of central differences (`tangents`).
 
         Returns:
             The matrix by parameters and shared offsets (p, p) with the prior, the right-hand sides (p, m), and by record the
@@ -433,11 +425,7 @@ def _weighted_mean(
 ) -> Array:
     """Compute the mean over records of the offsets per record, weighted by information.
 
-    Args:
-        problem: Records with an offset per record.
-        channels: Indices of the channels (offsets,).
-        offset: Nuisances by record, at their estimate.
-        slopes: Derivatives at the estimate by record.
+    `channels`: Indices of the channels (offsets,).
 
     Returns:
         The mean offsets (offsets,).

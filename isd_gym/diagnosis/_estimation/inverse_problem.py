@@ -49,9 +49,6 @@ class InverseProblem:
     def restore(self, found: Network) -> Network | None:
         """Return the model with the drive as input, and the parameters and added elements of a completed inverse model.
 
-        Args:
-            found: `network` with other parameters and with added elements.
-
         Returns:
             The model; None where an added element acts on the computed force alone.
         """
@@ -72,9 +69,6 @@ class InverseProblem:
 
 def invert(network: Network) -> InverseProblem | None:
     """Return the inverse problem of one driven mass that no spring holds.
-
-    Args:
-        network: The nominal model.
 
     Returns:
         The problem; None unless the one input is a force at a mass or the current of a motor between this mass and the ground, the one output is

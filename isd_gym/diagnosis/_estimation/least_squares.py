@@ -20,11 +20,8 @@ def damped_step(
 ) -> tuple[Point | None, float, float]:
     """Take a step that lowers the cost; increase the damping tenfold after each failure.
 
-    Args:
-        take: Function from a relative damping to the new point and its cost, infinite if the simulation fails.
-        cost: Cost at the current point.
-        damping: Relative damping of the first try.
-        tries: Number of tries. After a single failed try the damping stays.
+    `take`: Function from a relative damping to the new point and its cost, infinite if the simulation fails.
+    `tries`: Number of tries. After a single failed try the damping stays.
 
     Returns:
         The new point or None, its cost, and the damping for the next step.
@@ -45,17 +42,12 @@ def bounded_step(
 
     Coordinates at a limit that would leave the permitted range stay at the limit.
 
-    Args:
-        hessian: Second derivatives of half the cost (p, p).
-        slope: Descent direction of half the cost (p,).
-        x: Current point (p,).
-        low: Lower limits (p,).
-        high: Upper limits (p,).
-        stride: Largest permitted step of each coordinate (p,).
-        damping: Relative damping of the diagonal.
-
-    Returns:
-        The step (p,).
+    `hessian`: Second derivatives of half the cost (p, p).
+    `slope`: Descent direction of half the cost (p,).
+    `x`: Current point (p,).
+    `low`: Lower limits (p,).
+    `high`: Upper limits (p,).
+    `stride`: Largest permitted step of each coordinate (p,).
     """
     p = len(x)
     damped = hessian + np.diag(damping * np.diag(hessian))

@@ -46,9 +46,7 @@ def is_lightly_damped(network: Network) -> bool:
 def segments_of(problem: Problem, length: float = 1.0) -> Problem | None:
     """Return the problem with the training records in segments; None where the records are no longer than a segment.
 
-    Args:
-        problem: Model and records.
-        length: Length of the segments as a multiple of the usual length.
+    `length`: Length of the segments as a multiple of the usual length.
     """
     seconds = length * STRETCH * problem.time
     pieces = [s for i in problem.estimation for s in cut_segments(problem.records[i], seconds, LEAST)]
@@ -70,12 +68,6 @@ def in_segments(
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
     """Fit parameters to segments of the training records that grow, with the weights of a fitter.
-
-    Args:
-        problem: Model and records.
-        structure: The structure.
-        x: Start values (parameters,), transformed.
-        weights: Fitter to the whole records.
 
     Returns:
         Parameters (parameters,), transformed; None where the records are no longer than a segment, or a fit breaks down.

@@ -227,9 +227,6 @@ def floors_of(problem: Problem) -> list[Floor]:
     """Estimate the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion.
 
     The sensor noise is stated in the model file, or follows from the training and validation records.
-
-    Returns:
-        One noise estimate per output. Test records take no part.
     """
     out = []
     for j, propagated in enumerate(propagate_input_noise(problem)):

@@ -62,20 +62,9 @@ class RecordwiseFitter(Fitter):
     ) -> RecordwiseFit:
         """Fit a structure to groups of records.
 
-        Args:
-            structure: The structure. Offsets of its sensors must not be shared by records (`Problem.loose`).
-            x: Start values, transformed: (parameters,) for all groups, or (groups, parameters).
-            groups: Indices of the records of each group.
-            own: Mask of the parameters with a value per group (parameters,).
-            initial: Initial states to begin with, by record.
-            iterations: Largest number of Gauss-Newton steps.
-            tolerance: Relative decrease of the cost that ends the fit.
-
-        Returns:
-            The fit.
-
-        Raises:
-            InputError: The simulation breaks down at the start values.
+        `structure`: The structure. Offsets of its sensors must not be shared by records (`Problem.loose`).
+        `x`: Start values, transformed: (parameters,) for all groups, or (groups, parameters).
+        `own`: Mask of the parameters with a value per group (parameters,).
         """
         layout = _Layout(structure, own, len(groups))
         z = layout.pack(np.broadcast_to(x, (len(groups), len(own))))
@@ -101,12 +90,7 @@ class RecordwiseFitter(Fitter):
         return RecordwiseFit(structure, layout.unpack(z), own, tuple(points), tuple(slopes), cost)
 
     def gradient(self, point: Point, slopes: Mapping[int, Slope]) -> dict[int, Array]:
-        """Return the descent direction of half the cost of each record (parameters,), nuisances eliminated.
-
-        Args:
-            point: A point of the records.
-            slopes: Derivatives by record.
-        """
+        """Return the descent direction of half the cost of each record (parameters,), nuisances eliminated."""
         out = {}
         for i, s in slopes.items():
             down, p = self._downhill(point, i, s), len(s.gram) - len(s.own)

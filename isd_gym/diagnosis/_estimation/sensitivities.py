@@ -42,14 +42,8 @@ def tangents(
 
     The latest results are cached, since a fit often continues from the end of another fit with other weights.
 
-    Args:
-        problem: Model and records.
-        structure: The structure.
-        x: Free parameters, transformed (parameters,).
-        initial: Initial state by record.
-        moves: Whether derivatives by the parameters are needed.
-        over: Steps of central differences, transformed (steps, parameters), as many as parameters (`deviations`). Default: a small
-            forward step of each parameter.
+    `over`: Steps of central differences, transformed (steps, parameters), as many as parameters (`deviations`). Default: a small
+    forward step of each parameter.
     """
     p = len(x) if moves else 0
 
@@ -102,10 +96,7 @@ def deviations(structure: Structure, x: Array, covariance: Array) -> Array:
     Derivatives by single parameters lose a direction in which the outputs hardly change: with dry friction, small differences have errors
     of some per cent, and a factor that all masses and forces share then looks determined. An axis along this direction does not.
 
-    Args:
-        structure: The structure.
-        x: Free parameters, transformed (parameters,).
-        covariance: Their covariance (parameters, parameters).
+    `covariance`: Their covariance (parameters, parameters).
 
     Returns:
         Steps within the limits of the parameters (steps, parameters).

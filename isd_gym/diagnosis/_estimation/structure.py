@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,9 +24,10 @@ WIDE, FAR = 5.0, math.log(1e4)
 #: standard deviation of the logarithm of a parameter that stays near its start value
 SURE = 1e-4
 
-
 #: largest logarithm of a value within an interval
 LARGEST_LOG = 700.0
+#: networks that a structure keeps
+LATEST = 50
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,22 @@ class Structure:
     #: sensor offset of each output, equal for all records [unit of the channel]; None before an estimate
     offsets: tuple[float, ...] | None = None
 
+    @cached_property
+    def _made(self) -> dict[bytes, Network]:
+        """The latest networks by their parameters: a network keeps its equations of motion."""
+        return {}
+
     def at(self, x: np.ndarray) -> Network:
+        """Return the network with values of the free parameters, transformed (parameters,)."""
+        key, made = x.tobytes(), self._made
+        network = made.get(key)
+        if network is None:
+            if len(made) >= LATEST:
+                made.clear()
+            network = made[key] = self._network(x)
+        return network
+
+    def _network(self, x: np.ndarray) -> Network:
         values = {f.path: f.back(float(v)) for f, v in zip(self.free, x, strict=True)}
         known = self.network.parameters
         for path, source in self.ties:
@@ -262,9 +279,7 @@ def with_sensor_offsets(network: Network, offsets: Sequence[float] | None) -> Ne
 
     The outputs keep `"offset": "free"`: a later diagnosis estimates the remaining offset.
 
-    Args:
-        network: The model.
-        offsets: Offset of each output, equal for all records [unit of the channel]; None for no offset.
+    `offsets`: Offset of each output, equal for all records [unit of the channel]; None for no offset.
 
     Returns:
         The model. The bias of a channel that has one already changes by the offset.

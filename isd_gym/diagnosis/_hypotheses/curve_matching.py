@@ -44,11 +44,7 @@ def match_law(
 
     Parameters with a minimum of zero or more are fitted by their logarithm.
 
-    Args:
-        kind: Class of the law.
-        starts: Parameter values of each start.
-        residual: Function from parameter values to the residual (samples,).
-        mirrored: Whether to start with inverted signs, too.
+    `residual`: Function from parameter values to the residual (samples,).
 
     Returns:
         The match with the smallest error, or None if no fit succeeds.

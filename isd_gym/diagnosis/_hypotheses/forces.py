@@ -13,14 +13,14 @@ from ..._common.errors import InputError
 from ...physics.network import GROUND
 from .._simulation.problem import deviation_within
 from .library import pairs
-from .motion import motions, with_outputs
+from .motion import motions, watched
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ..._common.arrays import Array
     from ...physics.elements import Motion
-    from ...physics.network import Network
+    from ...physics.network import Channel
     from .._estimation.gauss_newton import Fit
     from .._simulation.problem import Problem
 
@@ -87,7 +87,7 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
     scale = _lost_motion(problem, fit)
     for (nodes, factor), values in zip(
         [*((e.where, 1.0) for e in elements), *(((m,), inertia) for m, inertia in masses.items())],
-        _simulated(problem, fit, with_outputs(net, tuple(probes))),
+        _simulated(problem, fit, tuple(probes)),
         strict=True,
     ):
         for node in nodes:
@@ -101,38 +101,23 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
 def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str, Array]:
     """Compute the forces of the elements between two nodes over all records to fit by.
 
-    Args:
-        problem: records and channels.
-        fit: fitted structure with its initial states.
-        where: the two nodes; the sign of each force is that of an element from the first to the second.
+    `where`: the two nodes; the sign of each force is that of an element from the first to the second.
 
     Returns:
         Force [N] (samples,), or torque [N m], by element.
-
-    Raises:
-        InputError: the simulation breaks down.
     """
     net, pair = fit.network, set(where)
     here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
-    together = _simulate(
-        problem, fit, with_outputs(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
-    )
+    probes = tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here)
+    together = _simulate(problem, fit, probes)
     return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
 
 
 def work_share(problem: Problem, fit: Fit, name: str) -> float:
     """Return the share of an element in the work that all elements of a network dissipate over the records to fit by.
 
-    Args:
-        problem: Records and channels.
-        fit: Fitted structure with its initial states.
-        name: The element.
-
     Returns:
         Share from 0 to 1; 0 for an element that stores energy only.
-
-    Raises:
-        InputError: The simulation breaks down.
     """
     net = fit.network
     lossy = [e for e in net.elements if e.place == "between" and e.mechanism in DISSIPATIVE]
@@ -149,15 +134,8 @@ def work_share(problem: Problem, fit: Fit, name: str) -> float:
 def lossy_share(problem: Problem, fit: Fit) -> float:
     """Return the largest force of an element that dissipates over the largest force of all elements, as root mean squares over the records to fit by.
 
-    Args:
-        problem: Records and channels.
-        fit: Fitted structure with its initial states.
-
     Returns:
         Share from 0 to 1; 1 without an element that dissipates.
-
-    Raises:
-        InputError: The simulation breaks down.
     """
     elements = [e for e in fit.network.elements if e.place == "between"]
     forces: dict[str, Array] = {}
@@ -171,9 +149,7 @@ def lossy_share(problem: Problem, fit: Fit) -> float:
 def dissipated_work(force: Array, motion: Motion) -> float:
     """Return the mean power of the equivalent viscous damper of a force: a spring in parallel takes the part that returns.
 
-    Args:
-        force: Force over the motion (samples,) [N].
-        motion: Motion of the force's two nodes.
+    `force`: Force over the motion (samples,) [N].
 
     Returns:
         Mean power [W].
@@ -212,21 +188,19 @@ def _measured_force(problem: Problem) -> float:
     return found
 
 
-def _simulate(problem: Problem, fit: Fit, watched: Network) -> Array:
+def _simulate(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> Array:
     """Simulate a fit with other outputs over all records to fit by: (samples, outputs)."""
-    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
-    seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=fit.network)
-    return np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
+    return np.concatenate([*watched(problem, fit, outputs).values()])
 
 
-def _simulated(problem: Problem, fit: Fit, watched: Network) -> list[Array]:
-    """Return the outputs of a network over all training records, one array per output; zero where the simulation breaks down."""
-    if not watched.outputs:
+def _simulated(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> list[Array]:
+    """Return other outputs over all training records, one array per output; zero where the simulation breaks down."""
+    if not outputs:
         return []
     try:
-        together = _simulate(problem, fit, watched)
+        together = _simulate(problem, fit, outputs)
     except (InputError, np.linalg.LinAlgError):
-        return [np.zeros(1) for _ in watched.outputs]
+        return [np.zeros(1) for _ in outputs]
     return list(np.where(np.isfinite(together), together, 0.0).T)
 
 

@@ -42,10 +42,7 @@ def measured_motions(problem: Problem, fit: Fit, noise: Array) -> dict[Pair, dic
     Where the outputs tell the distance of a pair, their residual, in the band in which it exceeds the noise, is added to the simulated
     distance. Elsewhere the motion by the force that explains the residual is added. Accelerations are those of the simulation.
 
-    Args:
-        problem: Model and records.
-        fit: The fitted model.
-        noise: White noise (channels,) of the outputs.
+    `noise`: White noise (channels,) of the outputs.
     """
     out: dict[Pair, dict[int, Motion]] = {}
     for pair, simulated in motions_by_record(problem, fit).items():
@@ -122,12 +119,7 @@ def law_forces(
 
     The elements between the nodes are simulated alone, the first node moved and the second held.
 
-    Args:
-        network: The model.
-        pair: The two nodes.
-        motion: Motion of the pair.
-        step: Step of the samples [s].
-        ways: Laws at the pair with the values of their parameters.
+    `step`: Step of the samples [s].
     """
     driven, held = pair if pair[0] != GROUND else pair[::-1]
     sign = 1.0 if driven == pair[0] else -1.0
@@ -176,11 +168,7 @@ def force_responses(problem: Problem, fit: Fit, pair: Pair, forces: Mapping[int,
 
     A linear model is simulated once with a pulse.
 
-    Args:
-        problem: Model and records.
-        fit: The fitted model.
-        pair: The two nodes.
-        forces: Forces (samples of the inputs, forces) [N] by record, positive in tension.
+    `forces`: Forces (samples of the inputs, forces) [N] by record, positive in tension.
     """
     network = fit.network
     motor = el.Motor(PUSH, pair, thrust_constant=1.0)  # type: ignore[call-arg]
@@ -217,7 +205,7 @@ def _pushed(
     mean = 0.5 * (
         forces + np.append(forces[1:], forces[-1:], axis=0)
     )  # an input of a motor is held over a step
-    records = [replace(record, inputs={**record.inputs, PUSH: column}) for column in mean.T]
+    records = [record.with_inputs({**record.inputs, PUSH: column}) for column in mean.T]
     whole = Problem(network, records, None, problem.step, problem.time)
     begun = None if fit is None else {k: fit.initial[i][:, None] for k in range(len(records))}
     seen = whole.simulate_all(

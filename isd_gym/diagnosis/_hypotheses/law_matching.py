@@ -113,12 +113,7 @@ def match_laws(
 ) -> list[Match]:
     """Return every law at every place from every start of its shape, the largest gain first.
 
-    Args:
-        problem: Model and records.
-        fitter: Fitter with the weights of the residual.
-        fit: Fit to which an effect is added.
-        noise: White noise (channels,) of the outputs.
-        candidates: Laws at places.
+    `noise`: White noise (channels,) of the outputs.
     """
     residual = residual_of(problem, fitter, fit)
     motion = measured_motions(problem, fit, noise)

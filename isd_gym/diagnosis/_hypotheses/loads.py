@@ -12,7 +12,7 @@ import numpy as np
 
 from ..._common.arrays import rms
 from ..._common.errors import InputError
-from .motion import with_outputs
+from .motion import watched
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -29,10 +29,7 @@ LEAST_DIFFERENCE = 0.3
 def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> dict[str, list[Array]]:
     """Return the loads of frictions in the training records, as a fitted simulation computes them.
 
-    Args:
-        problem: Model and records.
-        fit: A fit with the initial states of the training records.
-        candidates: Hypotheses; those without a load do not count.
+    `candidates`: Hypotheses; those without a load do not count.
 
     Returns:
         Load of each training record (samples,) [N], or [N m] where nodes turn, by element; empty where the simulation breaks down.
@@ -40,14 +37,12 @@ def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> 
     names = list(dict.fromkeys(dict(h.options)["load"] for h in candidates if h.kind.loaded))
     if not names:
         return {}
-    network = fit.network
-    watched = with_outputs(network, tuple(network.probe(f"_{n}", "force", element=n) for n in names))
-    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
+    probes = tuple(fit.network.probe(f"_{n}", "force", element=n) for n in names)
     try:
-        seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=network)
+        seen = watched(problem, fit, probes)
     except (InputError, np.linalg.LinAlgError):
         return {}
-    return {n: [seen[i][:, k, 0] for i in problem.estimation] for k, n in enumerate(names)}
+    return {n: [seen[i][:, k] for i in problem.estimation] for k, n in enumerate(names)}
 
 
 def tell_gain(loads: Sequence[Array]) -> bool:

@@ -56,12 +56,9 @@ class Deconvolution:
     ) -> Deconvolution:
         """Return the linear response about rest, up to `highest` times the frequency of the motion: above it the sensors resolve no force.
 
-        Args:
-            network: The model.
-            pair: The two nodes.
-            time: Time stamps [s] (n,).
-            measured: Measured outputs by channel (n,).
-            highest: Highest frequency of the band, as a multiple of the frequency of the motion.
+        `time`: Time stamps [s] (n,).
+        `measured`: Measured outputs by channel (n,).
+        `highest`: Highest frequency of the band, as a multiple of the frequency of the motion.
 
         Raises:
             InputError: The model has no linear response, or the record is too short.
@@ -158,17 +155,7 @@ def pair_motion(
 ) -> PairMotion:
     """Simulate two nodes of a model that starts like a record.
 
-    Args:
-        network: The model.
-        trace: The record.
-        pair: The two nodes.
-        series: Elements in series with others between the nodes; their force counts too.
-
-    Returns:
-        Motion and force.
-
-    Raises:
-        InputError: The model has no motion between the nodes, or its simulation breaks down.
+    `series`: Elements in series with others between the nodes; their force counts too.
     """
     network = replace(network, uncertainty={})
     step = float(trace.time[1] - trace.time[0])

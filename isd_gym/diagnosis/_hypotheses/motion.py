@@ -50,18 +50,29 @@ def motions_by_record(
     known = {p: order_told(net, p) for p in (*pairs(net), *also)}
     where = [p for p, order in known.items() if order < 2]
     extra = tuple(net.probe(f"_{k}", MOTIONS[known[p]], between=p) for k, p in enumerate(where))
-    probe = problem.watching(with_outputs(net, extra))
-    begun = {i: fit.initial[i][:, None] for i in problem.estimation}
-    seen = probe.simulate_all([probe.network], problem.estimation, begun, like=net)
+    seen = watched(problem, fit, extra)
     for i in problem.estimation:
         step = problem.records[i].step
         for k, p in enumerate(where):
-            y = seen[i][:, k, 0]
+            y = seen[i][:, k]
             d, v = (
                 (cumulative_trapezoid(y, dx=step, initial=0.0), y) if known[p] else (y, np.gradient(y, step))
             )
             out.setdefault(p, {})[i] = Motion(d, v, np.gradient(v, step))
     return out
+
+
+def watched(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> dict[int, Array]:
+    """Return other outputs of a fitted simulation by training record (samples, outputs); the latest are kept."""
+
+    def make() -> tuple[Array, ...]:
+        probe = problem.watching(with_outputs(fit.network, outputs))
+        begun = {i: fit.initial[i][:, None] for i in problem.estimation}
+        found = probe.simulate_all([probe.network], problem.estimation, begun, like=fit.network)
+        return tuple(found[i][:, :, 0].copy() for i in problem.estimation)
+
+    seen = problem.memory.made(("watched", id(fit), outputs), fit, make)
+    return dict(zip(problem.estimation, seen, strict=True))
 
 
 def with_outputs(net: Network, outputs: tuple[Channel, ...]) -> Network:
@@ -81,14 +92,10 @@ def setting(
 ) -> Setting:
     """Return the setting from which an effect derives the start values of its fit.
 
-    Args:
-        problem: Model and records.
-        network: The fitted model.
-        h: The effect at its place.
-        motion: Motion of the place; None at a motor or a channel.
-        force: Typical force of the place [N].
-        pitches: Periods of travel [m] to begin with.
-        load: Load of a friction in each training record (samples,) [N].
+    `motion`: Motion of the place; None at a motor or a channel.
+    `force`: Typical force of the place [N].
+    `pitches`: Periods of travel [m] to begin with.
+    `load`: Load of a friction in each training record (samples,) [N].
     """
     signal, time, samples = 1.0, problem.time, None
     if h.place == "element":

@@ -48,12 +48,8 @@ def spectral_pitches(
 ) -> tuple[float, ...]:
     """Find the periods of the missing force over the travel of two nodes.
 
-    Args:
-        problem: Model and records.
-        fit: The fitted model; its residual is the signal.
-        pair: The two nodes.
-        motion: Motion of the pair over all records to fit by.
-        periods: Least number of periods over the whole travel that is looked for.
+    `fit`: The fitted model; its residual is the signal.
+    `periods`: Least number of periods over the whole travel that is looked for.
 
     Returns:
         At most `LINES` periods [m, or rad where the nodes turn], the strongest line first; none where the records cannot show one.
@@ -125,10 +121,8 @@ def thinning_loses(problem: Problem, fit: Fit, floors: Array) -> bool:
 
     A force that repeats over travel may be much faster than the motion by which records are thinned.
 
-    Args:
-        problem: Model and records; `problem.rough` has the thinned ones.
-        fit: The fitted model.
-        floors: Noise of each output, shape (channels,), in the channels' units.
+    `problem`: Model and records; `problem.rough` has the thinned ones.
+    `floors`: Noise of each output, shape (channels,), in the channels' units.
 
     Returns:
         True if, in any output, a quarter of the residual's power beyond the noise lies above the band of the thinned records.

@@ -29,10 +29,8 @@ def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dic
     In a lightly damped structure the forces that dissipate are small beside those that store energy. There a law that dissipates has a share
     of the former, since the same share of the latter would be a multiple of the damping.
 
-    Args:
-        problem: records and channels; the records to fit by are simulated.
-        fit: fitted structure with its initial states.
-        share: force of each law as a share of the typical force at its place.
+    `problem`: records and channels; the records to fit by are simulated.
+    `share`: force of each law as a share of the typical force at its place.
 
     Returns:
         Change of the outputs by record index, (samples, channels, laws), in the channels' units; zero for a law that makes

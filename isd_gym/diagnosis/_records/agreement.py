@@ -45,9 +45,6 @@ VAGUE = 1.0  # relative uncertainty of a parameter from which amplitudes are not
 def find_misreading(problem: Problem) -> str:
     """Return the clearest sign of a turned, mislabelled or swapped channel.
 
-    Args:
-        problem: The nominal model with whole records.
-
     Returns:
         A line with the correlation and the remedy; '' for records that agree with the model or cannot be compared.
     """

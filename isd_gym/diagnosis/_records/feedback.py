@@ -58,9 +58,7 @@ def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback
     switches between a few values, the own past includes the time since the last switch, so that a clock is no
     feedback. Predictions are fitted on every other block in time and tested on the blocks between.
 
-    Args:
-        records: Measured records on one clock, before any filter; records with time stamps by channel are left out.
-        network: The nominal model with the channels of the records.
+    `records`: Measured records on one clock, before any filter; records with time stamps by channel are left out.
 
     Returns:
         The inputs under feedback; empty without feedback, or if the records are too short for a decision.
@@ -93,11 +91,7 @@ def _gain(
 ) -> tuple[float, float]:
     """Compute by how much past outputs improve the prediction of an input.
 
-    Args:
-        records: Records of one sampling interval.
-        name: The input.
-        outputs: Indices of the outputs.
-        relay: Whether the prediction knows levels of the outputs at which the input switched (`_crossing`).
+    `relay`: Whether the prediction knows levels of the outputs at which the input switched (`_crossing`).
 
     Returns:
         Share of the squared error of the own prediction that the outputs remove, mean over blocks; probability of as many

@@ -115,10 +115,6 @@ def choose_decimation(records: Sequence[Record], network: Network) -> int:
     The low-pass ends at the noise of the derivatives of the inputs (`find_derivative_band`), but never within the signal band
     of the outputs (`find_signal_band`).
 
-    Args:
-        records: Records of one sampling interval.
-        network: The nominal model.
-
     Returns:
         1 if no low-pass is needed or every low-pass would remove signal.
     """
@@ -146,10 +142,6 @@ def find_noise_band(records: Sequence[Record], network: Network) -> float:
 
     White noise of the motion makes noise of the computed force that grows with the square of the frequency. From the returned
     frequency on, this noise has more power than the measured force, at that frequency and in sum over all higher frequencies.
-
-    Args:
-        records: Records of one sampling interval.
-        network: The nominal model.
 
     Returns:
         The lowest frequency over all computed forces; infinite without such a frequency.
@@ -212,12 +204,6 @@ def find_derivative_band(record: Record, network: Network, channel: Channel, ord
     The band ends in the valley between motion and noise. A force sensor at the moved node gives a better estimate
     (`_find_force_band`).
 
-    Args:
-        record: The measured record.
-        network: The nominal model.
-        channel: The input.
-        order: How often the input is differentiated.
-
     Returns:
         The frequency [Hz]; infinite if the noise of the derivative is negligible.
     """
@@ -252,14 +238,9 @@ def _find_force_band(
     Above this frequency the computed force has more than 1.5 times the power of the measured force. A missing effect causes
     an excess at some frequencies only.
 
-    Args:
-        record: The measured record.
-        network: The nominal model.
-        channel: The input that moves the node.
-        output: Index of the force sensor at the node.
-        frequency: Frequencies [Hz] (n,).
-        motion: Power density of the measured motion (n,).
-        valley: Index of the frequency up to which computed and measured power are made equal.
+    `frequency`: Frequencies [Hz] (n,).
+    `motion`: Power density of the measured motion (n,).
+    `valley`: Index of the frequency up to which computed and measured power are made equal.
 
     Returns:
         The frequency [Hz]; None if the linear model has no frequency response.

@@ -84,12 +84,7 @@ def check_recording(
 ) -> None:
     """Run the data checks separately for each group of channels with common time stamps.
 
-    Args:
-        recording: Channels with different time stamps.
-        network: The nominal model.
-        accepted: Names of checks (or 'all') to reduce to warnings.
-        notes: List for warnings.
-        scale: Time scale of the rig and expected deviations.
+    `accepted`: Names of checks (or 'all') to reduce to warnings.
 
     Raises:
         InputError: A check failed.
@@ -129,13 +124,8 @@ def build_record(
 ) -> Record:
     """Return a record with outputs compared at the instants of their samples.
 
-    Args:
-        recording: Channels with different time stamps.
-        network: The nominal model.
-        lags: Delay [s] of the stamps of clocks with unknown lag; zero by default.
-        notes: List for notes on resampled inputs and filtered outputs.
-        thin: Least number of grid intervals between two compared samples.
-        cutoff: Cutoff [Hz] of a low-pass for every output; by default only faster outputs are low-passed.
+    `lags`: Delay [s] of the stamps of clocks with unknown lag; zero by default.
+    `cutoff`: Cutoff [Hz] of a low-pass for every output; by default only faster outputs are low-passed.
 
     Raises:
         InputError: The inputs have several clocks of unknown lag, or the channels have too little time in common.
@@ -213,12 +203,8 @@ def _choose_grid(
 ) -> tuple[_Grid, dict[str, float]]:
     """Return the grid of a recording, and half the length [s] of the low-pass by filtered output.
 
-    Args:
-        recording: Channels with different time stamps.
-        network: The nominal model.
-        stamps: Time stamps [s] of each channel without lag.
-        thin: Least number of grid intervals between two compared samples.
-        cutoff: Cutoff [Hz] of a low-pass for all outputs, if any.
+    `stamps`: Time stamps [s] of each channel without lag.
+    `cutoff`: Cutoff [Hz] of a low-pass for all outputs, if any.
     """
     outputs, inputs = [[c.name for c in side] for side in (network.outputs, network.inputs)]
     steps = {n: recording.signals[n].step for n in stamps}

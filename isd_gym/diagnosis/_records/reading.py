@@ -35,11 +35,8 @@ def read_record(
 ) -> Record:
     """Return a measured record after the data checks.
 
-    Args:
-        source: Table, recording of loggers, or file.
-        network: The nominal model, with the inputs and outputs of the record.
-        notes: List for warnings.
-        accept: Names of data checks (or 'all') to reduce to warnings.
+    `network`: The nominal model, with the inputs and outputs of the record.
+    `accept`: Names of data checks (or 'all') to reduce to warnings.
 
     Returns:
         Record with inputs in SI units and outputs in the units of the channels.
@@ -83,11 +80,6 @@ def thin_long_record(record: Record, network: Network, notes: list[str]) -> Reco
     """Return a record of at most `LONG` samples, or as few as resolve the motion; shorter records stay as they are.
 
     Inputs are low-pass filtered, or averaged where they are held between samples.
-
-    Args:
-        record: Record without filter.
-        network: The nominal model.
-        notes: List for a note.
     """
     if record.samples <= LONG or record.filtered or record.reading is not None:
         return record
@@ -123,10 +115,6 @@ def _convert_table(table: Table, network: Network) -> Record:
 
 def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
     """Return the time scale of the rig and the standard deviations of outputs simulated from rest.
-
-    Args:
-        network: The nominal model.
-        read: Function to get the record before any data check.
 
     Returns:
         The time scale alone if the model has no input, if an input is differentiated twice (noise would dominate the outputs),

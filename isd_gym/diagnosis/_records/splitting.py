@@ -30,12 +30,9 @@ def split_records(
     order of the records does not matter. Without `validate` the last third of the records is held out, or the last third of the motion
     of a single record.
 
-    Args:
-        data: Training records; the source of held-out records if `validate` is empty.
-        validate: Records held out by the user.
-        notes: List for a note on the split.
-        time: Time scale of the rig [s].
-        lead: Simulated time before a held-out segment, without comparison [s].
+    `data`: Training records; the source of held-out records if `validate` is empty.
+    `time`: Time scale of the rig [s].
+    `lead`: Simulated time before a held-out segment, without comparison [s].
 
     Returns:
         The records, training records first, and their roles: "fit" (training), "choose" (validation), "report" (test). Where no
@@ -99,9 +96,7 @@ def _split_record(record: Record) -> tuple[Record, Record]:
 def _find_rest(record: Record, y: Array) -> int:
     """Return the sample at which the rest of a record begins, if the rest is more than half of the record.
 
-    Args:
-        record: The record.
-        y: Its outputs without their mean (n, channels).
+    `y`: Its outputs without their mean (n, channels).
     """
     length = max(16, math.ceil(6 * record.pace / record.interval))
     count = len(y) // length
@@ -117,11 +112,8 @@ def _find_rest(record: Record, y: Array) -> int:
 def cut_segments(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
     """Cut a record into segments of equal length.
 
-    Args:
-        record: The record.
-        seconds: Least length of a segment [s].
-        least: Least number of samples of a segment.
-        lead: Simulated time before a segment, without comparison [s].
+    `seconds`: Least length of a segment [s].
+    `lead`: Simulated time before a segment, without comparison [s].
     """
     count = max(1, int(len(record) * record.interval / seconds))
     count = min(count, max(1, len(record) // least))

@@ -58,9 +58,7 @@ class Travel:
     def shows_period(self, period: float, c: Criteria = CRITERIA) -> bool:
         """Return whether a force with a period over travel can be seen to repeat.
 
-        Args:
-            period: Period [m].
-            c: Limits of the decision.
+        `period`: Period [m].
         """
         is_resolved = period >= RESOLVED * self.advance
         return is_resolved and (self.is_known(c) or self.span >= 2.0 * c.periods * period)
@@ -72,9 +70,7 @@ def is_observed(network: Network, pair: Pair) -> bool:
     The distance is unknown if the network rests at any distance with the same outputs: then the start distance of each record is
     free. The offset of a sensor that is free in each record hides the distance, too.
 
-    Args:
-        network: The model; laws count with their slope at rest.
-        pair: The two nodes.
+    `network`: The model; laws count with their slope at rest.
     """
     told = tuple(c for c in network.outputs if c.offset != "record")
     try:
@@ -93,13 +89,7 @@ def is_observed(network: Network, pair: Pair) -> bool:
 
 
 def travels(problem: Problem, network: Network, motion: Mapping[Pair, el.Motion]) -> dict[Pair, Travel]:
-    """Return what the training records tell about the distance of every pair of nodes.
-
-    Args:
-        problem: Model and records.
-        network: Network whose outputs count.
-        motion: Simulated motion of each pair over the training records.
-    """
+    """Return what the training records tell about the distance of every pair of nodes."""
     edges = np.cumsum([problem.records[i].samples for i in problem.estimation])[:-1]
     return {pair: _travel(network, pair, np.split(m.d, edges)) for pair, m in motion.items()}
 
@@ -131,13 +121,7 @@ def has_period(kind: type[el.Element]) -> bool:
 
 
 def is_admissible(h: Hypothesis, known: Mapping[Pair, Travel], c: Criteria = CRITERIA) -> bool:
-    """Return whether the motion of the records can show an effect at a place.
-
-    Args:
-        h: The effect and its place.
-        known: What the records tell about the distance of each pair.
-        c: Limits of the decision.
-    """
+    """Return whether the motion of the records can show an effect at a place."""
     if not needs_travel(h.kind) or has_period(h.kind):
         return True
     travel = travel_of(h.where, known)
@@ -155,14 +139,8 @@ def admissible_matches(
 ) -> list[Match]:
     """Return the matches of every admissible effect, largest gain first.
 
-    Args:
-        problem: Model and records.
-        fitter: Fitter with the weights of the residual.
-        fit: Fit to which an effect is added.
-        noise: White noise (channels,) of the outputs.
-        candidates: Effects at places.
-        known: What the records tell about the distance of each pair; what `problem` tells by default.
-        c: Limits of the decision.
+    `noise`: White noise (channels,) of the outputs.
+    `known`: What the records tell about the distance of each pair; what `problem` tells by default.
     """
     known = travels(problem, fit.network, motions(problem, fit)) if known is None else known
     admissible = [h for h in candidates if is_admissible(h, known, c)]

@@ -48,11 +48,7 @@ class Candidate:
         return [network.element(name) for name in self.fit.structure.names]
 
     def well_formed(self, last: bool = False) -> bool:
-        """Return whether the values of the effects agree with the effects' names.
-
-        Args:
-            last: Check the last effect only.
-        """
+        """Return whether the values of the effects agree with the effects' names."""
         return all(e.well_formed() for e in (self.elements[-1:] if last else self.elements))
 
 
@@ -82,15 +78,9 @@ def settle(
 ) -> Candidate:
     """Fit a structure repeatedly, with weights from the residuals, until the deviance stops falling.
 
-    Args:
-        problem: Model and records.
-        structure: The structure.
-        x: Start values (parameters,), transformed.
-        least: Smallest noise (channels,).
-        fit: A fit whose initial states, offsets and residuals are the start.
-        rounds: Largest number of fits.
-        iterations: Largest number of Gauss-Newton steps of a fit.
-        noise: White noise of the weights (channels,); that of the first fit by default.
+    `least`: Smallest noise (channels,).
+    `fit`: A fit whose initial states, offsets and residuals are the start.
+    `noise`: White noise of the weights (channels,); that of the first fit by default.
     """
     initial = offset = None
     if fit is not None:
@@ -186,10 +176,8 @@ def same_effects(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bo
 def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[Candidate]:
     """Move the simplest candidate that fits as well as the best candidate to the front: special cases, and laws whose values agree with the name.
 
-    Args:
-        ranked: Candidates, smallest deviance first.
-        chance: Deviance (2 log L) that a law with more parameters gains by chance.
-        sure: Chance gain of a law with values that contradict its name.
+    `chance`: Deviance (2 log L) that a law with more parameters gains by chance.
+    `sure`: Chance gain of a law with values that contradict its name.
     """
     seen: list[Candidate] = []
     while ranked and ranked[0] not in seen:

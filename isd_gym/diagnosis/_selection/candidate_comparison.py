@@ -57,11 +57,7 @@ class CandidateComparison:
         return self.path[-1]
 
     def score(self, candidate: Candidate) -> HeldOutScore:
-        """Return the score of a candidate.
-
-        Raises:
-            InputError, LinAlgError: The simulation of the held-out records breaks down.
-        """
+        """Return the score of a candidate."""
         if id(candidate) not in self._scores:
             found = self.evaluator.score(candidate, self.filters, self._similar)
             self._scores[id(candidate)] = candidate, found
@@ -96,9 +92,7 @@ class CandidateComparison:
     def explained(self, candidate: Candidate, envelope: Array) -> float:
         """Return the share of the refitted model's excess error that a candidate removes, in all and in the channel with the widest gap.
 
-        Args:
-            candidate: The candidate.
-            envelope: Excess error of unmodelled effects (channels,): the measure of a wide gap, since friction lets some channels drift.
+        `envelope`: Excess error of unmodelled effects (channels,): the measure of a wide gap, since friction lets some channels drift.
         """
         refit, after = self.score(self.refitted), self.score(candidate)
         before, left = refit.excess(self.noise) ** 2, after.excess(self.noise) ** 2

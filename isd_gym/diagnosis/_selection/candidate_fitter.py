@@ -74,11 +74,8 @@ class CandidateFitter:
     ) -> Candidate | None:
         """Fit a structure from the result of a fit to brief segments.
 
-        Args:
-            structure: The structure.
-            x: Start values (parameters,), transformed.
-            similar: A candidate whose residuals give the weights of the fit to segments.
-            noise: White noise (channels,) of the weights.
+        `similar`: A candidate whose residuals give the weights of the fit to segments.
+        `noise`: White noise (channels,) of the weights.
 
         Returns:
             The candidate; None where the motion is strongly damped, or the fit breaks down.
@@ -102,10 +99,8 @@ class CandidateFitter:
     def refit(self, structure: Structure, similar: Candidate, worst: float = math.inf) -> Candidate | None:
         """Fit a simpler or equivalent structure from the values of a fitted candidate.
 
-        Args:
-            structure: The structure with start values of its effects.
-            similar: The candidate, whose parameters of the nominal model are the first start; the nominal values are the second.
-            worst: Largest error of a fit on few samples, as a multiple of the candidate's (in power).
+        `similar`: The candidate, whose parameters of the nominal model are the first start; the nominal values are the second.
+        `worst`: Largest error of a fit on few samples, as a multiple of the candidate's (in power).
 
         Returns:
             The best fit; None where every fit breaks down, or the error is larger than `worst` allows.

@@ -87,10 +87,7 @@ def log_density(squares: Array, weight: float, floor: Array) -> float:
 def block_edges(measured: Array, blocks: int, least: int) -> Array:
     """Return edges of blocks of equal signal energy: in a free decay, blocks of equal length would be empty but for the first.
 
-    Args:
-        measured: samples of the measured channels (samples, channels), in any unit.
-        blocks: number of blocks.
-        least: samples per block, at least.
+    `measured`: samples of the measured channels (samples, channels), in any unit.
 
     Returns:
         Indices (edges,), from 0 to the number of samples.

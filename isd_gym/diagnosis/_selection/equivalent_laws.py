@@ -41,7 +41,7 @@ def equivalent_structures(
 ) -> Iterator[Structure]:
     """Replace each law of a candidate by other laws with nearly the same force, and by itself at places that move alike.
 
-    Yields:
+    Returns:
         Structures with one law replaced, best match first for each law.
     """
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
@@ -96,7 +96,7 @@ def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structu
 
     The links of a chain without masses carry the same force, so that two series laws on it may imitate one at a third link.
 
-    Yields:
+    Returns:
         Structures with a single law for each group; laws over one plane in the order of their match.
     """
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
@@ -229,13 +229,8 @@ def _match_laws(
 ) -> list[Effect]:
     """Match laws to the total force of found elements over one plane.
 
-    Args:
-        problem: Model and records.
-        laws: Laws to be matched.
-        found: Elements at the same place over the same plane.
-        motion: Motion of the elements' terminals.
-        force_at: Function from a place to the typical force [N] at the place.
-        absorbing: Laws beside the elements, whose coefficients may take up a part of the difference.
+    `force_at`: Function from a place to the typical force [N] at the place.
+    `absorbing`: Laws beside the elements, whose coefficients may take up a part of the difference.
 
     Returns:
         At most `MAX_MATCHES` laws with an error below `NEAR`, and the parameter values, best first.

@@ -66,12 +66,7 @@ class Search:
     def run(
         self, refitted: Candidate, is_decided: Callable[[CandidateComparison], bool]
     ) -> CandidateComparison:
-        """Search from the refitted nominal model.
-
-        Args:
-            refitted: The refitted nominal model.
-            is_decided: Whether a comparison needs no further start.
-        """
+        """Search from the refitted nominal model."""
         return self.try_runners_up(self.select(*self.add_effects([refitted])), is_decided)
 
     # -- forward addition ---------------------------------------------------------------------------------
@@ -83,13 +78,7 @@ class Search:
     ) -> tuple[list[Candidate], list[list[Candidate]]]:
         """Add one effect at a time.
 
-        Args:
-            path: Candidates with one more effect each; the first is the refitted nominal model.
-            stages: Candidates of the stages of the path.
-            is_promising: Whether effects are added to a candidate.
-
-        Returns:
-            The path and its stages after the additions.
+        `path`: Candidates with one more effect each; the first is the refitted nominal model.
         """
         path, stages = list(path), list(stages)
         try:
@@ -185,10 +174,6 @@ class Search:
         """Select the effects of a path that pass the tests, and the simplest law for each.
 
         An effect that was not compared with its rivals before the time was up is not selected.
-
-        Args:
-            path: Candidates with one more effect each.
-            stages: Candidates of each stage.
         """
         try:
             with self.clock.until(SELECTION):
@@ -290,15 +275,7 @@ class Search:
     def try_runners_up(
         self, scores: CandidateComparison, is_decided: Callable[[CandidateComparison], bool]
     ) -> CandidateComparison:
-        """Search again from the other candidates of the first stage that predict best, where the first search decides nothing.
-
-        Args:
-            scores: Comparison of the first search.
-            is_decided: Whether a comparison needs no further start.
-
-        Returns:
-            The comparison whose chosen candidate predicts best.
-        """
+        """Search again from the other candidates of the first stage that predict best, where the first search decides nothing."""
         if is_decided(scores) or not scores.stages:
             return scores
         first = scores.stages[0][0]

@@ -79,7 +79,7 @@ class Table(Structure):
         """The network with its own free parameters alone."""
         return Structure(self.network, self.free[: len(self.free) - self.basis.shape[1]])
 
-    def at(self, x: Array) -> Network:
+    def _network(self, x: Array) -> Network:
         own = self.own
         force = self.basis @ x[len(own.free) :]
         return own.at(x[: len(own.free)]).with_table(self.element, force.reshape(self.shape).tolist())
@@ -118,13 +118,8 @@ def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -
 def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: float, sigma: float) -> Table:
     """Return the refitted nominal model with a table between two nodes.
 
-    Args:
-        fit: Fit of the nominal model.
-        pair: The two nodes.
-        over: Argument of the force.
-        m: Motion of the pair.
-        length: Correlation length, as a share of half the range of the motion.
-        sigma: Prior standard deviation of the force [N].
+    `length`: Correlation length, as a share of half the range of the motion.
+    `sigma`: Prior standard deviation of the force [N].
     """
     network, base = fit.network, fit.structure
     motion = {"elongation": m.d, "rate": m.v}
@@ -207,11 +202,8 @@ def fit_free_force(
 ) -> FreeForce:
     """Fit tables of a force between two nodes and return the table that explains the held-out records best.
 
-    Args:
-        evaluator: Scores on the held-out records.
-        base: The refitted nominal model.
-        gates: Function from the explained fraction, the error reduction, the standard errors of the gain and the explained fraction of the
-            test records to the gates of a table.
+    `gates`: Function from the explained fraction, the error reduction, the standard errors of the gain and the explained fraction of the
+    test records to the gates of a table.
     """
     problem, floors = evaluator.problem, evaluator.least_noise
     forces = place_forces(problem, base.fit)
@@ -250,11 +242,7 @@ def fit_in_place_of(
 ) -> Candidate | None:
     """Fit a table in the place of a named effect.
 
-    Args:
-        evaluator: Scores on the held-out records.
-        base: The refitted nominal model.
-        named: The effect.
-        over: Arguments of the force; those of the effect's law by default.
+    `over`: Arguments of the force; those of the effect's law by default.
 
     Returns:
         The refitted nominal model with the table; None where the effect is no force over elongation or rate.
@@ -439,11 +427,8 @@ def _misfit(
 ) -> Callable[[dict[str, float]], Array]:
     """Return the function from a law's values to its difference from a force.
 
-    Args:
-        kind: Class of the law.
-        at: Place, options and motion of the law.
-        target: The force [N] (samples,).
-        size: Root mean square of the force [N].
+    `target`: The force [N] (samples,).
+    `size`: Root mean square of the force [N].
 
     Returns:
         Function to the relative difference (samples,), which is large for values that contradict the law's name.

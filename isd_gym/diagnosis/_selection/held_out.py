@@ -94,10 +94,7 @@ class HeldOutScore:
         The whitened error counts, or the plain error where the plain error falls by more. Where the other score is no more than noise, the
         share is relative to a hundredth of the noise.
 
-        Args:
-            before: The other score, whitened by the same filters.
-            noise: Noise of the test records (channels,), as a share of a channel's deviation.
-            noise_score: Mean whitened square of pure noise.
+        `noise`: Noise of the test records (channels,), as a share of a channel's deviation.
         """
         whitened = before.test_mean_square - self.test_mean_square
         whitened /= max(before.test_mean_square - noise_score, 0.01 * noise_score)
@@ -183,17 +180,7 @@ class HeldOutEvaluator:
     ) -> HeldOutScore:
         """Score a candidate: parameters as fitted, initial states and offsets from each held-out record.
 
-        Args:
-            candidate: The candidate.
-            filters: Filters that whiten the residuals.
-            similar: Scores of other candidates, whose initial states are starting points beside the candidate's own guesses.
-
-        Returns:
-            The score, a function of the arguments alone.
-
-        Raises:
-            InputError, LinAlgError: The simulation breaks down on a held-out record, or on a whole record of the user that the nominal
-                model simulates.
+        `similar`: Scores of other candidates, whose initial states are starting points beside the candidate's own guesses.
         """
         p, fit = self.problem, candidate.fit
         nearest = self._nearest_states(similar, fit.structure)
@@ -229,11 +216,7 @@ class HeldOutEvaluator:
         return [i for i in range(len(self.whole.records)) if i not in broken]
 
     def first_states(self, *fits: Fit) -> dict[int, Array]:
-        """Return the initial states of whole records, from fits of the records that begin with them.
-
-        Args:
-            fits: Fits of one structure, over records of the problem.
-        """
+        """Return the initial states of whole records, from fits of the records that begin with them."""
         out: dict[int, Array] = {}
         pieces = [(self.problem.records[j], f.initial[j]) for f in fits for j in f.initial]
         for i, record in enumerate(self.whole.records if self.whole else []):
@@ -383,10 +366,7 @@ class HeldOutEvaluator:
 
         Where a coordinate drifts, or has many positions of rest, a small force may cause a large error.
 
-        Args:
-            candidate: The candidate.
-            size: Force of an unmodelled effect, as a share of the typical force.
-            least: Smallest envelope.
+        `size`: Force of an unmodelled effect, as a share of the typical force.
         """
         if id(candidate) not in self._envelopes:
             p = self.problem

@@ -170,11 +170,8 @@ class InclusionTests:
     ) -> bool:
         """Return whether an effect of a candidate, or a parameter of a law, is needed.
 
-        Args:
-            scores: Scores of the candidates.
-            chosen: The candidate.
-            without: The candidate without the effect, or with a special case of its law.
-            effect: Index of the effect; None for a special case.
+        `without`: The candidate without the effect, or with a special case of its law.
+        `effect`: Index of the effect; None for a special case.
         """
         if effect is None:
             return self.is_worth_more_parameters(scores, chosen, without)

@@ -87,9 +87,7 @@ class _Stretches:
 def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
     """Cut whole records into stretches of equal length; return None where fewer than two records are long enough.
 
-    Args:
-        whole: Whole records.
-        lead: Simulated time before a stretch, without comparison [s].
+    `lead`: Simulated time before a stretch, without comparison [s].
     """
     loose = whole.loose
     pieces: list[Record] = []
@@ -179,30 +177,17 @@ class RecordComparison:
         return (joint - self.mean(squares)) / max(joint - noise, 1e-12)
 
     def fit_with_own(self, names: Sequence[int]) -> RecordwiseFit:
-        """Fit with one value per record of some parameters.
-
-        Args:
-            names: Indices of the parameters.
-        """
+        """Fit with one value per record of some parameters."""
         own = np.zeros(len(self.structure.free), bool)
         own[list(names)] = True
         return self._fit(self.fitter, self.structure, self.joint.x[0], own)
 
     def squares_of_law(self, structure: Structure, x: Array) -> Array:
-        """Return the squared errors (channels,) of a model with more effects, with one value for all records.
-
-        Args:
-            structure: The model.
-            x: Start values (parameters,), transformed.
-        """
+        """Return the squared errors (channels,) of a model with more effects, with one value for all records."""
         return self.squares(self._fit(self.fitter, structure, x))
 
     def expected_gains(self, size: int) -> list[tuple[float, tuple[int, ...]]]:
-        """Return sets of parameters with their gain of one value per record, to first order, largest gain first.
-
-        Args:
-            size: Number of parameters of a set.
-        """
+        """Return sets of parameters with their gain of one value per record, to first order, largest gain first."""
         joint = self.joint
         H = [np.sum(list(self.fitter.information(s).values()), axis=0) for s in joint.slopes]
         g = [
@@ -229,10 +214,6 @@ class RecordComparison:
 
     def estimates(self, fit: RecordwiseFit, name: int) -> tuple[Array, Array, Array]:
         """Return the value of a parameter in each record, its deviation and degrees of freedom, from all stretches.
-
-        Args:
-            fit: A fit with one value per record of the parameter.
-            name: Index of the parameter.
 
         Returns:
             Values, transformed (records,), deviations (records,), degrees of freedom (records,).
@@ -262,13 +243,7 @@ class RecordComparison:
 
 
 def is_different(a: tuple[float, float, float], b: tuple[float, float, float], chance: float) -> bool:
-    """Return whether two values differ (Welch's t-test, two-sided).
-
-    Args:
-        a: Value, deviation and degrees of freedom.
-        b: The same of the other value.
-        chance: Probability of a difference by chance.
-    """
+    """Return whether two values differ (Welch's t-test, two-sided)."""
     square = a[1] ** 2 + b[1] ** 2
     freedom = square**2 / (a[1] ** 4 / a[2] + b[1] ** 4 / b[2])
     return bool(abs(a[0] - b[0]) > student.ppf(1.0 - 0.5 * chance, freedom) * np.sqrt(square))
@@ -309,13 +284,9 @@ def find_record_differences(
 ) -> RecordDifferences | None:
     """Find the parameters that differ between records.
 
-    Args:
-        whole: Whole records.
-        structure: The refitted model.
-        x: Its parameters (parameters,), transformed.
-        noise: Noise of each channel (channels,).
-        laws: Models with effects that explain the records best: name, structure and parameters.
-        lead: Simulated time before a stretch, without comparison [s].
+    `noise`: Noise of each channel (channels,).
+    `laws`: Models with effects that explain the records best: name, structure and parameters.
+    `lead`: Simulated time before a stretch, without comparison [s].
 
     Returns:
         The parameters with their values per record. None where the records are too short or do not differ, and where a law explains the

@@ -116,13 +116,7 @@ def _inverse(matrix: Array) -> Array:
 def intervals(
     evaluator: HeldOutEvaluator, candidate: Candidate, known: Array | None = None
 ) -> dict[str, Quantity]:
-    """Return every free parameter with its 95 % interval, by path; no interval is wider than the stated uncertainty.
-
-    Args:
-        evaluator: Records and responses to unmodelled effects.
-        candidate: The candidate.
-        known: The covariance, where it is known already.
-    """
+    """Return every free parameter with its 95 % interval, by path; no interval is wider than the stated uncertainty."""
     problem, f = evaluator.problem, candidate.fit
     matrix = covariance(evaluator, candidate) if known is None else known
     out: dict[str, Quantity] = {}
@@ -141,10 +135,6 @@ def with_posterior(network: Network, quantities: Mapping[str, Quantity]) -> Netw
 
     The uncertainty of a parameter is its relative standard deviation, as `base_structure` reads it: of the logarithm for a positive
     value, of the value for a negative one. Parameters without an interval keep their uncertainty.
-
-    Args:
-        network: The fitted model.
-        quantities: Fitted parameters with their intervals, by path.
     """
     own, found = network.parameters, {}
     for path, q in quantities.items():
@@ -172,13 +162,6 @@ def differing_part(
 ) -> Quantity | None:
     """Return the difference of two parameters of a law whose common part could be a parameter of the model.
 
-    Args:
-        network: The nominal model.
-        structure: Structure with the law.
-        x: Free parameters, transformed (parameters,).
-        element: The law.
-        matrix: Covariance of the free parameters.
-
     Returns:
         The difference with its interval; None for a law without two such parameters.
     """
@@ -205,10 +188,7 @@ def relative_uncertainty(
     Of several parameters with the same unit the largest counts: an asymmetric damper may be soft in one direction. The parameter that shapes a
     law (`shaped_by`) does not count beside others: without a certain shape the law is close to a simpler one, with which it is compared.
 
-    Args:
-        element: The law.
-        quantities: Parameters with intervals, by path.
-        difference: Difference of two parameters that counts in their place (`differing_part`).
+    `difference`: Difference of two parameters that counts in their place (`differing_part`).
     """
     by_unit: dict[str, tuple[float, float]] = {}
     # a phase has no size

@@ -38,10 +38,7 @@ FREE_FORCE = "free_force"
 def pseudo_bma_weights(lpd: Array, seed: int = 0, draws: int = DRAWS) -> Array:
     """Return pseudo-BMA+ weights.
 
-    Args:
-        lpd: Log predictive density of each candidate and block (candidates, blocks) [nats].
-        seed: Seed of the Bayesian bootstrap.
-        draws: Number of bootstrap draws.
+    `lpd`: Log predictive density of each candidate and block (candidates, blocks) [nats].
 
     Returns:
         Weights (candidates,), which add up to one.
@@ -85,13 +82,8 @@ def place_of(search: Search, h: Hypothesis) -> tuple[str, ...]:
 def statements_of(search: Search, candidate: Candidate, best: Candidate) -> frozenset[Statement]:
     """Return the statements of a candidate.
 
-    Args:
-        search: The search.
-        candidate: The candidate; a table states a free force at its place.
-        best: The foremost candidate. A candidate with equivalent effects gets the statements of the foremost candidate.
-
-    Returns:
-        One statement per effect.
+    `candidate`: The candidate; a table states a free force at its place.
+    `best`: The foremost candidate. A candidate with equivalent effects gets the statements of the foremost candidate.
     """
     structure = candidate.fit.structure
     if isinstance(structure, Table):
@@ -119,15 +111,6 @@ def weigh_candidates(
     A candidate takes part if its values agree with its names. A candidate with more parameters than the foremost one takes part only
     if it predicts better by more than the envelope of unmodelled effects. A candidate whose further effects close a gap within this
     envelope makes no statement.
-
-    Args:
-        search: The search.
-        scores: Scores of the candidates.
-        extra: Further candidates, such as tables of a free force.
-        seed: Seed of the Bayesian bootstrap.
-
-    Returns:
-        Candidates with weights, largest weight first.
     """
     best = scores.foremost
     taking_part: list[Candidate] = [scores.refitted]
@@ -159,12 +142,7 @@ def weigh_candidates(
 
 
 def probability(candidates: Sequence[WeightedCandidate], **wanted: object) -> float:
-    """Return the sum of the weights of the candidates with a statement whose fields have the wanted values.
-
-    Args:
-        candidates: Weighted candidates.
-        **wanted: Fields of `Statement`.
-    """
+    """Return the sum of the weights of the candidates with a statement whose fields have the wanted values."""
     return float(
         sum(
             c.weight
@@ -175,12 +153,7 @@ def probability(candidates: Sequence[WeightedCandidate], **wanted: object) -> fl
 
 
 def weight_of_all(candidates: Sequence[WeightedCandidate], best: Candidate) -> float:
-    """Return the sum of the weights of the candidates that state all that the foremost candidate states.
-
-    Args:
-        candidates: Weighted candidates, the foremost one among them.
-        best: The foremost candidate.
-    """
+    """Return the sum of the weights of the candidates that state all that the foremost candidate states."""
     own = next(c.statements for c in candidates if c.candidate is best)
     return float(sum(c.weight for c in candidates if c.statements >= own))
 

@@ -7,6 +7,8 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from ..._common.arrays import Array
 
 
@@ -24,6 +26,16 @@ class SimulationCache:
             if found is not None:
                 self._kept.move_to_end(key)
             return found[1] if found else None
+
+    def made(
+        self, key: tuple[object, ...], of: object, make: Callable[[], tuple[Array, ...]]
+    ) -> tuple[Array, ...]:
+        """Return the values of a key, made and stored if they are not there."""
+        known = self.get(key)
+        if known is None:
+            known = make()
+            self.put(key, of, known)
+        return known
 
     def put(self, key: tuple[object, ...], of: object, values: tuple[Array, ...]) -> None:
         """Store values. `of` is the object whose identity is part of the key; the cache keeps `of` alive."""

@@ -23,12 +23,8 @@ def interpolated(values: Array, every: int, step: float, *, held: bool, sparse: 
     A spline is used if the samples are `sparse`, or if noise and jumps do not dominate its slope. A straight line between the samples of a
     smooth force reduces its amplitude by a twelfth of the squared angle between samples: 0.4 % at 30 samples per period.
 
-    Args:
-        values: Samples (n,).
-        every: Ratio of the rates.
-        step: Sampling step [s].
-        held: Whether each value is held until the next.
-        sparse: Whether samples are so sparse that straight lines lose much of the amplitude.
+    `values`: Samples (n,).
+    `sparse`: Whether samples are so sparse that straight lines lose much of the amplitude.
     """
     if held or every == 1 or not (sparse or is_smooth(values, step)):
         return upsample(values, every, hold=held)
@@ -49,12 +45,7 @@ def splined_input(
     Derivatives of a linear interpolation would jump at each sample, so the derivatives are those of a cubic spline. If noise dominates
     the derivatives of the spline, the derivatives are differences between samples, which attenuate high frequencies.
 
-    Args:
-        values: Samples (n,).
-        slopes: First and second derivative at the samples, if known.
-        step: Sampling step [s].
-        every: Ratio of the rates.
-        sparse: As for `interpolated`.
+    `values`: Samples (n,).
     """
     if slopes is None:
         slopes = differences(values, step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,9 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...physics.network import Assembly
 
+#: matrices that are kept
+LATEST = 200
+
 
 def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = None) -> Array:
     """Return displacement, and velocity times `time` [s], of nodes as rows over the states."""
@@ -21,6 +25,7 @@ def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = Non
     return np.vstack([asm.position[pick, x], time * asm.velocity[pick, x]])
 
 
+@lru_cache(maxsize=LATEST)
 def transfer_matrix(source: Assembly, target: Assembly, time: float) -> Array:
     """Return the matrix from initial states of `source` to those of `target`, with equal motion of common nodes."""
     moved = source.network.moved_nodes

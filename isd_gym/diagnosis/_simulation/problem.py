@@ -94,6 +94,12 @@ class Record:
         """Time scale of the motion [s]: the inverse of the circular frequency that halves the power of the outputs."""
         return min(pace(self.measured[:, j], self.interval) for j in range(self.measured.shape[1]))
 
+    def with_inputs(self, inputs: Mapping[str, Array]) -> Record:
+        """Return the record with other inputs, and the same time scale."""
+        out = replace(self, inputs=inputs)
+        out.__dict__["pace"] = self.pace
+        return out
+
     @property
     def filtered(self) -> bool:
         """Whether the compared outputs are low-pass filtered."""
@@ -178,9 +184,7 @@ def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
 def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array:
     """Compute the root of the mean variance within groups of series.
 
-    Args:
-        series: Signals (samples, channels).
-        groups: Name of the group of each series.
+    `series`: Signals (samples, channels).
 
     Returns:
         Deviation (channels,) about the means of the groups, at least 1e-300.
@@ -327,8 +331,13 @@ class Problem:
 
     def watching(self, network: Network) -> Problem:
         """Return the problem with the outputs of another network, at every sample of the inputs."""
-        raw = [r.unread() for r in self.records]
-        return Problem(network, raw, self.roles, self.step, self.time)
+        out = Problem(network, self._unread, self.roles, self.step, self.time)
+        out.memory = self.memory  # inputs between samples
+        return out
+
+    @cached_property
+    def _unread(self) -> list[Record]:
+        return [r.unread() for r in self.records]
 
     @property
     def free_offset(self) -> NDArray[np.bool_]:
@@ -360,9 +369,7 @@ class Problem:
     def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
         """Return the nuisances of a record at the start of a fit.
 
-        Args:
-            index: Index of the record.
-            shared: Known offsets (channels,) of the sensors that all records share.
+        `shared`: Known offsets (channels,) of the sensors that all records share.
 
         Returns:
             Offsets (channels,) and further lags (clocks,): zero but for `shared`.
@@ -465,16 +472,16 @@ class Problem:
                 return columns[0]
             return np.repeat(np.stack(columns, axis=1), wide, axis=1)
 
-        curves = {name: [self._bent(i, name, every) for i in members] for name in plant.differentiated}
+        curves = {
+            name: [self._bent(r, name, every, sparse) for r in records] for name in plant.differentiated
+        }
         inputs: dict[str, Array] = {}
         for c in first.inputs:
             held = c.quantity in HELD
             if c.name in curves:
                 fine = [curve[0] for curve in curves[c.name]]
             else:
-                fine = [
-                    interpolated(r.inputs[c.name], every, r.step, held=held, sparse=sparse) for r in records
-                ]
+                fine = [self._fine(r, c.name, every, held, sparse) for r in records]
             if motored and c.quantity == "current":
                 made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
                 inputs[c.name] = np.concatenate(made, axis=1)
@@ -502,14 +509,22 @@ class Problem:
             for r, (i, y) in zip(records, found.items(), strict=True)
         }
 
-    def _bent(self, index: int, name: str, every: int) -> tuple[Array, ...]:
-        key = ("input", index, name, every)
-        known = self.memory.get(key)
-        if known is None:
-            r = self.records[index]
-            known = splined_input(r.inputs[name], r.slopes.get(name), r.step, every, sparse=self._sparse(r))
-            self.memory.put(key, r, known)
-        return known
+    def _bent(self, record: Record, name: str, every: int, sparse: bool) -> tuple[Array, ...]:
+        """Return an input that is differentiated at the physics steps, with its derivatives."""
+        given, slopes = record.inputs[name], record.slopes.get(name)
+        return self.memory.made(
+            ("bent", id(given), id(slopes), record.step, every, sparse),
+            (given, slopes),
+            lambda: splined_input(given, slopes, record.step, every, sparse=sparse),
+        )
+
+    def _fine(self, record: Record, name: str, every: int, held: bool, sparse: bool) -> Array:
+        """Return an input at the physics steps."""
+        given = record.inputs[name]
+        key = ("fine", id(given), record.step, every, held, sparse)
+        return self.memory.made(
+            key, given, lambda: (interpolated(given, every, record.step, held=held, sparse=sparse),)
+        )[0]
 
     def _start(self, plant: Plant, initial: Array | None, like: Network | None) -> Array:
         lanes = len(plant.networks)

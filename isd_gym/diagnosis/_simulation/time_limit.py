@@ -57,24 +57,13 @@ class TimeLimit:
         return self._limit is not None and self.seconds > share * self._limit
 
     def leave_out(self, what: str) -> None:
-        """Note a part of the work that is left out.
-
-        Args:
-            what: The part, as an object of "not tried:".
-        """
+        """Note a part of the work that is left out."""
         if what not in self.left_out:
             self.left_out.append(what)
 
     @contextmanager
     def until(self, share: float) -> Iterator[None]:
-        """Let simulations within the block raise `TimeUp` after a share of the time; an earlier end of an outer block stays.
-
-        Args:
-            share: Share of the limit, from the start.
-
-        Yields:
-            Nothing.
-        """
+        """Let simulations within the block raise `TimeUp` after a share of the time; an earlier end of an outer block stays."""
         before = self._deadline
         if self._limit is not None:
             own = share * self._limit
@@ -108,9 +97,5 @@ def running() -> TimeLimit | None:
 
 
 def adopt(limit: TimeLimit | None) -> None:
-    """Make a limit that of the running thread.
-
-    Args:
-        limit: Result of `running` in the parent thread.
-    """
+    """Make a limit that of the running thread."""
     _RUNNING.set(limit)

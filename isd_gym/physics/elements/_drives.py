@@ -194,11 +194,7 @@ class QuadraticThrust(_Drive):
 
 
 def has_levels(samples: Array) -> bool:
-    """Return whether the magnitudes of a command differ; for a single magnitude every static law is only another constant.
-
-    Args:
-        samples: Commands (n,) [A].
-    """
+    """Return whether the magnitudes of a command (n,) differ; for a single magnitude every static law is only another constant."""
     size = np.abs(samples)
     sizes = size[size > 0.05 * size.max(initial=0.0)]
     return bool(len(sizes) and sizes.std() > 0.1 * sizes.mean())

@@ -70,14 +70,7 @@ class StribeckFriction(Element):
     stribeck_velocity: float = parameter("m/s", 1e-3, 0.2, open_end=True)
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples below or above the Stribeck velocity, whichever is smaller.
-
-        Args:
-            motion: Motion of the terminals.
-
-        Returns:
-            Share from 0 to 1.
-        """
+        """Return the share of the samples below or above the Stribeck velocity, whichever is smaller."""
         below = float(np.mean(np.abs(motion.v) < self.stribeck_velocity))
         return min(below, 1.0 - below)
 

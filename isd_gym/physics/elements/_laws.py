@@ -254,11 +254,7 @@ class DegressiveDamping(Element):
         return {"level": slope * rate} if simple == "coulomb_friction" else {"damping": slope}
 
     def differs_from_limit(self, motion: Motion) -> bool:
-        """Return whether the knee is within the rates of the motion; for a much smaller knee the law is dry friction.
-
-        Args:
-            motion: Motion of the terminals.
-        """
+        """Return whether the knee is within the rates of the motion; for a much smaller knee the law is dry friction."""
         return self.knee > DRY * rms(motion.v)
 
 
@@ -382,14 +378,7 @@ class BumpStop(Element):
         return self.clearance
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples in contact.
-
-        Args:
-            motion: Motion of the terminals.
-
-        Returns:
-            Share from 0 to 1.
-        """
+        """Return the share of the samples in contact."""
         upper, lower, *_ = self.contact()
         return float(np.mean((motion.d > upper) | (motion.d < lower)))
 
@@ -478,24 +467,12 @@ class Hysteresis(Element):
         ]
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples beyond the slip displacement; below, the law is a spring.
-
-        Args:
-            motion: Motion of the terminals.
-
-        Returns:
-            Share from 0 to 1.
-        """
+        """Return the share of the samples beyond the slip displacement; below, the law is a spring."""
         slip = self.level / max(self.stiffness, 1e-300)
         return float(np.mean(np.abs(motion.d - np.median(motion.d)) > slip))
 
     def differs_from_limit(self, motion: Motion) -> bool:
-        """Return whether the motion clearly exceeds the slip displacement; for smaller motions the law is a
-        spring with rounded corners.
-
-        Args:
-            motion: Motion of the terminals.
-        """
+        """Return whether the motion clearly exceeds the slip displacement; for smaller motions the law is a spring with rounded corners."""
         return self.support(motion) >= SLIPPING
 
     def curve(self, axis: Array) -> Array:

@@ -70,15 +70,7 @@ class LoadDependentFriction(Element):
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
-        """Return the loads: springs, constant forces and weights that end at a node of the place, and a motor at the place.
-
-        Args:
-            network: The model.
-            where: Two nodes.
-
-        Returns:
-            The element whose force is the load, for each hypothesis.
-        """
+        """Return the loads: springs, constant forces and weights that end at a node of the place, and a motor at the place."""
         here, turns = set(where) - {GROUND}, bool(set(where) & set(network.rotating))
         loads = []
         for e in network.elements:

@@ -153,11 +153,7 @@ class SensorDeadZone(_ZeroSensor):
 
 
 def rests_at_zero(samples: Array) -> bool:
-    """Return whether a signal is near zero much more often than near the values beside zero.
-
-    Args:
-        samples: Signal (n,).
-    """
+    """Return whether a signal (n,) is near zero much more often than near the values beside zero."""
     size = np.abs(samples)
     near = 0.02 * float(np.quantile(size, 0.999))
     at_zero, beside = np.mean(size < near), np.mean((size >= near) & (size < 4.0 * near)) / 3.0

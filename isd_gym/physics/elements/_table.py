@@ -131,15 +131,7 @@ class TabulatedForce(Element):
         return "both" if self.elongation and self.rate else "rate" if self.rate else "elongation"
 
     def at(self, d: Array, v: Array) -> Array:
-        """Return the force at given elongations and rates.
-
-        Args:
-            d: Elongations (n,) [m].
-            v: Rates (n,) [m/s].
-
-        Returns:
-            Force (n,) [N].
-        """
+        """Return the force (n,) [N] at elongations (n,) [m] and rates (n,) [m/s]."""
         p = np.array(self.law_parameters())
         return np.array([_tabulated(p, x, s, 0.0, 0.0, 0.0)[0] for x, s in zip(d, v, strict=True)])
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from ._coordinates import Coordinates
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Assembly:
     """Equations of motion of a network; the force f of every law is an input of the linear part.
 

@@ -42,19 +42,11 @@ class Coordinates:
         return {n: i for i, n in enumerate(self.free + self.moved)}
 
     def row(self, node: str) -> np.ndarray:
-        """Return the motion of a node as a row over the coordinates.
-
-        Returns:
-            Row (coordinates,); zeros for the ground.
-        """
+        """Return the motion of a node as a row (coordinates,); zeros for the ground."""
         return self.incidence((node, GROUND))
 
     def incidence(self, pair: tuple[str, str]) -> np.ndarray:
-        """Return the distance between two nodes, first minus second, as a row over the coordinates.
-
-        Returns:
-            Row (coordinates,).
-        """
+        """Return the distance between two nodes, first minus second, as a row (coordinates,)."""
         row = np.zeros(self.count)
         for node, sign in zip(pair, (1.0, -1.0), strict=True):
             if node in self.index:
@@ -64,14 +56,7 @@ class Coordinates:
         return row
 
     def of_nodes(self, rows: np.ndarray) -> np.ndarray:
-        """Return rows of all nodes from rows of the coordinates.
-
-        Args:
-            rows: Rows (coordinates, n).
-
-        Returns:
-            Rows (nodes, n).
-        """
+        """Return rows (nodes, n) of all nodes from rows (coordinates, n)."""
         if not self.dependent:
             return rows
         return np.array([self.row(n) for n in self.nodes]) @ rows

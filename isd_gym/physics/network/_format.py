@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import fields
@@ -12,7 +11,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any, cast
 
 from ..._common.errors import InputError, shown
-from ..._common.inputs import parse_json, read_bytes
+from ..._common.inputs import is_number, parse_json, read_bytes
 from ..._common.units import QUANTITIES, TURNING, si_of
 from .. import elements as el
 from ._bodies import AXES, LEVER_UNITS, Body, Lever, angle_node, body_of
@@ -115,11 +114,7 @@ def from_dict(data: Any) -> Network:
 
 
 def to_dict(network: Network) -> dict[str, Any]:
-    """Return the JSON object of a model.
-
-    Returns:
-        Plain data (`isd-model/1`).
-    """
+    """Return the JSON object of a model (`isd-model/1`)."""
     out: dict[str, Any] = {"schema": SCHEMA, "name": network.name}
     if network.description:
         out["description"] = network.description
@@ -240,13 +235,7 @@ def read_element(data: Any, index: int) -> el.Element:
 
 
 def read_channel(data: Any, kind: str, index: int) -> Channel:
-    """Return an input or output of a model file.
-
-    Args:
-        data: Entry of the channel.
-        kind: 'inputs' or 'outputs'.
-        index: Index of the entry, for messages.
-    """
+    """Return an input or output of a model file; kind ('inputs' or 'outputs') and index of the entry are for messages."""
     name = _name_of(data, kind, index)
     where = f"{kind[:-1]} '{name}'"
     _check_keys(
@@ -280,9 +269,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         hint = f' (that is the unit of "quantity": "{other}")' if other else ""
         raise InputError(f"{where}: unit '{data['unit']}' cannot be converted to '{si}'{hint}")
     noise = data.get("noise")
-    if noise is not None and (
-        isinstance(noise, bool) or not isinstance(noise, int | float) or not 0 < noise < math.inf
-    ):
+    if noise is not None and not (is_number(noise) and noise > 0):
         raise InputError(
             f'{where}: "noise" must be a positive RMS in the channel\'s unit, not {shown(noise)}'
         )

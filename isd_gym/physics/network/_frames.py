@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 
 def frames(network: Network) -> dict[str, int]:
-    """Return the free nodes that are described in the frame of a moved node.
-
-    Returns:
-        Index of the input in `Network.moving`, by free node.
-    """
+    """Return the free nodes that are described in the frame of a moved node, with the index of the input in `Network.moving`."""
     out: dict[str, int] = {}
     for j, c in enumerate(network.moving):
         if c.quantity == "displacement":
@@ -44,9 +40,8 @@ def frames(network: Network) -> dict[str, int]:
 def order_told(network: Network, pair: tuple[str, str]) -> int:
     """Return the lowest derivative of the distance between two nodes that the inputs determine.
 
-    Returns:
-        0 for a known distance; 1 for a known rate only (a node moved by its velocity, relative to the
-            ground); 2 for a known acceleration only.
+    0 for a known distance; 1 for a known rate only (a node moved by its velocity, relative to the ground); 2 for a
+    known acceleration only.
     """
     frame = frames(network)
     frame |= {str(c.at): j for j, c in enumerate(network.moving) if c.quantity != "displacement"}
@@ -57,11 +52,7 @@ def order_told(network: Network, pair: tuple[str, str]) -> int:
 
 
 def unknown(network: Network, spans: Mapping[str, slice]) -> list[tuple[int, str]]:
-    """Return the columns of the base vector that no input determines, with the quantity of each.
-
-    Returns:
-        Column and 'displacement' or 'velocity'.
-    """
+    """Return the columns of the base vector that no input determines, each with 'displacement' or 'velocity'."""
     told = [MOTIONS.index(c.quantity) for c in network.moving]
     places = [(spans["r"].start + j, "displacement") for j, order in enumerate(told) if order > 0]
     return places + [(spans["v"].start + j, "velocity") for j, order in enumerate(told) if order > 1]

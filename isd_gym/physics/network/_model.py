@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..._common.errors import InputError, harmless, hint, shown
-from ..._common.inputs import number
+from ..._common.inputs import is_number, number
 from ..._common.units import HELD, QUANTITIES, TURNING, UNITS, about_axis, si_of
 from .. import elements as el
 from ._bodies import LEVER_UNITS, MASSES, Body, Lever
@@ -339,7 +339,7 @@ class Network:
             if node == GROUND:
                 raise InputError("the ground has no mass: remove it from masses")
             low, high = MASSES
-            if isinstance(mass, bool) or not isinstance(mass, int | float) or not low <= mass <= high:
+            if not (is_number(mass) and low <= mass <= high):
                 raise InputError(
                     f"{'inertias' if node in self.turning else 'masses'}: '{node}' must be a positive number of "
                     f"{'kg m^2' if node in self.turning else 'kg'}, {low:g} to {high:g}, not {shown(mass)}"

@@ -17,11 +17,6 @@ class TooLarge(Exception):
 
 
 def bearable(size: float, limit: float) -> None:
-    """Check the memory that a file needs.
-
-    Args:
-        size: Memory [bytes].
-        limit: Largest memory [bytes].
-    """
+    """Check that a file needs at most `limit` bytes of memory."""
     if size > limit:
         raise TooLarge(int(size))

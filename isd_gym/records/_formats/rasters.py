@@ -23,12 +23,9 @@ def own_stamps(found):
 
 
 def joined(found, axis, resample):
-    """Return the channels on one raster: the time column, then a column per channel.
+    """Return the channels (stamps [s] and values by name) on one raster: the time column `axis`, then a column per channel.
 
-    Args:
-        found: Stamps [s] and values by channel.
-        axis: Name of the time column.
-        resample: Interpolate channels linearly to the finest raster.
+    With `resample`, channels are interpolated linearly to the finest raster.
     """
     import numpy as np
 

@@ -198,18 +198,9 @@ def runs(
 ) -> list[Recording]:
     """Return the records of one or several loggers' files, split at gaps in the time stamps.
 
-    A file with tables side by side, each with all wanted channels, holds several runs. Otherwise the files hold one.
-
-    Args:
-        text: The files, as `files_of` reads them.
-        network: The model.
-        wanted: Channels of the model that are needed.
-        by: Columns of the channels; None for columns with the names of the channels.
-        rename: Column -> channel.
-        units: Unit by channel or by column.
-        columns: Names for files without a header row, unless the map has names.
-        rate: Sampling rate of files without time stamps [Hz], unless the map has a rate.
-        signs: Factor 1 or -1 by channel or by column.
+    A file with tables side by side, each with all wanted channels, holds several runs. Otherwise the files hold one. Columns of
+    channels are those of the map `by`, or have the names of the channels, apart from `rename` (column -> channel). `units` and
+    `signs` are by channel or by column; `columns` and `rate` [Hz] serve files without a header row or time stamps.
     """
     files = files_of(text)
     loggers = by.loggers if by else ()
@@ -251,18 +242,7 @@ def _run(
     by: ChannelMap | None,
     named: _Named,
 ) -> list[Recording]:
-    """Return the pieces of one run, in order of time.
-
-    Args:
-        text: The files, for messages.
-        name: Name of the run.
-        files: Files of the loggers.
-        found: Rasters of each file.
-        network: The model.
-        wanted: Channels of the model that are needed.
-        by: Columns of the channels; None for columns with the names of the channels.
-        named: Columns of the channels where there is no map.
-    """
+    """Return the pieces of one run, in order of time, from the rasters `found` in each file."""
     loggers = by.loggers if by else ()
     notes: list[str] = []
     _common_origin(found, notes)

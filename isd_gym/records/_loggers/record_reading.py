@@ -34,19 +34,7 @@ def records_of(
     rate: float | None = None,
     signs: Mapping[str, int] | None = None,
 ) -> list[Table | Recording]:
-    """Return the records of a name on the command line: one record, the pieces between gaps, or several runs of a file.
-
-    Args:
-        path: A table, or the files of several loggers of one run (``body.csv+wheel.mf4``).
-        network: The model.
-        wanted: Channels of the model that are needed.
-        by: Columns of the channels; None for columns with the names of the channels.
-        rename: Column -> channel.
-        units: Unit by channel or by column.
-        columns: Names for files without a header row.
-        rate: Sampling rate of files without time stamps [Hz].
-        signs: Factor 1 or -1 by channel or by column.
-    """
+    """Return the records of a name on the command line: one record, the pieces between gaps, or several runs of a file (`runs`)."""
     files = files_of(path)
     sources = {n: c for c, n in (rename or {}).items()}
     for option, given in (("--unit", units or {}), ("--sign", signs or {})):
@@ -107,16 +95,7 @@ def outputs_of(
     columns: Sequence[str] | None = None,
     rate: float | None = None,
 ) -> list[str]:
-    """Return the outputs of a model that the files or the map provide.
-
-    Args:
-        path: A table, or the files of several loggers of one run.
-        network: The model.
-        by: Columns of the channels.
-        rename: Column -> channel.
-        columns: Names for files without a header row.
-        rate: Sampling rate of files without time stamps [Hz].
-    """
+    """Return the outputs of a model that the files or the map provide."""
     names = dict(rename or {})
     there = set(by.channels if by else ())
     if by is None:

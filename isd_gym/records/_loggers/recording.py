@@ -69,11 +69,7 @@ class Raster:
         return plain(Path(self.source).name, 60)
 
     def rows(self, keep: np.ndarray | slice) -> Raster:
-        """Return the raster with a selection of its samples.
-
-        Args:
-            keep: Mask (n,) or slice.
-        """
+        """Return the raster with a selection of its samples: a mask (n,) or a slice."""
         return replace(self, time=self.time[keep], columns={k: v[keep] for k, v in self.columns.items()})
 
 
@@ -88,16 +84,9 @@ def rasters(
 ) -> list[Raster]:
     """Return all rasters of a file, with time stamps in seconds; absolute stamps stay absolute (since 1970).
 
-    Args:
-        path: The file.
-        stamp: Column of the time stamps; None to detect the column.
-        unit: Unit of the time stamps; None for the unit in the file or in the name, otherwise s.
-        units: Unit by column; a unit of the column of stamps counts like `unit`.
-        columns: Names for a file without a header row.
-        rate: Sampling rate of a file without time stamps [Hz]; None for a file with time stamps.
-
-    Returns:
-        One entry per raster. A raster without stamps has the name '' for its column of stamps.
+    `stamp` is the column of the time stamps (None to detect it) and `unit` their unit (None for that in the file or in the name,
+    otherwise s). `columns` and `rate` [Hz] serve files without a header row or time stamps. A raster without stamps has the name ''
+    for its column of stamps.
     """
     out = []
     for found in read_rasters(path, columns):
@@ -180,12 +169,7 @@ def _measured(raster: Raster, notes: list[str]) -> Raster:
 
 
 def rounded(rounding: float, step: float) -> str:
-    """Return a sentence on rounded time stamps.
-
-    Args:
-        rounding: Resolution of the stamps [s].
-        step: Sampling step [s].
-    """
+    """Return a sentence on rounded time stamps: their resolution [s] and sampling step [s]."""
     return f"stamps are rounded to {rounding:.3g} s; taken as evenly sampled at {1 / step:.7g} Hz"
 
 
@@ -243,15 +227,9 @@ def _split(raster: Raster, notes: list[str]) -> list[Raster]:
 
 
 def continuous(name: str, values: np.ndarray, unit: str) -> tuple[np.ndarray, str]:
-    """Return a column without the jumps of an angle that restarts at each turn.
+    """Return a column (n,) in `unit` without the jumps of an angle that restarts at each turn, and a line for the user.
 
-    Args:
-        name: Name of the column, for the message.
-        values: Samples (n,) in `unit`.
-        unit: Unit; columns that are no angles are returned unchanged.
-
-    Returns:
-        Samples (n,), and a line for the user ('' without jumps).
+    Columns that are no angles are returned unchanged; the line is '' without jumps.
     """
     try:
         turn = convert(1.0, "rev", unit)
@@ -263,11 +241,7 @@ def continuous(name: str, values: np.ndarray, unit: str) -> tuple[np.ndarray, st
 
 
 def even(time: np.ndarray) -> bool:
-    """Return whether stamps lie on a uniform grid, within a tenth of a step or the resolution of the stamps.
-
-    Args:
-        time: Time stamps (n,) [s].
-    """
+    """Return whether stamps (n,) [s] lie on a uniform grid, within a tenth of a step or the resolution of the stamps."""
     if len(time) < 3 or stamp_rounding(time):
         return True
     grid = np.linspace(time[0], time[-1], len(time))
@@ -299,12 +273,7 @@ class Signal:
         return float(self.time[-1] - self.time[0]) / max(len(self.time) - 1, 1)
 
     def within(self, start: float, stop: float) -> Signal:
-        """Return the samples in an interval of time.
-
-        Args:
-            start: First instant [s].
-            stop: Last instant [s].
-        """
+        """Return the samples in an interval of time [s]."""
         keep = (self.time >= start) & (self.time <= stop)
         return replace(self, time=self.time[keep], values=self.values[keep])
 
@@ -337,23 +306,12 @@ class Recording:
         return Table(first.time, {n: s.values for n, s in self.signals.items()}, self.name, units)
 
     def together(self) -> tuple[float, float]:
-        """Return the interval in which all channels are present.
-
-        Returns:
-            First and last instant [s].
-        """
+        """Return the first and the last instant [s] at which all channels are present."""
         return max(s.time[0] for s in self.signals.values()), min(s.time[-1] for s in self.signals.values())
 
 
 def spans(pieces: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[float, float]]:
-    """Return the common part of several lists of intervals.
-
-    Args:
-        pieces: Lists of intervals [s].
-
-    Returns:
-        Intervals [s] within an interval of every list.
-    """
+    """Return the common part of several lists of intervals [s]."""
     out = list(pieces[0])
     for row in pieces[1:]:
         out = [(max(a, c), min(b, d)) for a, b in out for c, d in row if min(b, d) > max(a, c)]

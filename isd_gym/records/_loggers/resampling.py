@@ -17,18 +17,10 @@ if TYPE_CHECKING:
 
 
 def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, str]:
-    """Return an input at given instants.
+    """Return an input at given instants (n,) [s] in its unit, and the kind of interpolation ('' for identical stamps).
 
     A current or a command is held between samples, a force or a logged channel is linear, and a motion is a
     cubic spline.
-
-    Args:
-        signal: The logged input.
-        at: Instants (n,) [s].
-        quantity: Quantity of the input, such as 'displacement'.
-
-    Returns:
-        Values (n,) in the unit of the signal, and the kind of interpolation ('' for identical stamps).
     """
     t, x = signal.time, signal.values
     if len(t) >= len(at):
@@ -48,16 +40,9 @@ def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, 
 def inputs_of(
     recording: Recording, channels: Sequence[Channel], notes: list[str], step: float | None = None
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return the inputs of a model on a common grid.
+    """Return time (n,) [s] and inputs (n,) [SI] of a model on a common grid; `notes` are extended by the interpolations.
 
-    Args:
-        recording: The run.
-        channels: Inputs of the model.
-        notes: Lines for the user; extended by the interpolations.
-        step: Step of the grid [s]; None for the stamps of the finest input.
-
-    Returns:
-        Time (n,) [s], and inputs (n,) [SI] by name.
+    The grid has the `step` [s], or the stamps of the finest input.
     """
     own = [recording.signals[c.name] for c in channels]
     if not own:

@@ -21,14 +21,9 @@ LOOSE = 1e-6  # weight of "at rest" for nodes without a given motion
 
 
 def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Return the motions that ``--initial`` names.
+    """Return the motions that ``--initial`` names: displacement [m] and velocity [m/s] by node.
 
-    Args:
-        words: ``NODE=VALUE`` [m], ``NODE.velocity=VALUE`` [m/s], or a JSON file {node: {displacement,
-            velocity}}.
-
-    Returns:
-        Displacement [m] and velocity [m/s] by node.
+    Words are ``NODE=VALUE`` [m], ``NODE.velocity=VALUE`` [m/s], or a JSON file {node: {displacement, velocity}}.
     """
     out: dict[str, dict[str, float]] = {}
     for word in words:
@@ -104,17 +99,7 @@ def state_of(
 def motions_at(
     network: Network, state: np.ndarray, inputs: Mapping[str, Any], step: float
 ) -> dict[str, dict[str, float]]:
-    """Return the motions of the nodes in a state: the inverse of `state_of`.
-
-    Args:
-        network: The model.
-        state: State (n,) in the coordinates of the assembly.
-        inputs: Inputs of the simulation [SI] by channel.
-        step: Sampling step of the inputs [s].
-
-    Returns:
-        Displacement [m] and velocity [m/s] by node.
-    """
+    """Return displacement [m] and velocity [m/s] of the nodes in a state (n,): the inverse of `state_of`."""
     free, rows, given = _motion(network, inputs, step)
     displacement, velocity = np.split(rows @ state + given, 2)
     return {

@@ -39,11 +39,7 @@ def is_time(name: str) -> bool:
 
 
 def time_unit(name: str) -> str:
-    """Return the unit of time that the name of a column states; 's' for other names.
-
-    Args:
-        name: Name of a column of time stamps, such as 'Time_ms'.
-    """
+    """Return the unit of time that the name of a column of time stamps states, such as 'Time_ms'; 's' for other names."""
     found = _WITH_UNIT.fullmatch(name.strip())
     return found[1].lower().replace("μ", "u").replace("µ", "u") if found else "s"
 
@@ -58,11 +54,7 @@ class Columns:
     lines: list[int] = field(default_factory=list)
 
     def line(self, sample: int) -> str:
-        """Return the position of a sample, for messages.
-
-        Returns:
-            Text such as 'line 12'.
-        """
+        """Return the position of a sample for messages, such as 'line 12'."""
         return f"line {self.lines[sample]}" if sample < len(self.lines) else f"sample {sample + 1}"
 
 
@@ -80,12 +72,9 @@ def unit_known(text: str) -> bool:
 
 
 def split_header(text: str) -> tuple[str, str]:
-    """Split a header such as ``name [unit]`` or ``name (unit)`` into name and unit.
+    """Split a header such as ``name [unit]`` or ``name (unit)`` into name and unit ('' without a unit).
 
     Round brackets without a known unit belong to the name.
-
-    Returns:
-        Name, and unit ('' without a unit).
     """
     match = re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*", text.strip())
     if match and match[1]:
@@ -109,12 +98,9 @@ def distinct(names: Sequence[str], headers: Sequence[str], units: Sequence[str])
 
 
 def column_for(name: str, columns: Collection[str], unit: str = "") -> str:
-    """Return the column that a name stands for.
+    """Return the full name of the column that a name stands for, or `name` if no column matches.
 
     Among several columns "name (unit)", the column with a convertible unit is meant.
-
-    Returns:
-        Full name of the column, or `name` if no column matches.
     """
     if name in columns:
         return name
@@ -142,16 +128,10 @@ def converts(unit: str, target: str) -> bool:
 def stamps_of(
     found: Mapping[str, Any], path: object, wanted: str | None = None, *, by_name: bool = False
 ) -> str:
-    """Return the name of the column of time stamps.
+    """Return the name of the column of time stamps: `wanted`, or a column with a usual name, or (without `by_name`) the only
+    column that rises uniformly.
 
     Text and single numbers are no stamps, whatever their name.
-
-    Args:
-        found: Values by column of the file.
-        path: The file, for messages.
-        wanted: Name of the column; None for a column with a usual name, or the only column that rises
-            uniformly.
-        by_name: Do not accept a column only because it rises.
     """
     if wanted is not None:
         if wanted not in found:
@@ -192,13 +172,10 @@ _NUMBER = re.compile(r"(.*?)[\s_.#(-]*\d+\)?")
 
 
 def side_by_side(names: Sequence[str]) -> list[tuple[range, list[str]]]:
-    """Return the tables that stand beside one another in a file, each with a time column of its own.
+    """Return the tables that stand beside one another in a file: places and names of their columns; empty for a single table.
 
     Each table begins with its time column. Tables with the same names, apart from a number at the end, are runs;
     their columns get the names without numbers.
-
-    Returns:
-        Places of the columns of each table, and their names; empty for a file with a single table.
     """
 
     def base(name: str) -> str:

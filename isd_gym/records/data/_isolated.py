@@ -69,17 +69,10 @@ if hasattr(os, "register_at_fork"):
 def read(
     reader: str, path: Path, wanted: list[str] | None, axis: str, resample: bool | str
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """Return the header and the columns of a binary table.
+    """Return the header of a binary table, and its wanted columns (n,) in the order of the header.
 
-    Args:
-        reader: Module of the reader, such as 'isd_gym.records._formats.parquet'.
-        path: The file.
-        wanted: Names of the wanted columns; None for all.
-        axis: Name of the time column.
-        resample: Interpolate channels linearly to the finest raster; 'own' keeps each channel's raster.
-
-    Returns:
-        Header of the answer, and the columns (n,) in its order. A workbook has its `text` in the header, and no columns.
+    `reader` is the module of the reader, `axis` the time column. With `resample`, channels are interpolated linearly to the finest
+    raster; 'own' keeps each channel's raster. A workbook has its `text` in the header, and no columns.
     """
     global _helper
     module = import_module(reader)

@@ -107,24 +107,12 @@ class Scale:
     spread: Mapping[str, float] = field(default_factory=dict)
 
     def factor(self, name: str, x: np.ndarray) -> float:
-        """Return the ratio of a channel's measured to simulated amplitude.
-
-        Args:
-            name: Channel.
-            x: Measured samples (n,) [SI].
-
-        Returns:
-            Ratio [-]; NaN if the simulated amplitude is unknown.
-        """
+        """Return the ratio of a channel's measured amplitude (samples (n,) [SI]) to its simulated one; NaN if that is unknown."""
         said = self.spread.get(name, 0.0)
         return float(np.std(x)) / said if said > 0 else math.nan
 
     def explains(self, values: Mapping[str, np.ndarray]) -> bool:
-        """Return whether all simulated outputs have the measured order of magnitude; the inputs are then plausible, too.
-
-        Args:
-            values: Measured samples (n,) [SI] by channel.
-        """
+        """Return whether all simulated outputs have the measured order of magnitude; the inputs are then plausible, too."""
         factors = [self.factor(n, values[n]) for n in self.spread if n in values]
         return bool(factors) and all(1 / ALIKE < f < ALIKE for f in factors)
 
@@ -217,11 +205,7 @@ def check(
 
 
 def rises_unevenly(time: np.ndarray) -> bool:
-    """Return whether stamps rise without gaps, but not at uniform steps.
-
-    Args:
-        time: Time stamps (n,) [s].
-    """
+    """Return whether stamps (n,) [s] rise without gaps, but not at uniform steps."""
     return any(f.message.startswith(NOT_UNIFORM) for f in _check_time(time))
 
 
@@ -414,13 +398,7 @@ def _grain(x: np.ndarray) -> tuple[float, float]:
 
 
 def held_samples(name: str, x: np.ndarray, time: np.ndarray) -> list[Finding]:
-    """Return findings on clipping, frozen stretches and slow sampling of a column of unknown quantity; none for a constant column.
-
-    Args:
-        name: Name of the column, for messages.
-        x: Samples (n,) in any unit.
-        time: Even time stamps (n,) [s].
-    """
+    """Return findings on clipping, frozen stretches and slow sampling of a column (n,) of unknown quantity; none for a constant column."""
     if _constant(x) is not None:
         return []
     return _check_held(name, "force", x, time, *_grain(x), False, REST * CAR, [])
@@ -440,13 +418,10 @@ def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) 
 
 
 def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int, int], bool]:
-    """Return a function that tells whether one of the `others` moves from a first sample for a number of samples.
+    """Return a function that tells whether one of the `others` (samples and noise) moves from a first sample for a number of samples.
 
     A channel moves if its power, without that of its noise, is at least `STILL` of its usual power in
     stretches of equal length.
-
-    Args:
-        others: Samples (n,) and standard deviation of the noise of each channel.
     """
 
     @functools.cache

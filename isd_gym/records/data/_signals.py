@@ -10,17 +10,11 @@ SLIPS = 3  # number of unequal steps from which stamps count as rounded
 
 
 def stamp_rounding(time: np.ndarray) -> float:
-    """Return the resolution to which the stamps of a uniform sampling were rounded.
+    """Return the resolution [s] to which the stamps (n,) [s] of a uniform sampling were rounded; 0 for other stamps.
 
     Uniform stamps that are rounded to multiples of q have steps of two lengths, both multiples of q with
     difference q, and stay within q/2 of a straight line. If the step is at most q, fewer than `SLIPS` steps
     of the rarer length may also be lost or doubled samples.
-
-    Args:
-        time: Stamps (n,) [s].
-
-    Returns:
-        Resolution [s]; 0 for stamps that are not rounded or not uniform.
     """
     if len(time) < 3 or not np.isfinite(time).all():
         return 0.0
@@ -43,31 +37,17 @@ def stamp_rounding(time: np.ndarray) -> float:
 
 
 def even_stamps(time: np.ndarray) -> np.ndarray:
-    """Return the uniform stamps nearest to given stamps (least squares over the whole span).
-
-    Args:
-        time: Stamps (n,) [s].
-
-    Returns:
-        Uniform stamps (n,) [s].
-    """
+    """Return the uniform stamps nearest to given stamps (n,) [s], by least squares over the whole span."""
     k = np.arange(len(time)) - 0.5 * (len(time) - 1)
     mean = float(np.mean(time - time[0]))
     return np.asarray(time[0] + mean + k * (float(k @ (time - time[0] - mean)) / float(k @ k)))
 
 
 def unwrapped(angle: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
-    """Return a measured angle without the jumps of a sensor that restarts at each turn.
+    """Return a measured angle (n,) without the jumps of a sensor that restarts at each `turn`, and the number of jumps.
 
     A wrap is a step of nearly a turn between the ends of a range of one turn; the angle continues smoothly
     across the step. Angles with another range, or with steps near half a turn, are returned unchanged.
-
-    Args:
-        angle: Samples (n,).
-        turn: One turn in the unit of the samples, such as 360 for degrees.
-
-    Returns:
-        Angle (n,), and the number of wraps.
     """
     none = np.asarray(angle), 0
     if len(angle) < 3 or not np.isfinite(angle).all() or not np.ptp(angle) <= 1.001 * turn:

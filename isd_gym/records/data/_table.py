@@ -126,17 +126,12 @@ def read_columns(
     resample: bool = False,
     columns: Sequence[str] | None = None,
 ) -> Columns:
-    """Read the columns of a table file.
+    """Read the wanted columns of a table file, or all with None.
 
     All tables of the project are read here. Separators, decimal commas, preambles and units in a text file
-    are detected. `read_table` adds a time base and channel names.
-
-    Args:
-        path: The file; the suffix gives the format.
-        wanted: Names, or a function that chooses from the available names; None for all.
-        axis: Name of the time column in MATLAB and MDF files.
-        resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster.
-        columns: Names of all columns of a text file without a header row.
+    are detected. `read_table` adds a time base and channel names. `axis` is the time column of MATLAB and MDF files; `resample`
+    interpolates MDF and LVM channels on several rasters linearly to the finest raster; `columns` names all columns of a text file
+    without a header row.
     """
     path = Path(path)
     kind = format_of(path)
@@ -295,13 +290,8 @@ def _by_unit(
     units: Mapping[str, str],
     expected: Mapping[str, str] | None,
 ) -> dict[str, str]:
-    """Return `rename` (column -> channel) with the full names of columns that differ only by their units.
-
-    Args:
-        rename: Column -> channel.
-        columns: Columns of the file.
-        units: Unit by channel or by column.
-        expected: Channel -> wanted unit; None for all columns unconverted.
+    """Return `rename` (column -> channel) with the full names of columns that differ only by their units; `expected` is the wanted unit
+    by channel, None for all columns unconverted.
     """
     if expected is None:
         return {column_for(name, columns): channel for name, channel in rename.items()}
@@ -426,11 +416,7 @@ _FORMATS = {
 
 @functools.cache
 def suffixes() -> tuple[str, ...]:
-    """Return the suffixes of all files that can be read.
-
-    Returns:
-        Suffixes in small letters, such as '.csv'.
-    """
+    """Return the suffixes of all files that can be read, in small letters, such as '.csv'."""
     return (*_FORMATS, *(f".{p.name}" for p in plugins(READERS) if p.name != "mat73"))
 
 

@@ -405,16 +405,7 @@ def read_text(
     columns: Sequence[str] | None = None,
     text: str | None = None,
 ) -> Columns:
-    """Return columns of a text table, including the time column.
-
-    Args:
-        path: The file.
-        wanted: Names, or a function that chooses from the available names; None for all.
-        time: Name of the wanted time column.
-        resample: Without effect; a text table has one raster.
-        columns: Names of all columns, for a file without a header row.
-        text: Content; None for that of the file.
-    """
+    """Return the wanted columns of a text table and its time column; `columns` names all columns of a file without a header row."""
     return _columns(path, _read(path, columns, text), wanted, time)
 
 
@@ -457,13 +448,7 @@ def _columns(path: Path, text: _Text, wanted: Choice, time: str) -> Columns:
 def read_text_rasters(
     path: Path, columns: Sequence[str] | None = None, content: str | None = None
 ) -> list[Columns]:
-    """Return the tables of a text file: one, or several side by side with their own time columns.
-
-    Args:
-        path: The file.
-        columns: Names of all columns, for a file without a header row.
-        content: Content; None for that of the file.
-    """
+    """Return the tables of a text file (or of its `content`): one, or several side by side with their own time columns."""
     text = _read(path, columns, content)
     bare = [split_header(n)[0] for n in text.names]
     tables = text.tables()

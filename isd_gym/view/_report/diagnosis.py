@@ -121,11 +121,7 @@ def _html(view: View, shown: Mapping[str, Picture], about: Mapping[str, str]) ->
 
 
 def signal_picture(diagnosis: Diagnosis) -> str:
-    """Return the picture of measured and simulated signals of a diagnosis, as HTML for a notebook.
-
-    Returns:
-        An image with its caption; empty for a diagnosis without a simulated record.
-    """
+    """Return the picture of measured and simulated signals, with its caption, as HTML for a notebook; '' without a simulated record."""
     try:
         chart = draw_time(View(diagnosis)) if diagnosis.traces else None
         if chart is None:
@@ -344,12 +340,7 @@ class View:
         return f"{_digits(low, low, high)} to {_digits(high, low, high)}"
 
     def other(self, value: float, q: Any) -> str:
-        """Return another value of a quantity, such as its prior, with the unit of the quantity.
-
-        Args:
-            value: The value [unit of the quantity].
-            q: The quantity.
-        """
+        """Return another value of a quantity, such as its prior, with the unit of the quantity."""
         factor, unit = practical(q.value, q.unit)
         return f"{number(factor * value, 4)}\u00a0{unit_text(unit)}".strip()
 
@@ -499,16 +490,7 @@ def _signal_axis(view: View, c: str) -> Axis:
 def _over_time(
     view: View, name: str, texts: tuple[str, str], panels: Panels, columns: int, height: float
 ) -> Chart | None:
-    """Return a chart of all records over time; the picture has the channels with the largest error. None without records.
-
-    Args:
-        view: The prepared diagnosis.
-        name: Name of the chart and of its caption.
-        texts: Title, and text for readers who cannot see the chart.
-        panels: Function of a record and its stretches.
-        columns: Number of panels of a channel.
-        height: Height of a channel [inch].
-    """
+    """Return a chart of all records over time; the picture has the channels with the largest error. None without records."""
     if view.trace is None:
         return None
     few = min(len(view.order), MOST_CHANNELS)
@@ -646,11 +628,7 @@ def _loop_panels(view: View, loops: Loops, curves: Mapping[str, tuple[Curve, Loo
 
 
 def draw_spectra(view: View) -> Chart | None:
-    """Return the chart of the spectra of signal and residuals, averaged over the held-out records (or all records).
-
-    Returns:
-        The chart; None without records.
-    """
+    """Return the chart of the spectra of signal and residuals, averaged over the held-out records (or all); None without records."""
     if view.trace is None:
         return None
     step = float(view.trace.time[1] - view.trace.time[0])
@@ -715,11 +693,7 @@ def _force_axis(label: str, turns: bool, low: float, high: float) -> Axis:
 
 
 def draw_plane(view: View) -> Chart | None:
-    """Return the chart of the missing force over motion, before and after, or of a channel's residual over its motion.
-
-    Returns:
-        The chart; None without records.
-    """
+    """Return the chart of the missing force over motion, before and after, or of a channel's residual; None without records."""
     if not view.clouds:
         return _draw_channel_plane(view)
     panels = []

@@ -256,10 +256,8 @@ def _rate(travel: Array, step: float) -> Array:
 
 
 def loops_of(d: Diagnosis, trace: Trace, found: Iterable[Cloud]) -> list[Loops]:
-    """Return the loops to draw: measured forces, and the forces at the places of the finding that no channel measures.
-
-    Returns:
-        Loops; those at the places of the finding first.
+    """Return the loops to draw, those at the places of the finding first: measured forces, and the forces at the places of the
+    finding that no channel measures.
     """
     own = measured_loops(d, trace)
     at = [set(cloud.pair) for cloud in found]

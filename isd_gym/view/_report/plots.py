@@ -124,12 +124,7 @@ def style() -> Iterator[None]:
 
 
 def figure(width: float = 7.2, height: float = 4.0) -> Figure:
-    """Return an empty figure outside of matplotlib's global list.
-
-    Args:
-        width: Width [inch].
-        height: Height [inch].
-    """
+    """Return an empty figure outside of matplotlib's global list; sizes in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -190,12 +185,7 @@ def as_picture(
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with a true minus sign, if possible without an exponent.
-
-    Args:
-        value: The number; None for a dash.
-        digits: Number of significant digits.
-    """
+    """Return a number with significant digits and a true minus sign, if possible without an exponent; a dash for None."""
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0.0:
@@ -214,13 +204,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def percent(share: float | None, digits: int = 1, *, sign: bool = True) -> str:
-    """Return a fraction as percent, such as ``−12.3 %``.
-
-    Args:
-        share: The fraction; None for a dash.
-        digits: Number of decimals.
-        sign: Whether a plus sign is written.
-    """
+    """Return a fraction as percent, such as ``−12.3 %``; a dash for None. `sign` writes a plus sign, too."""
     if share is None or not math.isfinite(share):
         return "–"
     value = round(100 * share, digits) + 0.0
@@ -325,17 +309,9 @@ def halo() -> list[Any]:
 
 
 def density(signal: np.ndarray, step: float, window: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the averaged power spectral density of the columns of a signal.
+    """Return frequencies [Hz] and averaged power spectral density [unit²/Hz] of the columns of a signal (n,) or (n, columns).
 
     Hann windows with half overlap; lines are averaged to twelve per octave.
-
-    Args:
-        signal: Samples (n,) or (n, columns).
-        step: Sampling step [s].
-        window: Length of a window [s].
-
-    Returns:
-        Frequencies [Hz] and densities [unit²/Hz].
     """
     from scipy.signal import welch
 
@@ -355,14 +331,7 @@ def label_points(
     points: Sequence[tuple[float, float, str, str]],
     spans: Sequence[tuple[float, float, float, float]] = (),
 ) -> None:
-    """Write labels beside points without covering other labels, points or spans.
-
-    Args:
-        fig: The figure.
-        ax: The axes.
-        points: x, y, text and colour of each point.
-        spans: Regions (x0, y0, x1, y1) to keep free.
-    """
+    """Write labels beside points (x, y, text, colour) without covering other labels, points or spans (x0, y0, x1, y1)."""
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 

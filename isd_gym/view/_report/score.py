@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._common.files import check_folder, whole_folder, write_text
+from ..._common.plugins import find_wing
 from ..._common.seeds import road_name
 from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, picture
-from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
+from .plots import INK, LOOKS, MUTED, Look, caption, density, looks, page, percent, style
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -117,22 +118,7 @@ class Shown:
     @property
     def cost_words(self) -> str:
         """Sentence on the stage cost."""
-        cost, axes, count = self.score.cost, self.car.axes, len(self.car.corners)
-        if count == 1:
-            return (
-                "mean over the steps of 0.6 (a / 0.8306 m/s²)² + 0.3 (l / 7.6 mm)², of body acceleration a and suspension travel "
-                "l: the paper's weights over its passive car, so a passive car costs about 0.9"
-            )
-        parts = [f"{cost.acceleration:g} (a / {cost.acceleration_reference:g} m/s²)²"]
-        parts += [
-            f"{getattr(cost, axis):g} ({axis} acceleration / {getattr(cost, f'{axis}_reference'):g} rad/s²)²"
-            for axis in axes
-        ]
-        return (
-            f"mean over the steps of {' + '.join(parts)} + {cost.travel:g} (l / l₀)² in the mean over the {count} corners, of the body's "
-            "vertical acceleration a and the suspension travels l; each reference is the RMS of the passive car on the paper's "
-            "road at 20 m/s, so a passive car costs about 0.9 there"
-        )
+        return caption("cost", cost=self.score.cost, axes=self.car.axes, corners=len(self.car.corners))
 
     @property
     def bounds(self) -> list[str]:
@@ -176,43 +162,10 @@ class Shown:
     @property
     def headline(self) -> str:
         """Main result of the score, in a sentence."""
-        row = self.rows.get(self.best)
-        if row is None or self.best == self.reference or "change" not in row["cost"]:
-            return f"No policy shown here costs less than {self.reference}."
-        q = row["cost"]
-        parts = [
-            f"{COLUMNS[k][0]} {percent(row[k]['change'])}" for k in list(COLUMNS)[1:] if "change" in row[k]
-        ]
-        share = row["share_of_reachable_gain"]
-        reached = (
-            ""
-            if share is None
-            else f" That is {percent(share, 0, sign=False)} of the gain that is reachable on these roads."
-        )
-        if self.score.episodes < 2:
-            return (
-                f"On this one road {self.best} costs {percent(-q['change'], sign=False)} less than {self.reference}: "
-                f"{', '.join(parts)}.{reached} One episode has no interval: roads differ by more than policies do."
-            )
-        if q["high"] >= 0.0:
-            return (
-                f"No policy is shown to beat {self.reference}: the cost of {self.best}, the best, changes by "
-                f"{percent(q['change'])} (95 % interval {percent(q['low'])} to {percent(q['high'])})."
-            )
-        level = (
-            f" Level with it, as far as these episodes tell: {', '.join(self.level)}." if self.level else ""
-        )
-        return (
-            f"{self.best} costs {percent(-q['change'], sign=False)} less than {self.reference} (95 % interval "
-            f"{percent(-q['high'], sign=False)} to {percent(-q['low'], sign=False)}): {', '.join(parts)}.{reached}{level}"
-        )
+        return caption("headline", shown=self, heads={k: COLUMNS[k][0] for k in list(COLUMNS)[1:]})
 
     def change(self, name: str, key: str) -> np.ndarray:
-        """Return the change of each episode against the same episode of the reference.
-
-        Returns:
-            Changes (episodes,), as fractions.
-        """
+        """Return the change of each episode against the same episode of the reference (episodes,), as fractions."""
         own, base = (self._by_episode(n, key) for n in (name, self.reference))
         with np.errstate(divide="ignore", invalid="ignore"):
             return own / base - 1.0
@@ -273,9 +226,9 @@ def histories(shown: Shown) -> Chart:
         road = road_name(shown.score.seed, episode)
         choices[f"{road}: {words}"] = panels(episode, names)
         about = words if names is few else f"{median}, with {words}"
-        captions[f"{road}: {words}"] = (
-            f"Episode on {road}, {about}: the {width * shown.step:g} s around the largest tyre load. Travel is "
-            f"positive in extension, tyre load in compression.{left_out if names is few else ''}"
+        gone = left_out if names is few else ""
+        captions[f"{road}: {words}"] = caption(
+            "histories", road=road, about=about, seconds=width * shown.step, left_out=gone
         )
     return Chart(
         "histories",
@@ -329,53 +282,23 @@ def spectra(shown: Shown) -> Chart | None:
         y = Axis(f"ratio to {shown.reference}", log=True, low=0.125, high=8.0, ticks=halves)
         below.append(Panel(x, y, (*ratios, Rule("y", 1.0)), link=key))
     window = min(WELCH, len(shown.runs[shown.reference].body_acceleration) * shown.step)
-    corners = " Travel and tyre load: the mean of all corners." if len(shown.car.corners) > 1 else ""
     return Chart(
         "spectra",
         "In frequency",
         "Power spectral densities over frequency",
-        f"One-sided power spectral densities, averaged over all {shown.score.episodes} episodes (Welch, Hann windows of {window:g} s "
-        f"half overlapping, averaged to twelve points per octave). Below: their ratio to {shown.reference}. Grey: the weighting W_k of "
-        f"ISO 2631-1 for a seated person, on a separate scale.{corners}{left_out}",
+        caption("score_spectra", shown=shown, window=window, left_out=left_out),
         {"all episodes": [*top, *below]},
         columns=len(units),
         size=(2.8 * len(units), 4.8),
     )
 
 
-def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
-    """Return the causal bound in the plane of travel and acceleration for several tyre loads, if its conditions hold.
-
-    Returns:
-        Change of the tyre load, and curve (k, 2) of travel change and acceleration change.
-    """
-    from ..._common.errors import InputError
-    from ..._common.plugins import REFERENCES, plugins
-
-    if score.plant is None or score.comparable.lq_bound:
-        return []
-    for point in plugins(REFERENCES, "lq_front"):
-        travel = np.array([-0.5, -0.4, -0.35, -0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3])
-        out = []
-        for tyre in (0.0, 0.03):
-            try:
-                out.append(
-                    (
-                        tyre,
-                        point.load()(tyre, travel, network=score.plant, speed=score.speed, road=score.ground),
-                    )
-                )
-            except InputError:  # a road or a car without such a bound
-                return []
-        return [(tyre, curve) for tyre, curve in out if len(curve) > 2]
-    return []
-
-
 def trade_off(shown: Shown) -> Chart:
     """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load."""
     marks = [*_policy_marks(shown), *_published_marks(shown)]
     xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
-    curves = fronts(shown.score)
+    bounds = find_wing("ceilings")
+    curves = bounds.fronts(shown.score) if bounds else []
     lines = []
     for (tyre, curve), dashes in zip(curves, ("-", (0, (5, 2))), strict=False):
         label = f"causal bound at tyre load {percent(tyre, 0)}"
@@ -391,7 +314,7 @@ def trade_off(shown: Shown) -> Chart:
         "trade_off",
         "The trade-off",
         "Change of acceleration over change of travel, by policy",
-        _trade_off_caption(shown.score, has_bound=bool(curves)),
+        caption("trade_off", score=shown.score, has_bound=bool(curves)),
         {"all": [panel]},
         size=(7.2, 4.6),
     )
@@ -451,28 +374,6 @@ def _published_marks(shown: Shown) -> list[Marks]:
     return marks
 
 
-def _trade_off_caption(score: Score, *, has_bound: bool) -> str:
-    """Return the caption of `trade_off`."""
-    parts = ["Better policies are lower and further left."]
-    if score.episodes > 1:
-        parts.append(f"Crosses are 95 % paired intervals over {score.episodes} episodes; the")
-    else:
-        parts.append("One episode has no interval. The")
-    parts.append("label of each point has the change of RMS tyre load.")
-    if not score.comparable.tables:
-        parts.append("Two points are the results of the paper.")
-    if has_bound:
-        parts.append(
-            "Lines: the causal LQ bound, the optimum of an unlimited force between body and wheel without friction, at the stated tyre "
-            "load. In the mean over roads, no controller that does not see the road ahead is below the line of its tyre load."
-        )
-    if score.references.get("clairvoyant_point"):
-        parts.append(
-            "The clairvoyant optimum knows these roads in advance, which no controller does. It is the best solution of a search."
-        )
-    return " ".join(parts)
-
-
 def distribution(shown: Shown) -> Chart | None:
     """Return the chart of the changes of all episodes against the reference on the same road; None for a single episode."""
     names = [n for n in shown.names if n != shown.reference and n in shown.rows]
@@ -506,8 +407,7 @@ def distribution(shown: Shown) -> Chart | None:
         "episodes",
         "Episode by episode",
         "Paired changes of every episode, by policy",
-        f"Each dot is the change against {shown.reference} on one road. The open marker is the change of the value pooled over all "
-        "episodes. The bar is its 95 % interval (paired bootstrap over episodes).",
+        caption("episodes", reference=shown.reference),
         {"all": panels},
         columns=len(panels),
         size=(7.8, 0.9 + 0.42 * len(names)),
@@ -543,8 +443,7 @@ def limits(shown: Shown) -> Chart:
         "limits",
         "Exceedances",
         "Share of time above a value, by policy",
-        "Share of time that each signal is above a value (exceedance). The vertical line is the limit of the paper's Table 5. A "
-        f"curve crosses the line at the share of time above the limit.{left_out}",
+        caption("limits", left_out=left_out),
         {"all": panels},
         columns=3,
         size=(7.8, 2.9),
