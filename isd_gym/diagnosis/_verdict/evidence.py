@@ -99,6 +99,8 @@ class Evidence:
     test_explained: float = 1.0
     #: power left on the test records over the power of unmodelled effects, largest over channels
     test_excess_ratio: float = 0.0
+    #: whether a special case of a law leaves no more than unmodelled effects, which may have made the difference
+    imitated: bool = False
 
     def excess(self, errors: tuple[float, ...]) -> tuple[float, ...]:
         """Return errors beyond noise."""

@@ -23,7 +23,7 @@ MISTAKEN = {
     "kind": 0.05,
     "place": 0.03,
     # a law that leaves more than `Criteria.alone_removes` or a wide gap, or places and kinds of such a candidate without a name: 9 of 26
-    # such names (seeds 310 to 317), 9 of 32 such places and kinds
+    # such names (seeds 310 to 317), 9 of 32 such places and kinds; a law whose special case leaves no more than unmodelled effects
     "partly": 0.36,
     # kinds and laws that did not pass the inclusion test, or whose force a free curve or a controller explains too: 7 of 10 such kinds on
     # sixteen measured rigs
@@ -64,7 +64,7 @@ def share_mistaken(
     """
     is_doubtful = e.explained < c.alone_removes or e.width_after > c.wide_gap or e.support < SUPPORT
     own = MISTAKEN[level]
-    if (is_doubtful and (level == "law" or not is_named)) or (is_sum and level == "law"):
+    if (is_doubtful and (level == "law" or not is_named)) or ((is_sum or e.imitated) and level == "law"):
         own = max(own, MISTAKEN["partly"])
     return max(own, MISTAKEN["weak"]) if e.explained < c.least_removed else own
 

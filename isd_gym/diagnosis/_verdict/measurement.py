@@ -13,7 +13,7 @@ from ...physics import elements as el
 from .._estimation.structure import owner_pair
 from .._hypotheses.forces import element_forces, place_forces
 from .._hypotheses.motion import motions
-from .._selection.candidate import Candidate, simpler_structures
+from .._selection.candidate import Candidate, same_effects, simpler_structures
 from .._selection.criteria import CRITERIA
 from .._selection.equivalent_laws import is_sound, repeats
 from .._selection.free_force import fit_in_place_of
@@ -115,6 +115,7 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
         training_after=as_numbers(evaluator.training_nrmse(best)),
         richest=as_numbers(richest.nrmse),
         richest_share=max(evaluator.effect_sizes(scores.richest), default=1.0),
+        imitated=is_imitated(search, scores),
         **common,
     )
     return Measurements(evidence, quantities, indistinguishable, weighted)
@@ -161,6 +162,19 @@ def _removed_by(search: Search, scores: CandidateComparison, effect: int) -> tup
     if without is None or not scores.can_score(without):
         return 0.0, 0.0, False
     return search.tests.removed(scores, best, without)
+
+
+def is_imitated(search: Search, scores: CandidateComparison) -> bool:
+    """Return whether a candidate with a special case of a law of the foremost candidate leaves no more than unmodelled effects."""
+    best = scores.foremost
+    return any(
+        len(r.fit.x) < len(best.fit.x)
+        and len(r.hypotheses) == len(best.hypotheses)
+        and same_effects(r.hypotheses, best.hypotheses)
+        and scores.can_score(r)
+        and bool(np.all(scores.score(r).excess(scores.noise) <= search.tests.unmodelled_envelope(r)))
+        for r in scores.candidates()
+    )
 
 
 def is_sensor_fault(candidate: Candidate) -> bool:
