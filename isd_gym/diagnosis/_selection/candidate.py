@@ -188,8 +188,3 @@ def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[
         if is_imitation or (is_special_case(best.hypotheses[-1], r.hypotheses[-1]) and behind < chance):
             return [r, *(q for q in ranked if q is not r)]
     return ranked
-
-
-def with_fit(candidate: Candidate, fit: Fit, value: float) -> Candidate:
-    """Return a copy of a candidate with a new fit and deviance."""
-    return replace(candidate, fit=fit, deviance=value)

@@ -197,18 +197,15 @@ def first_states(
     return fitter.follow(structure, x, records, initial, iterations=iterations)
 
 
-def run_freely(
-    problem: Problem, structure: Structure, x: Array, noise: Array, records: Sequence[int] | None = None
-) -> dict[int, Array]:
+def run_freely(problem: Problem, structure: Structure, x: Array, noise: Array) -> dict[int, Array]:
     """Simulate records from the initial states that their first samples give.
 
     `noise`: Noise of each channel (channels,).
-    `records`: Indices of the records; all by default.
 
     Returns:
         Residuals (samples, channels) by record. Channels with an offset per record are without the mean residual of the record.
     """
-    every = list(range(len(problem.records))) if records is None else list(records)
+    every = range(len(problem.records))
     begun = first_states(_heads(problem), structure, x, noise, every)
     return free_residuals(problem, structure, x, begun, every)
 
