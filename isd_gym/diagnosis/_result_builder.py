@@ -275,7 +275,7 @@ class ResultBuilder:
         scores = self.scores
         after = scores.score(final).test_nrmse
         return {
-            "before": self.search.evaluator.nominal_nrmse()[1],
+            "before": self.search.evaluator.nominal_nrmse[1],
             "refit": scores.score(scores.refitted).test_nrmse,
             "after": after,
             "noise_floor": np.minimum(scores.test_noise, after),

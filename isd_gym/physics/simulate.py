@@ -72,7 +72,8 @@ class _Discrete:
 
     def structure(self) -> tuple[int, ...]:
         """Return the part of the integers that all lanes of a plant share: sizes and codes, without the way through a step."""
-        return tuple(np.delete(self.ints, WAY).tolist())
+        ints = self.ints.tolist()
+        return (*ints[:WAY], *ints[WAY + 1 :])
 
 
 def _columns(asm: Assembly) -> list[int]:

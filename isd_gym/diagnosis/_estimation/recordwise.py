@@ -55,7 +55,6 @@ class RecordwiseFitter(Fitter):
         x: Array,
         groups: Sequence[Sequence[int]],
         own: NDArray[np.bool_],
-        initial: Mapping[int, Array] | None = None,
         *,
         iterations: int = 8,
         tolerance: float = 1e-3,
@@ -69,7 +68,7 @@ class RecordwiseFitter(Fitter):
         layout = _Layout(structure, own, len(groups))
         z = layout.pack(np.broadcast_to(x, (len(groups), len(own))))
         each = layout.unpack(z)
-        points = [self.begin(structure, row, initial, None, g) for row, g in zip(each, groups, strict=True)]
+        points = [self.begin(structure, row, None, None, g) for row, g in zip(each, groups, strict=True)]
         damping, cost, slopes = 1e-4, math.inf, []
         for turn in range(iterations + 1):
             fresh = [self.slopes(structure, p, g, True) for p, g in zip(points, groups, strict=True)]

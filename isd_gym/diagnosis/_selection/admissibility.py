@@ -135,7 +135,6 @@ def admissible_matches(
     noise: Array,
     candidates: Iterable[Hypothesis],
     known: Mapping[Pair, Travel] | None = None,
-    c: Criteria = CRITERIA,
 ) -> list[Match]:
     """Return the matches of every admissible effect, largest gain first.
 
@@ -143,18 +142,18 @@ def admissible_matches(
     `known`: What the records tell about the distance of each pair; what `problem` tells by default.
     """
     known = travels(problem, fit.network, motions(problem, fit)) if known is None else known
-    admissible = [h for h in candidates if is_admissible(h, known, c)]
-    return [m for m in match_laws(problem, fitter, fit, noise, admissible) if _is_resolved(m, known, c)]
+    admissible = [h for h in candidates if is_admissible(h, known)]
+    return [m for m in match_laws(problem, fitter, fit, noise, admissible) if _is_resolved(m, known)]
 
 
-def _is_resolved(match: Match, known: Mapping[Pair, Travel], c: Criteria) -> bool:
+def _is_resolved(match: Match, known: Mapping[Pair, Travel]) -> bool:
     """Return whether the records can show the period of a match; True for laws without a period."""
     h = match.hypothesis
     travel = travel_of(h.where, known)
     if travel is None or not has_period(h.kind):
         return True
     period = h.kind(name="trial", where=h.where, **match.values, **dict(h.options)).period()
-    return period is None or travel.shows_period(period, c)
+    return period is None or travel.shows_period(period)
 
 
 def travel_of(where: tuple[str, ...], known: Mapping[Pair, Travel]) -> Travel | None:

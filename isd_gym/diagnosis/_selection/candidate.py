@@ -190,8 +190,3 @@ def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[
                 ranked = [r, *(q for q in ranked if q is not r)]
                 break
     return ranked
-
-
-def with_fit(candidate: Candidate, fit: Fit, value: float) -> Candidate:
-    """Return a copy of a candidate with a new fit and deviance."""
-    return replace(candidate, fit=fit, deviance=value)

@@ -30,7 +30,7 @@ from .._hypotheses.motion import motions, setting
 from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
 from .admissibility import travels
-from .candidate import Candidate, settle, transfer, white_noise, with_fit
+from .candidate import Candidate, settle, transfer, white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -294,7 +294,7 @@ class BestTableSoFar:
 def _coarse(problem: Problem, base: Candidate, floors: Array) -> Candidate:
     if problem.rough is problem:
         return base
-    return with_fit(base, transfer(problem.rough, base.fit, floors), base.deviance)
+    return replace(base, fit=transfer(problem.rough, base.fit, floors))
 
 
 def _fit_table(problem: Problem, base: Candidate, structure: Table, floors: Array) -> Candidate | None:

@@ -162,6 +162,7 @@ class HeldOutEvaluator:
             self._training[id(candidate)] = candidate, self.nrmse(f, p.estimation, self.training_deviation)
         return self._training[id(candidate)][1]
 
+    @cached_property
     def nominal_nrmse(self) -> tuple[Array, Array]:
         """Return the NRMSE of the nominal model on the validation and on the test records, (channels,) each; NaN where it breaks down."""
         p, structure = self.problem, base_structure(self.problem.network)

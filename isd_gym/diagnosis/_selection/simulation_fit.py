@@ -16,13 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..._common.arrays import channel_rms
-from ..._common.errors import InputError
 from ...physics.network import assemble
-from .._estimation.gauss_newton import Fit, Fitter
+from .._estimation.gauss_newton import Fitter
 from .._estimation.least_squares import bounded_step, damped_step
 from .._estimation.noise import white_filters
-from .._estimation.objective import Point
-from .._estimation.sensitivities import tangents
 from .._simulation.problem import BROKEN, bare
 from ..result import SimulationFit
 
@@ -41,8 +38,6 @@ LEAST_GAIN = 0.1
 LOST = 0.2
 #: largest number of Gauss-Newton steps; tries of each; relative decrease of the cost that ends the fit
 ITERATIONS, TRIES, TOLERANCE = 15, 6, 1e-3
-#: least number of samples that give an initial state
-LEAST_HEAD = 20
 
 
 def fit_simulation_error(
@@ -105,7 +100,7 @@ def _minimise(
     free, p, q = structure.free, len(x), len(own)
     mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
     low, high = np.append([f.low for f in free], -none), np.append([f.high for f in free], none)
-    data, heads = whole.estimation, _heads(whole)
+    steps = np.append([f.step(v) for f, v in zip(free, x, strict=True)], 0.1 * noise[own])
 
     def at(z: Array) -> Structure:
         if not q:
@@ -114,25 +109,27 @@ def _minimise(
         offsets[own] = z[p:]
         return replace(structure, offsets=tuple(offsets.tolist()))
 
-    def left(z: Array, begun: Fit | None) -> tuple[Array, Fit]:
-        initial = first_states(heads, at(z), z[:p], least, data, begun.initial if begun else None)
-        e = free_residuals(whole, at(z), z[:p], initial, data)
-        return np.concatenate([*(np.ravel(e[i] / noise) for i in data), (z[:p] - mean) / sigma]), initial
+    def left(z: Array) -> Array:
+        e = run_freely(whole, at(z), z[:p], least, whole.estimation)
+        parts = [np.ravel(e[i] / noise) for i in whole.estimation]
+        return np.concatenate([*parts, (z[:p] - mean) / sigma])
 
-    def take(damping: float) -> tuple[tuple[Array, Array, Fit] | None, float]:
+    def take(damping: float) -> tuple[tuple[Array, Array] | None, float]:
         step = bounded_step(slopes.T @ slopes, -slopes.T @ now, z, low, high, stride, damping)
         try:
-            then, moved = left(z + step, begun)
+            then = left(z + step)
         except BROKEN:
             return None, math.inf
-        return (z + step, then, moved), float(then @ then)
+        return (z + step, then), float(then @ then)
 
     z = np.append(x, np.array(structure.offsets)[own] if q else [])
-    (now, begun), damping = left(z, None), 1e-3
+    now, damping = left(z), 1e-3
     cost = float(now @ now)
     for _ in range(ITERATIONS):
-        prior = np.hstack([np.diag(1.0 / sigma), np.zeros((p, q))])
-        slopes = np.concatenate([-_slopes(whole, heads, at(z), z[:p], begun, noise, least), prior])
+        # a step at a limit goes inwards
+        signed = np.where(z + steps > high, -steps, steps)
+        columns = [(left(z + h * e) - now) / h for h, e in zip(signed, np.eye(p + q), strict=True)]
+        slopes = np.stack(columns, axis=1)
         own_stride = [
             min(f.stride, 1.5 if f.log else 3.0 * max(abs(v), f.sigma))
             for f, v in zip(free, z[:p], strict=True)
@@ -142,59 +139,10 @@ def _minimise(
         found, cost, damping = damped_step(take, before, damping, tries=TRIES)
         if found is None:
             break
-        z, now, begun = found
+        z, now = found
         if cost > (1.0 - TOLERANCE) * before:
             break
     return at(z), z[:p]
-
-
-def _slopes(
-    whole: Problem, heads: Problem, structure: Structure, x: Array, begun: Fit, noise: Array, least: Array
-) -> Array:
-    """Return the derivatives of the free runs of the training data by parameters and shared offsets (values, parameters), over the noise.
-
-    A parameter moves the initial state that the first samples give, too.
-    """
-    columns = []
-    data = whole.estimation
-    point = Point(x, begun.initial, begun.offset)
-    by_head = Fitter(heads, white_filters(least)).slopes(structure, point, data, True)
-    if by_head is None:
-        raise InputError("the simulation of the first samples breaks down")
-    for i, t in tangents(whole, structure, x, {i: begun.initial[i] for i in data}).items():
-        s = by_head[i]
-        own, n0 = len(s.gram) - len(s.own), t.by_state.shape[2]
-        moved = -np.linalg.solve(s.own, s.gram[own:, :own])[:n0]
-        y = np.concatenate([t.by_parameter, whole.common(t.outputs)], axis=2) + t.by_state @ moved
-        y = y - np.where(whole.record_offset[:, None], y.mean(axis=0), 0.0)
-        columns.append((y / noise[:, None]).reshape(-1, own))
-    found = np.concatenate(columns)
-    if not np.isfinite(found).all():
-        raise InputError("the simulation breaks down")
-    return found
-
-
-def _heads(problem: Problem) -> Problem:
-    """Return the problem with the first samples of each record."""
-    parts = []
-    for r in problem.records:
-        count = max(LEAST_HEAD, math.ceil(problem.time / r.interval))
-        parts.append(r.part(0, min(count, len(r)), r.name))
-    return problem.with_records(parts)
-
-
-def first_states(
-    heads: Problem,
-    structure: Structure,
-    x: Array,
-    noise: Array,
-    records: Sequence[int],
-    initial: dict[int, Array] | None = None,
-) -> Fit:
-    """Fit the initial states of records to their first samples, from given states or a guess."""
-    iterations = 8 if assemble(bare(structure.at(x))).size[0] else 0
-    fitter = Fitter(heads, white_filters(noise))
-    return fitter.follow(structure, x, records, initial, iterations=iterations)
 
 
 def run_freely(
@@ -208,18 +156,15 @@ def run_freely(
     Returns:
         Residuals (samples, channels) by record. Channels with an offset per record are without the mean residual of the record.
     """
-    every = list(range(len(problem.records))) if records is None else list(records)
-    begun = first_states(_heads(problem), structure, x, noise, every)
-    return free_residuals(problem, structure, x, begun, every)
-
-
-def free_residuals(
-    problem: Problem, structure: Structure, x: Array, begun: Fit, records: Sequence[int]
-) -> dict[int, Array]:
-    """Return the residuals of `run_freely` from fitted initial states."""
     network = structure.at(x)
-    initial = {i: begun.initial[i][:, None] for i in records}
-    outputs = problem.simulate_all([network], records, initial, like=network)
+    every = list(range(len(problem.records))) if records is None else list(records)
+    begun = None
+    if assemble(bare(network)).size[0]:
+        initial = (
+            Fitter(problem.heads, white_filters(noise)).follow(structure, x, every, iterations=8).initial
+        )
+        begun = {i: initial[i][:, None] for i in every}
+    outputs = problem.simulate_all([network], every, begun, like=network)
     residuals = {}
     for i, y in outputs.items():
         offset = problem.nothing(i, structure.offsets)

@@ -35,7 +35,7 @@ DRAWS = 1000
 FREE_FORCE = "free_force"
 
 
-def pseudo_bma_weights(lpd: Array, seed: int = 0, draws: int = DRAWS) -> Array:
+def pseudo_bma_weights(lpd: Array, seed: int = 0) -> Array:
     """Return pseudo-BMA+ weights.
 
     `lpd`: Log predictive density of each candidate and block (candidates, blocks) [nats].
@@ -44,7 +44,7 @@ def pseudo_bma_weights(lpd: Array, seed: int = 0, draws: int = DRAWS) -> Array:
         Weights (candidates,), which add up to one.
     """
     lpd = np.asarray(lpd, float)
-    share = np.random.default_rng(seed).dirichlet(np.ones(lpd.shape[1]), size=draws)
+    share = np.random.default_rng(seed).dirichlet(np.ones(lpd.shape[1]), size=DRAWS)
     total = lpd.shape[1] * (share @ lpd.T)
     odds = np.exp(total - total.max(axis=1, keepdims=True))
     return np.asarray(np.mean(odds / odds.sum(axis=1, keepdims=True), axis=0))
@@ -156,14 +156,3 @@ def weight_of_all(candidates: Sequence[WeightedCandidate], best: Candidate) -> f
     """Return the sum of the weights of the candidates that state all that the foremost candidate states."""
     own = next(c.statements for c in candidates if c.candidate is best)
     return float(sum(c.weight for c in candidates if c.statements >= own))
-
-
-__all__ = [
-    "FREE_FORCE",
-    "Statement",
-    "WeightedCandidate",
-    "probability",
-    "pseudo_bma_weights",
-    "weigh_candidates",
-    "weight_of_all",
-]

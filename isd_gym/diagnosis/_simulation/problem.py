@@ -211,6 +211,8 @@ FINEST = 60
 #: largest factor by which a record is thinned, and smallest number of samples of a thinned record
 MAX_THINNING, MIN_SAMPLES = 4, 500
 WHOLE = math.lcm(*range(1, MAX_THINNING + 1))
+#: least number of samples that give an initial state
+LEAST_HEAD = 20
 #: largest number of samples of all lanes in one call
 LARGEST = 2_000_000
 
@@ -309,6 +311,15 @@ class Problem:
     def with_records(self, records: Sequence[Record], roles: Sequence[Role] | None = None) -> Problem:
         """Return the problem with other records; the roles stay unless given."""
         return Problem(self.network, records, roles or self.roles, self.step, self.time)
+
+    @cached_property
+    def heads(self) -> Problem:
+        """The problem with the first samples of each record, which give its initial state."""
+        parts = []
+        for r in self.records:
+            count = max(LEAST_HEAD, math.ceil(self.time / r.interval))
+            parts.append(r.part(0, min(count, len(r)), r.name))
+        return self.with_records(parts)
 
     @cached_property
     def rough(self) -> Problem:

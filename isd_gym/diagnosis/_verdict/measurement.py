@@ -72,7 +72,7 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
     quantities = intervals(evaluator, best, matrix)
     common: dict[str, Any] = {
         "channels": tuple(search.problem.channels),
-        "before": as_numbers(evaluator.nominal_nrmse()[0]),
+        "before": as_numbers(evaluator.nominal_nrmse[0]),
         "refit": as_numbers(refit.nrmse),
         "noise": as_numbers(scores.noise),
         "noise_known": tuple(f.known for f in evaluator.noise_estimates),
