@@ -316,7 +316,9 @@ def test_the_first_figure_has_the_places_the_force_and_the_laws(diagnosis):
     shares = [int(re.search(r"\((\d+)", line.name)[1]) for line in (true, false)]
     assert shares[0] > 80 > shares[1] + 10  # mass, spring and damper take a part of either
     fast = np.abs(median.x) > 0.05
-    assert np.abs(true.y - median.y)[fast].max() < 0.25 * LEVEL
+    # on average over the bins: those at the ends have few samples
+    away, far = (np.abs(line.y - median.y)[fast].mean() for line in (true, false))
+    assert away < 0.2 * LEVEL and away < 0.5 * far
 
 
 def test_without_a_search_the_gap_comes_first(diagnosis):
