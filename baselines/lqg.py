@@ -115,15 +115,8 @@ class Lqg(DesignedController[LqgSettings]):
         return self.law(self.estimator.update(obs, last), self._rises)
 
     def law(self, x: np.ndarray, ahead: np.ndarray | None = None) -> np.ndarray:
-        """Return the wanted current.
-
-        Args:
-            x: States (n, cars).
-            ahead: Rises of the road ahead (points, cars) [m]; None without preview.
-
-        Returns:
-            Currents (cars,) [A].
-        """
+        """Return the wanted currents (cars,) [A] for states (n, cars) and rises of the road `ahead` (points,
+        cars) [m]."""
         wanted, rate = self._law @ x, self._rate @ x
         if ahead is not None:
             wanted, rate = wanted + self._law_ahead @ ahead, rate + self._rate_ahead @ ahead

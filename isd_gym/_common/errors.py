@@ -63,10 +63,8 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
 
 
 def how_to_install(extra: str) -> str:
-    """Return the shell command that installs an optional dependency group of this package.
-
-    The package is in no registry yet, so the command assumes a clone of the repository.
-    """
+    """Return the shell command that installs an optional dependency group in a clone of the repository: the
+    package is in no registry yet."""
     # the default torch wheel may download gigabytes
     torch = "pip install torch==2.13.0 && " if extra == "agents" else ""
     return f'{torch}pip install ".[{extra}]" in a clone of the repository'

@@ -30,6 +30,7 @@ OWN = {
         "inspect": "isd_gym.contrib.inspection.command:command",
         "plan": "isd_gym.contrib.forecast.command:command",
         "record": "isd_gym.contrib.minari.command:command",
+        "simulate": "isd_gym.contrib.simulation.command:command",
         "sweep": "isd_gym.contrib.sweep.command:command",
         "reproduce": "isd_gym.contrib.reproduce:command",
         "ceiling": "isd_gym.contrib.ceilings.ceiling:command",

@@ -149,18 +149,10 @@ def _add_noise(seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int
 
 
 class Sight:
-    """`Sensors` in action on several cars; the measured signals come first in an observation.
+    """`Sensors` in action on several cars.
 
-    Args:
-        sensors: Imperfections.
-        cars: Number of cars.
-        signals: Kind of each measured signal; signals of the kind 'current' come last and are exact.
-        tracks: Number of tracks of road ahead.
-        points: Number of heights of each track, one per control step.
-        control_step: Control step [s].
-
-    Raises:
-        InputError: The lag of the road is no integer number of control steps.
+    The measured signals come first in an observation, those of the kind 'current' are exact and last among
+    them. The road ahead follows: `points` heights of each track, one per control step [s].
     """
 
     def __init__(

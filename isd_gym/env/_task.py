@@ -352,8 +352,8 @@ class Task:
     def advance(self) -> np.ndarray:
         """Run one decision: `hold` control steps with the same action.
 
-        Afterwards `batch.judged` holds the mean terms of the cost over the control steps, the last tyre loads, and
-        whether a limit was exceeded. `observe` returns the observations.
+        `batch.judged` then holds the mean terms of the cost over the control steps, the last tyre loads,
+        and whether a limit was exceeded.
         """
         batch, of, hold = self.batch, self.batch.of, self.options.hold
         means = 1 + len(self.vehicle.costs)
@@ -406,10 +406,7 @@ class Task:
     def _sense(
         self, obs: np.ndarray, which: np.ndarray | slice = slice(None), *, first: bool = False
     ) -> np.ndarray:
-        """Return reported values of exact observations: first faults of the model's channels, then `sensors`.
-
-        Physics and reward use the exact signals.
-        """
+        """Return reported values of exact observations: first faults of the model's channels, then `sensors`."""
         names = [signal.name for signal in self.measured]
         step = self.batch.control_step
         for e in self._channel_faults:
@@ -494,9 +491,7 @@ def usual_level(batch: Batch) -> float:
 
 
 def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[str, float]]:
-    """Return a function that makes `info` from the speed and the numbers of the kernel.
-
-    The first number of the kernel is minus the cost. A dictionary display takes a third of the time of `dict` and `zip`.
-    """
+    """Return a function that makes `info` from the speed and the numbers of the kernel, the first of which is
+    minus the cost; a dictionary display takes a third of the time of `dict` and `zip`."""
     pairs = ", ".join(f"{name!r}: told[{i}]" for i, name in enumerate(names, 1))
     return eval(f"lambda speed, told: {{'speed': speed, 'cost': -told[0], {pairs}}}")

@@ -39,18 +39,9 @@ LATE = 100  # groups of cars that this thread handles while another thread wakes
 class Batch:
     """Cars of one network (or of a distribution of it), each on a separate road.
 
-    Args:
-        count: Number of cars.
-        network: The plant.
-        road_: Road, unless `randomize` has roads.
-        speed: Speed [m/s], unless `randomize` has a range.
-        control_step: Control step [s], an integer multiple of `physics_step`.
-        physics_step: Physics step [s].
-        duration: Length of fixed profiles [s].
-        randomize: As `ranges` takes them: parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' ->
-            list of roads.
-        preview: Length of the road that is drawn ahead [s], rounded to control steps.
-        extra: Further output channels.
+    `control_step` [s] is an integer multiple of `physics_step`, `duration` [s] the length of fixed
+    profiles, and `preview` [s] the length of the road that is drawn ahead. Speed [m/s] and road hold
+    unless `randomize` (`ranges`) has them.
     """
 
     def __init__(
@@ -262,17 +253,13 @@ class Batch:
         lifted: Sequence[Sequence[float]] = (),
         threads: int = 1,
     ) -> None:
-        """Let every step limit the commanded currents in `target`, and compute rewards, costs and observations.
+        """Let every step limit the commanded currents in `target`, and compute rewards, costs and
+        observations.
 
-        Args:
-            weights: Factors on the squares of accelerations, travels, tyre loads and currents
-                (`StageCost.factors`).
-            bounds: Bounds of the measured signals without the currents.
-            width: Width of an observation.
-            shows: Content of an observation: `MEASURED`, `WHOLE` or `AHEAD` of `layout`.
-            lifted: Share of the road's height at each corner that is subtracted from each output (outputs,
-                corners).
-            threads: Number of threads that share the cars; the results do not depend on the number.
+        `weights` are the factors of `StageCost.factors`, `bounds` those of the measured signals without
+        the currents. An observation has `width` numbers and shows `MEASURED`, `WHOLE` or `AHEAD` of
+        `layout`. `lifted` (outputs, corners) is the share of the road's height that is subtracted from
+        each output. The results do not depend on `threads`.
         """
         of = self.of
         self._setup[place.IS_COMMANDED], self._setup[place.SHOWS] = True, shows
@@ -511,10 +498,8 @@ class Batch:
 
     @property
     def levels(self) -> np.ndarray:
-        """Level of the rough road (count,) [m^2], to which the cost of a linear car is proportional.
-
-        With one track, the level is the variance that each physics step adds to the height under the wheel.
-        """
+        """Level of the rough road (count,) [m^2], to which the cost of a linear car is proportional; with one
+        track, the variance that each physics step adds to the height."""
         return self.cars[self.of.gain] ** 2
 
     @property
@@ -528,10 +513,8 @@ class Batch:
         return self.road_heights[self._setup[self.of.leader : self.of.leader + self.of.tracks]]
 
     def road_ahead(self, points: int | None = None, track: int = 0) -> np.ndarray:
-        """Return a track ahead relative to the height under its first wheel (count, points) [m], one point per control step.
-
-        None for all drawn points; the left track comes before the right track.
-        """
+        """Return a track ahead relative to the height under its first wheel (count, points) [m], one point
+        per control step; the left track comes before the right track."""
         begin = int(self._setup[place.NOW])
         ahead = self._ahead[: self.count].reshape(self.count, self.of.tracks, self.points)[:, track]
         return np.roll(ahead, -begin, axis=1)[:, :points] - self.track_heights[track][:, None]
@@ -581,11 +564,9 @@ def with_found_ranges(network: Network, given: Mapping[str, Any] | str | Path | 
 def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
     """Return checked ranges of `randomize`.
 
-    Args:
-        network: The plant.
-        given: Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' -> list
-            of roads; 'found' -> folder of a diagnosis, whose intervals are ranges of parameters without an own
-            entry. Or a folder alone. None for no ranges.
+    Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' -> list of
+    roads; 'found' -> folder of a diagnosis, whose intervals are ranges of parameters without an own entry;
+    or that folder alone.
     """
     known = network.parameters
     out: dict[str, Any] = {}

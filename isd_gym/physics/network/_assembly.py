@@ -164,10 +164,8 @@ def _schedule(
     by_difference: Sequence[bool],
     size: Size,
 ) -> None:
-    """Give laws that read a logged channel the value of the channel instead of the elongation.
-
-    Logged channels follow the currents in the base vector.
-    """
+    """Give laws that read a logged channel the value of the channel, which follows the currents in the base
+    vector, instead of the elongation."""
     currents = sum(c.quantity == "current" for c in network.inputs)
     logged = [c.name for c in network.inputs if c.quantity == "condition"]
     for j, e in enumerate(laws):

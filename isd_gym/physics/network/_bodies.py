@@ -21,15 +21,7 @@ LEVER_UNITS = {"m/m": (False, False), "m/rad": (False, True), "rad/m": (True, Fa
 
 
 def angle_node(body: str, axis: str) -> str:
-    """Return the name of the node that is the angle of a body about an axis.
-
-    Args:
-        body: Name of the body.
-        axis: 'pitch' or 'roll'.
-
-    Returns:
-        Name such as 'body.pitch'.
-    """
+    """Return the name of the node that is the angle of a body about an axis, such as 'body.pitch'."""
     return f"{body}.{axis}"
 
 

@@ -153,10 +153,9 @@ def rejoin(whole: Network, part: Network) -> Network:
 
 
 def _behind(network: Network, node: str) -> set[str]:
-    """Return the nodes that, without `node`, are connected with a moved node; raise `InputError` if there are none.
+    """Return the nodes that, without `node`, are connected with a moved node; raise `InputError` without any.
 
-    If all nodes are connected with a moved node, as in a half car cut at one wheel, the part with the largest
-    mass stays.
+    If all nodes are, as in a half car cut at one wheel, the part with the largest mass stays.
     """
     links: dict[str, set[str]] = {n: set() for n in network.nodes}
     pairs = [e.where for e in network.elements if e.place == "between" and GROUND not in e.where]

@@ -54,14 +54,10 @@ class StateSpace:
 
 
 def slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slopes of laws at rest; laws that read a logged channel have the slope at the reference of the channel.
+    """Return stiffness [N/m] and damping [N s/m] of laws at rest, (laws,) each; `damping` [N s/m] by name
+    replaces the slopes of a law.
 
-    Args:
-        laws: Laws.
-        damping: Linear damping [N s/m] by name of a law, instead of the slopes of the law.
-
-    Returns:
-        Stiffness [N/m] and damping [N s/m] of each law, (laws,) each.
+    Laws that read a logged channel have the slope at the reference of the channel.
     """
     slopes_k, slopes_c = np.zeros(len(laws)), np.zeros(len(laws))
     for j, e in enumerate(laws):

@@ -180,15 +180,8 @@ class CarSnapshot:
         return tuple((trace, value) for trace, value in every if value is not None)
 
     def height(self, x: float, y: float) -> float:
-        """Return the displacement of a point of the body.
-
-        Args:
-            x: Distance in front of the centre of gravity [m].
-            y: Distance to the left of the centre of gravity [m].
-
-        Returns:
-            Displacement upwards [m].
-        """
+        """Return the displacement upwards [m] of a point x in front and y to the left of the centre of
+        gravity [m]."""
         return self.heave - x * (self.pitch or 0.0) + y * (self.roll or 0.0)
 
 
