@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import unicodedata
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
@@ -26,19 +25,6 @@ def plain(text: str, limit: int = NAME_LIMIT) -> str:
     if text.isprintable():
         return text
     return "".join(c if harmless(c) else c.encode("unicode_escape").decode("ascii") for c in text)
-
-
-#: characters with a meaning in Markdown, HTML or a table
-_MARKUP = frozenset("&<>|`*[]\\~#$!")
-
-
-def markdown(text: str, limit: int = NAME_LIMIT, *, code: bool = False) -> str:
-    """Return a text from a file for a page in Markdown, where it appears as it is written."""
-    text = plain(text, limit)
-    words = re.sub(
-        r"(?<![^\W_])_|_(?![^\W_])", "&#95;", "".join(f"&#{ord(c)};" if c in _MARKUP else c for c in text)
-    )
-    return f"`{text}`" if code and words == text else words
 
 
 def harmless(text: str) -> bool:

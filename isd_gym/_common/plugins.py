@@ -34,6 +34,7 @@ OWN = {
         "sweep": "isd_gym.contrib.sweep.command:command",
         "reproduce": "isd_gym.contrib.reproduce:command",
         "ceiling": "isd_gym.contrib.ceilings.ceiling:command",
+        "warm": "isd_gym.contrib.warming.command:command",
     },
     READERS: {
         "lvm": "isd_gym.contrib.bench_files.entry:lvm",
@@ -50,6 +51,7 @@ OWN = {
         "forecast": "isd_gym.contrib.forecast.planning",
         "hub": "isd_gym.contrib.hub",
         "no_road": "isd_gym.contrib.no_road.command",
+        "own_controllers": "isd_gym.contrib.own_controllers",
     },
 }
 

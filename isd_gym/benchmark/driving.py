@@ -56,17 +56,11 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class Entry:
-    """A policy in a score.
+    """A policy in a score."""
 
-    Attributes:
-        name: Name in the score.
-        make: Returns a new controller at every call.
-        network: Plant of the policy; None for the common plant.
-    """
-
-    name: str
-    make: Callable[[], Controller]
-    network: Network | None = None
+    name: str  # name in the score
+    make: Callable[[], Controller]  # returns a new controller at every call
+    network: Network | None = None  # plant of the policy; None for the common plant
 
 
 class Idle:

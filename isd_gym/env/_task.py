@@ -199,32 +199,10 @@ def _channel_faults(network: Network, names: Sequence[str]) -> list[el.Element]:
 class Task:
     """Cars with the spaces, sensors, costs and limits of the environments.
 
-    Args:
-        count: Number of cars.
-        options: Options of the environment.
-        picture: Whether pictures of the cars will be drawn.
-        threads: Number of threads that share the cars.
-
-        group: Number of consecutive cars on one road; with 1 the reference of a relative reward is a car without
-            current.
-
-    Attributes:
-        options: Options of the environment.
-        network: Network of the cars.
-        vehicle: The network as a car.
-        batch: Cars on their roads.
-        actions: Actions of the next decision (currents, cars), to be written by the environment.
-        decision: Time between two actions [s].
-        episode: Length of an episode [decisions].
-        labels: Name and unit of each number of an observation.
-        slowest: Lowest speed of a car [m/s].
-        step_info: Names of the numbers in `info` of a step after the speed and the cost, in the order of
-            `Batch.judged`.
-        is_faulty: Whether a policy sees signals with errors.
-        is_plain: Whether a decision is one control step with commanded currents and minus its cost as reward.
-
-    Raises:
-        InputError: The network is no car, or an option is invalid.
+    `picture` tells whether pictures of the cars will be drawn, `threads` how many threads share them.
+    `group` is the number of consecutive cars on one road; with 1 the reference of a relative reward is a
+    car without current. The environment writes `actions` (currents, cars) of the next decision, and reads
+    `batch.judged`: minus the cost, then the numbers of `step_info`.
     """
 
     def __init__(

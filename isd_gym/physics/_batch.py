@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -201,7 +200,7 @@ class Batch:
             for begin, stop in zip(ends[:-1], ends[1:], strict=True)
         ]
         self._calls: list[tuple[Any, ...]] = []
-        self._crew: Crew | None = None
+        self._crew: tuple[int, ThreadPoolExecutor] | None = None  # process and its threads
         of = self.of
         self.cars, self.out = self._cars[:, :count], self._cars[of.outputs :, :count]
         self._setup = self._ints[len(self.plant.ints) :]
@@ -438,9 +437,10 @@ class Batch:
         if len(self._calls) == 1:
             self.broken = drive(*self._calls[0])
         else:
-            if self._crew is None or self._crew.process != os.getpid():  # threads do not survive a fork
-                self._crew = Crew(len(self._calls))
-            self.broken = sum(self._crew.do(drive, self._calls))
+            if self._crew is None or self._crew[0] != os.getpid():  # threads do not survive a fork
+                self._crew = os.getpid(), ThreadPoolExecutor(len(self._calls) - 1)
+            others = [self._crew[1].submit(drive, *call) for call in self._calls[1:]]
+            self.broken = drive(*self._calls[0]) + sum(other.result() for other in others)
         if self.points:
             self._setup[place.NOW] = (self._setup[place.NOW] + 1) % self.points
         if self.kept:
@@ -586,38 +586,3 @@ def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> di
             raise InputError(f"randomize: '{key}' needs 0 < low <= high, not ({low:g}, {high:g})")
         out[key] = (low, high)
     return out
-
-
-class Crew:
-    """Waiting threads for shares of a work; the calling thread takes the first share."""
-
-    def __init__(self, size: int) -> None:
-        self.process = os.getpid()
-        self.asked: list[SimpleQueue[Any]] = [SimpleQueue() for _ in range(size - 1)]
-        self.done: SimpleQueue[Any] = SimpleQueue()
-        for queue in self.asked:
-            Thread(target=_work, args=(queue, self.done), daemon=True).start()
-
-    def do(self, function: Callable[..., int], shares: Sequence[tuple[Any, ...]]) -> list[int]:
-        """Run a function on each share."""
-        for queue, share in zip(self.asked, shares[1:], strict=True):
-            queue.put((function, share))
-        results = [function(*shares[0])]
-        results += [self.done.get() for _ in self.asked]
-        for result in results:
-            if isinstance(result, BaseException):
-                raise result
-        return results
-
-    def __del__(self) -> None:
-        for queue in self.asked:
-            queue.put(None)
-
-
-def _work(asked: SimpleQueue[Any], done: SimpleQueue[Any]) -> None:
-    while (task := asked.get()) is not None:
-        function, share = task
-        try:
-            done.put(function(*share))
-        except BaseException as error:
-            done.put(error)

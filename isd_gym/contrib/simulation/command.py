@@ -206,11 +206,11 @@ def _write(
     import numpy as np
 
     from isd_gym._common.units import convert
+    from isd_gym.contrib.records import inputs_of, outputs_of
     from isd_gym.physics.simulate import simulate as run
     from isd_gym.records import state_of
     from isd_gym.records._loggers import files_of
-    from isd_gym.records._loggers.record_reading import outputs_of, records_of
-    from isd_gym.records._loggers.resampling import inputs_of
+    from isd_gym.records._loggers.record_reading import records_of
     from isd_gym.records.data import Table, write_table
 
     from .motions import motions_at, motions_of

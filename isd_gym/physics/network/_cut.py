@@ -97,15 +97,7 @@ def cut_nodes(network: Network) -> list[str]:
 
 
 def without(network: Network, name: str) -> str:
-    """Return advice for an input that was not measured, as the end of a message.
-
-    Args:
-        network: The model.
-        name: Name of the input.
-
-    Returns:
-        A clause; '' without advice.
-    """
+    """Return advice for an input that was not measured, as the end of a message; '' without advice."""
     if any(c.name == name and c.quantity == "condition" for c in network.inputs):
         return "; where nobody logged it, leave the input and the elements that read it out of the model"
     road = next((c for c in network.moving if c.name == name and c.quantity == "displacement"), None)

@@ -21,23 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StateSpace:
-    """Linear system ``dx/dt = A x + B u``, ``y = C x + D u`` in SI units with named signals.
+    """Linear system ``dx/dt = A x + B u``, ``y = C x + D u`` in SI units with named signals."""
 
-    Attributes:
-        A: State matrix (states, states).
-        B: Input matrix (states, inputs).
-        C: Output matrix (outputs, states).
-        D: Feedthrough matrix (outputs, inputs).
-        inputs: Names of the inputs u.
-        outputs: Names of the outputs y.
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    A: np.ndarray  # state matrix (states, states)
+    B: np.ndarray  # input matrix (states, inputs)
+    C: np.ndarray  # output matrix (outputs, states)
+    D: np.ndarray  # feedthrough matrix (outputs, inputs)
+    inputs: tuple[str, ...]  # names of the inputs u
+    outputs: tuple[str, ...]  # names of the outputs y
 
     def response(self, frequency: np.ndarray) -> np.ndarray:
         """Return the complex frequency response.
