@@ -47,7 +47,7 @@ MASS: dict[str, Any] = builders.model(
     uncertainty={"table.mass": 0.03, "spring.stiffness": 0.1, "damper.damping": 0.2},
 )
 SHORT = Rig({"stroke": Limits(0.01)}, (1.0, 7.0), 8.0, 0.008)
-#: criteria that ask for nothing but what noise does
+#: criteria in which noise alone counts
 NOISE_ALONE = Criteria(material=1e-9, share=1e-9, wide_gap=1e9, determined=1e9)
 
 
@@ -99,7 +99,7 @@ def test_what_moves_no_sensor_is_unseen_and_the_sensor_that_would_see_it_is_name
 
 @pytest.mark.slow
 def test_laws_at_two_places_that_one_force_passes_are_not_told_apart() -> None:
-    """Two equal springs in series without a mass between them: nobody sees which of them is the cubic one."""
+    """Two equal springs in series without a mass between them: the records do not tell the cubic spring from the linear spring."""
     model = json.loads(json.dumps(MASS))
     model["elements"][0]["stiffness"] = 18000.0
     model["elements"][0]["between"] = ["table", "middle"]

@@ -60,8 +60,7 @@ class Match:
             InputError: No law can have the matched values.
         """
         built = add(structure, self.hypothesis, self.values)
-        pairs = zip(built.free, built.start, strict=True)
-        return built, np.array([self.moved.get(f.path, v) for f, v in pairs])
+        return built, built.start_from(self.moved)
 
 
 @dataclass(frozen=True)

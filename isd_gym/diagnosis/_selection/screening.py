@@ -226,10 +226,10 @@ class Screening:
         known = {f.path: v for f, v in own if f.owner < len(r.hypotheses) - 1}
         out = []
         for gone, structure in simpler_structures(self.problem, r):
-            is_last = gone is r.hypotheses[-1] and structure.hypotheses[:-1] == r.hypotheses[:-1]
-            if len(structure.hypotheses) != len(r.hypotheses) or not is_last or structure.hypotheses in tried:
+            is_left_out = len(structure.hypotheses) < len(r.hypotheses)
+            if gone is not r.hypotheses[-1] or is_left_out or structure.hypotheses in tried:
                 continue
-            x = np.array([known.get(f.path, v) for f, v in zip(structure.free, structure.start, strict=True)])
+            x = structure.start_from(known)
             try:
                 states = transfer_states(self.problem, r.fit.network, r.fit.initial, structure)
                 f = self.fitter.fit(structure, x, states, r.fit.offset, iterations=FIRST + FURTHER)
@@ -267,9 +267,7 @@ class Screening:
         groups, _ = brief.shortlist(), brief.fitter
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
             ranked = brief.leading(_best_first(pool.map(brief.fit, groups)))
-            tried = {r.hypotheses for r in ranked} | {
-                (*self.current.structure.hypotheses, g[0].hypothesis) for g in groups
-            }
+            tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
             plainer = [
                 r for found in pool.map(lambda r: brief.special_cases(r, tried), ranked) for r in found
             ]
