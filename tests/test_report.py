@@ -31,13 +31,13 @@ from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis._verdict.explanation import draw_law as series_law
 from isd_gym.diagnosis._verdict.gates import gates_of
-from isd_gym.diagnosis.result import BestCandidate, Tabulated
+from isd_gym.diagnosis.result import BestCandidate, ScreenedPlace, Tabulated
 from isd_gym.physics.elements import TYPES, CoulombFriction, parameter_fields
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records import schemas
 from isd_gym.records.data import Table, read_table
-from isd_gym.view._report import charts, plots
+from isd_gym.view._report import charts, plots, steps
 from isd_gym.view._report import diagnosis as report
 from isd_gym.view._report import score as score_page
 
@@ -62,6 +62,7 @@ def made_diagnosis() -> Diagnosis:
     kept = [e for e in true.elements if e.type not in ("coulomb_friction", "bump_stop")]
     base = replace(true, elements=tuple(kept), uncertainty={"body.mass": 0.05, "oil.stiffness": 0.05})
     model = base.with_element(CoulombFriction("seal", ("piston", "joint"), level=LEVEL))
+    model = replace(model, uncertainty={"seal.level": 0.02})  # that of the fit, as a diagnosis states it
     rng = np.random.default_rng(1)
     traces = []
     for name, held in (("one", False), ("two", True)):
@@ -89,6 +90,11 @@ def made_diagnosis() -> Diagnosis:
         effects=(Effect("coulomb_friction", ("piston", "joint"), None, 0.993, {"level": level}, "seal"),),
         contenders=(Contender(("hysteresis",), (("piston", "joint"),), 0.31, 120.0, "explains less <of it>"),),
         where=(Place("suspension_travel", 0.7, ((0.8, 2.0),), "velocity of piston-joint changes sign"),),
+        places=(
+            ScreenedPlace(("piston", "joint"), "coulomb_friction", 0.81),
+            ScreenedPlace(("body", "wheel"), "viscous_damping", 0.12),
+            ScreenedPlace(("suspension_travel",), "sensor_gain", 0.0),
+        ),
         parameters={"body.mass": Quantity(351.2, 349.9, 352.4, "kg", 345.0)},
         gap=gap,
         closed=0.99,
@@ -117,7 +123,18 @@ def evidence_of(gap: dict[str, dict[str, float]], *effects: EffectEvidence, expl
     )  # fmt: skip
 
 
-FIGURES = ("loops", "other_loops", "gap", "time", "residuals", "spectra", "plane", "law", "parameters")
+FIGURES = (
+    "steps",
+    "loops",
+    "other_loops",
+    "gap",
+    "time",
+    "residuals",
+    "spectra",
+    "plane",
+    "law",
+    "parameters",
+)
 #: every kind of page of a diagnosis: its verdict and whether a table of the missing force is found
 KINDS = {
     "missing_effect": "missing_effect",
@@ -159,7 +176,7 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
     gap["noise_floor"] = d.gap["noise_floor"]
     evidence = evidence_of(gap, EffectEvidence("hysteresis at piston-joint", 0.3), explained=0.42)
     best = BestCandidate(
-        ("hysteresis",), (("piston", "joint"),), ({"level": 120.0},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
+        ("hysteresis",), (("piston", "joint"),), ({"level": 120.0, "stiffness": 1e6},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
     )  # fmt: skip
     made = replace(
         d, verdict=verdict, summary=f"So: {verdict}.", effects=(), contenders=(), closed=0.9 if tabulated else None,
@@ -279,6 +296,34 @@ def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
     # the rate is that of the record
     measured = np.gradient(simulate(diagnosis.model, *_held(diagnosis))["device_travel"], STEP)[125:-125]
     assert np.sqrt(np.mean((cloud.rate - measured) ** 2)) < 0.05 * measured.std()
+
+
+def test_the_first_figure_has_the_places_the_force_and_the_laws(diagnosis):
+    """The curve of a law is the missing force where the law is true, and another where it is not."""
+    cubic = Contender(
+        ("cubic_stiffness",), (("piston", "joint"),), 0.9, 300.0, "explains less",
+        ({"stiffness": 1e6},),
+    )  # fmt: skip
+    chart = steps.draw_steps(report.View(replace(diagnosis, contenders=(*diagnosis.contenders, cubic))))
+    places, force, laws = chart.panels
+    assert places.y.rows == ("piston – joint", "body – wheel", "suspension travel")
+    blue, grey = (i for i in places.items if isinstance(i, charts.Marks))
+    assert list(blue.x) == pytest.approx([81.0]) and list(grey.x) == pytest.approx([12.0, 0.0])
+    (median,) = (i for i in force.items if isinstance(i, charts.Line))
+    assert np.all(median.band[0] <= median.y) and np.all(median.y <= median.band[1])
+    again, true, false = (i for i in laws.items if isinstance(i, charts.Line))
+    assert again.y is median.y and true.name.startswith("Coulomb friction")
+    shares = [int(re.search(r"\((\d+)", line.name)[1]) for line in (true, false)]
+    assert shares[0] > 80 > shares[1] + 10  # mass, spring and damper take a part of either
+    fast = np.abs(median.x) > 0.05
+    # on average over the bins: those at the ends have few samples
+    away, far = (np.abs(line.y - median.y)[fast].mean() for line in (true, false))
+    assert away < 0.2 * LEVEL and away < 0.5 * far
+
+
+def test_without_a_search_the_gap_comes_first(diagnosis):
+    view = report.View(replace(diagnosis, places=()))
+    assert view.first == "gap" and steps.draw_steps(view) is None
 
 
 def _held(d):
@@ -691,7 +736,7 @@ def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypa
     assert Path("found/law.svg").exists() == drawn
     assert ("with the effect" in page.text) == (kind == "missing_effect")
     first = re.search(r'id="figure-(\w+)"', Path("found/report.html").read_text())[1]
-    assert first == ("gap" if d.verdict in ("no_discrepancy", "parameters_only") else "loops")
+    assert first == "steps"
     assert Path("found/plane.svg").exists() == (d.verdict != "no_discrepancy")
 
 
