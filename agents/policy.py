@@ -49,25 +49,15 @@ SHIPPED = Path(__file__).parent / "policies"
 
 @dataclass(frozen=True)
 class Head:
-    """Conversion of a policy's output in [-1, 1] to the commanded current of each motor.
+    """Conversion of a policy's output in [-1, 1] to the commanded current of each motor."""
 
-    Attributes:
-        mode: 'target' for a share of `limit`; 'increment' for the present current plus a share of `slew`;
-            'residual' for the law of the memory's filter plus an offset.
-        limit: Largest current [A].
-        slew: Largest change of current per control step [A].
-        keep: Factor on the offset of a residual at each step [-].
-        gain: Change of the offset of a residual at output 1 [A].
-
-    Raises:
-        InputError: A value is outside its limits.
-    """
-
+    #: 'target' for a share of `limit`; 'increment' for the present current plus a share of `slew`; 'residual'
+    #: for the law of the memory's filter plus an offset
     mode: str = "target"
-    limit: float = CURRENT_LIMIT
-    slew: float = SLEW_LIMIT
-    keep: float = 0.9
-    gain: float = 0.5
+    limit: float = CURRENT_LIMIT  # largest current [A]
+    slew: float = SLEW_LIMIT  # largest change of current per control step [A]
+    keep: float = 0.9  # factor on the offset of a residual at each step [-]
+    gain: float = 0.5  # change of the offset of a residual at output 1 [A]
 
     def __post_init__(self) -> None:
         if self.mode not in ("target", "increment", "residual"):
@@ -82,16 +72,8 @@ class Head:
             raise InputError(f"the action's gain must be at most {2 * CURRENT_LIMIT:g} A, not {self.gain:g}")
 
     def current(self, share: np.ndarray, present: np.ndarray, recall: Recall | None = None) -> np.ndarray:
-        """Return the commanded currents.
-
-        Args:
-            share: Output of the network (count, currents) in [-1, 1].
-            present: Present currents (count, currents) [A].
-            recall: Memory of the cars, with the law and the offset of a residual.
-
-        Returns:
-            Currents (count, currents) [A].
-        """
+        """Return the commanded currents (count, currents) [A] for outputs `share` (count, currents) in [-1,
+        1] and present currents [A]; `recall` has the law and the offset of a residual."""
         if self.mode == "target":
             return share * np.float32(self.limit)
         if self.mode == "residual":
@@ -104,18 +86,7 @@ class Head:
 
 
 def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarray]:
-    """Return the tensors of a safetensors file.
-
-    Args:
-        data: Content of the file.
-        where: Name of the file, for messages.
-
-    Returns:
-        Array by name.
-
-    Raises:
-        InputError: The data are no safetensors file.
-    """
+    """Return the tensors of a safetensors file by name; `where` is the file's name for messages."""
     try:
         return safetensors.load(data)
     except Exception as error:  # any error is a fault of the file

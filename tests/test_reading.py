@@ -9,10 +9,11 @@ from builders import channel, damper, network, spring
 from program import run
 from scipy.io import savemat
 
-from isd_gym._commands.simulate import command
 from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
 from isd_gym.contrib.inspection import inspect
+from isd_gym.contrib.inspection.map_file import save_map
+from isd_gym.contrib.simulation.command import command
 from isd_gym.records._loggers import ChannelMap, Recording
 from isd_gym.records._loggers.record_reading import records_of
 from isd_gym.records.data import Table, read_table
@@ -93,7 +94,7 @@ def test_a_file_without_time_is_read_at_a_rate(tmp_path):
     (record,) = records_of(path, RIG, WANTED, rate=500.0)
     check(record)
     found = inspect([path], RIG, rate=500.0)
-    found.map("rig.json").save(tmp_path / "map.json")  # the map remembers the rate
+    save_map(found.map("rig.json"), tmp_path / "map.json")  # the map remembers the rate
     (record,) = records_of(path, RIG, WANTED, by=ChannelMap.load(tmp_path / "map.json"))
     check(record)
     of_schema(json.loads((tmp_path / "map.json").read_text()), "isd-map/1", "the map")

@@ -41,7 +41,6 @@ def snapshots(
     from ..env._environment import ISDSuspensionEnv
     from ..env._task import CONTROL_STEP
 
-    _check_length(seconds)
     network = Network.load(network)
     cars: list[Any] = []  # name, controller, environment, observation
     for entry in entries:
@@ -67,11 +66,6 @@ def snapshots(
             if terminated:
                 raise InputError(f"'{name}' broke the car after {(k + 1) * CONTROL_STEP:.2f} s")
         yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
-
-
-def _check_length(seconds: float) -> None:
-    if not (np.isfinite(seconds) and seconds > 0):
-        raise InputError(f"seconds must be positive, not {seconds}")
 
 
 def _size(network: Network, cars: int) -> tuple[int, int]:
@@ -103,7 +97,6 @@ def film(
     from ..env._task import CONTROL_STEP
     from ..view._rendering import write_video
 
-    _check_length(drive.get("seconds", 10.0))
     network = Network.load(network)
     gif = Path(path).suffix.lower() == ".gif"
     fps = 25.0 if gif else 50.0

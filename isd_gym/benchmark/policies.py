@@ -12,12 +12,11 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 from .._common.errors import InputError, shown
-from .._common.plugins import POLICIES, plugins
+from .._common.plugins import POLICIES, find_wing, plugins
 from ..physics._vehicle import kind, vehicle
 from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.network._bodies import Point
-from ._own_controller import entry_of_file
 from .driving import Entry, Idle
 
 if TYPE_CHECKING:
@@ -123,8 +122,9 @@ def find(
     Raises:
         InputError: The name is unknown, or the policy does not fit the plant.
     """
-    if (own := entry_of_file(name)) is not None:
-        return own
+    own = find_wing("own_controllers")
+    if own and (entry := own.entry_of_file(name)) is not None:
+        return entry
     if trained is not None and name.lower().endswith(".zip"):
         options["trained"] = trained
     car = vehicle(network)

@@ -9,7 +9,7 @@ Data go one way, from the first of these packages to the last:
 - `_selection`: which effects predict held-out records best;
 - `_verdict`: evidence, what it allows to say, and the words.
 
-`_workflow` runs all of it, `_result_builder` makes the `result` of what it found, and `_prediction_errors` judges a model as it is.
+`_workflow` runs all of it, and `_result_builder` makes the `result` of what it found.
 `isd_gym.contrib.forecast` designs the test that would decide between candidates.
 """
 

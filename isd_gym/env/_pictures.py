@@ -22,12 +22,7 @@ PAST = 4.0  # length of the curves [s]
 
 
 class Onlooker:
-    """Follows one car of a task and makes snapshots of the car.
-
-    Args:
-        task: Cars, made with `picture`.
-        car: Index of the car.
-    """
+    """Follows one car of a task that was made with `picture`, and makes snapshots of the car."""
 
     def __init__(self, task: Task, car: int) -> None:
         """Follow a car from its next start."""

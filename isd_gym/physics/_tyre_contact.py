@@ -29,10 +29,11 @@ FREQUENCIES = np.geomspace(0.1, 100.0, 60)  # of the tyre load [Hz]; wheel hop i
 
 
 def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
-    """Return the share of the time in which the tyre that pulls most often has a negative total load; 0 for tyres that lift off.
+    """Return the share of the time in which the tyre that pulls most often has a negative total load; 0 for
+    tyres that lift off.
 
-    The load is normally distributed, with the variance of the linear car without friction and current, at a speed [m/s]. Fixed
-    profiles are not counted.
+    The load is normally distributed, with the variance of the linear car without friction and current.
+    Fixed profiles are not counted.
     """
     if ground.roughness == 0.0:
         return 0.0

@@ -142,11 +142,8 @@ class Vehicle:
 
     @cached_property
     def resting_masses(self) -> tuple[float, ...]:
-        """Share of the body's mass that rests on each corner [kg].
-
-        The shares balance the weight about the centre of gravity. For more than three corners, the shares are
-        the most even ones (least sum of squares).
-        """
+        """Share of the body's mass that rests on each corner [kg]: the shares balance the weight about the
+        centre of gravity, with the least sum of squares."""
         mass = self.network.carried[self.body]
         rows = np.array([self.arms(c.x, c.y) for c in self.corners]).T
         rows = rows[np.abs(rows).max(axis=1) > 0]
@@ -219,11 +216,8 @@ class Vehicle:
         )
 
     def shares(self, channel: Channel) -> tuple[float, ...]:
-        """Return the shares of the road heights in the reference of a node's displacement.
-
-        A node of a corner is measured from the road of the corner, a node of the body from the mean of all
-        roads.
-        """
+        """Return the shares of the road heights in the reference of a node's displacement: a node of a corner
+        is measured from the road of the corner, a node of the body from the mean of all roads."""
         count = len(self.corners)
         if channel.quantity != "displacement" or channel.at in self.angles.values():
             return (0.0,) * count

@@ -5,20 +5,20 @@ import json
 import builders
 import numpy as np
 import pytest
-import typer
 from builders import QUARTER_CAR as CAR
 from builders import channel, damper, drive_quarter_car, spring
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from program import with_wings
 from typer.testing import CliRunner
 
-from isd_gym import _commands as cli
-from isd_gym._commands import FiniteCommand
 from isd_gym._common.errors import InputError
 from isd_gym.contrib.inspection import head, inspect, lines, page
 from isd_gym.contrib.inspection.command import command
 from isd_gym.contrib.inspection.consistency import integral_consistency
 from isd_gym.contrib.inspection.facts import sparkline
+from isd_gym.contrib.inspection.map_file import save_map
+from isd_gym.contrib.simulation.command import command as simulate_command
 from isd_gym.diagnosis._records import read_record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
@@ -105,7 +105,7 @@ def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, 
     network = Network.load(CAR)
     made = inspect([file], network)
     assert chosen(made) == names
-    made.suggestion.map(made.files, "car.json").save(tmp_path / "map.json")
+    save_map(made.suggestion.map(made.files, "car.json"), tmp_path / "map.json")
     pytest.importorskip("jsonschema").validate(
         json.loads((tmp_path / "map.json").read_text()), load("isd-map/1")
     )
@@ -275,10 +275,7 @@ def test_iso_stamps_are_seconds(tmp_path):
 @pytest.fixture(scope="module")
 def program():
     """The program with the command of the wing."""
-    whole = typer.Typer()
-    whole.registered_commands = list(cli.app.registered_commands)
-    whole.command(name="inspect", cls=FiniteCommand)(command)
-    return whole
+    return with_wings(inspect=command, simulate=simulate_command)
 
 
 def refused(program, *words):

@@ -134,17 +134,11 @@ def spoken(effect: str) -> str:
 
 @dataclass(frozen=True)
 class Motion:
-    """Simulated relative motion of a pair of nodes.
+    """Simulated relative motion of a pair of nodes."""
 
-    Attributes:
-        d: Elongation (n,) [m].
-        v: Rate of elongation (n,) [m/s].
-        a: Second derivative of elongation (n,) [m/s^2].
-    """
-
-    d: Array
-    v: Array
-    a: Array
+    d: Array  # elongation (n,) [m]
+    v: Array  # rate of elongation (n,) [m/s]
+    a: Array  # second derivative of elongation (n,) [m/s^2]
 
     @property
     def reach(self) -> float:
@@ -170,30 +164,19 @@ PROBE = 0.05
 
 @dataclass(frozen=True)
 class Setting:
-    """Place of a hypothesis, with scales of the data at the place.
+    """Place of a hypothesis, with scales of the data at the place."""
 
-    Attributes:
-        network: The model.
-        where: The place: two nodes, a motor, or a channel.
-        motion: Relative motion of the two nodes; None at a motor or a channel.
-        force: Typical force of the data [N].
-        signal: Standard deviation of the motor's current [A], or of the channel [unit of the channel].
-        time: Reciprocal of the typical circular frequency of the motion [s].
-        options: Values of the choices that are not numbers.
-        samples: Measured channel [unit of the channel] or commanded current [A], (n,); None between two
-            nodes.
-        pitches: Periods [m] in the spectrum of the missing force over travel, for laws that repeat over
-            travel.
-    """
-
-    network: Network
-    where: tuple[str, ...]
-    motion: Motion | None
-    force: float
+    network: Network  # the model
+    where: tuple[str, ...]  # the place: two nodes, a motor, or a channel
+    motion: Motion | None  # relative motion of the two nodes; None at a motor or a channel
+    force: float  # typical force of the data [N]
+    #: standard deviation of the motor's current [A], or of the channel [unit of the channel]
     signal: float = 1.0
-    time: float = 0.05
-    options: Mapping[str, str] = field(default_factory=dict)
+    time: float = 0.05  # reciprocal of the typical circular frequency of the motion [s]
+    options: Mapping[str, str] = field(default_factory=dict)  # values of the choices that are not numbers
+    #: measured channel [unit of the channel] or commanded current [A], (n,); None between two nodes
     samples: Array | None = None
+    #: periods [m] in the spectrum of the missing force over travel, for laws that repeat over travel
     pitches: tuple[float, ...] = ()
 
     @property
@@ -215,21 +198,14 @@ class Setting:
 
 @dataclass(frozen=True)
 class Start:
-    """Start values of a fit.
+    """Start values of a fit."""
 
-    Attributes:
-        values: Value by parameter.
-        ways: Value sets whose responses are projected together; the start values alone by default.
-        grows: Parameters that scale with the amplitude of the effect.
-        inverse: Whether the effect is proportional to the reciprocal of the parameters.
-        signed: Whether the effect may have either sign.
-    """
-
-    values: dict[str, float]
+    values: dict[str, float]  # value by parameter
+    #: value sets whose responses are projected together; the start values alone by default
     ways: tuple[dict[str, float], ...] = ()
-    grows: tuple[str, ...] = ()
-    inverse: bool = False
-    signed: bool = False
+    grows: tuple[str, ...] = ()  # parameters that scale with the amplitude of the effect
+    inverse: bool = False  # whether the effect is proportional to the reciprocal of the parameters
+    signed: bool = False  # whether the effect may have either sign
 
     def __post_init__(self) -> None:
         if not self.ways:
@@ -247,14 +223,10 @@ class Element:
     the parameters p, the elongation d [m], its rate v [m/s], the elongation d_last [m] at the step before,
     the law's state z and the step h [s]. ``bound(p, d, v)`` returns the level [N] that a dry friction can
     hold.
-
-    Attributes:
-        name: Name, unique in the model.
-        where: Two terminals (nodes), or a motor, or a channel.
     """
 
-    name: str
-    where: tuple[str, ...]
+    name: str  # name, unique in the model
+    where: tuple[str, ...]  # two terminals (nodes), or a motor, or a channel
 
     type: ClassVar[str] = ""
     #: kind of physical effect, one of `MECHANISMS`

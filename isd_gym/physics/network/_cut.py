@@ -97,15 +97,7 @@ def cut_nodes(network: Network) -> list[str]:
 
 
 def without(network: Network, name: str) -> str:
-    """Return advice for an input that was not measured, as the end of a message.
-
-    Args:
-        network: The model.
-        name: Name of the input.
-
-    Returns:
-        A clause; '' without advice.
-    """
+    """Return advice for an input that was not measured, as the end of a message; '' without advice."""
     if any(c.name == name and c.quantity == "condition" for c in network.inputs):
         return "; where nobody logged it, leave the input and the elements that read it out of the model"
     road = next((c for c in network.moving if c.name == name and c.quantity == "displacement"), None)
@@ -153,10 +145,9 @@ def rejoin(whole: Network, part: Network) -> Network:
 
 
 def _behind(network: Network, node: str) -> set[str]:
-    """Return the nodes that, without `node`, are connected with a moved node; raise `InputError` if there are none.
+    """Return the nodes that, without `node`, are connected with a moved node; raise `InputError` without any.
 
-    If all nodes are connected with a moved node, as in a half car cut at one wheel, the part with the largest
-    mass stays.
+    If all nodes are, as in a half car cut at one wheel, the part with the largest mass stays.
     """
     links: dict[str, set[str]] = {n: set() for n in network.nodes}
     pairs = [e.where for e in network.elements if e.place == "between" and GROUND not in e.where]

@@ -39,33 +39,25 @@ def check_name(name: Any, what: str) -> str:
 
 @dataclass(frozen=True)
 class Channel:
-    """An input or output of a model.
+    """An input or output of a model."""
 
-    Attributes:
-        name: Name of the channel, and of its column in a table.
-        quantity: Quantity in the equations (a key of `UNITS`). An angle in deg is a displacement, a torque in
-            N m a force, a commanded voltage a current.
-        unit: Unit of the channel in a table.
-        at: Node.
-        between: Two nodes of a relative motion.
-        element: Element of a force or current; several for the sum of their forces.
-        offset: Unknown constant of an output's sensor: 'free' for a common constant of all records, 'record'
-            for a constant per record, None without.
-        noise: RMS of an output's noise from the sensor's data sheet [unit]; None if unknown.
-        measured: False for a road that was not measured.
-        axis: 'pitch' or 'roll' if `at` is the angle of a body ('body.pitch'); a model file has "body" and
-            "axis" instead.
-    """
-
-    name: str
+    name: str  # name of the channel, and of its column in a table
+    #: quantity in the equations (a key of `UNITS`). An angle in deg is a displacement, a torque in N m a
+    #: force, a commanded voltage a current
     quantity: str
-    unit: str
-    at: str | None = None
-    between: tuple[str, str] | None = None
+    unit: str  # unit of the channel in a table
+    at: str | None = None  # node
+    between: tuple[str, str] | None = None  # two nodes of a relative motion
+    #: element of a force or current; several for the sum of their forces
     element: str | tuple[str, ...] | None = None
+    #: unknown constant of an output's sensor: 'free' for a common constant of all records, 'record' for a
+    #: constant per record, None without
     offset: Offset | None = None
+    #: RMS of an output's noise from the sensor's data sheet [unit]; None if unknown
     noise: float | None = None
-    measured: bool = True
+    measured: bool = True  # false for a road that was not measured
+    #: 'pitch' or 'roll' if `at` is the angle of a body ('body.pitch'); a model file has "body" and "axis"
+    #: instead
     axis: str | None = None
 
     @property
@@ -115,32 +107,21 @@ class Network:
 
     Immutable and validated on construction; `with_parameters` and `with_element` return changed copies.
 
-    Attributes:
-        name: Name, for people.
-        masses: Mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`.
-        elements: Two-terminal elements, and effects at motors and channels.
-        inputs: Input channels.
-        outputs: Output channels.
-        uncertainty: Relative standard deviation by parameter path; parameters without an entry are known.
-        description: Description, for people.
-        turning: Rotational nodes among the masses.
-        bodies: Rigid bodies; their points are ordinary nodes.
-        levers: Ratios that couple two nodes.
-
     Raises:
         InputError: An entry is invalid; the message names the entry in one line.
     """
 
-    name: str
-    masses: Mapping[str, float]
-    elements: tuple[el.Element, ...]
-    inputs: tuple[Channel, ...] = ()
-    outputs: tuple[Channel, ...] = ()
+    name: str  # name, for people
+    masses: Mapping[str, float]  # mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`
+    elements: tuple[el.Element, ...]  # two-terminal elements, and effects at motors and channels
+    inputs: tuple[Channel, ...] = ()  # input channels
+    outputs: tuple[Channel, ...] = ()  # output channels
+    #: relative standard deviation by parameter path; parameters without an entry are known
     uncertainty: Mapping[str, float] = field(default_factory=dict)
-    description: str = ""
-    turning: frozenset[str] = frozenset()
-    bodies: tuple[Body, ...] = ()
-    levers: tuple[Lever, ...] = ()
+    description: str = ""  # description, for people
+    turning: frozenset[str] = frozenset()  # rotational nodes among the masses
+    bodies: tuple[Body, ...] = ()  # rigid bodies; their points are ordinary nodes
+    levers: tuple[Lever, ...] = ()  # ratios that couple two nodes
 
     # ------------------------------------------------------------------------------------ the file
 

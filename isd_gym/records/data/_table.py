@@ -56,19 +56,14 @@ def _vector(values: Any) -> np.ndarray:
 class Table:
     """Channels over a common time. Arrays are copied and read-only.
 
-    Attributes:
-        time: Time stamps (n,) [s].
-        columns: Samples (n,) by channel, in the unit of `units`.
-        source: Origin, for messages.
-        units: Unit by channel; a channel without a unit has the SI unit of its quantity.
-
     Raises:
         InputError: Lengths differ.
     """
 
-    time: np.ndarray
-    columns: dict[str, np.ndarray]
-    source: str = "table"
+    time: np.ndarray  # time stamps (n,) [s]
+    columns: dict[str, np.ndarray]  # samples (n,) by channel, in the unit of `units`
+    source: str = "table"  # origin, for messages
+    #: unit by channel; a channel without a unit has the SI unit of its quantity
     units: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -313,17 +308,14 @@ def _one_line(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class Format:
-    """How files of a format are read.
+    """How files of a format are read."""
 
-    Attributes:
-        read: Reader of wanted columns: path, wanted names, time column, whether to resample, names for a file without a header.
-        read_rasters: Reader of all rasters: path, names for a file without a header; None for a format with one raster.
-        has_own_stamps: Whether channels may have time stamps of their own.
-    """
-
+    #: reader of wanted columns: path, wanted names, time column, whether to resample, names for a file
+    #: without a header
     read: Reader
+    #: reader of all rasters: path, names for a file without a header; None for a format with one raster
     read_rasters: Callable[[Path, Sequence[str] | None], list[Columns]] | None = None
-    has_own_stamps: bool = False
+    has_own_stamps: bool = False  # whether channels may have time stamps of their own
 
 
 def binary_format(reader: str, has_own_stamps: bool = False) -> Format:

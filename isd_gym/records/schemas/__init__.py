@@ -50,16 +50,8 @@ def load(name: str) -> dict[str, Any]:
 
 
 def check(data: Any, name: str, where: str) -> None:
-    """Check that plain data have the structure of a format.
-
-    Args:
-        data: Content of a JSON file.
-        name: Name of the format, such as 'isd-score/1'.
-        where: Source of the data; start of the error message.
-
-    Raises:
-        InputError: The data have another structure; the message names the place.
-    """
+    """Raise `InputError` with the place unless plain data have the structure of a format such as
+    'isd-score/1'; `where` begins the message."""
     from jsonschema.exceptions import best_match
 
     error = best_match(_validator(name).iter_errors(data))

@@ -22,13 +22,8 @@ if TYPE_CHECKING:
 
 
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
-    """Write frames as an MP4 or a GIF film, atomically.
-
-    Args:
-        path: File to write (.mp4 or .gif).
-        frames: Frames (height, width, 3) uint8 of equal size.
-        fps: Frames per second; at most 50 in a GIF, the limit of most viewers.
-    """
+    """Write frames (height, width, 3) uint8 of equal size as an .mp4 or a .gif film, atomically; a GIF has at
+    most 50 frames per second, the limit of most viewers."""
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in (".mp4", ".gif"):

@@ -20,15 +20,7 @@ CELL = 25.0  # height of a corner's current [units of the layout]
 
 
 class Panel:
-    """The panel of one car or of two, including the memory of the curves.
-
-    Args:
-        canvas: Canvas.
-        left: Left edge [px].
-        right: Right edge [px].
-        height: Height [px].
-        cars: Number of cars.
-    """
+    """The panel of one car or of two between two edges [px], including the memory of the curves."""
 
     def __init__(self, canvas: Canvas, left: float, right: float, height: float, cars: int) -> None:
         """Use the right part of the picture."""

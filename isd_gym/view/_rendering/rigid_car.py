@@ -81,15 +81,7 @@ class View:
 
 
 class RigidCarScene:
-    """A car with a rigid body on its road.
-
-    Args:
-        canvas: Canvas.
-        snapshot: Content of the picture.
-        left: Left edge [px].
-        width: Width [px].
-        colour: Colour of the body.
-    """
+    """A car with a rigid body on its road, in a part of the picture [px]."""
 
     most = 10.0  # largest exaggeration of motions
 
