@@ -136,16 +136,16 @@ def match_laws(
     residual = residual_of(problem, fitter, fit)
     motion = measured_motions(problem, fit, noise)
     starts = starts_of(problem, fit, {pair: joined(m) for pair, m in motion.items()}, candidates)
-    small = [(h, start) for h, start in starts if not _follows_motion(h)]
+    small = [(h, start) for h, start in starts if not follows_motion(h)]
     found = _match_small_effects(problem, fitter, fit, residual, small)
-    along = sorted(((h, s) for h, s in starts if _follows_motion(h)), key=lambda t: t[0].where)
+    along = sorted(((h, s) for h, s in starts if follows_motion(h)), key=lambda t: t[0].where)
     for where, group in groupby(along, key=lambda t: t[0].where):
         pair = (where[0], where[1])
         found += _match_forces(problem, fitter, fit, residual, pair, motion[pair], list(group))
     return sorted(found, key=lambda m: -m.share)
 
 
-def _follows_motion(h: Hypothesis) -> bool:
+def follows_motion(h: Hypothesis) -> bool:
     """Return whether the motion of its two nodes tells the force of a law."""
     return h.place == "between" and not (h.kind.series or h.kind.loaded or h.kind.scheduled)
 
