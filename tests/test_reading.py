@@ -80,6 +80,16 @@ def test_a_header_in_a_comment_line_names_the_columns(head, separator, tmp_path)
     check(record)
 
 
+def test_columns_that_are_empty_throughout_do_not_count(tmp_path):
+    """A spreadsheet fills the lines of a logger's file up to its longest line, here the remark of another output."""
+    head = f"% Logger,,,,\n% Output A (off) - Sine, 10 MHz, 1 Vpp, offset 0 V, phase 0 deg\n% {HEAD},,\n"
+    lines = text().splitlines()
+    (record,) = read(tmp_path / "a.csv", head + "".join(f"{line},,\n" for line in lines))
+    check(record)
+    (record,) = read(tmp_path / "b.csv", "".join(f"{line},\n" for line in (HEAD, *lines)))
+    check(record)
+
+
 def test_a_comment_that_is_no_header_is_none(tmp_path):
     with pytest.raises(InputError, match="--columns NAME,NAME"):
         read(tmp_path / "a.csv", "# measured by J., 3 May\n" + text())

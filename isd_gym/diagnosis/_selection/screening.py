@@ -190,7 +190,7 @@ class Screening:
                     except InputError:
                         continue
                 tries += [own] if own else []
-            tries += [[begun] for begun in self._with_less_damping(m)]
+            tries += [[begun] for begun in self.starts_with_less_damping(m)]
         every = [t for own in tries for t in own]
         if not every:
             return []
@@ -203,7 +203,7 @@ class Screening:
             order = np.array(list(dict.fromkeys([*order[: FITTED - 1], 0, *order]))[:FITTED])
         return [tries[k][best[k][1]] for k in order]
 
-    def _with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
+    def starts_with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
         """Yield starts with a share of the damping at the place of a law that dissipates, which takes over the damping's work.
 
         The damping of a model without the law has been fitted to that work, and the law may have an optimum at either split of it.
@@ -254,7 +254,7 @@ class Screening:
         out = []
         for r in _best_first(fitted):
             alike = [q for q in fitted if q.hypotheses == r.hypotheses]
-            closest = min(alike, key=lambda q: gap(self.problem, q.fit))
+            closest = min(alike, key=lambda q: (gap(self.problem, q.fit), q.deviance))
             is_closer = gap(self.problem, closest.fit) < CLOSER * gap(self.problem, r.fit)
             out += [r, closest] if is_closer else [r]
         return sorted(out, key=lambda r: r.deviance)

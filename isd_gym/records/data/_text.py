@@ -170,6 +170,25 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
     return delimiter, comma, width
 
 
+def _empty_at_the_end(lines: Sequence[str], delimiter: str) -> int:
+    """Return the number of columns without a name or a number at the end of every line."""
+    if not delimiter.strip():
+        return 0
+
+    def count(line: str) -> int:
+        end = line[len(line.rstrip(delimiter + " ")) :]
+        return end.count(delimiter)
+
+    return min(map(count, lines))
+
+
+def _without_last(line: str, delimiter: str, count: int) -> str:
+    """Return a line without its last delimiters, at most `count`."""
+    for _ in range(count):
+        line = line.rstrip().removesuffix(delimiter)
+    return line
+
+
 def _is_numeric(cells: list[str], width: int, comma: bool) -> bool:
     """Return whether a row is data: most of its cells are finite numbers, or all its cells are numbers or gaps."""
     found = [number_in(x, comma) for x in cells]
@@ -390,7 +409,12 @@ def _read(path: Path, columns: Sequence[str] | None, text: str | None = None) ->
             raise InputError(
                 f"{path}: line {number} has {len(line)} characters, at most {LINE_LIMIT} are read"
             )
-    like = _dialect(path, rows)
+    delimiter, comma, width = like = _dialect(path, rows)
+    empty = _empty_at_the_end([s for _, s in rows], delimiter)
+    if 0 < empty < width - 1:  # spreadsheets fill every line up to the longest one
+        rows = [(i, _without_last(s, delimiter, empty)) for i, s in rows]
+        comments = [(i, _without_last(s, delimiter, empty)) for i, s in comments]
+        like = delimiter, comma, width - empty
     if like[2] > COLUMN_LIMIT:
         raise InputError(f"{path}: has {like[2]} columns, at most {COLUMN_LIMIT} are read")
     names, units, first = _header(path, rows, like, columns, comments)
