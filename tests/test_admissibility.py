@@ -1,7 +1,5 @@
 """Which laws the motion of the records can show: laws of travel and their periods."""
 
-from __future__ import annotations
-
 import builders
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
-from isd_gym.diagnosis._hypotheses.law_matching import Match, match_laws
+from isd_gym.diagnosis._hypotheses.law_matching import match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._selection.admissibility import Travel, admissible_matches, is_observed
 from isd_gym.diagnosis._simulation.problem import Problem, Record
@@ -29,10 +27,10 @@ DRUM = model(
 )
 
 
-def coast_down(speed: float, seed: int, friction: float, drag: float) -> Table:
+def coast_down(speed, seed, friction, drag):
     """Return the speed of a drum that coasts down by friction [N m], damping and drag [N m s^2/rad^2], with noise of an encoder."""
 
-    def slowing(_: float, v: np.ndarray) -> np.ndarray:
+    def slowing(_, v):
         return -(friction + 0.02 * v + drag * v * abs(v)) / 14.0
 
     time = np.arange(0.0, 80.0, 0.2)
@@ -42,7 +40,7 @@ def coast_down(speed: float, seed: int, friction: float, drag: float) -> Table:
 
 
 @pytest.mark.slow
-def test_a_coast_down_whose_speed_alone_is_measured_shows_no_spring() -> None:
+def test_a_coast_down_whose_speed_alone_is_measured_shows_no_spring():
     runs = [coast_down(v, k, 4.0, 0.003) for k, v in enumerate((42.0, 43.0, 39.0, 45.0))]
     d = diagnose(runs[:2], DRUM, validate=runs[2:])
     stated = {e.effect for e in d.effects} | {e for c in d.contenders for e in c.effects}
@@ -50,7 +48,7 @@ def test_a_coast_down_whose_speed_alone_is_measured_shows_no_spring() -> None:
     assert not stated & {"cubic_stiffness", "linear_stiffness", "bump_stop", "gas_spring", "hysteresis"}
 
 
-def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed() -> None:
+def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed():
     pair = ("drum", "ground")
     spring = builders.spring(*[*pair], stiffness=3.0, name="s")
     angle = channel("angle", "angle", "drum")
@@ -61,7 +59,7 @@ def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed()
     assert told == [False, True, True, False]
 
 
-def test_no_pitch_is_offered_that_is_finer_than_the_samples() -> None:
+def test_no_pitch_is_offered_that_is_finer_than_the_samples():
     time = np.arange(100) * 0.05
     angle = channel("angle", "angle", "drum")
     network = Network.load(DRUM | {"outputs": [angle]})
@@ -72,7 +70,7 @@ def test_no_pitch_is_offered_that_is_finer_than_the_samples() -> None:
     offered = [h for h in hypotheses(network) if h.kind.periodic]
     noise = np.array([0.01])
 
-    def pitches(starts: list[Match]) -> list[float]:
+    def pitches(starts):
         return [s.values["pitch"] for s in starts]
 
     every = pitches(match_laws(problem, fitter, fit, noise, offered))
@@ -92,7 +90,5 @@ def test_no_pitch_is_offered_that_is_finer_than_the_samples() -> None:
         (Travel(is_observed=False, passes=2.0, span=10.0, advance=0.1), 4.0, True),
     ],
 )
-def test_a_period_is_seen_where_samples_resolve_it_and_the_travel_holds_it_often(
-    travel: Travel, period: float, is_seen: bool
-) -> None:
+def test_a_period_is_seen_where_samples_resolve_it_and_the_travel_holds_it_often(travel, period, is_seen):
     assert travel.shows_period(period) == is_seen

@@ -1,7 +1,5 @@
 """Policies: memory, files, and the same actions in numpy as in Stable-Baselines3."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -11,7 +9,6 @@ from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
@@ -35,11 +32,8 @@ from isd_gym.contrib.training.settings import MEMORY
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-
-def small_policy(rng: np.random.Generator, head: Head | None = None, memory: Memory = MEMORY) -> Policy:
+def small_policy(rng, head=None, memory=MEMORY):
     sizes = [memory.width(6), 8, 1]
     layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
     return Policy(
@@ -48,7 +42,7 @@ def small_policy(rng: np.random.Generator, head: Head | None = None, memory: Mem
 
 
 @cache
-def filtered() -> Memory:
+def filtered():
     """The memory with the LQG's estimate of the default car."""
     from isd_gym.contrib.training.estimate import lqg_filter
 
@@ -56,11 +50,11 @@ def filtered() -> Memory:
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(7)
 
 
-def drive(policy: Policy, steps: int, seed: int = 3) -> np.ndarray:
+def drive(policy, steps, seed=3):
     env = gymnasium.make("ISDSuspension-v0")
     obs, _ = env.reset(seed=seed)
     policy.reset()
@@ -183,7 +177,7 @@ def test_a_folder_gives_the_same_policy_back(rng, tmp_path):
     assert back.model == policy.model
 
 
-def edit(path: Path, **changes: object) -> None:
+def edit(path, **changes):
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
@@ -330,7 +324,7 @@ def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
     assert ends == {0: 3, 1: 1}  # staggered
 
 
-def trained(sb3, kind: str, env, **options):
+def trained(sb3, kind, env, **options):
     algorithm = getattr(sb3, kind)
     small = dict(n_steps=16, batch_size=16) if kind == "PPO" else dict(learning_starts=8, batch_size=8)
     small |= dict(policy_kwargs=dict(net_arch=[16, 8]), seed=1, device="cpu")

@@ -1,7 +1,5 @@
 """Baselines: the tools they are made of against closed forms, their limits on any road, their answer to any solver."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from dataclasses import replace
@@ -40,7 +38,7 @@ SEVERAL = ["mpc-friction", *baselines.WHOLE_CAR]  # of several corners, too
 MEASURED = [n for n in OWN if n not in ("lqr-full", "mpc-friction-preview")]
 
 
-def frictionless(net: Network = CAR) -> Network:
+def frictionless(net=CAR):
     return replace(
         net, elements=tuple(e for e in net.elements if e.name not in ("seal", "end_stop")), uncertainty={}
     )
@@ -62,7 +60,7 @@ def rollout(controller, *, cars=4, steps=400, seed=0, **options):
     return np.array(seen), np.array(sent)
 
 
-def cost_change(controller, *, cars=8, steps=2000, seed=100, **options) -> float:
+def cost_change(controller, *, cars=8, steps=2000, seed=100, **options):
     """Relative change of the cost against the conventional passive car, on the same roads."""
     total = []
     for car, network in ((controller, "quarter-car-isd"), (baselines.make("passive"), "quarter-car-passive")):

@@ -1,7 +1,5 @@
 """Benchmark cards: references episode by episode, paired with scores of others on the same roads and on no others."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path
@@ -125,7 +123,7 @@ def test_a_card_is_frozen(card, tmp_path):
 
 
 def test_the_command_makes_cards_and_scores_against_them(tmp_path):
-    def go(*words: object) -> str:
+    def go(*words):
         done = run(*words)
         assert not done.returncode, done.stderr
         return " ".join(done.stdout.split())
@@ -135,7 +133,7 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path):
     assert "1 track in" in go("card", tmp_path / "brief.json", "--write", tmp_path / "card.json")
     assert "add against skyhook" in go("score", "add", *on, "--against", tmp_path / "card.json")
 
-    def driven(*args: object, **kwargs: object) -> None:
+    def driven(*args, **kwargs):
         raise AssertionError("driven before it was refused")
 
     with pytest.MonkeyPatch.context() as patch:

@@ -1,10 +1,7 @@
 """The table of criteria: evidence made by hand, every verdict, and every gate that can fail."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +14,6 @@ from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis._verdict.gates import (
     COMPARE,
-    Gate,
     confidence,
     decide,
     gates_of,
@@ -51,7 +47,7 @@ GOOD = Evidence(
 )
 
 
-def test_a_name_passes_every_gate() -> None:
+def test_a_name_passes_every_gate():
     d = decide(GOOD)
     assert d.verdict == "missing_effect"
     assert d.gates and all(g.passed for g in d.gates)
@@ -79,20 +75,20 @@ def test_a_name_passes_every_gate() -> None:
         ("sensor", {"effects": (replace(GAIN, fault=0.4),), "force_loss": 10.0}, "ambiguous"),
     ],
 )
-def test_each_gate_can_fail_and_the_verdict_follows(gate: str, change: dict, verdict: str) -> None:
+def test_each_gate_can_fail_and_the_verdict_follows(gate, change, verdict):
     d = decide(replace(GOOD, **change))
     assert [g.name for g in d.gates if not g.passed] == [gate]
     assert d.verdict == verdict
 
 
-def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either() -> None:
+def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either():
     d = decide(
         replace(GOOD, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0, probability=0.4)
     )
     assert d.verdict == "ambiguous"
 
 
-def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_itself() -> None:
+def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_itself():
     left = replace(GOOD, explained=0.6, after=(0.09,), richest=(0.09,))
     assert decide(left).verdict == "unknown_effect"
     assert decide(replace(left, envelope_after=(0.1,))).verdict == "missing_effect"
@@ -108,7 +104,7 @@ def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_i
     )
 
 
-def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_narrow_one_is_told() -> None:
+def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_narrow_one_is_told():
     small = (replace(FRICTION, share=0.02),)
     assert decide(replace(GOOD, effects=small)).verdict == "missing_effect"
     # of a gap of 8 % it is what small effects make that tells
@@ -126,7 +122,7 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
     assert [g.name for g in d.gates if not g.passed] == ["material"]
 
 
-def test_two_effects_must_explain_more_than_one() -> None:
+def test_two_effects_must_explain_more_than_one():
     # each effect removes half of what is left by the inclusion test alone
     part = replace(
         GOOD, explained=0.8, after=(0.2,), richest=(0.2,), test_explained=0.8, test_excess_ratio=10.0
@@ -137,7 +133,7 @@ def test_two_effects_must_explain_more_than_one() -> None:
     assert [round(Criteria().least_explained(k), 4) for k in (1, 2, 3)] == [0.75, 0.875, 0.9375]
 
 
-def test_agreement_needs_a_noise_that_is_known_or_a_small_error() -> None:
+def test_agreement_needs_a_noise_that_is_known_or_a_small_error():
     quiet = replace(GOOD, before=(0.021,), refit=(0.02,), after=(0.02,), effects=(), richest=())
     assert decide(quiet).verdict == "no_discrepancy"
     assert decide(replace(quiet, before=(0.2,))).verdict == "parameters_only"
@@ -146,7 +142,7 @@ def test_agreement_needs_a_noise_that_is_known_or_a_small_error() -> None:
     assert decide(broad).verdict == "unknown_effect"
 
 
-def test_a_name_makes_nothing_worse_that_it_was_fitted_to() -> None:
+def test_a_name_makes_nothing_worse_that_it_was_fitted_to():
     # nine tenths of the held-out gap, by chance, and the fitted records worse than before
     lucky = replace(GOOD, training_refit=(0.3,), training_after=(0.4,), training_explained=-0.9)
     d = decide(lucky)
@@ -155,7 +151,7 @@ def test_a_name_makes_nothing_worse_that_it_was_fitted_to() -> None:
     assert decide(replace(lucky, training_after=(0.03,), training_explained=0.97)).verdict == "missing_effect"
 
 
-def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name() -> None:
+def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name():
     four = {
         k: v * 4
         for k, v in {"channels": ("a",), "before": (0.4,), "refit": (0.3,), "after": (0.021,)}.items()
@@ -176,7 +172,7 @@ def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name() -> Non
     assert decide(replace(drifts, training_after=(0.06, 0.05, 0.05, 0.6))).verdict == "unknown_effect"
 
 
-def test_what_noise_may_hide_is_no_finding() -> None:
+def test_what_noise_may_hide_is_no_finding():
     clean = replace(
         GOOD, before=(0.16,), refit=(0.051,), after=(0.051,), noise=(0.041,), envelope=(0.01,), effects=()
     )
@@ -189,13 +185,13 @@ def test_what_noise_may_hide_is_no_finding() -> None:
     assert decide(small).verdict == "unknown_effect"
 
 
-def test_a_name_that_small_effects_excuse_is_stated_with_less_confidence() -> None:
+def test_a_name_that_small_effects_excuse_is_stated_with_less_confidence():
     whole, part = (confidence(replace(GOOD, explained=x, probability=0.9)) for x in (0.95, 0.7))
     assert whole == pytest.approx(0.9 * (1.0 - MISTAKEN["law"]))
     assert part == pytest.approx(0.9 * (1.0 - MISTAKEN["partly"])) and part < whole
 
 
-def test_criteria_are_arguments_and_say_why_they_are() -> None:
+def test_criteria_are_arguments_and_say_why_they_are():
     strict = Criteria(share=0.5, alone_removes=0.999)
     assert decide(replace(GOOD, explained=0.89, richest_share=0.9), strict).verdict == "unknown_effect"
     rows = table()
@@ -204,7 +200,7 @@ def test_criteria_are_arguments_and_say_why_they_are() -> None:
     assert {g.name for g in gates_of(GOOD, CRITERIA)} >= {"material", "distinguishable", "sensor"}
 
 
-def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition() -> None:
+def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition():
     wave = TYPES["cogging_force"](name="wave", where=("mass", "base"), amplitude=1.0, pitch=2.0, phase=0.0)
     rare = np.concatenate([np.random.default_rng(0).uniform(-1.0, 1.0, 1000), [-2.0, 2.0]])
     often = np.linspace(-2.0, 2.0, 1000)
@@ -230,7 +226,7 @@ PARAMETERS = st.lists(st.sampled_from(["a", "b"]), max_size=2).map(tuple)
 
 
 @st.composite
-def evidences(draw: st.DrawFn) -> Evidence:
+def evidences(draw):
     """Any evidence of one or two effects on one or two channels."""
     count = draw(st.integers(1, 2))
     rows = st.tuples(*[SHARES] * count)
@@ -254,14 +250,14 @@ def evidences(draw: st.DrawFn) -> Evidence:
 
 @given(evidences())
 @settings(deadline=None)
-def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
+def test_the_figures_of_a_gate_are_those_that_were_tested(e):
     for g in gates_of(e):
         assert g.passed == COMPARE[g.relation](g.value, g.limit)
         assert math.isfinite(g.value) and math.isfinite(g.limit)
 
 
 @given(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
-def test_so_are_those_of_a_table(explained: float, moved: float, errors: float, confirmed: float) -> None:
+def test_so_are_those_of_a_table(explained, moved, errors, confirmed):
     for g in table_gates(explained, moved, errors, confirmed):
         assert g.passed == COMPARE[g.relation](g.value, g.limit) and math.isfinite(g.value)
     asked = min(explained, confirmed) >= CRITERIA.least_removed
@@ -269,10 +265,10 @@ def test_so_are_those_of_a_table(explained: float, moved: float, errors: float, 
     assert all(g.passed for g in table_gates(explained, moved, errors, confirmed)) == asked
 
 
-def test_a_table_that_explains_the_validation_records_alone_is_not_confirmed() -> None:
-    def score(nrmse: float, test_nrmse: float) -> HeldOutScore:
+def test_a_table_that_explains_the_validation_records_alone_is_not_confirmed():
+    def score(nrmse, test_nrmse):
         errors = np.array([nrmse]), np.array([test_nrmse])
-        none: Any = None
+        none = None
         return HeldOutScore(none, nrmse**2, none, none, *errors, errors[0], test_nrmse**2, none)
 
     refit, table = score(0.5, 0.4), score(0.1, 0.39)
@@ -282,8 +278,8 @@ def test_a_table_that_explains_the_validation_records_alone_is_not_confirmed() -
     assert failed == ["confirmed"]
 
 
-def test_the_limit_of_a_doubtful_sensor_is_the_one_it_was_held_against() -> None:
-    def forces_first(fault: float) -> Gate:
+def test_the_limit_of_a_doubtful_sensor_is_the_one_it_was_held_against():
+    def forces_first(fault):
         return gates_of(replace(GOOD, effects=(replace(GAIN, fault=fault),), force_loss=10.0))[-1]
 
     assert (forces_first(0.1).passed, forces_first(0.1).limit) == (True, 2.0)

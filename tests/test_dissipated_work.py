@@ -1,13 +1,11 @@
 """The size of a dissipative law where damping is slight: its share of the dissipated work, not of the force."""
 
-from __future__ import annotations
-
 import builders
 import numpy as np
 import pytest
 from builders import channel
 
-from isd_gym.diagnosis._estimation.gauss_newton import Fit, Fitter
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
 from isd_gym.diagnosis._hypotheses.forces import dissipated_work, lossy_share
@@ -20,7 +18,7 @@ STIFFNESS = 250e3  # [N/m]; the mass is 1 kg, so that a period takes 12.6 ms
 LEVEL = 0.8  # [N] of friction, beside 250 N of elastic force at the beginning
 
 
-def ring_down(damping: float, effect: str, values: dict[str, float]) -> tuple[Problem, Fit]:
+def ring_down(damping, effect, values):
     """Return a ring-down from 1 mm with a law that the model lacks, simulated by that law."""
     between = ["beam", "ground"]
     spring = builders.spring(*between, stiffness=STIFFNESS, name="bending")
@@ -42,7 +40,7 @@ def ring_down(damping: float, effect: str, values: dict[str, float]) -> tuple[Pr
     return problem, fit
 
 
-def test_friction_in_a_lightly_damped_structure_has_its_share_of_the_dissipated_work() -> None:
+def test_friction_in_a_lightly_damped_structure_has_its_share_of_the_dissipated_work():
     problem, fit = ring_down(2.0, "coulomb_friction", {"level": LEVEL})
     rate = fit.outputs[0][:, 0]
     powers = LEVEL * np.mean(np.abs(rate)), 2.0 * np.mean(rate**2)
@@ -59,22 +57,20 @@ def test_friction_in_a_lightly_damped_structure_has_its_share_of_the_dissipated_
     ],
     ids=["well damped", "elastic"],
 )
-def test_the_share_of_the_force_counts_where_damping_is_strong_and_for_elastic_laws(
-    damping: float, effect: str, values: dict[str, float]
-) -> None:
+def test_the_share_of_the_force_counts_where_damping_is_strong_and_for_elastic_laws(damping, effect, values):
     problem, fit = ring_down(damping, effect, values)
     (name,) = fit.structure.names
     assert effect_size(problem, fit, name) < 0.05
 
 
-def test_the_elastic_part_of_a_force_does_no_work() -> None:
+def test_the_elastic_part_of_a_force_does_no_work():
     phase = np.linspace(0.0, 6.0 * np.pi, 3001)
     motion = el.Motion(0.2 * np.sin(phase), 0.2 * np.cos(phase), -0.2 * np.sin(phase))
     force = 30.0 * motion.d + 5.0 * motion.d**3 + 2.0 * np.sign(motion.v) + 7.0
     assert dissipated_work(force, motion) == pytest.approx(2.0 * 0.2 * 2.0 / np.pi, rel=1e-3)
 
 
-def test_unmodelled_friction_is_small_beside_the_damping_where_damping_is_slight() -> None:
+def test_unmodelled_friction_is_small_beside_the_damping_where_damping_is_slight():
     """A share of the elastic force would be a multiple of the damping, and no interval of a fitted friction would exclude zero."""
     problem, fit = ring_down(2.0, "coulomb_friction", {"level": LEVEL})
     assert lossy_share(problem, fit) == pytest.approx(0.0056, rel=0.02)

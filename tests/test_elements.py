@@ -145,17 +145,17 @@ def test_a_sensor_may_be_late_or_lead():
     time = np.arange(2000) * 1e-3
     signal = np.sin(7 * time)
     for delay in (0.0123, -0.0123, 0.02, -0.02):
-        seen = el.SensorDelay("x", ("y",), delay=delay).apply(signal, 1e-3)  # type: ignore[call-arg]
+        seen = el.SensorDelay("x", ("y",), delay=delay).apply(signal, 1e-3)
         inside = (time > 0.03) & (time < time[-1] - 0.03)
         # straight lines between samples: their error is below step^2 w^2 / 8
         assert np.abs(seen - np.sin(7 * (time - delay)))[inside].max() < 7e-6
         assert seen.shape == signal.shape
     # past the last sample the signal goes on with its slope: its error is of second order in the lead
-    seen = el.SensorDelay("x", ("y",), delay=-0.02).apply(signal, 1e-3)  # type: ignore[call-arg]
+    seen = el.SensorDelay("x", ("y",), delay=-0.02).apply(signal, 1e-3)
     assert np.abs(seen - np.sin(7 * (time + 0.02))).max() < 49 * 0.02**2
-    short = el.SensorDelay("x", ("y",), delay=-0.3).apply(signal[:5], 0.1)  # type: ignore[call-arg]
+    short = el.SensorDelay("x", ("y",), delay=-0.3).apply(signal[:5], 0.1)
     assert short.shape == (5,) and np.isfinite(short).all()
-    assert np.isfinite(el.SensorDelay("x", ("y",), delay=-9.0).apply(signal[:5], 0.1)).all()  # type: ignore[call-arg]
+    assert np.isfinite(el.SensorDelay("x", ("y",), delay=-9.0).apply(signal[:5], 0.1)).all()
 
 
 def test_what_runs_step_by_step_cannot_lead():
@@ -193,7 +193,7 @@ def test_faults_stay_within_what_is_plausible(effect, where, values, limits):
 
 
 def test_a_parameter_without_a_plausible_range_keeps_its_wide_prior():
-    (free,) = free_of(el.CoulombFriction("x", ("a", "b"), level=3.0), 0)  # type: ignore[call-arg]
+    (free,) = free_of(el.CoulombFriction("x", ("a", "b"), level=3.0), 0)
     assert free.back(free.low) == pytest.approx(3e-4) and free.back(free.high) == pytest.approx(3e4)
 
 
@@ -244,7 +244,7 @@ def test_laws_of_a_sensor_need_a_zero_that_is_known():
 
 
 def cogging(**values):
-    return el.CoggingForce("x", ("a", "b"), amplitude=2.0, **values)  # type: ignore[call-arg]
+    return el.CoggingForce("x", ("a", "b"), amplitude=2.0, **values)
 
 
 def test_cogging_of_a_turn_has_a_whole_number_of_periods():
@@ -334,7 +334,7 @@ def test_a_degressive_damper_takes_the_place_of_the_linear_one():
     v = 0.4 * np.sin(np.arange(2000) * 0.01)
     at = el.Setting(net, ("cart", "ground"), el.Motion(v, v, v), 1.0)
     for start in el.DegressiveDamping.starts(at):
-        law = el.DegressiveDamping("x", ("cart", "ground"), **start.values)  # type: ignore[call-arg]
+        law = el.DegressiveDamping("x", ("cart", "ground"), **start.values)
         assert el.rms(law.curve(v)) == pytest.approx(
             3.0 * el.rms(v)
         )  # the force of the damper that it replaces

@@ -1,9 +1,6 @@
 """The families: their integrator against what can be worked out by hand, and what a case promises."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,9 +9,6 @@ from rigs.families import FAMILIES, KINDS, UNSEEN, UNSEEN_KINDS, make_case, save
 from rigs.families.plant import Signal, integrate
 from rigs.families.rigs import dyno
 from rigs.reference import simulate
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.tools
 
@@ -34,7 +28,7 @@ pytestmark = pytest.mark.tools
         ("inertance", {"inertance": 0.7}),
     ],
 )
-def test_every_law_moves_a_mass_as_the_other_integrator_says(kind: str, parameters: dict) -> None:
+def test_every_law_moves_a_mass_as_the_other_integrator_says(kind, parameters):
     elements = [
         spring("mass", "base", 800.0),
         damper("mass", "base", 8.0),
@@ -59,7 +53,7 @@ def test_every_law_moves_a_mass_as_the_other_integrator_says(kind: str, paramete
     assert np.sqrt(np.mean((plain - other) ** 2)) > 20 * error  # the law is felt
 
 
-def test_the_cell_of_a_test_machine_reads_inertia_spring_and_damper() -> None:
+def test_the_cell_of_a_test_machine_reads_inertia_spring_and_damper():
     rig = dyno(np.random.default_rng(3))
     e = [element("b", "inertance", "rod", "ground", inertance=2.5)]
     model = {**rig.model, "elements": [*rig.model["elements"], *e]}
@@ -71,7 +65,7 @@ def test_the_cell_of_a_test_machine_reads_inertia_spring_and_damper() -> None:
     np.testing.assert_allclose(ran.load["rod"][:-1], force[:-1], rtol=1e-6, atol=1e-6 * np.std(force))
 
 
-def test_the_suite_is_broad() -> None:
+def test_the_suite_is_broad():
     assert len(set(KINDS)) == len(KINDS) >= 80
     assert not set(FAMILIES) & set(UNSEEN) and len(set(UNSEEN_KINDS)) == len(UNSEEN_KINDS)
     for family in [*FAMILIES.values(), *UNSEEN.values()]:
@@ -91,7 +85,7 @@ QUICK = [
 
 
 @pytest.mark.parametrize("kind", [*QUICK, "dyno.unknown_position_damping"])
-def test_what_is_hidden_is_there_and_cannot_be_had_by_moving_parameters(kind: str) -> None:
+def test_what_is_hidden_is_there_and_cannot_be_had_by_moving_parameters(kind):
     case = make_case(kind, 4)
     assert case.family in FAMILIES
     channels = [c["name"] for c in case.model["inputs"] + case.model["outputs"]]
@@ -112,21 +106,21 @@ def test_what_is_hidden_is_there_and_cannot_be_had_by_moving_parameters(kind: st
     json.dumps([case.model, case.record()])
 
 
-def test_seeds_decide_everything() -> None:
+def test_seeds_decide_everything():
     one, same, other = (make_case("decay.friction", s) for s in (1, 1, 2))
     for k in one.estimation:
         np.testing.assert_array_equal(one.estimation[k], same.estimation[k])
     assert one.model == same.model != other.model
 
 
-def test_rigs_are_of_every_size() -> None:
+def test_rigs_are_of_every_size():
     cases = [make_case("spin.friction", s) for s in range(6)]
     masses = np.array([next(iter(c.truth["model"]["masses"].values())) for c in cases])
     lengths = np.array([len(c.estimation["time"]) for c in cases])
     assert masses.max() / masses.min() > 1e4 and lengths.max() / lengths.min() > 5
 
 
-def test_saved_cases_are_read_back_as_a_folder_of_rigs(tmp_path: Path) -> None:
+def test_saved_cases_are_read_back_as_a_folder_of_rigs(tmp_path):
     case = make_case("spin.friction", 0)
     save([case], tmp_path / "rigs")
     truth = json.loads((tmp_path / "rigs.truth.json").read_text())

@@ -1,9 +1,5 @@
 """Typical forces at the places of a rig."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import builders
 import numpy as np
 import pytest
@@ -16,13 +12,10 @@ from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.forces import PlaceForces, place_forces
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 
-if TYPE_CHECKING:
-    from isd_gym.physics.network import Network
-
 STEP, BODY = 5e-3, 400.0
 
 
-def dropped(tyre: float = 3e5, wheel: float = 100.0, **more: object) -> Network:
+def dropped(tyre=3e5, wheel=100.0, **more):
     return builders.network(
         "dropped",
         [
@@ -37,7 +30,7 @@ def dropped(tyre: float = 3e5, wheel: float = 100.0, **more: object) -> Network:
     )
 
 
-def forces_of(network: Network, state: list[float], samples: int = 600) -> tuple[PlaceForces, np.ndarray]:
+def forces_of(network, state, samples=600):
     """Typical forces of a free motion from `state`, and the motion (samples, outputs)."""
     blank = Record("free", STEP, {}, np.zeros((samples, len(network.outputs))))
     seen = Problem(network, [blank], ["fit"]).simulate([network], 0, np.array(state)[:, None], like=network)[
@@ -51,7 +44,7 @@ def forces_of(network: Network, state: list[float], samples: int = 600) -> tuple
     return place_forces(problem, fit), seen
 
 
-def test_the_force_of_a_free_pair_is_that_of_the_springs_and_does_not_follow_the_stiffest_one() -> None:
+def test_the_force_of_a_free_pair_is_that_of_the_springs_and_does_not_follow_the_stiffest_one():
     fall = [0.02, 0.0, 0.0, 0.0]
     soft, motion = forces_of(dropped(3e5), fall)
     stiff, _ = forces_of(dropped(3e6), fall)
@@ -62,7 +55,7 @@ def test_the_force_of_a_free_pair_is_that_of_the_springs_and_does_not_follow_the
     assert stiff.largest < 3 * soft.largest
 
 
-def test_a_force_between_two_masses_is_compared_with_the_smaller_of_their_forces() -> None:
+def test_a_force_between_two_masses_is_compared_with_the_smaller_of_their_forces():
     forces = PlaceForces({"body": 300.0, "wheel": 900.0, "base": 5.0}, frozenset({"ground", "base"}))
     assert forces.at(("body", "wheel")) == forces.at(("wheel", "body")) == 300.0
     assert forces.at(("wheel", "ground")) == forces.at(("base", "wheel")) == 900.0
@@ -70,7 +63,7 @@ def test_a_force_between_two_masses_is_compared_with_the_smaller_of_their_forces
     assert forces.at(("motor",)) == 900.0
 
 
-def test_an_input_force_counts_at_its_node() -> None:
+def test_an_input_force_counts_at_its_node():
     network = builders.network(
         "cart",
         [damper("cart", "ground", 0.1, "drag")],
@@ -87,7 +80,7 @@ def test_an_input_force_counts_at_its_node() -> None:
     assert place_forces(problem, fit).at(("cart", "ground")) == pytest.approx(rms(push), rel=0.05)
 
 
-def test_a_model_that_stands_still_takes_its_scale_from_the_measured_motion() -> None:
+def test_a_model_that_stands_still_takes_its_scale_from_the_measured_motion():
     network = dropped()
     swing = 0.01 * np.sin(2 * np.pi * 1.6 * STEP * np.arange(600))
     problem = Problem(network, [Record("free", STEP, {}, np.stack([swing, 0.1 * swing], 1))], ["fit"])

@@ -27,7 +27,7 @@ SCORE = (
 )
 
 
-def python(code: str, place: Path) -> str:
+def python(code, place):
     """What `code` prints without any installation: no .pth file is read, the package comes from `place` alone."""
     libraries = [p for p in sys.path if p.endswith("-packages") and not list(Path(p).glob("isd_gym-*"))]
     if not libraries:

@@ -1,7 +1,5 @@
 """Dry friction whose level grows with the load that a gear or a screw transmits."""
 
-from __future__ import annotations
-
 import builders
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The loop closed: what the diagnosis finds makes the controller better on the plant that hides it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from close_the_loop import close
 
 
 @pytest.mark.slow
-def test_the_completed_model_drives_the_car_better_than_the_owners() -> None:
+def test_the_completed_model_drives_the_car_better_than_the_owners():
     found, result = close(episodes=4)
     assert found.verdict == "missing_effect"
     assert [(e.effect, set(e.between or ())) for e in found.effects] == [

@@ -19,13 +19,13 @@ ARM = builders.network(
 )
 
 
-def swings(count: int, seconds: float = 9.0, step: float = 0.01) -> list[Table]:
+def swings(count, seconds=9.0, step=0.01):
     """Return consecutive parts of one free swing of a pendulum from 1.6 rad, simulated by another integrator."""
     size = round(seconds / step)
     time = np.arange(count * size) * step
     start = [1.6, 0.0]
 
-    def motion(_: float, state: np.ndarray) -> list[float]:
+    def motion(_, state):
         angle, rate = state
         return [rate, (-TORQUE * np.sin(angle) - DAMPING * rate) / INERTIA]
 

@@ -14,7 +14,7 @@ from isd_gym.physics.simulate import Plant, simulate
 STEP = 2.5e-5  # a Stribeck bound is that at the start of a step: energy closes with the first power of it
 
 
-def elongations(net: Network) -> list[Channel]:
+def elongations(net):
     """Displacement, velocity and force of every element, as far as the network defines them."""
     out = []
     for e in net.elements:

@@ -1,7 +1,5 @@
 """Parameters that differ between records, on rigs whose truth is known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -47,7 +47,7 @@ LEVEL = 150.0
 STEP = 4e-3
 
 
-def road(n: int, seed: int) -> np.ndarray:
+def road(n, seed):
     rng = np.random.default_rng(seed)
     t = STEP * np.arange(n)
     f = rng.uniform(0.5, 12.0, 25)
@@ -56,7 +56,7 @@ def road(n: int, seed: int) -> np.ndarray:
     ) * np.minimum(t, 1)
 
 
-def made_diagnosis() -> Diagnosis:
+def made_diagnosis():
     """A car that lacks its seal friction, and the friction found: records from the true car, with 2 % noise."""
     true = Network.load("quarter-car-isd")
     kept = [e for e in true.elements if e.type not in ("coulomb_friction", "bump_stop")]
@@ -107,7 +107,7 @@ def made_diagnosis() -> Diagnosis:
     )  # fmt: skip
 
 
-def evidence_of(gap: dict[str, dict[str, float]], *effects: EffectEvidence, explained: float) -> Evidence:
+def evidence_of(gap, *effects, explained):
     """The evidence of errors by stage and channel."""
     channels = tuple(gap["refit"])
     rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
@@ -129,7 +129,7 @@ KINDS = {
 }
 
 
-def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
+def of_kind(d, kind):
     """The result of another verdict, over the records of `d`, whose model lacks the friction of a seal."""
     if kind == "missing_effect":
         return d
@@ -183,11 +183,11 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
     return made
 
 
-def reopened(d: Diagnosis, page: Path) -> Page:
+def reopened(d, page):
     """Open every file of a written report again and check it against the result; return the page."""
     folder = page.parent
 
-    def no_constant(text: str) -> None:
+    def no_constant(text):
         raise AssertionError(f"{text} in diagnosis.json")
 
     said = json.loads((folder / "diagnosis.json").read_text(), parse_constant=no_constant)
@@ -212,12 +212,12 @@ def reopened(d: Diagnosis, page: Path) -> Page:
 
 
 @pytest.fixture(scope="module")
-def diagnosis() -> Diagnosis:
+def diagnosis():
     return made_diagnosis()
 
 
 @pytest.fixture(scope="module")
-def written(diagnosis, tmp_path_factory) -> Path:
+def written(diagnosis, tmp_path_factory):
     """The page of the diagnosis, all figures of which take seconds."""
     folder = tmp_path_factory.mktemp("report") / "found"
     return report.write_report(diagnosis, folder, about={"Model": "rig & co.json"})
@@ -242,7 +242,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(report, "FIGURES", report.FIGURES[:1])
 
 
-def check_page(path: Path) -> Page:
+def check_page(path):
     """Check that a page needs no other file: nothing is fetched, every script is named, every picture has a description."""
     page = Page(path)
     assert page.links == [] and "link" not in page.tags
@@ -623,7 +623,7 @@ def told(diagnosis, monkeypatch, quick):
     return calls
 
 
-def tables(folder: Path, *names: str, head: str = "time,road,current,{}") -> None:
+def tables(folder, *names, head="time,road,current,{}"):
     outputs = [c.name for c in Network.load("quarter-car-isd").outputs]
     rows = "\n".join(f"{0.01 * k:.2f}," + ",".join(["1.0"] * (len(outputs) + 2)) for k in range(5))
     for name in names:
@@ -788,7 +788,7 @@ def test_nobody_is_left_out_silently(small_score):
 
 
 @pytest.mark.parametrize("high", [1.15, 1.3, 1.6, 2.0, 2.9, 5.0, 9.0, 30.0, 300.0])
-def test_texts_on_a_logarithmic_axis_have_room(high: float) -> None:
+def test_texts_on_a_logarithmic_axis_have_room(high):
     for low in (0.011, 0.99, 4.1, 10.8, 97.0):
         ticks = charts.log_ticks(low, high * low, "{:g} %")
         assert 2 <= len(ticks) <= 11, ticks

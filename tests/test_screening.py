@@ -1,15 +1,13 @@
 """Where the fits of a stage begin."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import pytest
 
 from isd_gym._common.errors import InputError
-from isd_gym.diagnosis._estimation.structure import Hypothesis, Structure, add, base_structure
+from isd_gym.diagnosis._estimation.structure import add, base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import Match
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._selection.screening import Screening
@@ -17,13 +15,13 @@ from isd_gym.physics.elements import Start
 from isd_gym.physics.network import Network
 
 
-def matched(effect: str, values: dict[str, float], **start: Any) -> tuple[Structure, Match]:
+def matched(effect, values, **start):
     structure = base_structure(Network.load("quarter-car-isd"))
     h = next(h for h in hypotheses(structure.network) if h.effect == effect)
     return structure, Match(h, Start(values, **start), values, {}, 1.0)
 
 
-def test_values_that_no_law_can_have_are_refused() -> None:
+def test_values_that_no_law_can_have_are_refused():
     """A match may ask for a force without end; a case of it ended a whole diagnosis."""
     structure, much = matched("cogging_force", {"amplitude": 1e12, "pitch": 0.01, "phase": 0.0})
     with pytest.raises(InputError):
@@ -33,17 +31,17 @@ def test_values_that_no_law_can_have_are_refused() -> None:
     assert len(x) == len(built.free)
 
 
-def test_a_match_of_another_size() -> None:
+def test_a_match_of_another_size():
     structure, m = matched("coulomb_friction", {"level": 100.0}, grows=("level",))
     built, _ = m.sized(5.0).begin(structure)
     assert built.network.element(built.names[-1]).level == 500.0
 
 
-def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure() -> None:
+def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure():
     """It may be met before the first; a stop whose clearance the owner is not sure of is refitted instead. Found, it is not put there again."""
     car = Network.load("quarter-car-isd")
 
-    def stops(network: Network) -> list[Hypothesis]:
+    def stops(network):
         found = [h for h in hypotheses(network) if h.effect == "bump_stop"]
         return [h for h in found if set(h.where) == {"piston", "joint"}]
 

@@ -1,7 +1,5 @@
 """What a controller sees of a car: noise of the size said, late by as much, a road sensor with an end; the same for one and many."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

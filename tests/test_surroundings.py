@@ -81,7 +81,7 @@ FUNCTION = """
     """
 
 
-def damaged(data: bytes, how: str) -> bytes:
+def damaged(data, how):
     k = len(data) // 3
     flipped = bytes(b ^ 0x55 * (i == k) for i, b in enumerate(data))
     return {"empty": b"", "half": data[: len(data) // 2], "flipped": flipped}[how]

@@ -23,13 +23,13 @@ from isd_gym.sb3 import ScoreCallback, make_vec_env, save_model  # noqa: E402
 CAR = "quarter-car-isd"
 
 
-def algorithm(kind: str):
+def algorithm(kind):
     if hasattr(sb3, kind):
         return getattr(sb3, kind)
     return getattr(pytest.importorskip("sb3_contrib"), kind)
 
 
-def learner(kind: str, env, **options):
+def learner(kind, env, **options):
     small = dict(policy_kwargs=dict(net_arch=[16, 8]), seed=1, device="cpu") | options
     if kind in ("PPO", "A2C"):
         small |= dict(n_steps=16) | (dict(batch_size=16) if kind == "PPO" else {})

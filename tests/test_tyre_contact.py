@@ -1,7 +1,5 @@
 """The warning of roads on which linear tyres would pull, and the share of the time in which they do."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import warnings
@@ -20,7 +18,7 @@ from isd_gym.physics.road import road
 QUARTER = "ISDSuspension-v0"
 
 
-def with_lift_off(name: str) -> dict:
+def with_lift_off(name):
     """A quarter car whose wheel lifts off."""
     car = Network.load(name)
     content = car.to_dict()

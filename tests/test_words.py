@@ -1,15 +1,13 @@
 """The summary of a diagnosis: every sentence comes from the numbers of the document."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 from test_criteria import GOOD
 
 from isd_gym.diagnosis._selection.criteria import CRITERIA
-from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis._verdict.evidence import EffectEvidence
 from isd_gym.diagnosis._verdict.gates import Reason, decide, gate, gates_of, table_gates
 from isd_gym.diagnosis._verdict.wording import (
     ADVICE,
@@ -41,7 +39,7 @@ SEEN = replace(
 )
 
 
-def document(evidence: Evidence = SEEN, after: float = 0.02, **more: Any) -> dict[str, Any]:
+def document(evidence=SEEN, after=0.02, **more):
     """A diagnosis as its JSON has it, with the verdict of the evidence."""
     decision = decide(evidence)
     rows = {"before": evidence.before[0], "refit": evidence.refit[0], "after": after, "noise_floor": 0.02}
@@ -77,7 +75,7 @@ def document(evidence: Evidence = SEEN, after: float = 0.02, **more: Any) -> dic
     } | more  # fmt: skip
 
 
-def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so() -> None:
+def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so():
     assert "falls from 30.0 % to 2.1 %" in summary_of(document(after=0.021))
     assert NOT_BORNE_OUT not in summary_of(document(after=0.021))
     assert "rises from 30.0 % to 90.0 %" in summary_of(document(after=0.9))
@@ -85,8 +83,8 @@ def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so() -> None:
     assert "Next: repeat the test" in summary_of(document(after=0.9))
 
 
-def test_a_refit_that_errs_more_than_the_model_as_given_is_told() -> None:
-    def said(before: float, evidence: Evidence = VAGUE) -> str:
+def test_a_refit_that_errs_more_than_the_model_as_given_is_told():
+    def said(before, evidence=VAGUE):
         rows = {"before": before, "refit": 0.3, "after": 0.021, "noise_floor": 0.01}
         held_out = {k: {"travel": v} for k, v in rows.items()}
         return summary_of(document(evidence, gap={"held_out": held_out, "closed": None}))
@@ -97,14 +95,14 @@ def test_a_refit_that_errs_more_than_the_model_as_given_is_told() -> None:
 
 
 @pytest.mark.parametrize(("refit", "is_told"), [(1.053, True), (0.99, False)])
-def test_a_refit_that_errs_more_than_a_constant_is_told(refit: float, is_told: bool) -> None:
+def test_a_refit_that_errs_more_than_a_constant_is_told(refit, is_told):
     rows = {"before": 1.2, "refit": refit, "after": 0.9, "noise_floor": 0.01}
     held_out = {k: {"travel": v} for k, v in rows.items()}
     said = summary_of(document(VAGUE, gap={"held_out": held_out, "closed": None}))
     assert ("errs more in travel than a constant would" in said) == is_told
 
 
-def test_a_model_that_is_completed_without_a_certain_name_says_so() -> None:
+def test_a_model_that_is_completed_without_a_certain_name_says_so():
     open_law = document(VAGUE, verdict="unknown_effect", best_table=tried(0.3))
     assert "model.json" not in summary_of(open_law)
     open_law["best_candidate"]["completes"] = True
@@ -124,7 +122,7 @@ def test_a_model_that_is_completed_without_a_certain_name_says_so() -> None:
     assert "The cause is not found; this law is a stopgap." in summary_of(open_law)
 
 
-def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_explain_it() -> None:
+def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_explain_it():
     worse = document(VAGUE)
     worse["best_candidate"]["error"]["after"]["travel"] = 0.34
     said = summary_of(worse)
@@ -141,7 +139,7 @@ def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_expla
     assert "no known effect reduces the error" in summary_of(alone) and "removes" not in summary_of(alone)
 
 
-def test_the_title_is_the_finding() -> None:
+def test_the_title_is_the_finding():
     assert statements_of(document()).title == "Missing: Coulomb friction between mass and ground"
     rivals = [
         {"effects": [e], "where": [["mass", "ground"]], "excess": 0.01} for e in ("hysteresis", "backlash")
@@ -158,7 +156,7 @@ def test_the_title_is_the_finding() -> None:
     )
 
 
-def dry(*probabilities: float) -> list[dict[str, Any]]:
+def dry(*probabilities):
     """Findings of dry friction and then of an elastic force, with these probabilities."""
     laws = [{"effect": "coulomb_friction", "probability": 0.4, "parameters": {}}]
     return [
@@ -173,11 +171,11 @@ def dry(*probabilities: float) -> list[dict[str, Any]]:
     ]
 
 
-def test_every_failed_gate_has_an_advice() -> None:
+def test_every_failed_gate_has_an_advice():
     assert set(ADVICE) == {g.name for g in gates_of(SEEN)}
 
 
-def test_values_are_told_in_the_units_of_engineers() -> None:
+def test_values_are_told_in_the_units_of_engineers():
     assert plain_value(0.000790123456, "m") == "0.7901 mm" and plain_value(2e6, "N/m") == "2 MN/m"
     assert plain_value(1293.0, "N s/m") == "1293 N s/m" and plain_value(None, "m") == "unknown m"
 
@@ -186,7 +184,7 @@ def test_values_are_told_in_the_units_of_engineers() -> None:
 VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=3.0),))
 
 
-def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() -> None:
+def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails():
     said = summary_of(document(VAGUE))
     assert (
         "With the best candidate, Coulomb friction between mass and ground, the error in travel falls from 30.0 % to 7.0 %."
@@ -197,14 +195,12 @@ def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() 
     assert "No known effect reduces the held-out error by enough to be kept." in nothing
 
 
-def tried(
-    explained: float, moved: float = 0.2, errors: float = 5.0, confirmed: float = 0.9
-) -> dict[str, Any]:
+def tried(explained, moved=0.2, errors=5.0, confirmed=0.9):
     gates = [g.to_dict() for g in table_gates(explained, moved, errors, confirmed)]
     return {"between": ["mass", "ground"], "over": "elongation", "explained": explained, "gates": gates}
 
 
-def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason() -> None:
+def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason():
     said = summary_of(document(VAGUE, best_table=tried(0.93, errors=1.2)))
     assert "removes 93 % of the squared held-out error beyond noise" in said
     assert "but its better prediction may be chance" in said
@@ -219,7 +215,7 @@ def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason() -> 
     assert "depend on time, on its own past, on an input" in said
 
 
-def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:
+def test_so_is_one_that_the_reported_records_do_not_bear_out():
     table = {
         "between": ["mass", "ground"],
         "over": "both",
@@ -238,7 +234,7 @@ def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:
     assert not refuted.title.startswith("Missing: a force")
 
 
-def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
+def test_ambiguous_rivals_have_their_places_and_what_they_leave():
     rivals = [
         {"effects": [name], "where": [["mass", "ground"]], "excess": excess, "why_not": ""}
         for name, excess in (("coulomb_friction", 0.01), ("hysteresis", 0.012))
@@ -269,7 +265,7 @@ def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
         ({"refit": (0.06,), "noise": (0.05,), "envelope": (0.01,)}, "noise", "the error in travel beyond noise is 3.3 % (noise 5.0 %)"),
     ],
 )  # fmt: skip
-def test_why_nothing_is_missing_is_told_with_its_figures(change: dict, reason: str, words: str) -> None:
+def test_why_nothing_is_missing_is_told_with_its_figures(change, reason, words):
     base = {"before": (0.2,), "effects": (), "after": (0.02,), "richest": ()}
     quiet = replace(SEEN, **(base | change))
     spring = {"prior": 100.0, "value": 112.0, "low": 111.0, "high": 113.0, "unit": "N/m"}
@@ -282,7 +278,7 @@ def test_why_nothing_is_missing_is_told_with_its_figures(change: dict, reason: s
 
 @pytest.mark.parametrize("reason", get_args(Reason))
 @pytest.mark.parametrize("verdict", ["no_discrepancy", "parameters_only"])
-def test_every_reason_of_a_verdict_has_words(verdict: str, reason: str) -> None:
+def test_every_reason_of_a_verdict_has_words(verdict, reason):
     """An evidence that ends in `closed_by_small` broke off, since no test had one."""
     closing = replace(SEEN, richest_share=0.042)
     said = summary_of(document(closing, verdict=verdict, reason=reason, effects=[]))
@@ -290,19 +286,19 @@ def test_every_reason_of_a_verdict_has_words(verdict: str, reason: str) -> None:
     assert ("Effects of at most 4.2 % of the force" in said) == (reason == "closed_by_small")
 
 
-def test_a_small_effect_is_told_with_its_share_or_the_gate_it_fails() -> None:
+def test_a_small_effect_is_told_with_its_share_or_the_gate_it_fails():
     small = replace(SEEN, effects=(replace(SEEN.effects[0], share=0.02),), refit=(0.08,), envelope=(0.085,))
     small = replace(small, richest_share=0.02)
     said = summary_of(document(small))
     assert "Too small to be named: Coulomb friction between mass and ground (level 3 N), 2.0 %" in said
 
 
-def test_a_bound_of_the_noise_is_told() -> None:
+def test_a_bound_of_the_noise_is_told():
     bounded = replace(VAGUE, noise_known=(False,))
     assert "only an upper bound on the noise of travel (at most 2.0 %)" in summary_of(document(bounded))
 
 
-def test_a_unit_whose_sensor_has_another_zero() -> None:
+def test_a_unit_whose_sensor_has_another_zero():
     d = document(replace(SEEN, effects=(), after=SEEN.refit, richest=()), constant={"travel": 0.9})
     said = summary_of(d, is_fmu=True)
     assert (
@@ -311,10 +307,10 @@ def test_a_unit_whose_sensor_has_another_zero() -> None:
     )
 
 
-def test_a_figure_that_is_not_finite_does_not_lose_the_result() -> None:
+def test_a_figure_that_is_not_finite_does_not_lose_the_result():
     """JSON has null for such a figure; the summary is written all the same."""
 
-    def blanked(node: Any) -> Any:
+    def blanked(node):
         if isinstance(node, dict):
             return {k: v if k in ("criteria", "count") else blanked(v) for k, v in node.items()}
         if isinstance(node, list | tuple):
@@ -330,9 +326,7 @@ def test_a_figure_that_is_not_finite_does_not_lose_the_result() -> None:
 
 
 @pytest.mark.parametrize(("probability", "is_told"), [(0.95, True), (0.33, True), (0.1, False)])
-def test_an_unnamed_effect_has_a_test_on_the_rig_for_its_likeliest_kind(
-    probability: float, is_told: bool
-) -> None:
+def test_an_unnamed_effect_has_a_test_on_the_rig_for_its_likeliest_kind(probability, is_told):
     told = document(VAGUE, findings=dry(probability))
     steps = statements_of(told).next_steps
     assert any("two or three constant speeds" in step for step in steps) is is_told
@@ -341,11 +335,11 @@ def test_an_unnamed_effect_has_a_test_on_the_rig_for_its_likeliest_kind(
     )
 
 
-def test_every_kind_has_a_test_on_the_rig() -> None:
+def test_every_kind_has_a_test_on_the_rig():
     assert set(TESTS) == set(KINDS) - {"other"}
 
 
-def test_asymmetric_friction_is_told_as_friction_and_an_offset_too() -> None:
+def test_asymmetric_friction_is_told_as_friction_and_an_offset_too():
     sides = {"extension": 3.0, "compression": 2.0}
     law = FRICTION | {
         "effect": "asymmetric_friction",

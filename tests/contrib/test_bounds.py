@@ -1,7 +1,5 @@
 """The causal bound against figures found beforehand, its own Riccati value and simulation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The causal ceiling: exact where Riccati knows the answer, a penalty of zero mean, below what causal controllers reach."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
@@ -27,14 +25,14 @@ from isd_gym.physics.road import road
 CAR, PAPER, COST = Network.load("quarter-car-isd"), road("paper"), StageCost()
 
 
-def _linear() -> Network:
+def _linear():
     model = CAR.to_dict()
     model["elements"] = [e for e in model["elements"] if e["name"] not in ("seal", "end_stop")]
     model["uncertainty"] = {}
     return Network.from_dict(model)
 
 
-def _heights(seed: int, duration: float) -> np.ndarray:
+def _heights(seed, duration):
     return PAPER.heights(duration, rng=seeding.np_random(seed)[0])
 
 
@@ -116,7 +114,7 @@ def test_preview_regulator_without_points_is_the_regulator_and_with_them_it_gain
     rng = np.random.default_rng(0)
     rises = 1.4e-3 * rng.standard_normal(4000)
 
-    def cost(G: np.ndarray) -> float:
+    def cost(G):
         x, total = np.zeros(model.n), 0.0
         for k in range(3900):
             i = float(-K @ x - G @ rises[k : k + len(G)])

@@ -1,7 +1,5 @@
 """The clairvoyant optimum: reached by the real environment, within the limits, and above its proven bound."""
 
-from __future__ import annotations
-
 import json
 
 import gymnasium as gym
@@ -18,7 +16,7 @@ from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
 
 
-def _convex() -> Network:
+def _convex():
     model = Network.load("quarter-car-isd").to_dict()
     model["elements"] = [e for e in model["elements"] if e["name"] not in ("seal", "end_stop")]
     model["uncertainty"] = {}
@@ -97,7 +95,7 @@ def test_without_friction_and_stops_reached_and_proven_meet():
     assert 0.0 <= found.gap < 0.001
 
 
-def _costs(name: str, episodes: int) -> np.ndarray:
+def _costs(name, episodes):
     net = Network.load("quarter-car-isd")
     return drive(find(name, net), net, episodes=episodes).cost(StageCost())
 

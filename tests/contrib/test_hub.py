@@ -75,7 +75,7 @@ def test_every_shipped_policy_has_a_card_for_its_own_environment(name, tmp_path,
     assert found["policies"][-1]["preview"]["value"] == policy.preview
     assert 0.4 < found["raw"][name]["cost"][0] < 0.95 * found["raw"]["passive"]["cost"][0]
     code = body.split("```python\n")[1].split("```")[0]
-    names: dict = {}
+    names = {}
     monkeypatch.chdir(folder)
     exec(code, names)
     assert np.isfinite(names["reward"]) and names["reward"] < 0.0

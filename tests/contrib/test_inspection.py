@@ -494,7 +494,7 @@ def test_the_rate_is_that_of_the_mean_step_without_gaps():
 
 @settings(max_examples=15, deadline=None)
 @given(st.sampled_from([1, 2]), st.floats(0.5, 2), st.sampled_from([-1, 1]), st.floats(-0.04, 0.04))
-def test_consistency_tells_gain_sign_and_lag(order: int, gain: float, sign: int, lag: float) -> None:
+def test_consistency_tells_gain_sign_and_lag(order, gain, sign, lag):
     rng = np.random.default_rng(4)
     time = 0.002 * np.arange(8000)
     omega = 2 * np.pi * rng.uniform(0.7, 15, 60)
@@ -509,7 +509,7 @@ def test_consistency_tells_gain_sign_and_lag(order: int, gain: float, sign: int,
     assert found.coherence > 0.8 and 0 < found.gain_std < 0.05 * gain
 
 
-def test_consistency_of_strangers_is_none() -> None:
+def test_consistency_of_strangers_is_none():
     rng = np.random.default_rng(8)
     found = integral_consistency(rng.standard_normal(8000), rng.standard_normal(8000), 0.002)
     assert found.coherence < 0.3

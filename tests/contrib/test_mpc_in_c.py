@@ -1,7 +1,5 @@
 """The friction MPC as C: compiled without a warning, it commands what Python commands, to rounding."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

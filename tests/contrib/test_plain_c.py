@@ -1,12 +1,9 @@
 """A policy as C: compiled without a warning, it commands what Python commands, to rounding."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import shutil
 import subprocess
-from typing import TYPE_CHECKING
 
 import gymnasium as gym
 import numpy as np
@@ -19,15 +16,12 @@ from isd_gym.contrib.exports.policy_in_c import export_c
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(compiler is None, reason="no C compiler")
 NAMES = sorted(p.parent.name for p in SHIPPED.glob("*/policy.json"))
 
 
-def _compiled(policy: Policy, folder: Path):
+def _compiled(policy, folder):
     """(reset, step) of the policy as C, through a shared library."""
     header, source = export_c(policy, folder)
     library = folder / "policy.so"
@@ -41,7 +35,7 @@ def _compiled(policy: Policy, folder: Path):
     past = (max(policy.memory.ages) + 1) * len({column for column, _, _ in late}) if late else 0
     state, several = (ctypes.c_float * (width + met + past + 16))(), (ctypes.c_float * policy.currents)()
 
-    def command(observation: np.ndarray) -> float | np.ndarray:
+    def command(observation):
         row = np.ascontiguousarray(observation, np.float32).ctypes.data_as(ctypes.POINTER(ctypes.c_float))
         if policy.currents > 1:
             step.restype = None
@@ -53,7 +47,7 @@ def _compiled(policy: Policy, folder: Path):
     return lambda: getattr(loaded, f"{name}_reset")(state), command, header.read_text()
 
 
-def _observations(policy: Policy, steps: int) -> np.ndarray:
+def _observations(policy, steps):
     kind = policy.info["env"]["id"]
     env = gym.make(kind, observation=policy.observation, preview=policy.preview or None)
     obs, _ = env.reset(seed=3)

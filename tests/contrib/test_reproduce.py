@@ -1,7 +1,5 @@
 """The reproduction: its pieces against known answers, and the page whole or not at all."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sweeps: every item once, whatever dies; the merged figures are the score's; bad grids are one line."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -44,14 +42,14 @@ factors = { "body.mass" = 1.2 }
 # ------------------------------------------------------------------- functions that tasks name: they run in workers
 
 
-def noted(folder: str, number: int) -> int:
+def noted(folder, number):
     """A task that tells that it was done."""
     with (Path(folder) / "done").open("a") as file:
         file.write(f"{number}\n")
     return number**2
 
 
-def dies_once(folder: str, number: int) -> int:
+def dies_once(folder, number):
     """A task that kills its worker the first time."""
     mark = Path(folder) / f"died-{number}"
     if number == 1 and not mark.exists():
@@ -60,7 +58,7 @@ def dies_once(folder: str, number: int) -> int:
     return noted(folder, number)
 
 
-def dies(folder: str, number: int) -> int:
+def dies(folder, number):
     """Number 2 never survives, number 3 has an error."""
     if number == 2:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -69,16 +67,16 @@ def dies(folder: str, number: int) -> int:
     return noted(folder, number)
 
 
-def slow(folder: str, number: int) -> int:
+def slow(folder, number):
     time.sleep(0.3)
     return noted(folder, number)
 
 
-def _tasks(name: str, folder: Path, count: int) -> list[Task]:
+def _tasks(name, folder, count):
     return [Task(f"test_sweep:{name}", {"folder": str(folder), "number": i}) for i in range(count)]
 
 
-def _done(folder: Path) -> list[int]:
+def _done(folder):
     return sorted(int(line) for line in (folder / "done").read_text().split())
 
 
@@ -236,7 +234,7 @@ def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
     (row,) = merged["conditions"][0]["policies"]
     assert row["commands"] == {"given": 2 * 2 * 10, "not_finite": 0, "above_limit": 0, "above_slew": 0}
     assert row["pitch_acceleration_rms"]["unit"] == "rad/s^2"
-    again: list[tuple[int, int]] = []
+    again = []
     assert sweep(grid, tmp_path, progress=lambda done, of: again.append((done, of)))[0] == merged
     assert again[0] == (2, 2)  # nothing is driven twice
 
@@ -319,7 +317,7 @@ def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable, clu
     address, kill = cluster
     tasks, killed = _tasks("slow", tmp_path, 16), []
 
-    def progress(done: int, total: int) -> None:
+    def progress(done, total):
         if done == 4 and not killed:
             kill()
             killed.append(done)

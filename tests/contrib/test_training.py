@@ -1,7 +1,5 @@
 """Training of policies: imitation, PPO and SAC, checkpoints, and what a killed run leaves."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import shutil
@@ -33,7 +31,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn 
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(7)
 
 
@@ -86,9 +84,9 @@ def test_a_short_run_of_sac_says_that_its_policy_stays_the_imitation(tmp_path, m
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_training_goes_on_where_it_was_killed(brief, algorithm, tmp_path):
     settings, out = brief[algorithm], tmp_path / "run"
-    lines: list[str] = []
+    lines = []
 
-    def until_half(line: str) -> None:
+    def until_half(line):
         lines.append(line)
         if line.strip().startswith(("50", "56", "62")):
             raise Killed
@@ -97,7 +95,7 @@ def test_training_goes_on_where_it_was_killed(brief, algorithm, tmp_path):
         train(algorithm, out, settings=settings, say=until_half)
     (out / ".checkpoint-000000009999").mkdir()  # a write that was cut short
     kept = json.loads((next(out.glob("checkpoint-*")) / "state.json").read_text())
-    more: list[str] = []
+    more = []
     report = train(algorithm, out, settings=settings, say=more.append)
     assert more[0].startswith("resuming")
     assert all(len(line) <= 80 for line in lines if "M steps" in line)  # no number is split at the edge
@@ -111,7 +109,7 @@ def test_training_goes_on_where_it_was_killed(brief, algorithm, tmp_path):
     assert policy.info["training"]["seconds"] > kept["seconds"]
     # these settings cannot be typed
     assert policy.info["training"]["command"].startswith("isd_gym.contrib.training.train")
-    again: list[str] = []
+    again = []
     train(algorithm, out, settings=settings, say=again.append)
     assert [row["steps"] for row in Policy.load(out / "policy").info["training"]["curve"]] == steps
     with pytest.raises(InputError, match="another seed"):
@@ -145,7 +143,7 @@ def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
         monkeypatch.setattr(pickle, name, fails)
     monkeypatch.setattr(torch, "load", fails)
     longer = replace(settings, steps=2 * settings.steps)
-    lines: list[str] = []
+    lines = []
 
     def stop(line):
         lines.append(line)
@@ -270,10 +268,10 @@ def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(brief, tmp_path, monkeyp
     """Progress begins at once, never passes the whole, and what was done counts when the run goes on."""
     # a brief training is over before the next word
     monkeypatch.setattr("isd_gym.contrib.training.train.SHOW_EVERY", 0.0)
-    told: list[tuple[str, float]] = []
-    lines: list[str] = []
+    told = []
+    lines = []
 
-    def watch(task: str, share: float) -> None:
+    def watch(task, share):
         told.append((task, share))
         if task == "training" and share > 0.4:
             raise KeyboardInterrupt
@@ -288,7 +286,7 @@ def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(brief, tmp_path, monkeyp
     assert "this goes on from there" in lines[-1]
     assert told[0] == ("preparing", 0.0) and all(0 <= share <= 1 for _, share in told)
     assert ("imitating lqg" in {task for task, _ in told}) == (settings.teacher == "lqg")
-    again: list[str] = []
+    again = []
     report = train(algorithm, out, settings=settings, say=again.append)
     assert any(line.startswith("resuming") for line in again)
     assert report["training"]["curve"][-1]["steps"] >= settings.steps
@@ -315,7 +313,7 @@ def test_a_warm_start_drives_like_its_teacher(brief, tmp_path):
 
 @pytest.mark.slow
 def test_a_spread_of_cars_and_another_road_can_be_trained_on(brief, tmp_path):
-    lines: list[str] = []
+    lines = []
     settings = replace(brief["ppo"], steps=256, teacher=None)
     train("ppo", tmp_path / "run", settings=settings, randomize=True, road="C", say=lines.append)
     policy = Policy.load(tmp_path / "run" / "policy")

@@ -1,7 +1,5 @@
 """Policies of half and full cars: the rear road told by the front wheels, several currents, training and files."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
@@ -35,13 +33,13 @@ ROUNDING = 1e-2
 
 
 @cache
-def memory(network: str, speed: float = 20.0) -> Memory:
+def memory(network, speed=20.0):
     """The memory of a trained policy: signals, rear road and estimate."""
     known, echo = car_filter(Network.load(network), speed)
     return replace(Memory.of(vehicle(Network.load(network))), filter=known, echo=echo)
 
 
-def renamed(x_front: float = 1.35, x_rear: float = -1.35) -> Network:
+def renamed(x_front=1.35, x_rear=-1.35):
     """The half car with its wheels and roads under other names, and axles elsewhere."""
     text = json.dumps(Network.load("half-car-isd").to_dict())
     for old, new in (("front", "a"), ("rear", "b")):
@@ -52,7 +50,7 @@ def renamed(x_front: float = 1.35, x_rear: float = -1.35) -> Network:
     return Network.load(data)
 
 
-def policy_of(network: str, head: Head | None = None, seed: int = 0, hidden: int = 8) -> Policy:
+def policy_of(network, head=None, seed=0, hidden=8):
     rng, plant = np.random.default_rng(seed), Network.load(network)
     car = vehicle(plant)
     sizes = [memory(network).width(len(car.measured)), hidden, len(car.driven)]
@@ -60,7 +58,7 @@ def policy_of(network: str, head: Head | None = None, seed: int = 0, hidden: int
     return Policy(layers, memory=memory(network), head=head or Head("increment"), network=plant)
 
 
-def law(network: str, speed: float = 20.0) -> Policy:
+def law(network, speed=20.0):
     """The law of the estimate: a residual of nothing."""
     plant = Network.load(network)
     car, own = vehicle(plant), memory(network, speed)
@@ -68,7 +66,7 @@ def law(network: str, speed: float = 20.0) -> Policy:
     return Policy([layer], memory=own, head=Head("residual"), network=plant)
 
 
-def cost(policy: Policy, speed: float = 20.0, cars: int = 8, steps: int = 1500) -> float:
+def cost(policy, speed=20.0, cars=8, steps=1500):
     """Mean cost on the paper's road."""
     env = ISDSuspensionVectorEnv(cars, network=policy.model, speed=speed, autoreset_mode="disabled")
     obs, _ = env.reset(seed=40)
@@ -83,7 +81,7 @@ def cost(policy: Policy, speed: float = 20.0, cars: int = 8, steps: int = 1500) 
 # ---------------------------------------------------------------------------------- the rear road
 
 
-def roads(network: Network, speed: float, steps: int, policy: Policy | None = None) -> np.ndarray:
+def roads(network, speed, steps, policy=None):
     """Heights of the road under the corners (steps, corners) of one car."""
     env = ISDSuspensionVectorEnv(1, network=network, speed=speed, autoreset_mode="disabled")
     env.reset(seed=2)
@@ -301,7 +299,7 @@ def brief(monkeypatch):
     import isd_gym.contrib.training.train as module
     import isd_gym.contrib.training.wheelbase as wheelbase
 
-    def known(network: Network, *_: object) -> tuple:  # made once for all runs
+    def known(network, *_):  # made once for all runs
         own = memory(network.name)
         return own.filter, own.echo
 
@@ -347,7 +345,7 @@ def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_pa
 
     settings, out, twin = brief[algorithm], tmp_path / "run", tmp_path / "twin"
 
-    def until_half(line: str) -> None:
+    def until_half(line):
         if line.strip().startswith(("50", "56", "62")):
             raise Killed
 
@@ -356,7 +354,7 @@ def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_pa
     shutil.copytree(out, twin)
     reports = []
     for folder in (out, twin):
-        lines: list[str] = []
+        lines = []
         reports.append(train(algorithm, folder, settings=settings, network=network, say=lines.append))
         assert lines[0].startswith("resuming")
     costs = [[row["cost"] for row in report["training"]["curve"]] for report in reports]
