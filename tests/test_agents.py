@@ -26,7 +26,7 @@ from isd_gym.agents.policy import (
 )
 from isd_gym.baselines import make
 from isd_gym.benchmark.policies import conventional
-from isd_gym.contrib.exports.archives import convert, read_torch
+from isd_gym.contrib.exports.archives import read_torch
 from isd_gym.contrib.exports.onnx import export_onnx
 from isd_gym.contrib.training.settings import MEMORY
 from isd_gym.physics.cost import StageCost
@@ -322,30 +322,6 @@ def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
             assert infos[i]["terminal_observation"][11] != 0.0
             assert np.all(obs[i, 6:] == 0.0) and obs[i].shape == start[i].shape
     assert ends == {0: 3, 1: 1}  # staggered
-
-
-def trained(sb3, kind, env, **options):
-    algorithm = getattr(sb3, kind)
-    small = dict(n_steps=16, batch_size=16) if kind == "PPO" else dict(learning_starts=8, batch_size=8)
-    small |= dict(policy_kwargs=dict(net_arch=[16, 8]), seed=1, device="cpu")
-    return algorithm("MlpPolicy", env, **small, **options).learn(64)
-
-
-@pytest.mark.parametrize(("kind", "rescale"), [("PPO", True), ("SAC", False), ("TD3", True)])
-def test_numpy_does_what_sb3_would(sb3, kind, rescale, tmp_path):
-    from stable_baselines3.common.vec_env import VecNormalize
-
-    from isd_gym.sb3 import make_vec_env
-
-    env = VecNormalize(make_vec_env(4, env_id="ISDSuspension-v0", rescale=rescale), clip_obs=5.0)
-    model = trained(sb3, kind, env)
-    model.save(tmp_path / "m.zip")
-    env.save(str(tmp_path / "n.pkl"))
-    policy = convert(tmp_path / "m.zip", normalize=tmp_path / "n.pkl")
-    policy = Policy.load(policy.save(tmp_path / "folder"))
-    obs = env.unnormalize_obs(np.random.default_rng(0).uniform(-6, 6, (200, 6))).astype(np.float32)
-    wanted, _ = model.predict(env.normalize_obs(obs), deterministic=True)
-    np.testing.assert_allclose(policy.act_batch(obs), wanted[:, 0] * (5.0 if rescale else 1.0), atol=2e-5)
 
 
 def test_weights_are_read_as_torch_reads_them(sb3, tmp_path):

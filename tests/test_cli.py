@@ -100,23 +100,6 @@ def test_what_is_piped_has_80_columns(args):
     assert max(map(len, done.stdout.splitlines())) <= 80
 
 
-def test_a_card_fits_a_narrow_terminal():
-    import contextlib
-    import io
-
-    from isd_gym._commands._card_table import print_track
-    from isd_gym.benchmark import _cards as cards
-
-    text = io.StringIO()
-    with contextlib.redirect_stdout(text), pytest.MonkeyPatch.context() as narrow:
-        narrow.setattr("rich.console.Console.width", 80)
-        print_track(cards.load("ISDSuspension-v0"), "preview-0.2")
-    lines = text.getvalue().splitlines()
-    assert max(map(len, lines)) <= 80
-    assert any("mpc-friction-preview" in line and "0.4182" in line for line in lines)
-    assert any("[-53.0, -50.6]" in line for line in lines)
-
-
 @pytest.mark.parametrize("width", [48, 80, 106, 200])
 def test_a_score_folds_no_name_and_loses_no_figure(width, capsys, monkeypatch):
     from isd_gym._commands._score_table import print_score

@@ -5,7 +5,7 @@ import pytest
 
 from isd_gym.benchmark._comparability import Comparable, comparable
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import Entry, Idle, score
+from isd_gym.benchmark.scoring import score
 from isd_gym.env._sensors import Sensors
 from isd_gym.physics.network import Network
 
@@ -36,13 +36,6 @@ def test_every_condition_counts(change, left_out):
     found = comparable(**usual | change)
     assert {name for name, reason in vars(found).items() if reason} == left_out
     assert (found.left_out is None) == (not left_out)
-
-
-def test_a_small_sample_has_no_share_of_the_causal_gain():
-    entries = [passive(CAR), Entry("isd-passive", lambda: Idle("isd-passive"))]
-    usual = {"reference": entries[0], "duration": 1.0, "ceiling": lambda preview: {"change": -0.3}}
-    few = score(entries, CAR, episodes=2, **usual)
-    assert all(row["share_of_causal_gain"] is None for row in few.policies)
 
 
 def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):

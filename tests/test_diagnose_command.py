@@ -246,17 +246,6 @@ def test_a_stage_whose_time_is_over_ends_and_the_summary_says_what_was_not_tried
         assert not d["not_tried"] and "time limit" not in d["summary"]
 
 
-@pytest.mark.slow
-def test_a_limit_that_stops_nothing_changes_nothing(files, library, tmp_path):
-    words = (files / "friction1.csv", "--validate", files / "friction2.csv", "--model", files / "model.json")
-    free, bounded = (
-        diagnosed(tmp_path / name, *words, *more).document
-        for name, more in (("free", ()), ("bounded", ("--max-seconds", 3600)))
-    )
-    assert bounded["search"].pop("max_seconds") == 3600.0 and free["search"].pop("max_seconds") is None
-    assert bounded == free
-
-
 def test_no_time_for_the_refit_is_one_line(files, monkeypatch):
     monkeypatch.setattr(TimeLimit, "seconds", property(lambda self: 1e9))
     with pytest.raises(InputError, match=r"the time limit of 5 s is over before .* raise --max-seconds"):

@@ -10,8 +10,6 @@ from builders import damper, element, named, network, table
 from rigs import families
 from rigs.hidden import make_case
 from scipy.integrate import solve_ivp
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
 
 from isd_gym._common.errors import InputError
 from isd_gym.contrib.forecast.planning import infer_rig, make_excitation, make_record
@@ -485,41 +483,6 @@ def test_in_series_is_one_place_along_a_chain_without_masses():
     assert in_line(car, ("joint", "wheel"), ("piston", "joint"))
     assert not in_line(car, ("joint", "wheel"), ("wheel", "road"))
     assert not in_line(car, ("body", "wheel"), ("body", "piston"))
-
-
-@pytest.mark.slow
-def test_a_damper_that_differs_by_direction_is_named_beside_one_that_is_hardly_known():
-    """What both directions have in common may be the owner's damper; by how much they differ is the effect."""
-    time, rng = 5e-3 * np.arange(2400), np.random.default_rng(3)
-    rows = butter(2, [0.5, 12.0], "band", fs=200.0, output="sos")
-    records = []
-    for name in ("estimation", "validation"):
-        base = 0.003 * sosfiltfilt(rows, rng.standard_normal(len(time)))
-        a = solve_ivp(
-            _valve, (0.0, time[-1]), np.zeros(2), t_eval=time, args=(CubicSpline(time, base),), max_step=2e-3
-        ).y
-        spline = CubicSpline(time, base)
-        force = [_valve(t, y, spline)[1] for t, y in zip(time, a.T, strict=True)]
-        noise = 0.01 * np.std(force) * rng.standard_normal(len(time))
-        records.append(Table(time, {"base": base, "acceleration": np.array(force) + noise}, name))
-    model = network(
-        "shaken",
-        [builders.spring("mass", "base", 2000.0), damper("mass", "base", 23.0)],
-        [builders.channel("base", "displacement", "base")],
-        [builders.channel("acceleration", "acceleration", "mass")],
-        masses={"mass": 2.0},
-        uncertainty={"damper.damping": 0.3},
-    )
-    d = diagnose(records[:1], model, validate=records[1:])
-    assert named(d) == {("asymmetric_damping", frozenset({"mass", "base"}))}
-    sides = d.effects[0].parameters
-    assert abs(sides["extension"].value - sides["compression"].value - 18.0) < 1.5
-
-
-def _valve(t, y, base):
-    """A mass of 2 kg on 2000 N/m and a damper of 32 N s/m in extension, 14 N s/m in compression."""
-    d, v = y[0] - base(t), y[1] - base(t, 1)
-    return [y[1], -(2000.0 * d + (32.0 if v > 0 else 14.0) * v) / 2.0]
 
 
 def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit():

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from builders import damper, element, spring
-from rigs.families import FAMILIES, KINDS, UNSEEN, UNSEEN_KINDS, make_case, save
+from rigs.families import FAMILIES, make_case, save
 from rigs.families.plant import Signal, integrate
 from rigs.families.rigs import dyno
 from rigs.reference import simulate
@@ -65,14 +65,6 @@ def test_the_cell_of_a_test_machine_reads_inertia_spring_and_damper():
     np.testing.assert_allclose(ran.load["rod"][:-1], force[:-1], rtol=1e-6, atol=1e-6 * np.std(force))
 
 
-def test_the_suite_is_broad():
-    assert len(set(KINDS)) == len(KINDS) >= 80
-    assert not set(FAMILIES) & set(UNSEEN) and len(set(UNSEEN_KINDS)) == len(UNSEEN_KINDS)
-    for family in [*FAMILIES.values(), *UNSEEN.values()]:
-        assert "none" in family.kinds  # a clean one of each
-    assert sum(f.kinds[k].answer == "unknown" for f in FAMILIES.values() for k in f.kinds) >= 10
-
-
 QUICK = [
     "decay.none",
     "decay.friction",
@@ -111,13 +103,6 @@ def test_seeds_decide_everything():
     for k in one.estimation:
         np.testing.assert_array_equal(one.estimation[k], same.estimation[k])
     assert one.model == same.model != other.model
-
-
-def test_rigs_are_of_every_size():
-    cases = [make_case("spin.friction", s) for s in range(6)]
-    masses = np.array([next(iter(c.truth["model"]["masses"].values())) for c in cases])
-    lengths = np.array([len(c.estimation["time"]) for c in cases])
-    assert masses.max() / masses.min() > 1e4 and lengths.max() / lengths.min() > 5
 
 
 def test_saved_cases_are_read_back_as_a_folder_of_rigs(tmp_path):

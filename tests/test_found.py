@@ -137,17 +137,6 @@ def test_own_plugins_are_those_of_pyproject():
     assert {g: v for g, v in declared.items() if g.startswith("isd_gym.")} == plugins.OWN
 
 
-@pytest.mark.slow
-def test_folders_are_imported_by_their_installed_names():
-    """A second copy under the name of the source folder would have classes of its own."""
-    for folder in ("isd_gym", "agents", "baselines", "tests", "docs", "examples", "benchmarks"):
-        for file in (ROOT / folder).rglob("*.py"):
-            tree = ast.parse(file.read_text(encoding="utf-8"))
-            names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
-            names |= {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and not n.level}
-            assert not {name.partition(".")[0] for name in names} & {"agents", "baselines"}, file
-
-
 @pytest.mark.parametrize("folder", ["agents", "baselines"])
 def test_source_folder_is_no_package_of_its_own(folder):
     code = f"try: import {folder}\nexcept ImportError as error: print(error)"

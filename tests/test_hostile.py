@@ -223,15 +223,6 @@ def zipped(parts):
     return buffer.getvalue()
 
 
-def test_tensors_inside_what_is_stored_are_read():
-    found = read_torch(
-        torch_file({"a": ((2, 3), (3, 1), 6), "t": ((3, 2), (1, 3), 0), "none": ((0, 4), (4, 1), 0)}), "w"
-    )
-    np.testing.assert_array_equal(found["a"], np.arange(6.0, 12.0).reshape(2, 3))
-    np.testing.assert_array_equal(found["t"], np.arange(6.0).reshape(2, 3).T)
-    assert found["none"].shape == (0, 4)
-
-
 @pytest.mark.parametrize(
     "tensor",
     [

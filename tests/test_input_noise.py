@@ -168,21 +168,6 @@ def test_a_motion_that_the_force_does_not_determine_is_no_direct_problem():
 
 
 @pytest.mark.slow
-def test_friction_is_named_beside_a_noisy_encoder():
-    """Without the noise of the encoder in the noise model the friction explains too little to be named."""
-    tables = []
-    for k, speed in enumerate(SPEEDS):
-        r = as_record(*constant_speed(speed, k, 4.0), 2e-4, k)
-        tables.append(as_table(r))
-    found = diagnose(tables[:5], rig(SOFT), validate=tables[5:])
-    assert [e.effect for e in found.effects] == [
-        "coulomb_friction"
-    ]  # and no series compliance, which would filter the noise
-    level = found.effects[0].parameters["level"]
-    assert level.low < 4.0 < level.high
-
-
-@pytest.mark.slow
 def test_the_direct_problem_names_what_the_inverse_one_cannot():
     tables = []
     for k in range(4):

@@ -130,29 +130,6 @@ def test_a_group_shares_a_road_and_its_rewards_have_no_sum():
     assert len(np.unique(env.unwrapped.task.batch.road_heights[0])) == 2
 
 
-def test_the_batch_equals_the_single_environment():
-    for options in (
-        {"hold": 2, "reward": "relative", "observation": "history", "action": "increment"},
-        {
-            "per_level": True,
-            "road": "C",
-            "hold": 3,
-            "sensors": {"noise": 1.0, "delay": 2},
-            "observation": "history",
-        },
-    ):
-        many, one = gymnasium.make_vec("ISDSuspension-v0", 9, **options), made(**options)
-        all_obs, obs = many.reset(seed=20)[0], one.reset(seed=28)[0]
-        rng = np.random.default_rng(0)
-        for _ in range(150):
-            np.testing.assert_array_equal(all_obs[8], obs)
-            actions = rng.uniform(-1, 1, (9, 1)).astype(np.float32)
-            all_obs, rewards, *_, infos = many.step(actions)
-            obs, reward, *_, info = one.step(actions[8])
-            assert rewards[8] == reward
-            assert all(infos[key][8] == value and infos[f"_{key}"].all() for key, value in info.items())
-
-
 def test_per_level_weighs_a_rough_road_as_the_paper_s():
     rough, usual = made(road=Road("rough", roughness=4e-4), per_level=True), made()
     rough.reset(seed=1), usual.reset(seed=1)

@@ -59,23 +59,6 @@ def constant(level):
     return {"type": "stribeck_friction", "level": level, "static_level": level, "stribeck_velocity": 0.01}
 
 
-def test_without_a_gain_it_is_coulomb_friction():
-    time, inputs = driven(weight=10.0)
-    rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": 0.0, "load": "gear"}
-    same = simulate(joint(friction=rub), time, inputs)
-    exactly = simulate(joint(friction=constant(LEVEL)), time, inputs)
-    assert all(np.array_equal(same[n], exactly[n]) for n in same)
-    # the closed form of a single Coulomb friction differs by the first order of the step
-    differences = []
-    for step in (1e-3, 2.5e-4):
-        seen, plain = (
-            simulate(joint(friction=f), time, inputs, step=step)["place"]
-            for f in (rub, {"type": "coulomb_friction", "level": LEVEL})
-        )
-        differences.append(np.abs(seen - plain).max() / np.abs(plain).max())
-    assert differences[0] < 5e-4 and differences[1] < 0.6 * differences[0]
-
-
 @pytest.mark.parametrize("squeeze", [0.0, 0.02, -0.05])
 def test_under_a_constant_load_it_is_coulomb_friction_of_that_level(squeeze):
     """A brake whose pad a moved node presses with a known force."""
@@ -275,19 +258,6 @@ def diagnosed(friction, loads):
     """Return the diagnosis of four records under loads [N], the last two held out."""
     records = [measured(f"r{k}", w, k, friction) for k, w in enumerate(loads)]
     return diagnose(records[:2], nominal(), validate=records[2:], settings=SearchSettings(depth=1, turns=0))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("friction", "loads", "names"),
-    [
-        ({"type": "coulomb_friction", "level": 6.0}, (5.0, 60.0, 30.0, 60.0), {"coulomb_friction"}),
-        # one load does not tell level and gain apart
-        (UNDER_LOAD, (30.0, 30.0, 30.0, 30.0), {"coulomb_friction", "asymmetric_friction"}),
-    ],
-)
-def test_no_gain_is_named_where_the_load_changes_nothing(friction, loads, names):
-    assert {e.effect for e in diagnosed(friction, loads).effects} <= names
 
 
 @pytest.mark.slow

@@ -6,11 +6,10 @@ from dataclasses import replace
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, friction, named, spring
+from builders import channel, damper, element, friction, spring
 
 from isd_gym import simulate
 from isd_gym._common.errors import InputError
-from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import states_along
 from isd_gym.diagnosis._estimation.noise import white_filters
@@ -20,7 +19,6 @@ from isd_gym.diagnosis._hypotheses.missing_force import Deconvolution
 from isd_gym.diagnosis._hypotheses.motion import motions
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network, assemble, linearise
-from isd_gym.records.data import Table
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98
 TABLE = builders.model(
@@ -216,20 +214,3 @@ def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_kno
         assert np.allclose(np.abs(response.moved[:, 0]), np.abs(compliance), rtol=1e-6)
     else:
         assert not response.moved.any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("quantity", "level"), [("velocity", 0.5), ("acceleration", 1.5)])
-def test_the_friction_of_a_rig_whose_table_is_told_by_its_rate_is_named(quantity, level):
-    rng, t = np.random.default_rng(2), np.arange(0, 20, 5e-3)
-    model = shaken(quantity)
-    model["outputs"] = model["outputs"][1:2]  # the travel
-    model["uncertainty"] = {"k.stiffness": 0.05, "c.damping": 0.5}
-    phases = zip((0.3, 0.7, 1.1, 1.6, 2.3), rng.uniform(0, 6, 5), strict=True)
-    size = {"velocity": 0.1, "acceleration": 1.5}[quantity]
-    drive = size * sum(np.sin(2 * np.pi * f * t + p) for f, p in phases)
-    truth = {**model, "elements": [*model["elements"], friction("m", "table", level)]}
-    travel = simulate(truth, t, {"u": drive})["d"]
-    noisy = travel + 0.01 * travel.std() * rng.standard_normal(len(t))
-    found = diagnose([Table(t, {"u": drive, "d": noisy}, "run")], model)
-    assert named(found) == {("coulomb_friction", frozenset({"m", "table"}))}

@@ -151,15 +151,3 @@ def test_backlash_in_series_is_a_dead_zone_then_a_spring():
     stiffness = 1 / (1 / 1e6 + 1 / 2e4)
     expected = stiffness * (x - np.clip(x, -0.002, 0.002))
     np.testing.assert_allclose(force, expected, atol=1e-6)
-
-
-def test_bad_models_and_data_are_refused():
-    t = np.arange(10) * 1e-3
-    with pytest.raises(ValueError, match="unknown type 'rope'"):
-        simulate(model({"m": 1.0}, element("e", "rope", "m", "ground")), t, {})
-    with pytest.raises(ValueError, match="not determine"):
-        simulate(model({"m": 1.0}, element("e", "coulomb_friction", "m", "loose", level=1.0)), t, {})
-    with pytest.raises(ValueError, match="no data for input 'road'"):
-        simulate(car(), t, {"current": np.zeros(10)})
-    with pytest.raises(ValueError, match="not uniform"):
-        simulate(car(), t**2, {})

@@ -12,10 +12,7 @@ from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
 from isd_gym._common.errors import InputError
-from isd_gym.benchmark._show import snapshots
-from isd_gym.benchmark.policies import find
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
-from isd_gym.physics.network import Network
 from isd_gym.view import _rendering as rendering
 from isd_gym.view._rendering import CarSnapshot, CornerSnapshot, Renderer, Snapshot, backend, renderer
 from isd_gym.view._rendering.canvas import Canvas
@@ -193,25 +190,6 @@ def test_a_snapshot_is_the_state_of_the_car(name):
     assert highest == pytest.approx(0.05, abs=1e-3)
 
 
-def test_the_side_that_meets_a_bump_rises(scenes):
-    """From behind, the right wheels go up on a bump at the right; from the side they stand in front."""
-    env = ISDSuspensionEnv("full-car-isd", road="bump-right", render_mode="rgb_array")
-    env.reset(seed=0)
-    rise = {False: [0.0], True: [0.0]}
-    for _ in range(250):
-        env.step(np.zeros(4, np.float32))
-        shot = env.snapshot()
-        assert isinstance(shot, CarSnapshot)
-        for each in shot.corners:
-            rise[each.y < 0].append(each.wheel)
-    assert max(rise[True]) > 0.04 and max(np.abs(rise[False])) < 0.01
-    env.render()
-    side, rear = scenes[-1].views
-    assert [c.name for c in side.near] == ["rear_right", "front_right"]
-    assert [c.name for c in rear.near] == ["rear_left", "rear_right"]
-    assert rear.place(rear.near[0]) < rear.place(rear.near[1])
-
-
 def test_the_views_follow_from_the_corners(scenes):
     """An axle alone is seen from behind, three axles from both sides, and a body on one wheel from the side."""
     axle = {"left": (0.0, 0.7), "right": (0.0, -0.7)}
@@ -300,12 +278,6 @@ def test_words_never_touch_nor_leave_the_picture(places, cars, size, monkeypatch
     picture_checks.check_words(poses, cars, size, monkeypatch)
 
 
-def test_points_of_the_body_are_named(said):
-    frame(car(PLACES, points={"driver": (0.1, 0.37), "tow_hook": (-1.9, 0.0)}))
-    assert said.count("driver") == 2 and "tow hook" in said
-    assert {"rear right", "front right", "rear left", "from behind", "dynamic"} <= set(said)
-
-
 # ------------------------------------------------------------------------------------------ bad input
 
 
@@ -334,17 +306,6 @@ def test_cars_of_different_kinds_are_not_compared():
 
 
 # ------------------------------------------------------------------------------------------ show
-
-
-def test_two_half_cars_drive_over_the_same_road():
-    plant = Network.load("half-car-isd")
-    shots = list(snapshots([find(n, plant) for n in ("skyhook", "passive")], plant, seconds=0.3, seed=4))
-    assert len(shots) == 61
-    left, right = shots[-1]
-    assert isinstance(left, CarSnapshot) and isinstance(right, CarSnapshot)
-    assert np.array_equal(left.road_profiles, right.road_profiles) and left.road_profiles.std() > 0
-    assert [c.current_limit for c in left.corners + right.corners] == [5.0, 5.0, None, None]
-    assert any(c.current for c in left.corners)
 
 
 @pytest.mark.parametrize(("network", "size"), [("half-car-isd", (1200, 640)), ("full-car-isd", (1400, 600))])

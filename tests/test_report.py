@@ -19,7 +19,6 @@ from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
 from isd_gym._common.errors import InputError
-from isd_gym.benchmark._comparability import Comparable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
 from isd_gym.diagnosis import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
@@ -668,33 +667,6 @@ def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(told, tmp_p
     assert Network.load("found/model.json").element("seal").level == LEVEL
 
 
-@pytest.mark.parametrize(
-    "kind", ["missing_effect", *(pytest.param(k, marks=pytest.mark.slow) for k in [*KINDS][1:])]
-)
-def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypatch, kind):
-    """The command from records to files, with a given result in place of the search, which takes minutes."""
-    monkeypatch.chdir(tmp_path)
-    tables(tmp_path, "a.csv")
-    d = of_kind(diagnosis, kind)
-    monkeypatch.setattr("isd_gym.diagnosis.diagnose", lambda data, model, **options: d)
-    args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found"]
-    done = CliRunner().invoke(cli.app, args)
-    assert done.exit_code == 0, done.output
-    assert d.summary in done.stdout and done.stderr.splitlines()[-1] == "report: found/report.html"
-    page = reopened(d, Path("found/report.html"))
-    view = report.View(d)
-    assert all(s in page.text for s in (view.title, *view.finding, *view.remarks, *view.steps, "a.csv"))
-    assert ("The next experiment" in page.text) == (d.verdict == "ambiguous")
-    found = kind in ("missing_effect", "unknown_effect with a table", "ambiguous")
-    assert ("the completed model;" in page.text) == found == ("the refitted model)" not in page.text)
-    drawn = found and kind != "ambiguous"  # the curve of a law that is not certain is not drawn
-    assert Path("found/law.svg").exists() == drawn
-    assert ("with the effect" in page.text) == (kind == "missing_effect")
-    first = re.search(r'id="figure-(\w+)"', Path("found/report.html").read_text())[1]
-    assert first == ("gap" if d.verdict in ("no_discrepancy", "parameters_only") else "loops")
-    assert Path("found/plane.svg").exists() == (d.verdict != "no_discrepancy")
-
-
 def test_diagnose_renames_and_converts(told, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tables(tmp_path, "a.csv", head="time,z_r,current,{}")
@@ -764,16 +736,6 @@ def test_one_episode_has_no_interval(tmp_path):
     items = score_page.trade_off(score_page.Shown(one)).panels[0].items
     points = [i for i in items if isinstance(i, charts.Marks)]
     assert points and not any(i.x_interval for i in points)
-
-
-def test_the_papers_points_stand_only_where_their_conditions_hold(small_score):
-    def drawn(s):
-        items = score_page.trade_off(score_page.Shown(s)).panels[0].items
-        return [i.name for i in items if isinstance(i, charts.Marks) and "paper" in i.name]
-
-    assert len(drawn(replace(small_score, comparable=Comparable()))) == 2
-    assert drawn(replace(small_score, comparable=Comparable(tables="another road"))) == []
-    assert drawn(small_score) == []  # 3 x 4 s
 
 
 def test_nobody_is_left_out_silently(small_score):

@@ -69,12 +69,6 @@ def test_profiles():
     assert not road("flat").heights(1.0, rng=rng).any()
 
 
-def test_sum_of_class_and_profile():
-    both = road("C+bump").heights(3.0, rng=np.random.default_rng(5))
-    rough = road("C").heights(3.0, rng=np.random.default_rng(5))
-    np.testing.assert_allclose(both - rough, bump().heights(3.0, rng=np.random.default_rng(0)), atol=1e-12)
-
-
 def test_recorded_profile_over_distance(tmp_path):
     x = np.arange(0, 100, 0.1)
     path = tmp_path / "lane.csv"

@@ -154,15 +154,6 @@ def test_continued_draws_are_one_draw():
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole)
 
 
-def test_same_generator_same_road_and_another_for_another():
-    def draw(seed):
-        return iso_road("C").wheel_heights(CAR, 2.0, rng=np.random.default_rng(seed))
-
-    np.testing.assert_array_equal(draw(1), draw(1))
-    assert not np.array_equal(draw(1), draw(2))
-    assert np.all(draw(1)[:, 0] == 0.0)
-
-
 # ---------------------------------------------------------------------------------------------- wheelbase
 
 
@@ -202,12 +193,6 @@ def test_delay_longer_than_the_drive():
     np.testing.assert_array_equal(tracks.delayed(np.arange(5.0), 2.5), [0, 0, 0, 0.5, 1.5])
 
 
-def test_rear_wheels_follow_their_own_side():
-    z = road("C").wheel_heights(CAR, 3.0, rng=np.random.default_rng(0))
-    np.testing.assert_array_equal(z[2:, 135:], z[:2, :-135])
-    assert np.abs(z[0] - z[1]).max() > 1e-3
-
-
 # ----------------------------------------------------------------------------------------- profiles of one side
 
 
@@ -221,14 +206,6 @@ def test_bump_of_one_side(shape, side):
     np.testing.assert_array_equal(z[hit], one)
     np.testing.assert_array_equal(z[hit + 2, 135:], one[:-135])
     assert not z[[free, free + 2]].any()
-
-
-@pytest.mark.parametrize("name", ["bump", "pothole", "sweep"])
-def test_axle_meets_profiles_without_a_side(name):
-    z = road(name).wheel_heights(CAR, 2.0, rng=np.random.default_rng(0))
-    one = road(name).heights(2.0, rng=np.random.default_rng(0))
-    np.testing.assert_array_equal(z[0], one)
-    np.testing.assert_array_equal(z[1], one)
 
 
 def test_sum_of_class_and_bump_of_one_side():
@@ -275,13 +252,6 @@ def test_right_column_before_the_left_one_in_millimetres(tmp_path):
     assert np.abs(profile).max(axis=1) == pytest.approx([0.01, 0.02], rel=1e-3)
 
 
-def test_recorded_profile_of_one_track_on_two_sides(tmp_path):
-    path = recording(tmp_path / "lane.csv", "distance [m],height [m]", lambda a: 0.01 * math.sin(a))
-    left, right = road(path).wheel_heights(AXLE, 2.0, rng=np.random.default_rng(3))
-    np.testing.assert_array_equal(left, right)
-    assert left.std() > 1e-3
-
-
 # ------------------------------------------------------------------------------------------------- bad input
 
 
@@ -303,15 +273,6 @@ def test_bad_columns(tmp_path, header, message):
     zeros = [lambda a: 0.0] * header.count(",")
     with pytest.raises(InputError, match=message):
         road(recording(tmp_path / "r.csv", header, *zeros))
-
-
-@pytest.mark.parametrize(
-    ("row", "message"), [("2,0,nan", "line 4: not finite"), ("2,x,0", "line 4, column 'height_left': 'x'")]
-)
-def test_bad_values_of_either_track(tmp_path, row, message):
-    (tmp_path / "r.csv").write_text(f"distance,height_left,height_right\n0,0,0\n1,0,0\n{row}\n3,0,0\n")
-    with pytest.raises(InputError, match=message):
-        road(tmp_path / "r.csv")
 
 
 def test_right_track_in_millimetres_without_a_unit(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from isd_gym._common.errors import InputError
 from isd_gym.agents.policy import SHIPPED
 from isd_gym.benchmark import scoring
-from isd_gym.benchmark.policies import Idle, conventional, find, passive
+from isd_gym.benchmark.policies import Idle, conventional, passive
 from isd_gym.benchmark.scoring import Entry, drive, frequency_weighting, score, weighted_rms
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
@@ -151,16 +151,3 @@ def test_the_conventional_car_takes_masses_by_their_order():
     own["masses"]["sprung"] = 500.0
     own["uncertainty"] = {}
     assert conventional(Network.load(own)).masses == {"body": 500.0, "wheel": CAR.masses["wheel"]}
-
-
-def test_what_is_no_car_cannot_be_scored():
-    with pytest.raises(InputError, match="'force-rig' is no car"):
-        passive(Network.load("force-rig"))
-
-
-def test_unknown_policy_lists_the_known():
-    with pytest.raises(
-        InputError,
-        match=r"no policy 'mcp' \(did you mean 'mpc'\?\): neither a policy folder, a file.py:Class, nor one of passive, isd-passive",
-    ):
-        find("mcp", CAR)

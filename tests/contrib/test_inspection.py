@@ -460,23 +460,6 @@ def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(tmp_path, 
         assert read_record(record, network, []).measured.shape == (4000, 1)
 
 
-def test_a_diagnosis_refuses_a_dead_output_in_one_line(tmp_path, run, program):
-    time, columns = run
-    dead = written(
-        tmp_path / "dead.csv",
-        ",".join(["time", *columns]),
-        time,
-        *[columns[c] * (c != "travel") for c in columns],
-    )
-    (tmp_path / "car.json").write_text(json.dumps(CAR))
-    for more in ([], ["--accept", "all"]):
-        words = ["diagnose", dead, "--model", tmp_path / "car.json", "--out", tmp_path / "out", *more]
-        message = refused(program, *words)
-        assert "travel: is constant (0)" in message and "out of the model's outputs" in message
-        assert "\n" not in message and "--accept" not in message
-    assert not (tmp_path / "out" / "diagnosis.json").exists()
-
-
 def test_the_rate_is_that_of_the_mean_step_without_gaps():
     """Stamps that jitter between 2 and 3 ms, twice as often 2 ms, with a gap: the median step would give 500 Hz."""
     from isd_gym.records._loggers.recording import Raster
