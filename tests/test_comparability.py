@@ -6,8 +6,10 @@ import pytest
 from isd_gym.benchmark._comparability import Comparable, comparable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
+from isd_gym.contrib.ceilings import beside
 from isd_gym.env._sensors import Sensors
 from isd_gym.physics.network import Network
+from isd_gym.view._report import score as page
 
 CAR = Network.load("quarter-car-isd")
 HEAVY = CAR.with_parameters({"body.mass": 400.0})
@@ -40,9 +42,6 @@ def test_every_condition_counts(change, left_out):
 
 def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):
     """Neither bound nor the paper's tables in the picture; the page says why."""
-    from isd_gym.contrib.ceilings import beside
-    from isd_gym.view._report import score as page
-
     asked = []
 
     def front(tyre, travel, **options):

@@ -1,19 +1,18 @@
-"""The table of criteria: evidence made by hand, every verdict, and every gate that can fail."""
+"""The table of criteria: evidence made by hand, every verdict, every gate that can fail, and the completed model."""
 
-import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from isd_gym.diagnosis._result_builder import ResultBuilder
 from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
 from isd_gym.diagnosis._selection.equivalent_laws import repeats
+from isd_gym.diagnosis._selection.free_force import FreeForce
 from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis._verdict.gates import (
-    COMPARE,
     confidence,
     decide,
     gates_of,
@@ -152,22 +151,10 @@ def test_a_name_makes_nothing_worse_that_it_was_fitted_to():
 
 
 def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name():
-    four = {
-        k: v * 4
-        for k, v in {"channels": ("a",), "before": (0.4,), "refit": (0.3,), "after": (0.021,)}.items()
-    }
-    four |= {
-        k: v * 4
-        for k, v in {
-            "noise": (0.02,),
-            "noise_known": (True,),
-            "envelope": (0.03,),
-            "richest": (0.021,),
-        }.items()
-    }
-    drifts = replace(
-        GOOD, **four, training_refit=(0.05, 0.05, 0.04, 0.3), training_after=(0.02, 0.02, 0.02, 0.6)
-    )
+    rows = ("channels", "before", "refit", "after", "noise", "noise_known", "envelope", "richest")
+    four = {name: 4 * getattr(GOOD, name) for name in rows}
+    training = {"training_refit": (0.05, 0.05, 0.04, 0.3), "training_after": (0.02, 0.02, 0.02, 0.6)}
+    drifts = replace(GOOD, **four | training)
     assert decide(drifts).verdict == "missing_effect"
     assert decide(replace(drifts, training_after=(0.06, 0.05, 0.05, 0.6))).verdict == "unknown_effect"
 
@@ -208,63 +195,6 @@ def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition():
     assert repeats(wave, Motion(often, 0 * often, 0 * often))
 
 
-NUMBERS = st.floats(-1e9, 1e9) | st.sampled_from([0.0, math.inf, -math.inf])
-SHARES = st.floats(0.0, 3.0)
-EFFECTS = st.builds(
-    EffectEvidence,
-    label=st.just("friction"),
-    share=SHARES,
-    spread=st.floats(0.0, 10.0) | st.just(math.inf),
-    contradiction=st.sampled_from(["", "beyond its reach"]),
-    sensor=st.booleans(),
-    fault=st.floats(0.0, 1.0),
-    removed=SHARES,
-    width=SHARES,
-    beyond_small=st.booleans(),
-)
-PARAMETERS = st.lists(st.sampled_from(["a", "b"]), max_size=2).map(tuple)
-
-
-@st.composite
-def evidences(draw):
-    """Any evidence of one or two effects on one or two channels."""
-    count = draw(st.integers(1, 2))
-    rows = st.tuples(*[SHARES] * count)
-    return Evidence(
-        channels=("a", "b")[:count],
-        **{name: draw(rows) for name in ("before", "refit", "after", "noise", "envelope", "envelope_after")},
-        **{name: draw(rows) for name in ("training_refit", "training_after", "richest")},
-        noise_known=draw(st.tuples(*[st.booleans()] * count)),
-        effects=tuple(draw(st.lists(EFFECTS, min_size=1, max_size=2))),
-        **{
-            name: draw(NUMBERS)
-            for name in ("elpd_diff", "explained", "rival_loss", "force_loss", "test_explained")
-        },
-        **{
-            name: draw(SHARES)
-            for name in ("elpd_dse", "training_explained", "probability", "lack_of_fit", "test_excess_ratio")
-        },
-        **{name: draw(PARAMETERS) for name in ("indistinguishable", "limits", "refit_limits")},
-    )
-
-
-@given(evidences())
-@settings(deadline=None)
-def test_the_figures_of_a_gate_are_those_that_were_tested(e):
-    for g in gates_of(e):
-        assert g.passed == COMPARE[g.relation](g.value, g.limit)
-        assert math.isfinite(g.value) and math.isfinite(g.limit)
-
-
-@given(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
-def test_so_are_those_of_a_table(explained, moved, errors, confirmed):
-    for g in table_gates(explained, moved, errors, confirmed):
-        assert g.passed == COMPARE[g.relation](g.value, g.limit) and math.isfinite(g.value)
-    asked = min(explained, confirmed) >= CRITERIA.least_removed
-    asked = asked and moved >= CRITERIA.material and errors > CRITERIA.elpd_errors
-    assert all(g.passed for g in table_gates(explained, moved, errors, confirmed)) == asked
-
-
 def test_a_table_that_explains_the_validation_records_alone_is_not_confirmed():
     def score(nrmse, test_nrmse):
         errors = np.array([nrmse]), np.array([test_nrmse])
@@ -284,3 +214,48 @@ def test_the_limit_of_a_doubtful_sensor_is_the_one_it_was_held_against():
 
     assert (forces_first(0.1).passed, forces_first(0.1).limit) == (True, 2.0)
     assert (forces_first(0.4).passed, forces_first(0.4).limit) == (False, 20.0)
+
+
+REFITTED, LAW, TABLE = (SimpleNamespace(name=n, hypotheses=(n,), well_formed=lambda: True) for n in "rlt")
+
+
+def completes(validation, refit, after, table=None, law=LAW):
+    """Whether a law completes a model, by mean squares on validation records and errors on test records."""
+    scores = SimpleNamespace(
+        refitted=REFITTED, foremost=law, score=lambda c: SimpleNamespace(mean_square=validation[c.name])
+    )
+    builder = SimpleNamespace(
+        scores=scores,
+        search=SimpleNamespace(criteria=CRITERIA),
+        _errors=lambda c: {"refit": np.array([refit]), "after": np.array([after])},
+    )
+    return ResultBuilder._is_supported(builder, FreeForce(candidate=table))
+
+
+@pytest.mark.parametrize(
+    ("validation", "test", "answer"),
+    [
+        ((4.0, 2.0), (0.3, 0.2), True),
+        ((4.0, 4.1), (0.3, 0.2), False),  # errs more on validation records
+        ((4.0, 2.0), (0.3, 0.31), False),  # errs more on test records
+        (
+            (4.0, 2.0),
+            (0.3, 0.299),
+            False,
+        ),  # sqrt(0.3^2 - 0.299^2) = 2.4 % of the deviation: nobody would notice
+    ],
+)
+def test_a_law_completes_a_model_that_it_improves_on_validation_and_on_test_records(validation, test, answer):
+    assert completes(dict(zip("rl", validation, strict=True)), *test) == answer
+
+
+def test_the_table_of_a_free_force_and_the_law_compete_on_validation_records():
+    assert completes({"r": 4.0, "l": 2.0, "t": 2.5}, 0.3, 0.2, TABLE)
+    assert not completes({"r": 4.0, "l": 2.0, "t": 1.5}, 0.3, 0.2, TABLE)
+
+
+def test_nothing_completes_a_model_without_a_candidate_or_with_values_that_contradict_its_law():
+    nobody = SimpleNamespace(name="l", hypotheses=(), well_formed=lambda: True)
+    odd = SimpleNamespace(name="l", hypotheses=("l",), well_formed=lambda: False)
+    assert not completes({"r": 4.0, "l": 2.0}, 0.3, 0.2, law=nobody)
+    assert not completes({"r": 4.0, "l": 2.0}, 0.3, 0.2, law=odd)

@@ -76,37 +76,25 @@ def as_record(push, position, name="run"):
     return Record(name, STEP, {"push": push}, position[:, None])
 
 
-def drive(kind, seed=0):
-    """Inputs of an open-loop test."""
-    rng, t = np.random.default_rng(seed), np.arange(SAMPLES) * STEP
-    if kind == "square":
-        return np.sign(np.sin(2 * np.pi * 1.0 * t + 0.1))
-    if kind == "square between samples":
-        return np.sign(np.sin(2 * np.pi * 0.937 * t + 0.3))
-    if kind == "pseudo-random binary":
-        return np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 25), 25)
-    if kind == "telegraph":
-        return np.sign(lfilter([1.0], [1.0, -0.95], rng.standard_normal(SAMPLES)))
-    if kind == "square sweep":
-        return np.sign(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)))
-    if kind == "sine":
-        return np.round(np.sin(2 * np.pi * 0.937 * t), 6)
-    if kind == "sweep":
-        return np.round(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)), 6)
-    if kind == "sines, measured":
-        return sum(np.sin(2 * np.pi * f * t + p) for f, p in zip(np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16), strict=True))  # fmt: skip
-    if kind == "white":
-        return rng.standard_normal(SAMPLES)
-    if kind == "coloured, measured":
-        u = lfilter([0.1], [1.0, -0.9], rng.standard_normal(SAMPLES))
-        return np.asarray(u)
-    return np.where(t > 10.0, 1.0, 0.0)
+def sines(t, rng):
+    phases = zip(np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16), strict=True)
+    return sum(np.sin(2 * np.pi * f * t + p) for f, p in phases)
 
 
-KINDS = [
-    "square", "square between samples", "pseudo-random binary", "telegraph", "square sweep", "sine", "sweep", "white",
-    "coloured, measured", "sines, measured", "step",
-]  # fmt: skip
+#: inputs of open-loop tests
+KINDS = {
+    "square": lambda t, rng: np.sign(np.sin(2 * np.pi * 1.0 * t + 0.1)),
+    "square between samples": lambda t, rng: np.sign(np.sin(2 * np.pi * 0.937 * t + 0.3)),
+    "pseudo-random binary": lambda t, rng: np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 25), 25),
+    "telegraph": lambda t, rng: np.sign(lfilter([1.0], [1.0, -0.95], rng.standard_normal(SAMPLES))),
+    "square sweep": lambda t, rng: np.sign(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2))),
+    "sine": lambda t, rng: np.round(np.sin(2 * np.pi * 0.937 * t), 6),
+    "sweep": lambda t, rng: np.round(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)), 6),
+    "white": lambda t, rng: rng.standard_normal(SAMPLES),
+    "coloured, measured": lambda t, rng: lfilter([0.1], [1.0, -0.9], rng.standard_normal(SAMPLES)),
+    "sines, measured": sines,
+    "step": lambda t, rng: np.where(t > 10.0, 1.0, 0.0),
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -114,7 +102,7 @@ KINDS = [
 def test_an_open_loop_is_no_feedback(kind, stiffness):
     """A clock, a sweep or noise is no answer to the output, although the output follows the input."""
     for seed in range(3):
-        push = drive(kind, seed)
+        push = KINDS[kind](STEP * np.arange(SAMPLES), np.random.default_rng(seed))
         position = march(push, stiffness, seed)
         if kind.endswith(
             "measured"

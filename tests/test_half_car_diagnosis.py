@@ -1,16 +1,14 @@
 """The half car of the hidden suite: its own equations against the kernel's, and effects found at the right corner."""
 
-import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import element, named, table
+from builders import named, table
 from rigs import families
 from rigs.families.bench import outputs
 from rigs.families.half_car import FRONT, REAR, half_car
 from rigs.families.plant import Signal, integrate
-from rigs.reference import simulate as by_reference
 
 from isd_gym import simulate
 from isd_gym.diagnosis import diagnose
@@ -56,60 +54,6 @@ def test_the_half_car_of_the_suite_is_that_of_the_kernel():
     np.testing.assert_allclose(np.divide(left[:-1], left[1:]), 4.0, rtol=0.05)
 
 
-SERIES = element("mount", "series_compliance", "body_front", "top", stiffness=4e4)
-
-
-@pytest.mark.parametrize(
-    "extra",
-    [
-        [],
-        [{"type": "cubic_stiffness", "between": ["wheel_rear", "road_rear"], "stiffness": 3e8}],
-        [{"type": "quadratic_damping", "between": ["body_rear", "wheel_rear"], "damping": 4e3}],
-        [{"type": "inertance", "between": ["body_front", "wheel_front"], "inertance": 20.0}],
-    ],
-)
-def test_laws_at_a_corner_move_the_car_as_the_other_integrator_says(extra):
-    rig = car(2)
-    model = copy.deepcopy(rig.model)
-    model["elements"] += [{"name": f"extra_{i}", **e} for i, e in enumerate(extra)]
-    nodes = ("body_front", "body_rear", "wheel_rear")
-    model["outputs"] = [{"name": n, "quantity": "displacement", "at": n} for n in nodes]
-    time, road, mine = ran(rig, model, 2e-3)
-    theirs = by_reference(
-        model,
-        time,
-        {k: s.value for k, s in road.items()},
-        step=2e-5,
-        derivatives={k: (s.rate, s.second) for k, s in road.items()},
-    )
-    assert worst(mine, theirs) < 1e-5
-
-
-def test_a_damper_on_a_bushing_is_a_spring_in_series():
-    rig = car(3)
-    soft, series = copy.deepcopy(rig.model), copy.deepcopy(rig.model)
-    next(e for e in soft["elements"] if e["name"] == "damper_front").update(
-        type="x_damper_on_bushing", stiffness=4e4, gap=0.0
-    )
-    next(e for e in series["elements"] if e["name"] == "damper_front")["between"] = ["top", "wheel_front"]
-    series["elements"].append(SERIES)
-    time, road, own = ran(rig, soft, 5e-4)
-    given = {k: s.value for k, s in road.items()}
-    assert (
-        worst(own, simulate(series, time, given)) < 1e-4 < 1e-2 < worst(simulate(rig.model, time, given), own)
-    )
-
-
-def test_the_rear_axle_meets_the_road_of_the_front_axle_later():
-    rig = car(4)
-    front, rear = (rig.drives[0].inputs[f"road_{end}"].value for end in ("front", "rear"))
-    late = next(k for k in range(1, 100) if np.array_equal(rear[k:], front[:-k]))
-    points = rig.model["bodies"]["body"]["points"]
-    base = points["body_front"]["x"] - points["body_rear"]["x"]
-    assert 12.0 * 0.9 < base / (late * rig.interval) < 30.0 * 1.1
-
-
-# --------------------------------------------------------------------------------------- places of a rigid body
 def half():
     return Network.load("half-car-passive")
 
@@ -149,9 +93,6 @@ def test_the_scale_of_force_is_the_inertia_of_what_the_sensor_sits_on():
     wheel = replace(net, outputs=(net.probe("hop", "acceleration", at="wheel_rear"),))
     problem = Problem(wheel, [Record("r", 5e-3, roads, y)], ["fit"])
     assert _measured_force(problem) == pytest.approx(45.0 * np.std(y), rel=1e-6)
-
-
-# ------------------------------------------------------------------------------------------------- to the end
 
 
 @pytest.mark.slow

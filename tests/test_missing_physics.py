@@ -44,42 +44,38 @@ def figures(bench, truth, *effects, **more):
     return bench.summarise([bench.score_case(truth, TEST, answer, more.get("prediction"))])
 
 
-def test_the_right_name_in_any_order_of_the_terminals(bench):
-    f = figures(bench, TRUTH, {"law": "coulomb_friction", "place": GROUND[::-1], "probability": 0.9})
-    assert (f["place_f1"], f["law_accuracy"], f["wrong_names"]) == (1.0, 1.0, 0.0)
-    assert f["brier"] == pytest.approx(0.01)
-    assert f["abstention"] is None  # nothing to abstain from
+def law(name, place=GROUND, **more):
+    return {"law": name, "place": place, **more}
 
 
-def test_a_wrong_law_at_the_right_place(bench):
-    f = figures(bench, TRUTH, {"law": "quadratic_damping", "place": GROUND, "probability": 0.8})
-    assert (f["place_f1"], f["law_accuracy"], f["wrong_names"]) == (1.0, 0.0, 1.0)
-    assert f["brier"] == pytest.approx((1.0 + 0.64) / 2)  # the true law was given no probability
+DRAG, UNLIKELY = law("quadratic_damping", probability=0.8), law("coulomb_friction", probability=0.3)
+PLACED = law(None)
 
 
-def test_a_small_effect_that_is_there_is_no_error(bench):
-    small = TRUTH["nuisances"][0]
-    f = figures(bench, TRUTH, FRICTION, small)
-    assert (f["place_f1"], f["law_accuracy"], f["wrong_names"], f["brier"]) == (1.0, 1.0, 0.0, 0.0)
-    assert figures(bench, NOTHING, small)["abstention"] == 1.0
-
-
-def test_silence_is_right_where_nothing_can_be_named(bench):
-    for truth in (NOTHING, OUTSIDE):
-        assert figures(bench, truth)["abstention"] == 1.0
-        f = figures(bench, truth, {**FRICTION, "probability": 0.7})
-        assert (f["abstention"], f["wrong_names"]) == (0.0, 1.0)
-        assert f["brier"] == pytest.approx(0.49)
-    placed = {"law": None, "place": GROUND}
-    assert figures(bench, OUTSIDE, placed)["place_f1"] == 1.0
-    assert figures(bench, OUTSIDE, placed)["abstention"] == 1.0
-    assert figures(bench, NOTHING, placed)["place_f1"] == 0.0
-
-
-def test_an_unlikely_statement_is_not_a_name_but_counts_for_the_brier_score(bench):
-    f = figures(bench, NOTHING, {**FRICTION, "probability": 0.3})
-    assert (f["wrong_names"], f["abstention"]) == (0.0, 1.0)
-    assert f["brier"] == pytest.approx(0.09)
+@pytest.mark.parametrize(
+    ("truth", "effects", "expected"),
+    [
+        # terminals have no order; there is nothing to abstain from
+        (TRUTH, [law("coulomb_friction", GROUND[::-1], probability=0.9)], {"place_f1": 1, "law_accuracy": 1, "wrong_names": 0, "brier": 0.01, "abstention": None}),
+        # the true law was given no probability
+        (TRUTH, [DRAG], {"place_f1": 1, "law_accuracy": 0, "wrong_names": 1, "brier": (1 + 0.64) / 2}),
+        # a small effect that is there is no error
+        (TRUTH, [FRICTION, TRUTH["nuisances"][0]], {"place_f1": 1, "law_accuracy": 1, "wrong_names": 0, "brier": 0}),
+        (NOTHING, [TRUTH["nuisances"][0]], {"abstention": 1}),
+        # silence is right where nothing can be named
+        (NOTHING, [], {"abstention": 1}),
+        (NOTHING, [DRAG], {"abstention": 0, "wrong_names": 1, "brier": 0.64}),
+        (NOTHING, [PLACED], {"place_f1": 0}),
+        (OUTSIDE, [], {"abstention": 1}),
+        (OUTSIDE, [DRAG], {"abstention": 0, "wrong_names": 1, "brier": 0.64}),
+        (OUTSIDE, [PLACED], {"place_f1": 1, "abstention": 1}),
+        # an unlikely statement is not a name, but counts for the Brier score
+        (NOTHING, [UNLIKELY], {"wrong_names": 0, "abstention": 1, "brier": 0.09}),
+    ],
+)  # fmt: skip
+def test_answers_of_known_score(bench, truth, effects, expected):
+    found = figures(bench, truth, *effects)
+    assert {k: found[k] for k in expected} == pytest.approx(expected)
 
 
 def test_error_reduction_is_one_for_the_truth_and_zero_for_the_best_nominal_model(bench):

@@ -4,9 +4,9 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, spring
+from refusals import refused
 from scipy.optimize import least_squares
 
-from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import motion_rows
 from isd_gym.diagnosis._estimation.noise import white_filters
@@ -56,9 +56,6 @@ def problem_of(network, *offsets, held=None, size=2.0):
     return Problem(network, records, roles)
 
 
-# ------------------------------------------------------------------------------------------------- the format
-
-
 @pytest.mark.parametrize(("text", "value"), [("free", "free"), ("record", "record"), ("none", None)])
 def test_an_offset_is_read_and_written(text, value):
     network = stand(text)
@@ -69,11 +66,7 @@ def test_an_offset_is_read_and_written(text, value):
 
 @pytest.mark.parametrize("wrong", ["free for all", True, ["free"], 1.0])
 def test_another_offset_is_refused(wrong):
-    with pytest.raises(InputError, match='"offset" must be "free"'):
-        stand(wrong)
-
-
-# ---------------------------------------------------------------------------------------------------- the fit
+    refused('"offset" must be "free"', stand, wrong)
 
 
 def test_one_sensor_has_one_offset_over_all_records():
@@ -151,9 +144,6 @@ def test_the_residual_of_the_score_test_has_no_offset_left():
     assert np.linalg.norm(residual.without(one)) > 0.1 * np.linalg.norm(one)
 
 
-# ------------------------------------------------------------------------------------------- held-out records
-
-
 def test_a_held_out_record_has_the_offset_of_the_training_records():
     """A sensor that moved by 3 mm before the held-out record is an error of 3 mm there."""
     problem = problem_of(stand(), OFFSET, OFFSET, held=OFFSET + 0.003)
@@ -180,9 +170,6 @@ def test_a_held_out_record_may_have_its_own_offset():
     fit = evaluator.plain_fitter.fit(base_structure(problem.network))
     held = evaluator.plain_fitter.follow(fit.structure, fit.x, problem.held)
     assert held.offset[2][0] == pytest.approx(OFFSET + 0.003, abs=10 * NOISE)
-
-
-# ------------------------------------------------------------------------------------- errors and deviations
 
 
 def test_the_deviation_is_that_within_records():

@@ -6,12 +6,9 @@ from pathlib import Path
 import builders
 import numpy as np
 import pytest
+from builders import element
 from rigs import reference
 from rigs.reference import simulate, simulate_events
-
-
-def element(name, kind, first, second, **parameters):
-    return {"name": name, "type": kind, "between": [first, second], **parameters}
 
 
 def model(masses, *elements, inputs=(), outputs=()):

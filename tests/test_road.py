@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.signal import welch
 
-from isd_gym._common.errors import InputError
 from isd_gym.physics.road import (
     ISO_CLASSES,
     PAPER_KAPPA,
@@ -94,5 +94,4 @@ def test_recorded_profile_over_distance(tmp_path):
 )
 def test_bad_recordings(tmp_path, text, message):
     (tmp_path / "r.csv").write_text(text)
-    with pytest.raises(InputError, match=message):
-        road(tmp_path / "r.csv")
+    refused(message, road, tmp_path / "r.csv")

@@ -3,10 +3,11 @@
 import json
 import shutil
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from refusals import refused
 
-from isd_gym._common.errors import InputError
 from isd_gym.agents.policy import SHIPPED
 from isd_gym.benchmark import scoring
 from isd_gym.benchmark.policies import Idle, conventional, passive
@@ -49,8 +50,6 @@ def test_weighted_rms_of_a_sine():
 
 
 def test_same_roads_for_all_and_the_cost_is_the_reward():
-    import gymnasium as gym
-
     runs = [drive(Entry("x", lambda: Idle("x"), net), CAR, episodes=3, duration=2.0) for net in (None, CAR)]
     np.testing.assert_array_equal(runs[0].tyre_load, runs[1].tyre_load)
     env = gym.make("ISDSuspension-v0")
@@ -140,8 +139,7 @@ def test_policies_of_the_same_name_are_called_by_their_paths(tmp_path):
     assert [r["policy"] for r in found.policies] == ["passive", paths[0]]
     assert found.policies[0]["cost"]["value"] != found.policies[1]["cost"]["value"]
     for twice in (["ppo", "ppo"], [paths[1], paths[1], "ppo"], [Entry("a", lambda: Idle("a"))] * 2):
-        with pytest.raises(InputError, match="is named twice"):
-            score(twice, CAR, episodes=1, duration=0.5)
+        refused("is named twice", score, twice, CAR, episodes=1, duration=0.5)
 
 
 def test_the_conventional_car_takes_masses_by_their_order():

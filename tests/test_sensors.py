@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.env._environment import ISDSuspensionVectorEnv
@@ -89,8 +90,7 @@ def test_text_mapping_and_object_say_the_same():
     ],
 )
 def test_bad_sensors_are_one_line(given, why):
-    with pytest.raises(InputError, match=why):
-        Sensors.of(given)
+    refused(why, Sensors.of, given)
 
 
 def test_a_lag_is_whole_control_steps():

@@ -8,7 +8,6 @@ import pytest
 from builders import channel, damper, spring
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
-from test_words import document
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import diagnose
@@ -17,7 +16,6 @@ from isd_gym.diagnosis._selection.candidate import Candidate
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._selection.simulation_fit import fit_simulation_error, run_freely
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.diagnosis._verdict.wording import summary_of
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
@@ -74,9 +72,6 @@ def complete(stiffness=STIFFNESS):
     return with_sensor_offsets(structure.network, (OFFSET,))  # fmt: skip
 
 
-# ------------------------------------------------------------------------------------------------- the offset
-
-
 def test_a_model_holds_the_offset_of_its_sensor():
     network, t = complete(), np.arange(100) * 1e-3
     still = simulate(network, t, {"push": 0 * t})["position"]
@@ -97,9 +92,6 @@ def test_only_one_offset_for_all_records_is_held():
     assert with_sensor_offsets(duffing(), None) == duffing()
 
 
-# ------------------------------------------------------------------------------------------- between samples
-
-
 def test_splines_follow_an_oscillator_that_straight_lines_do_not():
     table = record(1)
     lines, splines = (error_of(complete(), table, kind) for kind in ("linear", "auto"))
@@ -117,9 +109,6 @@ def test_another_course_between_samples_is_refused():
     t = np.arange(100) * 1e-3
     with pytest.raises(InputError, match="interpolation must be linear, smooth, spline or auto"):
         simulate(duffing(), t, {"push": t}, interpolation="cubic")
-
-
-# ---------------------------------------------------------------------------------------------- the last fit
 
 
 def candidate(stiffness):
@@ -160,22 +149,6 @@ def test_the_last_fit_is_dropped_where_it_gains_nothing_or_the_motion_is_lost():
         assert fit_simulation_error(evaluator, replace(right, fit=fit), (np.inf, -np.inf)) is None
     evaluator, lost = candidate(1.3 * STIFFNESS)
     assert fit_simulation_error(evaluator, lost, (np.inf, -np.inf)) is None
-
-
-def test_the_summary_tells_both_estimates():
-    values = {"value": 1.0, "low": 0.9, "high": 1.1, "unit": "N/m"}
-    fit = {
-        "values": {"spring.stiffness": 1.3},
-        "data": {"before": {"position": 0.02}, "after": {"position": 0.01}},
-        "held_out": {"before": {"position": 0.02}, "after": {"position": 0.01}},
-        "outside": {"spring.stiffness": values},
-    }
-    said = summary_of(document(simulation_fit=fit))
-    assert "falls from 2.0 % to 1.0 % in position" in said
-    assert "spring.stiffness 1.3 N/m (0.9 to 1.1)" in said
-
-
-# ------------------------------------------------------------------------------------------------ model.json
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from program import assert_one_line, run
+from refusals import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Entry
@@ -37,9 +38,6 @@ speed = [10, 30.0]
 name = "heavy"
 factors = { "body.mass" = 1.2 }
 """
-
-
-# ------------------------------------------------------------------- functions that tasks name: they run in workers
 
 
 def noted(folder, number):
@@ -127,11 +125,7 @@ def test_shards_are_a_partition():
     parts = [engine.shard(tasks, f"{i}/3") for i in range(3)]
     assert sorted(t.key for p in parts for t in p) == sorted(t.key for t in tasks)
     for bad in ("3/3", "-1/3", "1", "a/b", "1/0"):
-        with pytest.raises(InputError):
-            engine.shard(tasks, bad)
-
-
-# ------------------------------------------------------------------------------------------------------- the grid
+        refused("", engine.shard, tasks, bad)
 
 
 def test_a_grid_is_axes_crossed_and_conditions_named(tmp_path):
@@ -192,8 +186,7 @@ def test_what_a_policy_is_made_of_is_part_of_an_item(tmp_path, monkeypatch):
     item = grid.items(grid.conditions[0], "mine")[0]
     (tmp_path / "mine" / "policy.json").write_text("{ }")
     assert before != [t.key for t in grid.items(grid.conditions[0], "mine")]
-    with pytest.raises(InputError, match="'mine' is not here, or another"):
-        item.call()
+    refused("'mine' is not here, or another", item.call)
 
 
 def test_over_all_conditions_each_counts_the_same():
@@ -263,6 +256,10 @@ def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
         ("policies = ['lqg']\n[random]\ncount = 2\nspeeed = [1, 2]", "did you mean 'speed'"),
         ("policies = ['lqg']\n[axes]\nnoise = [-1]", "noise must be"),
         ("policies = ['lqg']\n[axes]\nroad_lag = [-1]", "road_lag must be"),
+        ("policies = ['lqg']\nepisodes = 1000000000000", "more than"),
+        (f"policies = ['lqg']\n[axes]\nspeed = {[*range(1, 201)]}\nnoise = {[*range(200)]}", "conditions"),
+        ("policies = ['lqg']\n[[conditions]]\nname = 'a'\nroad = ['C']", "road must be a name"),
+        (f"policies = ['lqg']\nseed = {10**299}", "seed"),
     ],
 )
 def test_a_bad_grid_is_one_line(text, why, tmp_path):
@@ -291,8 +288,6 @@ def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path):
     assert "| heavy |" in (out / "sweep.md").read_text()
     assert run("sweep", tmp_path / "absent.toml", "--out", out).returncode == 2
 
-
-# ------------------------------------------------------------------------------------------------------- a cluster
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
 
@@ -340,7 +335,5 @@ def test_a_cluster_that_is_not_there_is_one_line(tmp_path):
 
 def test_without_ray_the_engine_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match="scale"):
-        engine.run(_tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray")
-    with pytest.raises(InputError, match="no engine 'cloud'"):
-        engine.run([], tmp_path / "out", engine="cloud")
+    refused("scale", engine.run, _tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray")
+    refused("no engine 'cloud'", engine.run, [], tmp_path / "out", engine="cloud")
