@@ -107,5 +107,5 @@ def table(columns: Any, name: str) -> Table:
 
 
 def named(d: Any) -> set[tuple[str, frozenset[str]]]:
-    """Return the effects that a diagnosis names, each with its channel or its terminals."""
+    """Return the named effects of a diagnosis, with channel or terminals."""
     return {(e.effect, frozenset([e.channel] if e.channel else e.between or ())) for e in d.effects}

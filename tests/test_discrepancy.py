@@ -321,7 +321,7 @@ def test_a_score_is_a_function_of_its_arguments():
 
 
 def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side():
-    # a spring that has play, beside a damper that has none: everything between the two nodes used to be put behind the play
+    # a spring with play beside a damper without play: both elements used to stand behind the play
     net = Network.load(families.make_case("shaken.play", 305).model)
     k, c, m = (net.parameters[p] for p in ("spring.stiffness", "damper.damping", "mass.mass"))
     series = {h.label: h for h in hypotheses(net) if h.kind.series}

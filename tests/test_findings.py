@@ -220,7 +220,5 @@ def test_a_law_that_is_the_sum_of_two_others_is_probable_at_most():
     assert one.laws[0].probability == pytest.approx(1.0 - MISTAKEN["partly"])
     evidence = SimpleNamespace(explained=0.99, width_after=0.0, support=1.0, imitated=False, probability=1.0)
     assert confidence(evidence, is_sum=True) == one.laws[0].probability < confidence(evidence)
-    evidence.imitated = (
-        True  # unmodelled effects may have made the difference between the law and its special case
-    )
+    evidence.imitated = True  # unmodelled effects may have told the law from its special case
     assert confidence(evidence) == one.laws[0].probability

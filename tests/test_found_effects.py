@@ -178,7 +178,7 @@ def test_a_law_of_the_drive_or_of_the_sensor_is_named(effect, place, how, expect
 @pytest.mark.slow
 @pytest.mark.parametrize("samples", [6, -6])
 def test_a_channel_that_lags_or_leads_is_named_with_its_delay(samples):
-    # another channel tells that it is not the drive
+    # a second channel without a lag excludes the drive
     place = channel("place", "displacement", "cart")
     model = {**CART, "outputs": [*CART["outputs"], place]}
     found = diagnose([driven(1, late=samples)], model, validate=[driven(2, late=samples)])

@@ -1,4 +1,4 @@
-"""The diagnosis' benchmark: what counts as right, and that a run goes on where it stopped."""
+"""The diagnosis' benchmark: the grades of answers, and the continuation of a stopped run."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The unknown constant of a sensor: one for all records, or one for each record where the model says so."""
+"""The unknown constant of a sensor: equal in all records, or free in each record."""
 
 import builders
 import numpy as np

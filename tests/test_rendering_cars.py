@@ -24,7 +24,7 @@ NETWORKS = {"ISDHalfCar-v0": "half-car-isd", "ISDFullCar-v0": "full-car-isd"}
 both = pytest.mark.parametrize("name", NETWORKS)
 PLACES = {"front_left": (1.35, 0.76), "front_right": (1.35, -0.76), "rear_left": (-1.35, 0.76), "rear_right": (-1.35, -0.76)}  # fmt: skip
 HALF = {"front": (1.2, 0.0), "rear": (-1.5, 0.0)}
-#: three axles, two of them close to each other
+#: a lorry with three axles, the rear pair close together
 LORRY = {f"{axle}_{side}": (x, y) for axle, x in (("front", 3.0), ("middle", -1.0), ("rear", -2.4)) for side, y in (("left", 1.0), ("right", -1.0))}  # fmt: skip
 LIMIT = 0.02465
 

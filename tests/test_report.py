@@ -31,12 +31,12 @@ from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis._verdict.explanation import draw_law as series_law
 from isd_gym.diagnosis._verdict.gates import gates_of
-from isd_gym.diagnosis.result import BestCandidate, Tabulated
+from isd_gym.diagnosis.result import BestCandidate, ScreenedPlace, Tabulated
 from isd_gym.physics.elements import TYPES, CoulombFriction, parameter_fields
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records import schemas
-from isd_gym.view._report import charts, plots
+from isd_gym.view._report import charts, plots, steps
 from isd_gym.view._report import diagnosis as report
 from isd_gym.view._report import score as score_page
 
@@ -61,6 +61,7 @@ def made_diagnosis():
     kept = [e for e in true.elements if e.type not in ("coulomb_friction", "bump_stop")]
     base = replace(true, elements=tuple(kept), uncertainty={"body.mass": 0.05, "oil.stiffness": 0.05})
     model = base.with_element(CoulombFriction("seal", ("piston", "joint"), level=LEVEL))
+    model = replace(model, uncertainty={"seal.level": 0.02})  # that of the fit, as a diagnosis states it
     rng = np.random.default_rng(1)
     traces = []
     for name, held in (("one", False), ("two", True)):
@@ -88,6 +89,11 @@ def made_diagnosis():
         effects=(Effect("coulomb_friction", ("piston", "joint"), None, 0.993, {"level": level}, "seal"),),
         contenders=(Contender(("hysteresis",), (("piston", "joint"),), 0.31, 120.0, "explains less <of it>"),),
         where=(Place("suspension_travel", 0.7, ((0.8, 2.0),), "velocity of piston-joint changes sign"),),
+        places=(
+            ScreenedPlace(("piston", "joint"), "coulomb_friction", 0.81),
+            ScreenedPlace(("body", "wheel"), "viscous_damping", 0.12),
+            ScreenedPlace(("suspension_travel",), "sensor_gain", 0.0),
+        ),
         parameters={"body.mass": Quantity(351.2, 349.9, 352.4, "kg", 345.0)},
         gap=gap,
         closed=0.99,
@@ -115,7 +121,18 @@ def evidence_of(gap, *effects, explained):
     )  # fmt: skip
 
 
-FIGURES = ("loops", "other_loops", "gap", "time", "residuals", "spectra", "plane", "law", "parameters")
+FIGURES = (
+    "steps",
+    "loops",
+    "other_loops",
+    "gap",
+    "time",
+    "residuals",
+    "spectra",
+    "plane",
+    "law",
+    "parameters",
+)
 #: verdicts, one of them with a table of the missing force
 KINDS = (
     "missing_effect",
@@ -156,7 +173,7 @@ def of_kind(d, kind):
     gap["noise_floor"] = d.gap["noise_floor"]
     evidence = evidence_of(gap, EffectEvidence("hysteresis at piston-joint", 0.3), explained=0.42)
     best = BestCandidate(
-        ("hysteresis",), (("piston", "joint"),), ({"level": 120.0},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
+        ("hysteresis",), (("piston", "joint"),), ({"level": 120.0, "stiffness": 1e6},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
     )  # fmt: skip
     made = replace(
         d, verdict=verdict, summary=f"So: {verdict}.", effects=(), contenders=(), closed=0.9 if tabulated else None,
@@ -262,6 +279,34 @@ def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
     assert np.sqrt(np.mean((cloud.rate - measured) ** 2)) < 0.05 * measured.std()
 
 
+def test_the_first_figure_has_the_places_the_force_and_the_laws(diagnosis):
+    """The curve of a law is the missing force where the law is true, and another where it is not."""
+    cubic = Contender(
+        ("cubic_stiffness",), (("piston", "joint"),), 0.9, 300.0, "explains less",
+        ({"stiffness": 1e6},),
+    )  # fmt: skip
+    chart = steps.draw_steps(report.View(replace(diagnosis, contenders=(*diagnosis.contenders, cubic))))
+    places, force, laws = chart.panels
+    assert places.y.rows == ("piston – joint", "body – wheel", "suspension travel")
+    blue, grey = (i for i in places.items if isinstance(i, charts.Marks))
+    assert list(blue.x) == pytest.approx([81.0]) and list(grey.x) == pytest.approx([12.0, 0.0])
+    (median,) = (i for i in force.items if isinstance(i, charts.Line))
+    assert np.all(median.band[0] <= median.y) and np.all(median.y <= median.band[1])
+    again, true, false = (i for i in laws.items if isinstance(i, charts.Line))
+    assert again.y is median.y and true.name.startswith("Coulomb friction")
+    shares = [int(re.search(r"\((\d+)", line.name)[1]) for line in (true, false)]
+    assert shares[0] > 80 > shares[1] + 10  # mass, spring and damper take a part of either
+    fast = np.abs(median.x) > 0.05
+    # on average over the bins: those at the ends have few samples
+    away, far = (np.abs(line.y - median.y)[fast].mean() for line in (true, false))
+    assert away < 0.2 * LEVEL and away < 0.5 * far
+
+
+def test_without_a_search_the_gap_comes_first(diagnosis):
+    view = report.View(replace(diagnosis, places=()))
+    assert view.first == "gap" and steps.draw_steps(view) is None
+
+
 def _held(d):
     return d.traces[-1].time, d.traces[-1].inputs
 
@@ -272,6 +317,7 @@ def test_report_stands_alone_and_says_it_all(written):
     names = {p.name for p in path.parent.iterdir()}
     pictures = {f"{n}.svg" for n in FIGURES}
     assert names == {"report.html", "diagnosis.json", "model.json"} | pictures
+    assert re.search(r'id="figure-(\w+)"', path.read_text())[1] == "steps"
     for words in (
         "Missing: Coulomb friction between piston and joint", "error in device travel on held-out data falls", "145.2 to 154.9", "hysteresis between piston and joint",
         "explains less <of it>", "significant", "jump by twice 150.0\u00a0N", "held out: two", "rig & co.json",

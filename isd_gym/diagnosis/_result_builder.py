@@ -36,6 +36,7 @@ from .result import (
     Effect,
     Quantity,
     Remainder,
+    ScreenedPlace,
     SimulationFit,
     Stretches,
     Trace,
@@ -139,6 +140,9 @@ class ResultBuilder:
             contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
             findings=findings,
             where=() if decision.verdict == "no_discrepancy" else locate_errors(p, refitted.fit, noise),
+            places=tuple(
+                ScreenedPlace(m.hypothesis.where, m.hypothesis.effect, m.share) for m in search.places
+            ),
             parameters={path: q for path, q in quantities.items() if path in network.parameters},
             gap={stage: self._by_channel(row) for stage, row in rows.items()},
             closed=None if final is refitted else closed(rows),

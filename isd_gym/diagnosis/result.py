@@ -42,7 +42,7 @@ __all__ = [
 SCHEMA = "isd-diagnosis/1"
 #: entries of the JSON document in their order: fields of `Diagnosis`, or made of them
 _DOCUMENT = (
-    "schema", "verdict", "summary", "effects", "findings", "small_effects", "alternatives", "where", "parameters", "gap", "gates", "reason",
+    "schema", "verdict", "summary", "effects", "findings", "small_effects", "alternatives", "where", "places", "parameters", "gap", "gates", "reason",
     "best_candidate", "best_table", "remainder", "record_differences", "simulation_fit", "stretches", "constant", "closed_loop",
     "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
 )  # fmt: skip
@@ -148,6 +148,18 @@ class Place:
     bands_hz: tuple[tuple[float, float], ...]
     #: condition of the motion under which the error is largest
     when: str
+
+
+@dataclass(frozen=True)
+class ScreenedPlace:
+    """A place of the model, with the law there that removes most of what the refitted model leaves."""
+
+    #: terminals, channel or motor
+    where: tuple[str, ...]
+    #: type of the law
+    effect: str
+    #: share of the squared residual that the law removes to first order, from 0 to 1
+    share: float
 
 
 @dataclass(frozen=True)
@@ -490,6 +502,8 @@ class Diagnosis:
     record_differences: RecordDifferences | None = None
     #: probabilities of places, kinds and laws
     findings: tuple[Finding, ...] = ()
+    #: places by the share of the residual that a law there removes, largest first, before any law was fitted
+    places: tuple[ScreenedPlace, ...] = ()
     #: inputs that follow from outputs
     closed_loop: tuple[Feedback, ...] = ()
 

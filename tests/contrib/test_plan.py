@@ -40,7 +40,7 @@ MASS = builders.model(
     uncertainty={"table.mass": 0.03, "spring.stiffness": 0.1, "damper.damping": 0.2},
 )
 SHORT = Rig({"stroke": Limits(0.01)}, (1.0, 7.0), 8.0, 0.008)
-#: criteria that ask for nothing but what noise does
+#: criteria in which noise alone counts
 NOISE_ALONE = Criteria(material=1e-9, share=1e-9, wide_gap=1e9, determined=1e9)
 
 

@@ -45,8 +45,8 @@ def propagate_input_noise(problem: Problem) -> Array:
         records[i] = _with_noise(records[i], levels, rng)
     try:
         initial = {i: guess(problem, network, i)[:, None] for i in training}
-        clean = problem.simulate_all([network], training, initial, like=network)
-        noisy = problem.with_records(records).simulate_all([network], training, initial, like=network)
+        clean = problem.simulate_all([network], training, initial)
+        noisy = problem.with_records(records).simulate_all([network], training, initial)
     except BROKEN:
         return noise
     change = np.concatenate([noisy[i] - clean[i] for i in training])[:, :, 0]

@@ -90,7 +90,7 @@ class Objective:
         net = structure.at(at.x)
         try:
             begun = {i: at.initial[i][:, None] for i in records}
-            found = self.problem.simulate_all([net], records, begun, like=net)
+            found = self.problem.simulate_all([net], records, begun)
         except (InputError, np.linalg.LinAlgError):
             at.costs = dict.fromkeys(records, math.inf)
             return at

@@ -66,7 +66,7 @@ def tangents(
         begun[i] = np.repeat(initial[i][:, None], lanes + n0, axis=1)
         begun[i][:, lanes:] += np.diag(state_steps[i])
     every = [*nets, *[nets[0]] * n0]
-    for i, y in problem.simulate_all(every, todo, begun, like=nets[0]).items():
+    for i, y in problem.simulate_all(every, todo, begun).items():
         point = y[:, :, 0]
         with np.errstate(over="ignore", invalid="ignore"):  # the caller detects a diverged simulation
             if over is None:

@@ -140,6 +140,10 @@ class Structure:
         known = self.network.parameters
         return np.array([f.forward(known[f.path]) for f in self.free])
 
+    def start_from(self, known: Mapping[str, float]) -> np.ndarray:
+        """Return start values (parameters,), transformed: known ones by path, the network's own for the others."""
+        return np.array([known.get(f.path, v) for f, v in zip(self.free, self.start, strict=True)])
+
     @property
     def mean(self) -> np.ndarray:
         """Prior means of the free parameters (parameters,)."""

@@ -43,8 +43,8 @@ class Match:
     values: dict[str, float]
     #: parameters of the fit, transformed, as the match moves them, by path
     moved: dict[str, float]
-    #: decrease of the cost that the match predicts
-    gain: float
+    #: share of the squared residual that the match removes
+    share: float
 
     def sized(self, size: float) -> Match:
         """Return a match of another size."""
@@ -60,8 +60,7 @@ class Match:
             InputError: No law can have the matched values.
         """
         built = add(structure, self.hypothesis, self.values)
-        pairs = zip(built.free, built.start, strict=True)
-        return built, np.array([self.moved.get(f.path, v) for f, v in pairs])
+        return built, built.start_from(self.moved)
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
 def match_laws(
     problem: Problem, fitter: Fitter, fit: Fit, noise: Array, candidates: Sequence[Hypothesis]
 ) -> list[Match]:
-    """Return every law at every place from every start of its shape, the largest gain first.
+    """Return every law at every place from every start of its shape, the largest share first.
 
     `noise`: White noise (channels,) of the outputs.
     """
@@ -124,7 +123,7 @@ def match_laws(
     for where, group in groupby(along, key=lambda t: t[0].where):
         pair = (where[0], where[1])
         found += _match_forces(problem, fitter, fit, residual, pair, motion[pair], list(group))
-    return sorted(found, key=lambda m: -m.gain)
+    return sorted(found, key=lambda m: -m.share)
 
 
 def _follows_motion(h: Hypothesis) -> bool:
@@ -222,12 +221,12 @@ def _match(fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual) 
     if is_wrong and not h.kind.series:
         return None
     # what is put in series changes the order of the equations: a small one says little about a large one
-    gain = 0.0 if is_wrong else float(residual.left @ (own @ amplitude))
+    share = 0.0 if is_wrong else float(residual.left @ (own @ amplitude) / (residual.left @ residual.left))
     move = residual.solve @ (residual.whole - (0.0 if is_wrong else s @ amplitude))
     moved = {
         f.path: float(np.clip(v + dv, f.low, f.high))
         for f, v, dv in zip(fit.structure.free, fit.x, move, strict=True)
     }
     return Match(
-        h, start, h.kind.sized(start, np.ones_like(amplitude) if is_wrong else amplitude), moved, gain
+        h, start, h.kind.sized(start, np.ones_like(amplitude) if is_wrong else amplitude), moved, share
     )

@@ -136,7 +136,7 @@ def admissible_matches(
     candidates: Iterable[Hypothesis],
     known: Mapping[Pair, Travel] | None = None,
 ) -> list[Match]:
-    """Return the matches of every admissible effect, largest gain first.
+    """Return the matches of every admissible effect, the largest share of the residual first.
 
     `noise`: White noise (channels,) of the outputs.
     `known`: What the records tell about the distance of each pair; what `problem` tells by default.

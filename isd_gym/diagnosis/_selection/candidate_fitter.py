@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from .._estimation.gauss_newton import Fitter, gap, residuals
 from .._estimation.initial_states import transfer_states
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
@@ -110,7 +108,7 @@ class CandidateFitter:
         near = deviance_with_noise_of(p, similar, similar, least) + self.criteria.deviance_gain
         own = zip(similar.fit.structure.free, similar.fit.x, strict=True)
         known = {f.path: v for f, v in own if f.owner < 0}
-        x = np.array([known.get(f.path, v) for f, v in zip(structure.free, structure.start, strict=True)])
+        x = structure.start_from(known)
         found: list[Candidate] = []
         try:
             initial = transfer_states(p, similar.fit.network, similar.fit.initial, structure)

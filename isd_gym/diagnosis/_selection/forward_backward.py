@@ -16,13 +16,14 @@ from .candidate_fitter import CandidateFitter
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .inclusion_tests import InclusionTests
-from .screening import Screening
+from .screening import Screening, ScreeningResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..._common.arrays import Array
     from .._estimation.structure import Structure
+    from .._hypotheses.law_matching import Match
     from .._simulation.problem import Problem
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
@@ -42,6 +43,8 @@ class Search:
     #: receives a line of progress
     say: Callable[[str], None]
     clock: TimeLimit = field(default_factory=TimeLimit)
+    #: the match to the residual of the refitted model that removes most, at each place
+    places: list[Match] = field(default_factory=list)
 
     @property
     def problem(self) -> Problem:
@@ -140,11 +143,16 @@ class Search:
         result = Screening(
             self.problem, now.fit, self.least_noise, replace(self.settings, matches=3, finals=2)
         ).run()
+        self._keep_places(now, result)
         before = deviance_with_noise_of(
             self.problem, now, now, np.maximum(self.least_noise, 0.1 * result.noise)
         )
         best = next(iter(result.ranked), None)
         return best if best is not None and before - best.deviance > self.criteria.deviance_gain else None
+
+    def _keep_places(self, now: Candidate, result: ScreeningResult) -> None:
+        if not now.hypotheses:
+            self.places[:] = result.places
 
     def _moves_a_channel(self, candidate: Candidate, now: Candidate, score: HeldOutScore) -> bool:
         """Return whether a candidate reduces the error of a channel by a material share."""
@@ -158,6 +166,7 @@ class Search:
         """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
         p, c = self.problem, self.criteria
         result = Screening(p, now.fit, self.least_noise, self.settings).run()
+        self._keep_places(now, result)
         ranked, noise = list(result.ranked), np.maximum(self.least_noise, 0.1 * result.noise)
         if not ranked:
             return None

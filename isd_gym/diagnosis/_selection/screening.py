@@ -63,6 +63,8 @@ class ScreeningResult:
     ranked: tuple[Candidate, ...]
     #: white noise with which the candidates were compared (channels,)
     noise: Array
+    #: the match that removes most, at each place
+    places: tuple[Match, ...]
 
 
 @dataclass(frozen=True)
@@ -116,18 +118,23 @@ class Screening:
         return best
 
     # -- hypotheses ---------------------------------------------------------------------------------------
+    @cached_property
+    def matches(self) -> list[Match]:
+        """Every admissible law at every place, the largest share of the residual first."""
+        tried = [h for h in hypotheses(self.current.structure.network) if self.is_sensible(h)]
+        return admissible_matches(
+            self.problem, self.fitter, self.current, self.first_noise, tried, self.known
+        )
+
     def shortlist(self) -> list[list[Match]]:
         """Return the laws that are fitted, each with its matches.
 
         An element in series with a moved node always enters, since a small compliance says little about a large one.
         """
-        tried = [h for h in hypotheses(self.current.structure.network) if self.is_sensible(h)]
         moved = set(self.problem.network.moved_nodes)
         groups: dict[Hypothesis, list[Match]] = {}
         count = 0
-        for m in admissible_matches(
-            self.problem, self.fitter, self.current, self.first_noise, tried, self.known
-        ):
+        for m in self.matches:
             h = m.hypothesis
             if h not in groups:
                 alike = sum(g.effect == h.effect and set(g.where) == set(h.where) for g in groups)
@@ -226,10 +233,10 @@ class Screening:
         known = {f.path: v for f, v in own if f.owner < len(r.hypotheses) - 1}
         out = []
         for gone, structure in simpler_structures(self.problem, r):
-            is_last = gone is r.hypotheses[-1] and structure.hypotheses[:-1] == r.hypotheses[:-1]
-            if len(structure.hypotheses) != len(r.hypotheses) or not is_last or structure.hypotheses in tried:
+            is_left_out = len(structure.hypotheses) < len(r.hypotheses)
+            if gone is not r.hypotheses[-1] or is_left_out or structure.hypotheses in tried:
                 continue
-            x = np.array([known.get(f.path, v) for f, v in zip(structure.free, structure.start, strict=True)])
+            x = structure.start_from(known)
             try:
                 states = transfer_states(self.problem, r.fit.network, r.fit.initial, structure)
                 f = self.fitter.fit(structure, x, states, r.fit.offset, iterations=FIRST + FURTHER)
@@ -267,9 +274,7 @@ class Screening:
         groups, _ = brief.shortlist(), brief.fitter
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
             ranked = brief.leading(_best_first(pool.map(brief.fit, groups)))
-            tried = {r.hypotheses for r in ranked} | {
-                (*self.current.structure.hypotheses, g[0].hypothesis) for g in groups
-            }
+            tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
             plainer = [
                 r for found in pool.map(lambda r: brief.special_cases(r, tried), ranked) for r in found
             ]
@@ -281,14 +286,18 @@ class Screening:
     def run(self) -> ScreeningResult:
         """Run the stage."""
         ranked = self.coarse.first_round()
+        places: dict[frozenset[str], Match] = {}
+        for m in self.coarse.brief.matches:
+            places.setdefault(frozenset(m.hypothesis.where), m)
+        best = tuple(places.values())
         if self.coarse is not self:
             ranked = _best_first(map(self._transferred, ranked))
         if not ranked:
-            return ScreeningResult((), self.first_noise)
+            return ScreeningResult((), self.first_noise, best)
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
             ranked = _best_first(pool.map(lambda r: self.settle_noise(r, noise), ranked))
-        return ScreeningResult(tuple(self.rank(ranked)), noise)
+        return ScreeningResult(tuple(self.rank(ranked)), noise, best)
 
     def _transferred(self, r: Candidate) -> Candidate | None:
         try:

@@ -164,7 +164,7 @@ def run_freely(
             Fitter(problem.heads, white_filters(noise)).follow(structure, x, every, iterations=8).initial
         )
         begun = {i: initial[i][:, None] for i in every}
-    outputs = problem.simulate_all([network], every, begun, like=network)
+    outputs = problem.simulate_all([network], every, begun)
     residuals = {}
     for i, y in outputs.items():
         offset = problem.nothing(i, structure.offsets)

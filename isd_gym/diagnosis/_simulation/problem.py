@@ -541,7 +541,7 @@ class Problem:
         lanes = len(plant.networks)
         if initial is None:
             return np.zeros((plant.n, lanes))
-        source = assemble(bare(like or plant.networks[0]))
+        source = plant.assemblies[0] if like is None else assemble(bare(like))
         # most lanes differ in parameters that the motion of the nodes does not depend on
         keys = [asm.position.tobytes() + asm.velocity.tobytes() for asm in plant.assemblies]
         distinct = dict(zip(keys, plant.assemblies, strict=True))

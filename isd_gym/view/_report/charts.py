@@ -53,6 +53,7 @@ class Line:
     y: Array  # ordinates (n,)
     look: Look  # style
     band: tuple[Array, Array] | None = None  # lower and upper ordinates (n,) of the band; None without a band
+    band_name: str = "95 % interval"  # name of the band in the legend
     fill: bool = False  # whether the area down to the axis is filled
 
 
@@ -244,7 +245,7 @@ def _draw_panel(ax: Axes, panel: Panel, notes: dict[str, str]) -> None:
 
 def _draw_line(ax: Axes, item: Line, axis: Axis) -> None:
     if item.band is not None:
-        ax.fill_between(item.x, *item.band, color=item.look.colour, alpha=0.25, lw=0, label="95 % interval")
+        ax.fill_between(item.x, *item.band, color=item.look.colour, alpha=0.25, lw=0, label=item.band_name)
     if item.fill:
         ax.fill_between(item.x, item.y, ax.get_ylim()[0], color=PALE, lw=0, label=item.name, zorder=0)
         return

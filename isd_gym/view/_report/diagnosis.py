@@ -45,6 +45,7 @@ from .plots import (
 )
 from .schematic import draw as sketch
 from .schematic import place_parts
+from .steps import draw_steps, force_axis, law_axis, trend
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -367,11 +368,7 @@ class View:
     @property
     def first(self) -> str:
         """Name of the figure on the first screen."""
-        if self.trace is None or self.d.verdict in ("no_discrepancy", "parameters_only"):
-            return "gap"
-        if self.loops:
-            return "loops"
-        return "plane" if self.named else "time" if len(self.channels) <= FEW else "gap"
+        return "steps" if self.d.places else "gap"
 
     @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
@@ -404,7 +401,6 @@ NOISE = Look(INK, (0, (1, 1.5)), "", 0.8)
 WORST = "worst stretch"
 STRETCH = 2.5  # length of the drawn stretches of a record [s]
 PERIODS = 4  # periods of the motion in a loop
-FEW = 2  # channels whose time histories fit on the first screen
 MOST_CHANNELS = 5  # channels of a picture over time
 
 
@@ -620,7 +616,7 @@ def _loop_panels(view: View, loops: Loops, curves: Mapping[str, tuple[Curve, Loo
     y = Axis(channel_text(loops.name), unit)
     panels = []
     for kind in ("rate", "travel"):
-        factor, x = _law_axis(kind, turns)
+        factor, x = law_axis(kind, turns)
         x = replace(x, label=f"{x.label} of {loops.pair[0]}–{loops.pair[1]}")
         items = [Line(n, factor * getattr(c, kind), scale * c.force, look) for n, (c, look) in curves.items()]
         panels.append(Panel(x, y, (Rule("x", 0.0), Rule("y", 0.0), *items)))
@@ -681,17 +677,6 @@ def draw_spectra(view: View) -> Chart | None:
     )
 
 
-def _law_axis(kind: str, turns: bool) -> tuple[float, Axis]:
-    if turns:
-        return 1.0, Axis("angular velocity", "rad/s") if kind == "rate" else Axis("angle", "rad")
-    return (1.0, Axis("velocity", "m/s")) if kind == "rate" else (1e3, Axis("travel", "mm"))
-
-
-def _force_axis(label: str, turns: bool, low: float, high: float) -> Axis:
-    label, unit = (label.replace("force", "torque"), "N·m") if turns else (label, "N")
-    return Axis(label, unit, low=low, high=high)
-
-
 def draw_plane(view: View) -> Chart | None:
     """Return the chart of the missing force over motion, before and after, or of a channel's residual; None without records."""
     if not view.clouds:
@@ -716,13 +701,13 @@ def draw_plane(view: View) -> Chart | None:
             top = max(top, 1.15 * float(np.abs(law.force).max()))
         for k, (axis_kind, force, title, colour) in enumerate(parts):
             turns = view.turns(cloud.pair)
-            factor, x = _law_axis(axis_kind, turns)
+            factor, x = law_axis(axis_kind, turns)
             x = replace(x, label=f"{x.label} of {cloud.pair[0]}–{cloud.pair[1]}")
             items, x = _dots(x, factor * over[axis_kind], force, colour)
             if law is not None and k == 0:
                 look = Look(BLUE, "-", "", 1.6)
                 items.append(Line("added law", factor * law.axis, law.force, look, band=(law.low, law.high)))
-            y = _force_axis("missing force", turns, -top, top)
+            y = force_axis("missing force", turns, -top, top)
             panels.append(Panel(x, y, tuple(items), title=title))
     assert view.trace is not None
     return Chart(
@@ -734,14 +719,6 @@ def draw_plane(view: View) -> Chart | None:
         columns=2,
         size=(7.4, 2.9 * len(view.clouds) + 0.4),
     )
-
-
-def _trend(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
-    """Return means of x and medians of y in bins of x with enough samples; the medians are robust to outliers."""
-    edges = np.linspace(float(np.quantile(x, 0.002)), float(np.quantile(x, 0.998)), bins + 1)
-    index = np.digitize(x, edges) - 1
-    pick = [k for k in range(bins) if np.sum(index == k) >= 10]
-    return np.array([x[index == k].mean() for k in pick]), np.array([np.median(y[index == k]) for k in pick])
 
 
 def _draw_channel_plane(view: View) -> Chart | None:
@@ -784,13 +761,13 @@ def _draw_channel_plane(view: View) -> Chart | None:
 def _dots(axis: Axis, x: Array, y: Array, colour: str) -> tuple[list[Item], Axis]:
     """Return a cloud, its median along x, and an axis without the outer two thousandths of x."""
     thin = max(1, len(x) // 2500)
-    middle, mean = _trend(x, y)
+    middle, (median,) = trend(x, y)
     low, high = (float(q) for q in np.quantile(x, [0.001, 0.999]))
     margin = 0.05 * (high - low) or 1.0
     items: list[Item] = [
         Rule("y", 0.0),
         Dots("", x[::thin], y[::thin], Look(colour, "-", ".")),
-        Line("median of the dots", middle, mean, Look(INK, "-", "o", 1.0)),
+        Line("median of the dots", middle, median, Look(INK, "-", "o", 1.0)),
     ]
     return items, replace(axis, low=low - margin, high=high + margin)
 
@@ -844,7 +821,7 @@ def draw_law(view: View) -> Chart | None:
     panels = []
     for law, e in laws[:3]:
         turns = view.turns(e.between or ())
-        factor, axis = _law_axis(law.kind, turns)
+        factor, axis = law_axis(law.kind, turns)
         x = factor * law.axis
         count, edges = np.histogram(factor * law.visited, bins=40, range=(float(x[0]), float(x[-1])))
         least, most = float(np.min(law.low)), float(np.max(law.high))
@@ -867,7 +844,7 @@ def draw_law(view: View) -> Chart | None:
         panels.append(
             Panel(
                 replace(axis, label=text, low=float(x[0]), high=float(x[-1])),
-                _force_axis("force", turns, low, high),
+                force_axis("force", turns, low, high),
                 items,
                 title=title,
             )
@@ -953,6 +930,7 @@ def draw_parameters(view: View) -> Chart | None:
 
 
 FIGURES: Sequence[Callable[[View], Chart | None]] = (
+    draw_steps,
     draw_loops,
     draw_other_loops,
     draw_gap,

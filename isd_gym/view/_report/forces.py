@@ -142,10 +142,10 @@ def _nominal(base: Network, trace: Trace, pair: tuple[str, str], keep: slice) ->
     return Curve(seen.travel, seen.rate, seen.force).part(keep)
 
 
-def _over(network: Network, pair: tuple[str, str], kind: str, axis: Array) -> Array:
+def _over(elements: Iterable[el.Element], pair: tuple[str, str], kind: str, axis: Array) -> Array:
     """Return the sum of the forces between two nodes that depend on rate, or on travel, alone."""
     plane, total = {"rate": "rate", "travel": "elongation"}[kind], np.zeros(len(axis))
-    for e in network.elements:
+    for e in elements:
         if e.place == "between" and e.plane == plane and not e.series:
             if e.where == pair:
                 total = total + e.curve(axis)
@@ -159,7 +159,7 @@ def _static(network: Network, pair: tuple[str, str], travel: Array, rate: Array)
     total = np.zeros(len(travel))
     for kind, x in (("travel", travel), ("rate", rate)):
         axis = np.linspace(float(x.min()), float(x.max()) + 1e-12, GRID)
-        total = total + np.interp(x, axis, _over(network, pair, kind, axis))
+        total = total + np.interp(x, axis, _over(network.elements, pair, kind, axis))
     return total
 
 
@@ -175,12 +175,8 @@ def _difference(refitted: Network, model: Network, pair: tuple[str, str], laws: 
     parts = [np.stack([np.interp(axis, w.axis, y - w.force) for y in (w.low, w.high)]) for w in same]
     low, high = np.sum(parts, axis=0)
     own = np.sum([np.interp(axis, w.axis, w.force) for w in same], axis=0)
-    added = [e.name for e in model.elements if e.name in {w.element for w in same}]
-    others = [e for e in model.elements if e.name not in added]
-    kept = (
-        model if not added else Network.load({**model.to_dict(), "elements": [e.to_dict() for e in others]})
-    )
-    force = own + _over(kept, pair, kind, axis) - _over(refitted, pair, kind, axis)
+    others = [e for e in model.elements if e.name not in {w.element for w in same}]
+    force = own + _over(others, pair, kind, axis) - _over(refitted.elements, pair, kind, axis)
     return Law(same[0].element, kind, axis, force, force + low, force + high, same[0].visited)
 
 
