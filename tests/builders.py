@@ -85,7 +85,7 @@ QUARTER_CAR = model(
 
 
 def drive_quarter_car(
-    step: float = 2.5e-3, seconds: float = 12.0, seed: int = 0
+    step: float = 2.5e-3, seconds: float = 12.0, seed: int = 0, car: Any = QUARTER_CAR
 ) -> tuple[Any, dict[str, Any]]:
     """Return time and columns of a drive of the quarter car on a road of sines, with 2 % noise."""
     rng = np.random.default_rng(seed)
@@ -94,7 +94,7 @@ def drive_quarter_car(
     heights = sum(
         2e-3 / k * np.sin(2 * np.pi * k * time + p) for k, p in zip(f, rng.uniform(0, 6.3, 50), strict=True)
     )
-    said = simulate(QUARTER_CAR, time, {"road": heights})
+    said = simulate(car, time, {"road": heights})
     return time, {"road": heights} | {
         k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
     }

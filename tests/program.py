@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import signal
+import subprocess
 import sys
 import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -44,6 +45,19 @@ def run(*words: Any, cwd: Path | None = None, env: dict[str, str] | None = None)
         finally:
             signal.signal(signal.SIGINT, interrupt)
     return Done(int(code or 0), out.getvalue(), err.getvalue())
+
+
+def python(code: str, *words: Any, cwd: Path | None = None, env: dict[str, str] | None = None) -> Done:
+    """Return what a program of Python prints and ends with, in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        env=env,
+    )
+    return Done(done.returncode, done.stdout, done.stderr)
 
 
 def assert_one_line(done: Done, *words: str) -> None:

@@ -38,7 +38,6 @@ AT_FIRST = {
 
 @pytest.fixture(scope="module")
 def moving():
-    """A drive whose record begins in mid-motion."""
     time, columns = drive_quarter_car()
     return Table(time[1200:], {k: v[1200:] for k, v in columns.items()}, "drive")
 

@@ -1,7 +1,5 @@
 """Benchmark cards: references episode by episode, paired with scores of others on the same roads and on no others."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path
@@ -10,9 +8,9 @@ import numpy as np
 import pytest
 import tracks
 from program import assert_one_line, run
+from refusals import refused
 
 from isd_gym._commands._card_table import print_track
-from isd_gym._common.errors import InputError
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark.scoring import fingerprints, score
 from isd_gym.contrib.ceilings.ceiling import known
@@ -66,26 +64,21 @@ def test_a_reference_driven_again_is_the_reference(card):
 def test_a_score_on_other_roads_or_without_episodes_is_refused(card, change, why):
     theirs = score(["add"], **ON).to_dict()
     change(theirs)
-    with pytest.raises(InputError, match=why):
-        cards.ranking(card, "brief", [theirs])
+    refused(why, cards.ranking, card, "brief", [theirs])
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda s: s["policies"].__setitem__(0, 2), r"policies\[0\]: 2 is not of type 'object'"),
-        (lambda s: s["policies"][0].update(preview=2), r"policies\[0\].preview: 2 is not of type 'object'"),
         (
             lambda s: s["policies"][0]["cost"].pop("unit"),
             r"policies\[0\].cost: 'unit' is a required property",
         ),
         (lambda s: s.pop("speed"), "has no 'speed'"),
-        (lambda s: s["raw"].update(skyhook=3), "raw.skyhook: 3 is not of type 'object'"),
         (
             lambda s: s["raw"]["add"].update(cost=[1e300] * 3),
             r"raw.add.cost\[\d\]: 1e\+300 is greater than the maximum",
         ),
-        (lambda s: s.update(roads=[["x"]]), r"roads\[0\]\[0\]: 'x' is not of type 'number'"),
     ],
 )
 def test_a_garbled_score_is_one_line(change, says, tmp_path):
@@ -95,8 +88,7 @@ def test_a_garbled_score_is_one_line(change, says, tmp_path):
     assert cards.read_score(path) == json.loads(json.dumps(theirs))
     change(theirs)
     path.write_text(json.dumps(theirs))
-    with pytest.raises(InputError, match=says):
-        cards.read_score(path)
+    refused(says, cards.read_score, path)
 
 
 def test_a_garbled_card_with_a_right_digest_is_one_line(card, tmp_path):
@@ -104,12 +96,10 @@ def test_a_garbled_card_with_a_right_digest_is_one_line(card, tmp_path):
     held["tracks"][0]["policies"]["skyhook"]["episodes"]["cost"].pop()
     path = tmp_path / "card.json"
     path.write_text(json.dumps({**held, "digest": cards.digest(held)}))
-    with pytest.raises(InputError, match="'skyhook' must have 4 episodes"):
-        cards.load(path)
+    refused("'skyhook' must have 4 episodes", cards.load, path)
     del held["tracks"][0]["policies"]["passive"]
     path.write_text(json.dumps({**held, "digest": cards.digest(held)}))
-    with pytest.raises(InputError, match=r"tracks\[0\].policies: 'passive' is a required property"):
-        cards.load(path)
+    refused(r"tracks\[0\].policies: 'passive' is a required property", cards.load, path)
 
 
 def test_a_card_is_frozen(card, tmp_path):
@@ -119,14 +109,12 @@ def test_a_card_is_frozen(card, tmp_path):
     held = json.loads(json.dumps(card))
     held["tracks"][0]["policies"]["skyhook"]["episodes"]["cost"][0] *= 0.99
     path.write_text(json.dumps(held))
-    with pytest.raises(InputError, match="was altered"):
-        cards.load(path)
-    with pytest.raises(InputError, match="nowhere"):
-        cards.load("nowhere")
+    refused("was altered", cards.load, path)
+    refused("nowhere", cards.load, "nowhere")
 
 
 def test_the_command_makes_cards_and_scores_against_them(tmp_path):
-    def go(*words: object) -> str:
+    def go(*words):
         done = run(*words)
         assert not done.returncode, done.stderr
         return " ".join(done.stdout.split())
@@ -136,7 +124,7 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path):
     assert "1 track in" in go("card", tmp_path / "brief.json", "--write", tmp_path / "card.json")
     assert "add against skyhook" in go("score", "add", *on, "--against", tmp_path / "card.json")
 
-    def driven(*args: object, **kwargs: object) -> None:
+    def driven(*args, **kwargs):
         raise AssertionError("driven before it was refused")
 
     with pytest.MonkeyPatch.context() as patch:
@@ -188,13 +176,6 @@ def test_the_reward_threshold_is_the_best_classical_controller(name):
     best = max(total for policy, total in returns.items() if policy not in tracks.LEARNED)
     assert threshold <= best < threshold + 5
     assert max(returns["passive"], returns["skyhook"], returns["mpc"]) < threshold
-
-
-def test_every_track_of_the_script_is_in_a_card():
-    shipped = {(name, track["track"]) for name in cards.built_in() for track in cards.load(name)["tracks"]}
-    assert shipped == {(track.environment, track.name) for track in tracks.TRACKS}
-    for track in tracks.TRACKS:
-        assert track.policies[0] == "passive" and set(track.policies) & tracks.LEARNED
 
 
 def test_the_card_of_a_score_is_the_card_of_its_car(tmp_path):

@@ -5,9 +5,11 @@ import pytest
 
 from isd_gym.benchmark._comparability import Comparable, comparable
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import Entry, Idle, score
+from isd_gym.benchmark.scoring import score
+from isd_gym.contrib.ceilings import beside
 from isd_gym.env._sensors import Sensors
 from isd_gym.physics.network import Network
+from isd_gym.view._report import score as page
 
 CAR = Network.load("quarter-car-isd")
 HEAVY = CAR.with_parameters({"body.mass": 400.0})
@@ -38,18 +40,8 @@ def test_every_condition_counts(change, left_out):
     assert (found.left_out is None) == (not left_out)
 
 
-def test_a_small_sample_has_no_share_of_the_causal_gain():
-    entries = [passive(CAR), Entry("isd-passive", lambda: Idle("isd-passive"))]
-    usual = {"reference": entries[0], "duration": 1.0, "ceiling": lambda preview: {"change": -0.3}}
-    few = score(entries, CAR, episodes=2, **usual)
-    assert all(row["share_of_causal_gain"] is None for row in few.policies)
-
-
 def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):
     """Neither bound nor the paper's tables in the picture; the page says why."""
-    from isd_gym.contrib.ceilings import beside
-    from isd_gym.view._report import score as page
-
     asked = []
 
     def front(tyre, travel, **options):

@@ -1,19 +1,14 @@
 """Tables in and out, and the data gate, on records whose truth is known."""
 
-from __future__ import annotations
-
-import sys
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from scipy import io, signal
 
 from isd_gym._common.errors import InputError
 from isd_gym.records.data import (
-    Finding,
     Table,
     check,
     read_table,
@@ -23,22 +18,18 @@ from isd_gym.records.data._quality import held_samples
 from isd_gym.records.data._signals import stamp_rounding, unwrapped
 from isd_gym.records.data._table import read_columns, read_rasters
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
 STEP = 0.002
 INPUTS = {"road": "displacement", "current": "current"}
 OUTPUTS = {"acceleration": "acceleration", "travel": "displacement", "tyre": "force"}
 
 
-def ar1(rng: np.random.Generator, n: int, lag1: float) -> np.ndarray:
+def ar1(rng, n, lag1):
     """AR(1) noise of unit variance (n,)."""
     white = rng.standard_normal(n + 300)
     return signal.lfilter([np.sqrt(1 - lag1**2)], [1, -lag1], white)[300:]
 
 
-def car(seed: int = 0, seconds: float = 12.0, snr_db: float = 32.0, step: float = STEP) -> Table:
+def car(seed=0, seconds=12.0, snr_db=32.0, step=STEP):
     """The passive quarter car of Table 6 on a random road (scipy's lsim), with noise on what is measured, and a
     saturated current in a zero-order hold, which the gate must leave alone."""
     rng = np.random.default_rng(seed)
@@ -61,25 +52,23 @@ def car(seed: int = 0, seconds: float = 12.0, snr_db: float = 32.0, step: float 
     return Table(time, columns, "car", {"tyre": "N"})
 
 
-def replaced(table: Table, **columns: np.ndarray) -> Table:
+def replaced(table, **columns):
     return Table(table.time, table.columns | columns, table.source, table.units)
 
 
-def judged(table: Table) -> list[Finding]:
+def judged(table):
     return check(table, inputs=INPUTS, outputs=OUTPUTS)
 
 
-def serious(findings: list[Finding]) -> list[str]:
+def serious(findings):
     return [str(f) for f in findings if f.level != "note"]
 
 
-# ------------------------------------------------------------------------------------------------------- tables
-def test_table_is_frozen_and_checks_its_columns() -> None:
+def test_table_is_frozen_and_checks_its_columns():
     table = Table(np.arange(3), {"a": np.array([1, 2, 3])})
     with pytest.raises(ValueError, match="read-only"):
         table["a"][0] = 5
-    with pytest.raises(InputError, match="'b' has shape"):
-        Table(np.arange(3), {"b": np.arange(4)})
+    refused("'b' has shape", Table, np.arange(3), {"b": np.arange(4)})
     with pytest.raises(InputError, match="did you mean 'travel'"):
         Table(np.arange(3), {"travel": np.arange(3)})["travl"]
     with pytest.raises(InputError, match="no time step"):
@@ -87,7 +76,7 @@ def test_table_is_frozen_and_checks_its_columns() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".parquet", ".mat", ".mf4"])
-def test_what_is_written_is_read_back_to_the_last_bit(tmp_path: Path, suffix: str) -> None:
+def test_what_is_written_is_read_back_to_the_last_bit(tmp_path, suffix):
     table = car(seconds=1)
     write_table(tmp_path / f"record{suffix}", table)
     again = read_table(tmp_path / f"record{suffix}")
@@ -109,13 +98,7 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path: Path, suffix: st
     st.sampled_from(["plain", "brackets", "row"]),
     st.sampled_from(["", "\ufeff", "# bench 4\nproject;x\n"]),
 )
-def test_any_dialect_of_csv_gives_the_same_numbers(
-    tmp_path_factory: pytest.TempPathFactory,
-    values: list[float],
-    dialect: tuple[str, str],
-    units: str,
-    preamble: str,
-) -> None:
+def test_any_dialect_of_csv_gives_the_same_numbers(tmp_path_factory, values, dialect, units, preamble):
     delimiter, decimal = dialect
     head = {"plain": ["time", "f"], "brackets": ["time[s]", "f[kN]"], "row": ["time", "f"]}[units]
     rows = [head] + ([["s", "kN"]] if units == "row" else [])
@@ -130,7 +113,7 @@ def test_any_dialect_of_csv_gives_the_same_numbers(
         assert read_table(path).units["f"] == "kN"
 
 
-def test_channels_are_renamed_and_converted(tmp_path: Path) -> None:
+def test_channels_are_renamed_and_converted(tmp_path):
     path = tmp_path / "bench.csv"
     path.write_text(
         "Time [ms];Weg (mm);Kraft [kN];a [g];remark\n0;1,5;2,5;1;start\n2;-3;0;-0,5;\n4;0;1;0;end\n",
@@ -156,7 +139,7 @@ def test_channels_are_renamed_and_converted(tmp_path: Path) -> None:
     )
 
 
-BAD_FILES: dict[str, tuple[str | bytes, str]] = {
+BAD_FILES = {
     "empty.csv": ("", "is empty"),
     "binary.csv": (b"\x00\x01\x02", "not a text table"),
     "bare.csv": (
@@ -179,7 +162,7 @@ BAD_FILES: dict[str, tuple[str | bytes, str]] = {
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_a_bad_file_is_answered_in_one_line(tmp_path: Path, name: str) -> None:
+def test_a_bad_file_is_answered_in_one_line(tmp_path, name):
     content, answer = BAD_FILES[name]
     path = tmp_path / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -188,7 +171,6 @@ def test_a_bad_file_is_answered_in_one_line(tmp_path: Path, name: str) -> None:
     assert str(path) in str(caught.value)
 
 
-# ---------------------------------------------------------------------------------------- headers of text tables
 HEADERS = {
     "one row": ["time,force [kN],travel [mm]"],
     "a row of units": ["time,force,travel", "s,kN,mm"],
@@ -207,7 +189,7 @@ HEADERS = {
 
 
 @pytest.mark.parametrize("how", HEADERS)
-def test_a_second_header_row_is_no_unit_and_no_name(tmp_path: Path, how: str) -> None:
+def test_a_second_header_row_is_no_unit_and_no_name(tmp_path, how):
     head = HEADERS[how]
     width = head[0].count(",") + 1
     rows = [",".join(["0.5", "1.5", "-2", "7"][:width]), ",".join(["1.0", "2.5", "3", "7"][:width])]
@@ -222,13 +204,13 @@ def test_a_second_header_row_is_no_unit_and_no_name(tmp_path: Path, how: str) ->
     assert [list(columns.values[n]) for n in names] == [[0.5, 1.0], [1.5, 2.5], [-2.0, 3.0]]
 
 
-def test_a_first_row_with_gaps_belongs_to_the_numbers(tmp_path: Path) -> None:
+def test_a_first_row_with_gaps_belongs_to_the_numbers(tmp_path):
     (tmp_path / "x.csv").write_text("time,a,b\n0,,\n1,2,3\n2,3,4\n")
     assert list(read_table(tmp_path / "x.csv").time) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("form", ["brackets", "row", "parquet"])
-def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path: Path, form: str) -> None:
+def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path, form):
     path = tmp_path / ("x.parquet" if form == "parquet" else "x.csv")
     first, second = ("Force [V]", "Force [N]") if form == "row" else ("Force (V)", "Force (N)")
     if form == "parquet":
@@ -251,15 +233,15 @@ def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path: Path, 
     # each by its whole name
     assert list(read_table(path, rename={first: "u"}, expected={"u": "V"})["u"]) == [1, 2]
     assert list(read_table(path, rename={second: "load"})["load"]) == [10, 20]
-    with pytest.raises(
-        InputError, match=r"called 'Force': .* and .*; choose one with --rename COLUMN=CHANNEL"
-    ):
-        read_table(path, expected={"Force": "m"})
+    refused(
+        r"called 'Force': .* and .*; choose one with --rename COLUMN=CHANNEL",
+        read_table,
+        path,
+        expected={"Force": "m"},
+    )
 
 
-def lvm(
-    columns: str = "One", separator: str = "Tab", comma: bool = False, segments: int = 1, extra: str = ""
-) -> str:
+def lvm(columns="One", separator="Tab", comma=False, segments=1, extra=""):
     """A LabVIEW measurement file: a ramp and its square at 100 Hz, 300 samples a segment, in `columns` of stamps."""
     cut = "\t" if separator == "Tab" else ","
     names = ["Load", "Travel (mm)"]
@@ -290,7 +272,7 @@ def lvm(
 
 @pytest.mark.parametrize("columns", ["One", "Multi", "No"])
 @pytest.mark.parametrize(("separator", "comma"), [("Tab", False), ("Tab", True), ("Comma", False)])
-def test_labview_files_are_read(tmp_path: Path, columns: str, separator: str, comma: bool) -> None:
+def test_labview_files_are_read(tmp_path, columns, separator, comma):
     path = tmp_path / "x.lvm"
     path.write_text(lvm(columns, separator, comma))
     table = read_table(path, rename={"Load": "force"}, expected={"force": "kN"})
@@ -303,13 +285,12 @@ def test_labview_files_are_read(tmp_path: Path, columns: str, separator: str, co
         return
     first, second = read_rasters(path)
     assert second.values["time"] == pytest.approx(0.01 * np.arange(300) + 0.005)
-    with pytest.raises(InputError, match="different rasters"):
-        read_table(path, expected={"Load": "N", "Travel": "m"})
+    refused("different rasters", read_table, path, expected={"Load": "N", "Travel": "m"})
     between = read_table(path, expected={"Load": "N", "Travel": "m"}, resample=True)
     assert between["Load"] == pytest.approx(50 * between.time)
 
 
-def test_segments_of_a_labview_file_follow_one_another(tmp_path: Path) -> None:
+def test_segments_of_a_labview_file_follow_one_another(tmp_path):
     path = tmp_path / "x.lvm"
     path.write_text(lvm(segments=2))
     table = read_table(path)
@@ -327,20 +308,17 @@ def test_segments_of_a_labview_file_follow_one_another(tmp_path: Path) -> None:
         (lambda s: s[:30], "holds no data"),
     ],
 )
-def test_a_bad_labview_file_is_answered_in_one_line(tmp_path: Path, change: Callable, words: str) -> None:
+def test_a_bad_labview_file_is_answered_in_one_line(tmp_path, change, words):
     path = tmp_path / "x.lvm"
     path.write_text(change(lvm(extra="***Start_Special***\r\n3 words here\r\n***End_Special***")))
-    with pytest.raises(InputError, match=words):
-        read_table(path)
+    refused(words, read_table, path)
     path.write_text(change(lvm("No").replace("Delta_X", "Delta")))
-    with pytest.raises(InputError):
-        read_table(path)
+    refused("", read_table, path)
 
 
-# ------------------------------------------------------------------------------------------------ rounded stamps
 @pytest.mark.parametrize("rate", [1024.0, 900.0, 256.0, 48.0, 2048.0])
 @pytest.mark.parametrize("begin", [0.0, 1.7e9])
-def test_the_rate_of_rounded_stamps_comes_from_the_whole_span(rate: float, begin: float) -> None:
+def test_the_rate_of_rounded_stamps_comes_from_the_whole_span(rate, begin):
     count = 5000
     table = car()
     time = np.round(begin + 0.0003 + np.arange(count) / rate, 3)
@@ -351,7 +329,7 @@ def test_the_rate_of_rounded_stamps_comes_from_the_whole_span(rate: float, begin
         assert not [f for f in judged(rounded) if f.channel == "time" and f.level != "note"]
 
 
-def test_lost_samples_and_jitter_are_not_rounding() -> None:
+def test_lost_samples_and_jitter_are_not_rounding():
     time = 0.001 * np.arange(5000)
     assert stamp_rounding(time) == 0
     assert stamp_rounding(np.delete(time, [1000, 2000, 3001])) == 0
@@ -360,14 +338,13 @@ def test_lost_samples_and_jitter_are_not_rounding() -> None:
     assert stamp_rounding(jitter) == 0 and stamp_rounding(np.round(jitter, 4)) == 0
 
 
-# ---------------------------------------------------------------------------------------------------------- turns
 TURNS = {"deg": 360.0, "rad": 2 * np.pi, "rev": 1.0}
 
 
 @pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
 @pytest.mark.parametrize("centred", [True, False])
 @pytest.mark.parametrize("motion", ["many turns", "to and fro", "backwards"])
-def test_an_angle_that_begins_anew_each_turn_goes_on(turn: float, centred: bool, motion: str) -> None:
+def test_an_angle_that_begins_anew_each_turn_goes_on(turn, centred, motion):
     time = STEP * np.arange(5000)
     turns = {
         "many turns": 5 * time + 0.3 * np.sin(9 * time),
@@ -381,7 +358,7 @@ def test_an_angle_that_begins_anew_each_turn_goes_on(turn: float, centred: bool,
     assert unwrapped(x, turn)[1] == 0  # one that goes on by itself
 
 
-def test_spikes_and_small_swings_are_no_wraps() -> None:
+def test_spikes_and_small_swings_are_no_wraps():
     x = 20.0 * np.sin(STEP * 9 * np.arange(5000))
     assert unwrapped(x, 360.0)[1] == 0
     x[700] = 359.0
@@ -389,54 +366,34 @@ def test_spikes_and_small_swings_are_no_wraps() -> None:
     assert unwrapped(np.where(np.arange(5000) < 2500, 0.0, 350.0), 360.0)[1] == 0
 
 
-def test_an_angle_of_many_turns_is_no_outlier() -> None:
+def test_an_angle_of_many_turns_is_no_outlier():
     time = STEP * np.arange(30000)
     x = 400 * time + 0.5 * np.sin(9 * time) + 0.01 * np.random.default_rng(0).standard_normal(30000)
     found = check(Table(time, {"angle": x}), inputs={}, outputs={"angle": "angle"})
     assert serious(found) == []
 
 
-def test_missing_files_folders_and_renames_are_told(tmp_path: Path) -> None:
+def test_missing_files_folders_and_renames_are_told(tmp_path):
     for path, answer in ((tmp_path / "no.csv", "no such file"), (tmp_path, "suffix")):
-        with pytest.raises(InputError, match=answer):
-            read_table(path)
+        refused(answer, read_table, path)
     (tmp_path / "a.csv").mkdir()
-    with pytest.raises(InputError, match="is a folder"):
-        read_table(tmp_path / "a.csv")
+    refused("is a folder", read_table, tmp_path / "a.csv")
     write_table(tmp_path / "b.csv", car(seconds=1))
     with pytest.raises(InputError, match="no column 'trvel' to rename; did you mean 'travel'"):
         read_table(tmp_path / "b.csv", rename={"trvel": "x"})
-    with pytest.raises(InputError, match="no folder"):
-        write_table(tmp_path / "none" / "b.csv", car(seconds=1))
-    with pytest.raises(InputError, match="cannot write suffix"):
-        write_table(tmp_path / "b.xlsx", car(seconds=1))
+    refused("no folder", write_table, tmp_path / "none" / "b.csv", car(seconds=1))
+    refused("cannot write suffix", write_table, tmp_path / "b.xlsx", car(seconds=1))
     with pytest.raises(InputError, match="no name for a MATLAB variable"):
         write_table(tmp_path / "b.mat", Table(np.arange(3), {"2nd": np.arange(3)}))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "b.csv"]
 
 
-def test_empty_cells_are_missing_samples(tmp_path: Path) -> None:
+def test_empty_cells_are_missing_samples(tmp_path):
     (tmp_path / "x.csv").write_text("time,a\n0,1\n1,\n2,NaN\n3,4\n")
     assert np.array_equal(read_table(tmp_path / "x.csv")["a"], [1, np.nan, np.nan, 4], equal_nan=True)
 
 
-@pytest.mark.parametrize(("suffix", "module"), [(".parquet", "pyarrow"), (".mf4", "asammdf")])
-def test_an_extra_that_is_missing_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str
-) -> None:
-    write_table(tmp_path / f"x{suffix}", car(seconds=1))
-    for name in [m for m in sys.modules if m.split(".")[0] == module]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, module, None)
-    for use in (
-        lambda: read_table(tmp_path / f"x{suffix}"),
-        lambda: write_table(tmp_path / f"x{suffix}", car()),
-    ):
-        with pytest.raises(InputError, match=r'pip install "\.\[io\]"'):
-            use()
-
-
-def test_mat_structs_are_read_and_objects_refused(tmp_path: Path) -> None:
+def test_mat_structs_are_read_and_objects_refused(tmp_path):
     path = tmp_path / "x.mat"
     time = np.arange(5.0)
     io.savemat(
@@ -444,16 +401,14 @@ def test_mat_structs_are_read_and_objects_refused(tmp_path: Path) -> None:
     )
     assert list(read_table(path).columns) == ["x"]
     assert np.array_equal(read_table(path, expected={"x": "m"})["x"], time**2)
-    with pytest.raises(InputError, match="has shape"):
-        read_table(path, expected={"x": "m", "long": "N"})
+    refused("has shape", read_table, path, expected={"x": "m", "long": "N"})
     cell = np.empty(5, object)
     cell[:] = "a"
     io.savemat(path, {"time": time, "x": cell})
-    with pytest.raises(InputError, match="refused"):
-        read_table(path, expected={"x": "m"})
+    refused("refused", read_table, path, expected={"x": "m"})
 
 
-def test_mdf_rasters_units_and_formulas(tmp_path: Path) -> None:
+def test_mdf_rasters_units_and_formulas(tmp_path):
     asammdf = pytest.importorskip("asammdf")
     path, fast, slow = tmp_path / "x.mf4", np.arange(200) * 0.001, np.arange(100) * 0.002
     with asammdf.MDF(version="4.10") as mdf:
@@ -471,25 +426,23 @@ def test_mdf_rasters_units_and_formulas(tmp_path: Path) -> None:
     assert both.time[-1] == pytest.approx(slow[-1]) and both.step == pytest.approx(0.001)
     assert both["f"] == pytest.approx(2000 * both.time)
     for name, answer in (("g", "2 times"), ("algebra", "formula"), ("y", "no channel 'y'")):
-        with pytest.raises(InputError, match=answer):
-            read_table(path, expected={name: "N"})
+        refused(answer, read_table, path, expected={name: "N"})
 
 
-# ----------------------------------------------------------------------------------------------------- the gate
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("snr_db", [20.0, 26.0, 40.0, 60.0, 300.0])
-def test_clean_records_pass(seed: int, snr_db: float) -> None:
+def test_clean_records_pass(seed, snr_db):
     assert judged(car(seed, snr_db=snr_db)) == []
 
 
 @pytest.mark.parametrize("step", [0.0005, 0.001, 0.005, 0.01])
-def test_clean_records_pass_at_any_usual_rate(step: float) -> None:
+def test_clean_records_pass_at_any_usual_rate(step):
     assert serious(judged(car(step=step, seconds=2400 * step))) == []
 
 
 @pytest.mark.parametrize("levels", [200, 2000, 20000])
 @pytest.mark.parametrize("snr_db", [26.0, 50.0, 300.0])
-def test_encoders_and_rounded_files_pass(levels: int, snr_db: float) -> None:
+def test_encoders_and_rounded_files_pass(levels, snr_db):
     table = car(snr_db=snr_db)
     grid = {n: np.ptp(table[n]) / levels for n in table.columns}
     coarse = {n: np.round(table[n] / grid[n]) * grid[n] for n in table.columns}
@@ -498,7 +451,7 @@ def test_encoders_and_rounded_files_pass(levels: int, snr_db: float) -> None:
     assert serious(judged(replaced(table, **rounded))) == []
 
 
-def test_friction_rests_and_rig_tests_pass() -> None:
+def test_friction_rests_and_rig_tests_pass():
     """Commands without noise, and what friction does: square-wave force, corners, long rests, free decay."""
     rng = np.random.default_rng(1)
     time = STEP * np.arange(6250)
@@ -522,62 +475,51 @@ def test_friction_rests_and_rig_tests_pass() -> None:
     assert check(decay, inputs={}, outputs={"x": "displacement"}) == []
 
 
-def spoil(x: np.ndarray, how: str) -> np.ndarray:
-    x, n = np.array(x), len(x)
-    at = np.random.default_rng(5).choice(np.arange(100, n - 100, 60), 8, replace=False)
-    if how == "clipped":
-        top = np.quantile(np.abs(x - np.median(x)), 0.95)
-        x = np.clip(x, np.median(x) - top, np.median(x) + top)
-    elif how == "clipped above":
-        x = np.minimum(x, np.quantile(x, 0.99))
-    elif how == "frozen":
-        x[n // 3 : n // 3 + 300] = x[n // 3]
-    elif how == "dead from two thirds on":
-        x[2 * n // 3 :] = x[2 * n // 3]
-    elif how == "dropouts":
-        for i in at:
-            x[i : i + 15] = np.median(x) - 2 * np.std(x)
-    elif how == "spikes":
-        x[at] += np.where(at % 2, 6, -6) * np.std(x)
-    elif how == "not finite":
-        x[at] = np.nan
-    elif how == "infinite":
-        x[at[0]] = np.inf
-    elif how == "constant":
-        x[:] = x[0]
-    elif how == "held":
-        x = x[::5].repeat(5)[:n]
-    elif how == "only noise":
-        x = 1e-3 * np.std(x) * np.random.default_rng(6).standard_normal(n)
-    elif how == "in thousandths":
-        x = 1e3 * x
-    return x
+def put(x, at, value):
+    """The samples with others at some places."""
+    out = np.array(x)
+    out[at] = value
+    return out
 
 
+def places(x):
+    return np.random.default_rng(5).choice(np.arange(100, len(x) - 100, 60), 8, replace=False)
+
+
+def clipped(x):
+    middle, top = np.median(x), np.quantile(np.abs(x - np.median(x)), 0.95)
+    return np.clip(x, middle - top, middle + top)
+
+
+def noise_alone(x):
+    return 1e-3 * np.std(x) * np.random.default_rng(6).standard_normal(len(x))
+
+
+#: what is done to a channel; level and words of the finding
 SPOILT = {
-    "clipped": ("error", "is clipped"),
-    "clipped above": ("warning", "is clipped: .* largest"),
-    "frozen": ("error", "does not change for 300 samples"),
-    "dead from two thirds on": ("error", "does not change for"),
-    "dropouts": ("error", "does not change for 120 samples"),
-    "spikes": ("warning", "8 samples are spikes"),
-    "not finite": ("error", "8 samples are not finite"),
-    "infinite": ("error", "1 samples are not finite"),
-    "constant": ("error", "is constant"),
-    "held": ("warning", "holds each value for 5 samples"),
-    "only noise": ("warning", "nothing but noise"),
-    "in thousandths": ("error", "cannot be: a wrong unit"),
-}
+    "clipped": (clipped, "error", "is clipped"),
+    "clipped above": (lambda x: np.minimum(x, np.quantile(x, 0.99)), "warning", "is clipped: .* largest"),
+    "frozen": (lambda x: put(x, slice(len(x) // 3, len(x) // 3 + 300), x[len(x) // 3]), "error", "does not change for 300 samples"),
+    "dead from two thirds on": (lambda x: put(x, slice(2 * len(x) // 3, None), x[2 * len(x) // 3]), "error", "does not change for"),
+    "dropouts": (lambda x: put(x, np.add.outer(places(x), np.arange(15)), np.median(x) - 2 * np.std(x)), "error", "does not change for 120 samples"),
+    "spikes": (lambda x: put(x, places(x), x[places(x)] + np.where(places(x) % 2, 6, -6) * np.std(x)), "warning", "8 samples are spikes"),
+    "not finite": (lambda x: put(x, places(x), np.nan), "error", "8 samples are not finite"),
+    "infinite": (lambda x: put(x, places(x)[0], np.inf), "error", "1 samples are not finite"),
+    "constant": (lambda x: np.full(len(x), x[0]), "error", "is constant"),
+    "held": (lambda x: x[::5].repeat(5)[: len(x)], "warning", "holds each value for 5 samples"),
+    "only noise": (noise_alone, "warning", "nothing but noise"),
+    "in thousandths": (lambda x: 1e3 * x, "error", "cannot be: a wrong unit"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("channel", "seed"), [*zip(OUTPUTS, (0, 1, 0), strict=True)])
 @pytest.mark.parametrize("how", SPOILT)
-def test_a_spoilt_channel_is_found_and_named(channel: str, how: str, seed: int) -> None:
+def test_a_spoilt_channel_is_found_and_named(channel, how, seed):
     if (channel, how) == ("tyre", "in thousandths"):
         pytest.skip("400 kN are heavy, not impossible")
     table = car(seed, snr_db=[26.0, 36.0][seed])
-    level, message = SPOILT[how]
-    found = [f for f in judged(replaced(table, **{channel: spoil(table[channel], how)})) if f.level != "note"]
+    change, level, message = SPOILT[how]
+    found = [f for f in judged(replaced(table, **{channel: change(table[channel])})) if f.level != "note"]
     assert {f.channel for f in found} == {channel}
     assert found[0].level == level
     with pytest.raises(InputError, match=message):
@@ -586,7 +528,7 @@ def test_a_spoilt_channel_is_found_and_named(channel: str, how: str, seed: int) 
     assert np.all((spans >= table.time[0]) & (spans <= table.time[-1] + STEP))
 
 
-def stroke(zero: float) -> np.ndarray:
+def stroke(zero):
     """The speed of one stroke (2000,): at rest for 500 samples before and after it; `zero`: how rest is written."""
     out = np.full(2000, zero)
     phase = np.arange(1000) / 1000
@@ -597,7 +539,7 @@ def stroke(zero: float) -> np.ndarray:
 
 @pytest.mark.parametrize("zero", [0.0, -0.0])
 @pytest.mark.parametrize("alone", [True, False])
-def test_a_speed_at_rest_is_not_clipped(zero: float, alone: bool) -> None:
+def test_a_speed_at_rest_is_not_clipped(zero, alone):
     time, speed = STEP * np.arange(2000), stroke(zero)
     force = 100 * np.gradient(speed + 0.0) + 0.1 * np.random.default_rng(1).standard_normal(2000)
     outputs = {} if alone else {"force": "force"}
@@ -606,7 +548,7 @@ def test_a_speed_at_rest_is_not_clipped(zero: float, alone: bool) -> None:
     assert held_samples("speed", speed, time) == []
 
 
-def test_a_speed_of_one_direction_alone_is_told() -> None:
+def test_a_speed_of_one_direction_alone_is_told():
     """Half of the motion is not measured while the travel goes on: a warning, without a negative zero in it."""
     table = car(snr_db=40)
     speed = np.gradient(table["travel"], STEP)
@@ -622,7 +564,7 @@ def test_a_speed_of_one_direction_alone_is_told() -> None:
     )
 
 
-def test_short_equal_runs_do_not_refuse_a_record() -> None:
+def test_short_equal_runs_do_not_refuse_a_record():
     """Nine equal samples where a noisy channel is slow: they miss next to nothing."""
     table = car(snr_db=40, seconds=1.2)
     for channel in OUTPUTS:
@@ -632,7 +574,7 @@ def test_short_equal_runs_do_not_refuse_a_record() -> None:
         assert [f.level for f in judged(replaced(table, **{channel: x})) if f.level == "error"] == []
 
 
-def test_quantisation_coarser_than_the_noise_of_the_moment_passes() -> None:
+def test_quantisation_coarser_than_the_noise_of_the_moment_passes():
     """Noise comes with the motion: at rest and at turning points the resolution shows."""
     time = STEP * np.arange(6000)
     x = 0.02 * np.sin(9 * time) * np.maximum(np.sin(2 * time), 0) ** 2
@@ -644,9 +586,7 @@ def test_quantisation_coarser_than_the_noise_of_the_moment_passes() -> None:
 
 @pytest.mark.parametrize("channel", OUTPUTS)
 @pytest.mark.parametrize("snr_db", [30.0, 300.0])
-def test_a_sensor_that_freezes_for_half_the_record_while_others_move_is_an_error(
-    channel: str, snr_db: float
-) -> None:
+def test_a_sensor_that_freezes_for_half_the_record_while_others_move_is_an_error(channel, snr_db):
     table = car(snr_db=snr_db)
     x = np.array(table[channel])
     first = int(np.argmax(np.abs(np.diff(x))[2000:2500])) + 2000
@@ -658,7 +598,7 @@ def test_a_sensor_that_freezes_for_half_the_record_while_others_move_is_an_error
     assert told[0].level == ("error" if snr_db < 100 or channel == "travel" else "warning")
 
 
-def test_a_channel_that_rests_with_all_others_is_not_frozen() -> None:
+def test_a_channel_that_rests_with_all_others_is_not_frozen():
     """Noise that dies with the motion: everything stands in the second half of the record."""
     table = car(snr_db=30)
     stopped = {n: np.r_[table[n][:3000], np.full(3000, table[n][3000])] for n in table.columns}
@@ -666,7 +606,7 @@ def test_a_channel_that_rests_with_all_others_is_not_frozen() -> None:
 
 
 @pytest.mark.parametrize(("share", "level"), [(1 / 6000, None), (0.01, "warning"), (0.2, "error")])
-def test_clipping_counts_by_the_power_that_it_holds(share: float, level: str | None) -> None:
+def test_clipping_counts_by_the_power_that_it_holds(share, level):
     table = car(snr_db=40)
     for channel in OUTPUTS:
         x = table[channel] - np.mean(table[channel])
@@ -677,7 +617,7 @@ def test_clipping_counts_by_the_power_that_it_holds(share: float, level: str | N
 
 @pytest.mark.parametrize("zero", [0.0, -0.0])
 @pytest.mark.parametrize("glitches", [0, 2])
-def test_a_force_of_zeros_is_an_error_that_says_what_to_do(zero: float, glitches: int) -> None:
+def test_a_force_of_zeros_is_an_error_that_says_what_to_do(zero, glitches):
     table = car()
     dead = np.full(len(table), zero)
     dead[:glitches] = 1.0
@@ -686,11 +626,11 @@ def test_a_force_of_zeros_is_an_error_that_says_what_to_do(zero: float, glitches
     assert "out of the model's outputs" in found[0].message
 
 
-def jittered(time: np.ndarray, share: float) -> np.ndarray:
+def jittered(time, share):
     return time + share * STEP * np.random.default_rng(0).uniform(-1, 1, len(time))
 
 
-TIMES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
+TIMES = {
     "repeats": (
         lambda t: np.where(np.arange(len(t)) == 500, t[499], t),
         r"repeats after t = 0.998 s \(1 times\)",
@@ -713,7 +653,7 @@ TIMES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
 
 
 @pytest.mark.parametrize("how", TIMES)
-def test_a_bad_time_base_is_an_error(how: str) -> None:
+def test_a_bad_time_base_is_an_error(how):
     table = car()
     change, message = TIMES[how]
     found = judged(Table(change(table.time), table.columns))
@@ -722,7 +662,7 @@ def test_a_bad_time_base_is_an_error(how: str) -> None:
         raise InputError(found[0].message)
 
 
-def test_small_jitter_and_rounded_stamps_pass_and_become_uniform() -> None:
+def test_small_jitter_and_rounded_stamps_pass_and_become_uniform():
     table = car()
     measured = Table(np.round(table.time * 1.000004, 9), table.columns)  # the 0.002000008 s of a real drive
     assert judged(measured) == []
@@ -734,11 +674,11 @@ def test_small_jitter_and_rounded_stamps_pass_and_become_uniform() -> None:
     assert serious(judged(Table(np.round(odd.time, 3), odd.columns))) == []
 
 
-def test_records_without_content_are_refused() -> None:
+def test_records_without_content_are_refused():
     table = car()
     short = Table(table.time[:150], {n: x[:150] for n, x in table.columns.items()})
     assert "too short: 150 samples" in judged(short)[0].message
-    noise = {n: spoil(table[n], "only noise") for n in OUTPUTS}
+    noise = {n: noise_alone(table[n]) for n in OUTPUTS}
     found = judged(replaced(table, **noise))
     assert {f.channel for f in found if f.level == "error"} == set(OUTPUTS)
     flat = {n: np.full(len(table), 1.0) for n in ("road", "current")}
@@ -748,7 +688,7 @@ def test_records_without_content_are_refused() -> None:
     assert serious(judged(replaced(table, current=flat["current"]))) == []  # a motor that is not used
 
 
-def test_units_and_swaps_that_cannot_be_are_told() -> None:
+def test_units_and_swaps_that_cannot_be_are_told():
     table = car()
     swapped = judged(replaced(table, acceleration=table["tyre"], tyre=table["acceleration"]))
     assert swapped[0].channel == "acceleration" and "columns swapped" in swapped[0].message
@@ -758,17 +698,15 @@ def test_units_and_swaps_that_cannot_be_are_told() -> None:
     assert "wrong unit" in judged(replaced(table, travel=table["travel"] * 1e-6))[0].message
     in_mm = Table(table.time, table.columns | {"travel": 1e3 * table["travel"]}, units={"travel": "mm"})
     assert judged(in_mm) == []
-    with pytest.raises(InputError, match="unknown quantity 'weight'"):
-        check(table, inputs={}, outputs={"tyre": "weight"})
-    with pytest.raises(InputError, match="no column 'tire'; did you mean 'tyre'"):
-        check(table, inputs={}, outputs={"tire": "force"})
+    refused("unknown quantity 'weight'", check, table, inputs={}, outputs={"tyre": "weight"})
+    refused("no column 'tire'; did you mean 'tyre'", check, table, inputs={}, outputs={"tire": "force"})
 
 
-def test_lost_and_repeated_samples_are_seen_though_time_runs_on() -> None:
+def test_lost_and_repeated_samples_are_seen_though_time_runs_on():
     table = car(snr_db=40)
     n = len(table)
 
-    def rows(index: np.ndarray) -> Table:
+    def rows(index):
         return Table(STEP * np.arange(len(index)), {k: x[index] for k, x in table.columns.items()})
 
     lost = judged(rows(np.r_[:2000, 2300:n]))

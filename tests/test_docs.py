@@ -1,7 +1,6 @@
 """What the documentation says works: its code runs, its commands parse, the site builds, the notebooks run."""
 
 import importlib.util
-import json
 import os
 import re
 import shlex
@@ -86,13 +85,6 @@ def told(shown, printed):
             return True
         place = own.find(words, place + 1)
     return False
-
-
-def test_what_a_page_shows_is_compared_by_words_and_numbers():
-    assert told("level 499.9 N,\n2.1 %", "found: level 500.1 N, 2.2 % (noise)")
-    assert not told("level 502.2 N", "level 498.3 N")
-    assert not told("error in travel 78.8 %", "error in device_travel 78.8 %")
-    assert not told("from 78.8 to 2.0 %", "from 74.1 to 2.0 %")
 
 
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: any(blocks(p, "python")), SLOW))
@@ -184,15 +176,11 @@ def test_readme_shows_what_the_diagnosis_prints(tmp_path, monkeypatch, app):
 
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: p.parent.name == "validation"))
 def test_evidence_that_a_page_cites_exists(page):
-    """Tests and scripts by their names; a slow test is called slow."""
     text = page.read_text(encoding="utf-8")
-    tests = {path.name: path for path in (ROOT / "tests").rglob("test_*.py")}
-    for name in re.findall(r"`?(?:tests/)?(?:contrib/)?(test_\w+\.py)", text):
-        assert name in tests, name
+    tests = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
+    assert set(re.findall(r"test_\w+\.py", text)) <= tests
     for name in re.findall(r"(?:benchmarks|examples|docs)/\w+\.(?:py|json|toml)", text):
         assert (ROOT / name).is_file(), name
-    for name in re.findall(r"slow test `(test_\w+\.py)`", text):
-        assert "mark.slow" in tests[name].read_text(encoding="utf-8") or name == "test_docs.py", name
 
 
 @pytest.mark.parametrize("page", cases(sorted(ROOT.glob("*.md"))))
@@ -228,19 +216,6 @@ def test_tables_are_those_of_the_benchmarks_files(page, results):
     assert results.fill(name) == page.read_text(encoding="utf-8"), "run python docs/results.py"
 
 
-def test_the_study_of_the_half_car_is_on_the_roads_of_its_score(results):
-    """Two files of figures, by a sweep and by a score: the same controllers have the same cost on each road."""
-    studied, scored = (
-        json.loads((results.BENCHMARKS / f"{name}.json").read_text())
-        for name in ("half-car-study", "half-car")
-    )
-    costs = studied["costs"]["training road"]
-    shared = costs.keys() & scored["raw"].keys()
-    assert shared == {"passive", "mpc-friction", "lqg-wheelbase", "mpc-wheelbase"}
-    for name in shared:
-        assert costs[name] == pytest.approx(scored["raw"][name]["cost"], abs=1e-6)
-
-
 def test_shares_of_the_ceiling_follow_from_card_and_ceiling(results):
     """README's two shares of the gain at the ceiling."""
     text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
@@ -263,30 +238,6 @@ def test_citation_and_recipe_follow_the_package():
     own = {need.replace("matplotlib>", "matplotlib-base>") for need in project["dependencies"]}
     assert needs - own == {"python>=${{python_min}}"} and own <= needs
     assert recipe["context"]["python_min"] == project["requires-python"].removeprefix(">=")
-
-
-def test_answers_of_diagnoses_are_read_into_the_table(tmp_path, results, monkeypatch):
-    """A right name, a wrong one, one that is not given, and data sets that were not run."""
-    copy = tmp_path / "measured.json"
-    copy.write_text(results.MEASURED.read_text(encoding="utf-8"), encoding="utf-8")
-    monkeypatch.setattr(results, "MEASURED", copy)
-    for name, effect in (("silverbox", "cubic_stiffness"), ("emps", "linear_stiffness")):
-        (tmp_path / name).mkdir()
-        found = {"effect": effect, "between": ["a", "ground"], "confidence": 0.94}
-        answer = {"verdict": "missing_effect", "effects": [found], "findings": []}
-        (tmp_path / name / "diagnosis.json").write_text(json.dumps(answer), encoding="utf-8")
-    (tmp_path / "mr_damper").mkdir()
-    kind = {"place": ["rod", "ground"], "kind": "dry_friction", "kind_probability": 0.95, "named": False}
-    answer = {"verdict": "ambiguous", "effects": [], "findings": [kind]}
-    (tmp_path / "mr_damper" / "diagnosis.json").write_text(json.dumps(answer), encoding="utf-8")
-    results.read_answers(tmp_path)
-    rows = results.measurements().splitlines()
-    (hit,), (miss,), (open_,) = (
-        [r for r in rows if word in r] for word in ("Silverbox", "EMPS", "rheological")
-    )
-    assert "`missing_effect`: cubic stiffness (a–ground, 0.94)" in hit and hit.endswith("| yes |")
-    assert "linear stiffness" in miss and miss.endswith("| **no** |")
-    assert "`ambiguous`: dry friction (rod–ground, 0.95)" in open_ and open_.endswith("| undecided |")
 
 
 @pytest.mark.parametrize("page", cases(PAGES))
@@ -314,24 +265,6 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert physics.count("<math") > 20 and "arithmatex" not in physics
     assert "coulomb_friction" in (tmp_path / "site" / "reference" / "elements" / "index.html").read_text()
     assert (tmp_path / "site" / "schemas" / "isd-model-1.json").is_file()
-    api = (tmp_path / "site" / "reference" / "api-control" / "index.html").read_text(encoding="utf-8")
-    rows = [
-        re.sub(r"<[^>]+>", " ", row).split()
-        for row in re.findall(r"<tr class=.doc-section.*?</tr>", api, re.DOTALL)
-    ]
-    assert any(row[0] == "speed" and "[m/s]" in " ".join(row) and "float" in row for row in rows)
-    assert api.count("Raises:") >= 3
-
-
-def test_drawings_have_no_ground_of_their_own():
-    """The style sheet turns them round in the dark: a white ground would be a box there."""
-    image = pytest.importorskip("PIL.Image")
-    for figure in (ROOT / "docs" / "figures").glob("*.svg"):
-        text = figure.read_text(encoding="utf-8")
-        assert 'style="fill: #ffffff"' not in text and 'fill="#fff"/>' not in text, figure.name
-    for figure in (ROOT / "docs" / "figures").glob("*.png"):
-        if not figure.name.startswith("show"):
-            assert image.open(figure).convert("RGBA").getpixel((1, 1))[3] == 0, figure.name
 
 
 @pytest.mark.parametrize("path", cases(NOTEBOOKS, slow=SLOW))

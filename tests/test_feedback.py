@@ -1,14 +1,9 @@
 """Inputs that follow from outputs: detected, told, and no reason for a name."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import builders
 import numpy as np
 import pytest
 from builders import channel, damper, element
-from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
 from isd_gym.diagnosis import diagnose
@@ -20,14 +15,10 @@ from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.closed_loop import imitated_share
 from isd_gym.records.data import Table
 
-if TYPE_CHECKING:
-    from isd_gym.physics.network import Network
-
-Array = NDArray[np.float64]
 STEP, SAMPLES = 0.01, 4000
 
 
-def cart(stiffness: float = 0.0) -> Network:
+def cart(stiffness=0.0):
     """A mass on a guide with viscous damping, pushed by a known force; with a spring to the ground where asked."""
     elements = [damper("cart", "ground", 2.0, "guide")]
     if stiffness:
@@ -43,7 +34,7 @@ def cart(stiffness: float = 0.0) -> Network:
     )
 
 
-def march(push: Array, stiffness: float, seed: int) -> Array:
+def march(push, stiffness, seed):
     """Positions of the cart under a given push, exactly discretised by scipy, with white noise of 0.5 %."""
     A, B, C, D, _ = cont2discrete(
         (np.array([[0.0, 1.0], [-stiffness, -2.0]]), np.array([[0.0], [1.0]]), np.eye(2)[:1], np.zeros((1, 1))), STEP
@@ -55,7 +46,7 @@ def march(push: Array, stiffness: float, seed: int) -> Array:
     return out + 0.005 * out.std() * np.random.default_rng(seed).standard_normal(len(out))
 
 
-def controlled(law: str, stiffness: float = 0.0, seed: int = 0, friction: float = 0.0) -> tuple[Array, Array]:
+def controlled(law, stiffness=0.0, seed=0, friction=0.0):
     """(push, position) of the cart under a controller that sees the noisy position, with force disturbances.
 
     Euler steps of a fiftieth of a sample; friction is projected, so that the cart can stick.
@@ -81,49 +72,37 @@ def controlled(law: str, stiffness: float = 0.0, seed: int = 0, friction: float 
     return push, seen
 
 
-def as_record(push: Array, position: Array, name: str = "run") -> Record:
+def as_record(push, position, name="run"):
     return Record(name, STEP, {"push": push}, position[:, None])
 
 
-def drive(kind: str, seed: int = 0) -> Array:
-    """Inputs of an open-loop test."""
-    rng, t = np.random.default_rng(seed), np.arange(SAMPLES) * STEP
-    if kind == "square":
-        return np.sign(np.sin(2 * np.pi * 1.0 * t + 0.1))
-    if kind == "square between samples":
-        return np.sign(np.sin(2 * np.pi * 0.937 * t + 0.3))
-    if kind == "pseudo-random binary":
-        return np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 25), 25)
-    if kind == "telegraph":
-        return np.sign(lfilter([1.0], [1.0, -0.95], rng.standard_normal(SAMPLES)))
-    if kind == "square sweep":
-        return np.sign(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)))
-    if kind == "sine":
-        return np.round(np.sin(2 * np.pi * 0.937 * t), 6)
-    if kind == "sweep":
-        return np.round(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)), 6)
-    if kind == "sines, measured":
-        return sum(np.sin(2 * np.pi * f * t + p) for f, p in zip(np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16), strict=True))  # fmt: skip
-    if kind == "white":
-        return rng.standard_normal(SAMPLES)
-    if kind == "coloured, measured":
-        u = lfilter([0.1], [1.0, -0.9], rng.standard_normal(SAMPLES))
-        return np.asarray(u)
-    return np.where(t > 10.0, 1.0, 0.0)
+def sines(t, rng):
+    phases = zip(np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16), strict=True)
+    return sum(np.sin(2 * np.pi * f * t + p) for f, p in phases)
 
 
-KINDS = [
-    "square", "square between samples", "pseudo-random binary", "telegraph", "square sweep", "sine", "sweep", "white",
-    "coloured, measured", "sines, measured", "step",
-]  # fmt: skip
+#: inputs of open-loop tests
+KINDS = {
+    "square": lambda t, rng: np.sign(np.sin(2 * np.pi * 1.0 * t + 0.1)),
+    "square between samples": lambda t, rng: np.sign(np.sin(2 * np.pi * 0.937 * t + 0.3)),
+    "pseudo-random binary": lambda t, rng: np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 25), 25),
+    "telegraph": lambda t, rng: np.sign(lfilter([1.0], [1.0, -0.95], rng.standard_normal(SAMPLES))),
+    "square sweep": lambda t, rng: np.sign(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2))),
+    "sine": lambda t, rng: np.round(np.sin(2 * np.pi * 0.937 * t), 6),
+    "sweep": lambda t, rng: np.round(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)), 6),
+    "white": lambda t, rng: rng.standard_normal(SAMPLES),
+    "coloured, measured": lambda t, rng: lfilter([0.1], [1.0, -0.9], rng.standard_normal(SAMPLES)),
+    "sines, measured": sines,
+    "step": lambda t, rng: np.where(t > 10.0, 1.0, 0.0),
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("stiffness", [0.0, 40.0])
-def test_an_open_loop_is_no_feedback(kind: str, stiffness: float) -> None:
+def test_an_open_loop_is_no_feedback(kind, stiffness):
     """A clock, a sweep or noise is no answer to the output, although the output follows the input."""
     for seed in range(3):
-        push = drive(kind, seed)
+        push = KINDS[kind](STEP * np.arange(SAMPLES), np.random.default_rng(seed))
         position = march(push, stiffness, seed)
         if kind.endswith(
             "measured"
@@ -135,7 +114,7 @@ def test_an_open_loop_is_no_feedback(kind: str, stiffness: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["bang-bang", "linear"])
 @pytest.mark.parametrize("stiffness", [0.0, 20.0])
-def test_feedback_is_found(law: str, stiffness: float) -> None:
+def test_feedback_is_found(law, stiffness):
     for seed in range(2):
         runs = [as_record(*controlled(law, stiffness, 10 * seed + k), f"run {k}") for k in range(2)]
         (found,) = find_feedback(runs, cart(stiffness))
@@ -145,7 +124,7 @@ def test_feedback_is_found(law: str, stiffness: float) -> None:
         assert found.significance < 1e-3
 
 
-def test_a_measured_motion_is_no_feedback() -> None:
+def test_a_measured_motion_is_no_feedback():
     """The displacement of a shaken node is measured where it acts, whatever its controller does."""
     network = builders.network(
         "slide",
@@ -160,12 +139,12 @@ def test_a_measured_motion_is_no_feedback() -> None:
     assert find_feedback([record], network) == ()
 
 
-def test_short_records_are_no_feedback() -> None:
+def test_short_records_are_no_feedback():
     push, position = controlled("linear")
     assert find_feedback([as_record(push[:100], position[:100])], cart()) == ()
 
 
-def test_a_spring_imitates_a_controller_and_friction_does_not() -> None:
+def test_a_spring_imitates_a_controller_and_friction_does_not():
     push, position = controlled("bang-bang")
     rate = np.gradient(position, STEP)
     assert np.corrcoef(push, position)[0, 1] ** 2 > 0.5
@@ -179,8 +158,8 @@ def test_a_spring_imitates_a_controller_and_friction_does_not() -> None:
 
 
 @pytest.mark.slow
-def test_where_brief_stretches_decide_nothing_whole_records_under_feedback_are_not_compared() -> None:
-    def run(seed: int) -> Table:
+def test_where_brief_stretches_decide_nothing_whole_records_under_feedback_are_not_compared():
+    def run(seed):
         push, position = controlled("linear", seed=seed, friction=0.3)
         return Table(np.arange(1500) * STEP, {"push": push[:1500], "position": position[:1500]}, f"run{seed}")
 

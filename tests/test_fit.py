@@ -1,14 +1,14 @@
-"""The diagnosis' fitter: records side by side, slopes used again, fewer samples to search by."""
-
-from __future__ import annotations
+"""The diagnosis' fitter: its bounded step, records side by side, slopes used again, fewer samples to search by."""
 
 import builders
 import numpy as np
 import pytest
 from builders import channel, damper, friction, spring
+from scipy.optimize import lsq_linear
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.least_squares import bounded_step
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.sensitivities import tangents
 from isd_gym.diagnosis._estimation.structure import base_structure
@@ -22,7 +22,7 @@ from isd_gym.physics.simulate import simulate
 STEP = 2e-3
 
 
-def shaken(stiffness: float = 4000.0) -> Network:
+def shaken(stiffness=4000.0):
     return builders.network(
         "shaken",
         [spring("mass", "base", stiffness), damper("mass", "base", 12.0), friction("mass", "base", 2.0)],
@@ -33,7 +33,7 @@ def shaken(stiffness: float = 4000.0) -> Network:
     )
 
 
-def record(network: Network, samples: int = 2400, seed: int = 3) -> Record:
+def record(network, samples=2400, seed=3):
     """Made with the steps that the fit takes: what the steps make of dry friction is not what is tested here."""
     rng = np.random.default_rng(seed)
     t = np.arange(samples) * STEP
@@ -46,7 +46,7 @@ def record(network: Network, samples: int = 2400, seed: int = 3) -> Record:
     return Record("run", STEP, {"base": base}, seen + 1e-5 * rng.standard_normal((samples, 1)))
 
 
-def test_records_side_by_side_say_what_each_says_alone() -> None:
+def test_records_side_by_side_say_what_each_says_alone():
     net = shaken()
     whole = record(net)
     parts = [whole.part(k * 600, (k + 1) * 600, f"part {k}") for k in range(4)]
@@ -59,7 +59,7 @@ def test_records_side_by_side_say_what_each_says_alone() -> None:
         np.testing.assert_array_equal(together[i], problem.simulate(nets, i, begun[i], like=net))
 
 
-def test_a_fit_finds_the_values_that_made_the_record() -> None:
+def test_a_fit_finds_the_values_that_made_the_record():
     problem = Problem(shaken(), [record(shaken(4400.0))], ["fit"])
     fitter = Fitter(problem, white_filters(np.array([1e-5])))
     structure = base_structure(problem.network)
@@ -71,7 +71,7 @@ def test_a_fit_finds_the_values_that_made_the_record() -> None:
     assert again.cost + again.prior == pytest.approx(fit.cost + fit.prior, rel=3e-4)
 
 
-def test_what_was_simulated_last_is_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_simulated_last_is_not_simulated_again(monkeypatch):
     problem = Problem(shaken(), [record(shaken())], ["fit"])
     structure = base_structure(problem.network)
     first = tangents(problem, structure, structure.start, {0: np.zeros(2)})[0]
@@ -82,7 +82,7 @@ def test_what_was_simulated_last_is_not_simulated_again(monkeypatch: pytest.Monk
     assert still.by_parameter.shape == (2400, 1, 0)
 
 
-def test_of_many_records_each_finds_its_own_beginning() -> None:
+def test_of_many_records_each_finds_its_own_beginning():
     net = shaken()
     whole = record(net, 3000)
     parts = [whole.part(k * 600, (k + 1) * 600, "run") for k in range(5)]
@@ -93,7 +93,7 @@ def test_of_many_records_each_finds_its_own_beginning() -> None:
         assert np.sqrt(np.mean((part.measured - fit.outputs[i]) ** 2)) < 0.02 * part.measured.std()
 
 
-def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion() -> None:
+def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion():
     net = shaken().without_element("rub")  # of first order in the step
     problem = Problem(net, [record(net)], ["fit"])
     few = problem.rough
@@ -104,7 +104,7 @@ def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion() -> No
     assert np.sqrt(np.mean((said - seen) ** 2)) < 0.01 * seen.std()
 
 
-def test_nothing_to_fit_is_a_fit_too() -> None:
+def test_nothing_to_fit_is_a_fit_too():
     travel, force = channel("base", "displacement", "rod"), channel("mass", "force", "rod")
     net = builders.network("dyno", [spring("rod", "ground", 3e3, "gas")], [travel], [force])
     t = np.arange(800) * STEP
@@ -114,7 +114,7 @@ def test_nothing_to_fit_is_a_fit_too() -> None:
     assert fit.cost == pytest.approx(0.0, abs=1e-9)
 
 
-def test_every_place_of_a_law_is_simulated_beside_the_others() -> None:
+def test_every_place_of_a_law_is_simulated_beside_the_others():
     """Friction acts at once on a massless terminal and not on a mass: such lanes are no plant together, and none is lost."""
     net = Network.load("quarter-car-isd").without_element("seal")
     time = 2.5e-3 * np.arange(200)
@@ -139,7 +139,7 @@ def test_every_place_of_a_law_is_simulated_beside_the_others() -> None:
     assert all(np.abs(y - base).max() > 0 for y in seen.values())
 
 
-def test_one_that_breaks_down_takes_no_other_along(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_breaks_down_takes_no_other_along(monkeypatch):
     net = shaken()
     problem = Problem(net, [record(net)], ["fit"])
     fit = Fitter(problem, white_filters(np.ones(len(net.outputs)))).fit(
@@ -147,7 +147,7 @@ def test_one_that_breaks_down_takes_no_other_along(monkeypatch: pytest.MonkeyPat
     )
     whole, bad = Problem.simulate_all, shaken(5000.0)
 
-    def breaks(self: Problem, networks: list[Network], *args: object, **more: object) -> object:
+    def breaks(self, networks, *args, **more):
         if any(n is bad for n in networks):
             raise InputError("broken")
         return whole(self, networks, *args, **more)
@@ -157,3 +157,39 @@ def test_one_that_breaks_down_takes_no_other_along(monkeypatch: pytest.MonkeyPat
     networks.insert(2, bad)
     done = sorted(k for chunk, _, _ in simulate_variants(problem, fit, networks) for k in chunk)
     assert done == [0, 1, 3, 4, 5]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_without_damping_it_is_no_worse_than_the_clipped_step_and_stays_inside(seed):
+    rng = np.random.default_rng(seed)
+    p = 4
+    A, b = rng.standard_normal((12, p)), rng.standard_normal(12)
+    x = np.zeros(p)
+    low, high = -rng.uniform(0, 0.3, p), rng.uniform(0, 0.3, p)
+    step = bounded_step(A.T @ A, A.T @ b, x, low, high, np.full(p, np.inf), 0.0)
+    assert np.all(x + step >= low) and np.all(x + step <= high)
+    free = np.linalg.solve(A.T @ A, A.T @ b)
+    if np.all((free > low) & (free < high)):
+        np.testing.assert_allclose(step, free)
+        np.testing.assert_allclose(step, lsq_linear(A, b, (low, high)).x, atol=1e-6)
+
+
+def test_what_rests_on_a_limit_is_held_and_the_rest_moves_as_if_it_were_known():
+    H = np.array([[2.0, 1.0], [1.0, 2.0]])
+    slope = np.array([-1.0, 1.0])
+    low, high = np.zeros(2), np.full(2, 10.0)
+    step = bounded_step(H, slope, np.zeros(2), low, high, np.full(2, np.inf), 0.0)
+    np.testing.assert_allclose(step, [0.0, 0.5])
+
+
+def test_no_stride_is_exceeded():
+    step = bounded_step(
+        np.eye(2),
+        np.array([100.0, -0.1]),
+        np.zeros(2),
+        np.full(2, -9e9),
+        np.full(2, 9e9),
+        np.array([1.0, 1.0]),
+        0.0,
+    )
+    np.testing.assert_allclose(step, [1.0, -0.1])

@@ -3,7 +3,6 @@
 import ast
 import inspect
 import os
-import pkgutil
 import subprocess
 import sys
 import tomllib
@@ -11,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import program
 import pytest
 
 import isd_gym
@@ -27,7 +27,7 @@ SCORE = (
 )
 
 
-def python(code: str, place: Path) -> str:
+def python(code, place):
     """What `code` prints without any installation: no .pth file is read, the package comes from `place` alone."""
     libraries = [p for p in sys.path if p.endswith("-packages") and not list(Path(p).glob("isd_gym-*"))]
     if not libraries:
@@ -114,12 +114,6 @@ def test_public_names():
     assert typed == isd_gym._HOME  # type checkers and Python know the same names
 
 
-def test_modules_after_the_dot():
-    for module in pkgutil.iter_modules(isd_gym.__path__):
-        if not module.name.startswith("_"):
-            assert getattr(isd_gym, module.name).__name__ == f"isd_gym.{module.name}"
-
-
 def test_simulate_is_a_module_and_a_function():
     time = np.arange(100) * 1e-3
     inputs = {"displacement": 0.01 * np.sin(20 * time)}
@@ -137,22 +131,10 @@ def test_own_plugins_are_those_of_pyproject():
     assert {g: v for g, v in declared.items() if g.startswith("isd_gym.")} == plugins.OWN
 
 
-@pytest.mark.slow
-def test_folders_are_imported_by_their_installed_names():
-    """A second copy under the name of the source folder would have classes of its own."""
-    for folder in ("isd_gym", "agents", "baselines", "tests", "docs", "examples", "benchmarks"):
-        for file in (ROOT / folder).rglob("*.py"):
-            tree = ast.parse(file.read_text(encoding="utf-8"))
-            names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
-            names |= {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and not n.level}
-            assert not {name.partition(".")[0] for name in names} & {"agents", "baselines"}, file
-
-
 @pytest.mark.parametrize("folder", ["agents", "baselines"])
 def test_source_folder_is_no_package_of_its_own(folder):
     code = f"try: import {folder}\nexcept ImportError as error: print(error)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert f"imported as isd_gym.{folder}" in done.stdout
+    assert f"imported as isd_gym.{folder}" in program.python(code, cwd=ROOT).stdout
 
 
 def test_other_packages_named_agents_and_baselines(tmp_path):
@@ -172,9 +154,6 @@ def test_other_packages_named_agents_and_baselines(tmp_path):
         "print(agents.other, baselines.other, isd_gym.agents is agents, isd_gym.baselines is baselines)\n"
     )
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True, text=True, check=False, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
+    done = program.python(code, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path})
     assert done.returncode == 0, done.stderr
     assert "mpc" in done.stdout and done.stdout.splitlines()[-1] == "agents baselines False False"

@@ -1,11 +1,12 @@
-"""The diagnosis finds effects of drives, sensors and positions on small rigs with noise, made here by other means."""
+"""The diagnosis finds effects of drives, sensors and positions on small rigs with noise, and closes the loop of control."""
 
-import math
+from pathlib import Path
 
 import builders
 import numpy as np
 import pytest
 from builders import channel, damper, element, spring
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from isd_gym.diagnosis import diagnose
@@ -26,8 +27,6 @@ def named(found):
 def values(found):
     return {k: q.value for e in found.effects for k, q in e.parameters.items()}
 
-
-# --------------------------------------------------------------------------------------------- cogging
 
 PULLED = builders.model(
     "pulled",
@@ -90,46 +89,6 @@ def test_records_are_not_thinned_where_that_would_lose_the_residual():
     # as large a force of thirty times the pitch is as slow as the motion, and without any there is noise alone
     assert not lost(pulled(1, pitch=93e-3))
     assert not lost(pulled(1, amplitude=0.0))
-
-
-@pytest.mark.slow
-def test_a_force_of_a_hundred_periods_over_the_travel_is_named_with_its_pitch():
-    found = diagnose([pulled(1)], PULLED, validate=[pulled(2)])
-    assert named(found) == {("cogging_force", ("ground", "rod"))}
-    assert values(found)["pitch"] == pytest.approx(3.1e-3, rel=1e-4)
-    assert values(found)["amplitude"] == pytest.approx(3.0, rel=0.05)
-
-
-def turned(seed, teeth=14, seconds=30.0, turns=9.0):
-    """A shaft turned by several turns one way, slowly and unevenly, with `teeth` periods of cogging a turn."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(0, seconds, STEP)
-    angle = 2 * np.pi * turns * t / seconds + 0.4 * np.sin(2.1 * t + rng.uniform(0, 6)) + rng.uniform(0, 6)
-    rate = np.gradient(angle, t)
-    torque = 0.021 * rate + 0.01 * np.sin(teeth * angle + 1.1)
-    return Table(t, {"angle": angle, "torque": torque + 1e-3 * rng.normal(size=len(t))}, f"turned{seed}")
-
-
-TURNED = builders.model(
-    "turned",
-    [damper("shaft", "ground", 0.02, "bearing")],
-    [channel("angle", "angle", "shaft")],
-    [channel("torque", "torque", "shaft")],
-    uncertainty={"bearing.damping": 0.2},
-)
-
-
-@pytest.mark.slow
-def test_cogging_of_a_shaft_has_a_whole_number_of_periods_a_turn():
-    # 126 periods in the record that is fitted and 700 in the other: a pitch that is off by 0.1 % would be lost there
-    long = turned(4, seconds=60.0, turns=50.0)
-    found = diagnose([turned(3)], TURNED, validate=[long])
-    assert named(found) == {("cogging_force", ("ground", "shaft"))}
-    assert 2 * math.pi / values(found)["pitch"] == pytest.approx(14, rel=1e-4)
-    assert values(found)["amplitude"] == pytest.approx(0.01, rel=0.05)
-
-
-# ----------------------------------------------------------------------------------- damping and drives
 
 
 def sines(rng, t, band=(0.3, 3.0), count=8):
@@ -227,9 +186,6 @@ def test_a_channel_that_lags_or_leads_is_named_with_its_delay(samples):
     assert values(found)["delay"] == pytest.approx(samples * 5e-3, rel=0.1)
 
 
-# ------------------------------------------------------------------------------------ logged channels
-
-
 def warmed(seed, kind):
     """The cart's belt rig pushed by a force while its oil warms up; damping or friction falls with the temperature."""
     rng, t = np.random.default_rng(seed), np.arange(0, 30, 5e-3)
@@ -267,3 +223,57 @@ def test_a_law_that_falls_with_a_logged_temperature_is_named_with_its_slope(kind
     assert named(found) == ({(f"scheduled_{kind}", ("cart", "ground"))} if slope else set())
     assert values(found).get("slope") == (pytest.approx(slope, rel=0.2) if slope else None)
     assert slope or found.verdict in ("no_discrepancy", "parameters_only")
+
+
+INERTIA, TORQUE, DAMPING = 0.00333, 0.2139, 2e-4  # [kg m^2], [N m], [N m s/rad]
+ARM = builders.network(
+    "arm",
+    [spring("arm", "ground", TORQUE, "gravity"), damper("arm", "ground", DAMPING, "bearing")],
+    outputs=[channel("angle", "angle", "arm"), channel("rate", "angular_velocity", "arm")],
+    inertias={"arm": INERTIA},
+    uncertainty={"gravity.stiffness": 0.05, "bearing.damping": 1.0},
+)
+
+
+def swings(count, seconds=9.0, step=0.01):
+    """Return consecutive parts of one free swing of a pendulum from 1.6 rad, simulated by another integrator."""
+    size = round(seconds / step)
+    time = np.arange(count * size) * step
+    start = [1.6, 0.0]
+
+    def motion(_, state):
+        angle, rate = state
+        return [rate, (-TORQUE * np.sin(angle) - DAMPING * rate) / INERTIA]
+
+    angle, rate = solve_ivp(motion, (0.0, time[-1]), start, t_eval=time, rtol=1e-9, atol=1e-11).y
+    rng = np.random.default_rng(0)
+    angle, rate = (y + s * rng.standard_normal(y.size) for y, s in ((angle, 1e-4), (rate, 5e-3)))
+    parts = [slice(k * size, (k + 1) * size) for k in range(count)]
+    return [Table(time[:size], {"angle": angle[part], "rate": rate[part]}) for part in parts]
+
+
+@pytest.mark.slow
+def test_the_sine_of_gravity_is_named_where_the_refit_softens_the_spring():
+    """Large swings are slower. The refitted stiffness is that of the largest, and the small swings of the validation are far off."""
+    records = swings(6)
+    found = diagnose(records[:4], ARM, validate=records[4:])
+    assert found.gap["refit"]["angle"] > 2.0 * found.gap["before"]["angle"]
+    assert [e.effect for e in found.effects] == ["gravity_sine"]
+    assert found.effects[0].parameters["torque"].value == pytest.approx(TORQUE, rel=1e-3)
+    assert found.gap["after"]["angle"] < 0.001
+
+
+@pytest.mark.slow
+def test_the_completed_model_drives_the_car_better_than_the_owners(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[1] / "examples")
+    from close_the_loop import close
+
+    found, result = close(episodes=4)
+    assert found.verdict == "missing_effect"
+    assert named(found) == {("coulomb_friction", ("joint", "piston"))}
+    level = found.effects[0].parameters["level"]
+    assert level.value == pytest.approx(500.0, rel=0.03)
+    assert found.gap["after"]["device_travel"] < 0.05 < found.gap["refit"]["device_travel"]
+    cost = {row["policy"]: row["cost"] for row in result.to_dict()["policies"]}
+    assert cost["mpc, new model"]["high"] < cost["mpc, old model"]["low"]
+    assert cost["mpc, new model"]["change"] < -0.2

@@ -1,23 +1,16 @@
 """The diagnosis' benchmark: the grades of answers, and the continuation of a stopped run."""
 
-from __future__ import annotations
-
 import json
-import subprocess
-import sys
-from pathlib import Path
-from typing import Any
 
 import grading
 import pytest
 
 pytestmark = pytest.mark.tools
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 GROUND = ["mass", "ground"]
 
 
-def said(verdict: str, *effects: tuple[str, Any], confidence: float = 0.999, **more: Any) -> dict[str, Any]:
+def said(verdict, *effects, confidence=0.999, **more):
     names = [
         {
             "effect": e,
@@ -63,11 +56,11 @@ FRICTION = [["coulomb_friction", GROUND]]
         ),
     ],
 )
-def test_what_is_right_wrong_and_missed(answer: Any, row: dict[str, Any], grade: str) -> None:
+def test_what_is_right_wrong_and_missed(answer, row, grade):
     assert grading.graded({**row, "answer": answer}) == grade
 
 
-def test_a_nuisance_that_is_really_there_may_be_named_but_not_instead() -> None:
+def test_a_nuisance_that_is_really_there_may_be_named_but_not_instead():
     truth = {"hidden": [], "nuisances": [{"type": "cubic_stiffness", "between": GROUND, "stiffness": 1.0}]}
     both = said("missing_effect", ("coulomb_friction", GROUND), ("cubic_stiffness", GROUND))
     only = said("missing_effect", ("cubic_stiffness", GROUND))
@@ -76,15 +69,7 @@ def test_a_nuisance_that_is_really_there_may_be_named_but_not_instead() -> None:
     assert grading.graded({**only, "answer": FRICTION, "truth": truth}) == "wrong"
 
 
-def test_what_broke_off_or_ran_out_of_time_is_missed_and_is_told() -> None:
-    broken = {"suite": "s", "name": "n", "family": "f", "kind": "k", "seconds": 2.0, "answer": FRICTION}
-    rows = [{**broken, "error": "InputError: clipped"}, {**broken, "timed_out": True}]
-    figures = grading.figures(rows)
-    assert (figures["missed"], figures["broke_off"], figures["out_of_time"]) == (1.0, 1, 1)
-    assert "out of time" in grading.report(rows)
-
-
-def test_stated_confidence_is_held_against_what_was_right() -> None:
+def test_stated_confidence_is_held_against_what_was_right():
     rows = [
         {
             **said("m", ("coulomb_friction", GROUND if i < 8 else ["x", "y"]), confidence=0.93),
@@ -99,20 +84,7 @@ def test_stated_confidence_is_held_against_what_was_right() -> None:
     )
 
 
-def test_values_and_intervals_are_held_against_the_truth() -> None:
-    row = said("missing_effect", ("coulomb_friction", GROUND))
-    row["diagnosis"]["effects"][0]["parameters"] = {"level": {"value": 1.1, "low": 1.0, "high": 1.2}}
-    row["diagnosis"]["parameters"] = {"mass.mass": {"value": 2.0, "low": 1.9, "high": 2.1}}
-    truth = {
-        "hidden": [{"type": "coulomb_friction", "level": 1.05}],
-        "nuisances": [],
-        "base": {"mass.mass": 2.3},
-    }
-    errors, inside, base = grading.values([{**row, "answer": FRICTION, "truth": truth}])
-    assert errors == [pytest.approx(1.1 / 1.05 - 1)] and inside == [True] and base == [False]
-
-
-def test_a_golden_tells_a_verdict_a_place_and_a_value_that_moved() -> None:
+def test_a_golden_tells_a_verdict_a_place_and_a_value_that_moved():
     row = said("missing_effect", ("coulomb_friction", GROUND))
     row["answer"] = FRICTION
     row["diagnosis"]["effects"][0]["parameters"] = {"level": {"value": 1.1234, "low": 1.0, "high": 1.2}}
@@ -126,14 +98,7 @@ def test_a_golden_tells_a_verdict_a_place_and_a_value_that_moved() -> None:
     assert len(grading.differences([{**said("parameters_only"), "answer": FRICTION}], frozen)) == 1
 
 
-def test_the_goldens_are_of_known_rigs() -> None:
-    frozen = json.loads((BENCHMARKS / "goldens.json").read_text())
-    assert len(frozen) >= 37
-    verdicts = {"missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"}
-    assert all("error" in g or g["verdict"] in verdicts for g in frozen.values())
-
-
-def test_cases_are_items_of_the_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_cases_are_items_of_the_engine(tmp_path, monkeypatch, capsys):
     import diagnose
 
     rigs = tmp_path / "rigs"
@@ -141,9 +106,9 @@ def test_cases_are_items_of_the_engine(tmp_path: Path, monkeypatch: pytest.Monke
     for name in truth:
         (rigs / name).mkdir(parents=True)
     (tmp_path / "rigs.truth.json").write_text(json.dumps(truth))
-    looked: list[str] = []
+    looked = []
 
-    def fake(files: Any, out: Path) -> Any:
+    def fake(files, out):
         name = files.model.parent.name
         looked.append(name)
         if name == "rig_001":
@@ -162,17 +127,3 @@ def test_cases_are_items_of_the_engine(tmp_path: Path, monkeypatch: pytest.Monke
     assert "2 of 3 are there already" in capsys.readouterr().out
     assert [grading.graded(r) for r in rows] == ["right", "missed", "right"] and rows[1]["timed_out"]
     assert sorted(r["name"] for r in diagnose.read([tmp_path / "out"])) == sorted(truth)
-
-
-@pytest.mark.slow
-def test_a_run_ends_in_a_table_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    words = "--suite spin.none dyno.none --out"
-    command = [sys.executable, str(BENCHMARKS / "diagnose.py"), *words.split(), str(tmp_path)]
-    first = subprocess.run([*command, "--jobs", "2"], capture_output=True, text=True, check=True).stdout
-    assert "all               2" in first
-    files = {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("*.json")}
-    assert len(files) == 2
-    again = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert "2 of 2 are there already" in again
-    assert {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("*.json")} == files
-    assert first[first.index("family  ") :] == again[again.index("family  ") :]

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import decoupled_half_car
+from refusals import refused
 
 from isd_gym import baselines
 from isd_gym._common.errors import InputError
 from isd_gym.baselines._decentralised import Decentralised
-from isd_gym.benchmark.driving import Crew, Entry, Idle, travel
+from isd_gym.benchmark.driving import Crew, travel
 from isd_gym.benchmark.policies import conventional, find, passive
 from isd_gym.benchmark.scoring import drive, score
 from isd_gym.env._environment import ISDSuspensionVectorEnv
@@ -17,46 +18,35 @@ from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
 
 HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")
+OF_QUARTER_CARS = ("lqg-preview", "lqr-full", "mpc-friction-preview")
 KINDS = {"half-car-isd": "half car", "full-car-passive": "full car"}
 
 
-# ------------------------------------------------------------------------------------- what is refused
-
-
-@pytest.mark.parametrize("policy", ["lqg-preview", "lqr-full", "mpc-friction-preview"])
-@pytest.mark.parametrize("name", KINDS)
-def test_controllers_of_quarter_cars_refuse_several_corners(policy, name):
-    with pytest.raises(InputError, match=f"controller of a quarter car.*is a {KINDS[name]}"):
-        find(policy, Network.load(name)).make()
-
-
-def test_a_trained_policy_of_a_quarter_car_refuses_a_half_car():
-    with pytest.raises(InputError, match="was made for network 'quarter-car-isd'"):
-        find("ppo", HALF)
-
-
-@pytest.mark.parametrize("currents", [1, 3])
-def test_a_policy_with_another_number_of_currents_is_refused(currents):
-    class Mine(Idle):
-        def act_batch(self, observations):
-            return np.zeros((len(observations), currents))
-
-    env = ISDSuspensionVectorEnv(2, network=HALF)
-    with pytest.raises(InputError, match=f"'mine' commands {currents} current.* is a half car with 2"):
-        next(travel(Crew(Entry("mine", lambda: Mine("mine")), 2), env, 1))
-
-
-def test_a_model_of_another_car_is_refused():
-    with pytest.raises(InputError, match="is a quarter car, but the plant 'half-car-isd' is a half car"):
-        find("lqg", HALF, model=Network.load("quarter-car-isd"))
+@pytest.mark.parametrize(
+    ("policy", "network", "model", "words"),
+    [
+        *(
+            (p, n, None, f"controller of a quarter car.*is a {KINDS[n]}")
+            for p in OF_QUARTER_CARS
+            for n in KINDS
+        ),
+        ("ppo", "half-car-isd", None, "was made for network 'quarter-car-isd'"),
+        (
+            "lqg",
+            "half-car-isd",
+            "quarter-car-isd",
+            "is a quarter car, but the plant 'half-car-isd' is a half car",
+        ),
+    ],
+)
+def test_who_cannot_drive_a_car_says_so(policy, network, model, words):
+    known = model and Network.load(model)
+    refused(words, lambda: find(policy, Network.load(network), model=known).make())
 
 
 def test_an_unknown_point_is_refused():
-    with pytest.raises(InputError, match=r"no point 'nose'.*there are body, body_front, body_rear, driver"):
-        score("isd-passive", HALF, point="nose", episodes=1, duration=0.1)
-
-
-# ------------------------------------------------------------------------------------- corners
+    words = r"no point 'nose'.*there are body, body_front, body_rear, driver"
+    refused(words, score, "isd-passive", HALF, point="nose", episodes=1, duration=0.1)
 
 
 @pytest.mark.parametrize("net", [HALF, FULL, Network.load("half-car-passive")])
@@ -128,9 +118,6 @@ def test_a_broken_signal_breaks_its_own_corner_alone():
     broken[0, 6] = np.nan  # travel at the rear
     a, b = one.act_batch(obs), other.act_batch(broken)
     assert np.isfinite(b).all() and a[0, 0] == b[0, 0]
-
-
-# ------------------------------------------------------------------------------------- score
 
 
 def test_the_conventional_half_car_has_the_networks_own_body():

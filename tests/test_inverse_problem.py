@@ -1,9 +1,6 @@
 """The force that a measured motion needs, in place of the motion that a force makes."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import builders
 import numpy as np
@@ -22,9 +19,9 @@ COGGING, PITCH = 5.0, 0.02  # [N], [m]
 STEP = 1e-3  # [s]
 
 
-def axis(between: tuple[str, str] = ("ground", "carriage"), *more: dict[str, Any], **changes: Any) -> Network:
+def axis(between=("ground", "carriage"), *more, **changes):
     """Return a carriage that the current of a motor pushes."""
-    model: dict[str, Any] = builders.model(
+    model = builders.model(
         "axis",
         [
             damper("carriage", "ground", DAMPING, "bearing"),
@@ -40,7 +37,7 @@ def axis(between: tuple[str, str] = ("ground", "carriage"), *more: dict[str, Any
 
 
 @pytest.mark.parametrize("between", [("ground", "carriage"), ("carriage", "ground")])
-def test_the_computed_force_is_that_of_the_drive(between: tuple[str, str]) -> None:
+def test_the_computed_force_is_that_of_the_drive(between):
     """The motion that a current makes needs the force of this current, whatever the direction of the motor."""
     network = axis(between)
     t = np.arange(4000) * STEP
@@ -70,11 +67,11 @@ SPRING = spring("carriage", "ground", 100.0)
     ],
     ids=["spring", "effect at the motor", "speed alone", "car"],
 )
-def test_other_models_have_no_inverse(network: Network) -> None:
+def test_other_models_have_no_inverse(network):
     assert invert(network) is None
 
 
-def test_the_completed_model_has_the_drive_as_input() -> None:
+def test_the_completed_model_has_the_drive_as_input():
     network = axis()
     inverse = invert(network)
     assert inverse is not None
@@ -101,7 +98,7 @@ def test_the_completed_model_has_the_drive_as_input() -> None:
     assert inverse.restore(faulty) is None
 
 
-def servo(seed: int, samples: int = 10_000) -> Table:
+def servo(seed, samples=10_000):
     """A carriage with cogging that a position controller moves, by semi-implicit Euler steps of a tenth of the sampling step."""
     rng = np.random.default_rng(seed)
     times, sizes = rng.uniform(0.3, 1.5, 5), rng.uniform(0.01, 0.04, 5)
@@ -126,7 +123,7 @@ def servo(seed: int, samples: int = 10_000) -> Table:
 
 
 @pytest.mark.slow
-def test_cogging_of_an_axis_in_a_closed_loop_is_named() -> None:
+def test_cogging_of_an_axis_in_a_closed_loop_is_named():
     """The simulated motion drifts away; the force that the measured motion needs shows the pitch."""
     found = diagnose([servo(1), servo(2)], axis(), validate=[servo(3)], settings=SearchSettings(jobs=1))
     assert found.verdict == "missing_effect", found.summary

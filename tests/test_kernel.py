@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from builders import channel, friction, network, spring
+from refusals import refused
 from rigs import reference
 from scipy.signal import lsim, sawtooth
 
@@ -164,13 +165,13 @@ def test_energy_balance():
 
 def test_simulate_refuses_bad_input():
     time = np.arange(100) * STEP
-    with pytest.raises(InputError, match="input 'current' is missing"):
-        simulate("quarter-car-isd", time, {"road": 0 * time})
+    refused("input 'current' is missing", simulate, "quarter-car-isd", time, {"road": 0 * time})
     with pytest.raises(InputError, match="'road' must hold 100 finite samples"):
         simulate("quarter-car-isd", time, {"road": np.full(100, np.nan), "current": 0 * time})
-    with pytest.raises(InputError, match="uniformly sampled"):
-        simulate(
-            "quarter-car-isd",
-            np.sort(np.random.default_rng(0).random(100)),
-            {"road": 0 * time, "current": 0 * time},
-        )
+    refused(
+        "uniformly sampled",
+        simulate,
+        "quarter-car-isd",
+        np.sort(np.random.default_rng(0).random(100)),
+        {"road": 0 * time, "current": 0 * time},
+    )

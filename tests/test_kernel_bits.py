@@ -48,14 +48,14 @@ LAWS = {
 }  # fmt: skip
 
 
-def car(laws) -> Network:
+def car(laws):
     net = Network.load("quarter-car-isd")
     for i, law in enumerate(laws):
         net = net.with_element({"name": f"law_{i}", **law})
     return net
 
 
-def in_series() -> Network:
+def in_series():
     """A mass that hangs on backlash and compliance in series: a node whose velocity is only a difference."""
     return network(
         "in series",
@@ -72,7 +72,7 @@ def in_series() -> Network:
     )
 
 
-def drives(steps: int) -> dict[str, np.ndarray]:
+def drives(steps):
     """A road and a current for every lane, from standstill to far into the stops."""
     rng = np.random.default_rng(5)
     size = np.linspace(0.0, 6.0, LANES)
@@ -130,7 +130,7 @@ def test_a_car_of_a_batch_is_the_car_alone(model, spread):
     rng = np.random.default_rng(1)
     currents = rng.uniform(-5, 5, (300, count))
 
-    def drive(batch: Batch, cars: list[int]) -> np.ndarray:
+    def drive(batch, cars):
         for i, c in enumerate(cars):
             batch.reset(i, np.random.default_rng(c))
         out = []

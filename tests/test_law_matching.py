@@ -1,20 +1,23 @@
 """Laws that are matched to the residual of a fit, along the measured motion."""
 
+<<<<<<< HEAD
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+=======
+>>>>>>> r_t
 import builders
 import numpy as np
 import pytest
 from builders import channel, damper, spring
 
-from isd_gym.diagnosis._estimation.gauss_newton import Fit, Fitter
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.law_forces import force_responses, law_forces, measured_motions
-from isd_gym.diagnosis._hypotheses.law_matching import Match, match_laws
+from isd_gym.diagnosis._hypotheses.law_matching import match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._hypotheses.motion import joined, motions
 from isd_gym.diagnosis._selection.candidate import Candidate
@@ -24,13 +27,10 @@ from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
 from isd_gym.physics.simulate import simulate
 
-if TYPE_CHECKING:
-    from isd_gym.physics.network import Network
-
 STEP, NOISE, PLACE = 2e-3, 2e-6, ("mass", "base")
 
 
-def rig() -> Network:
+def rig():
     return builders.network(
         "shaken",
         [spring("mass", "base", 4000.0), damper("mass", "base", 12.0)],
@@ -41,7 +41,7 @@ def rig() -> Network:
     )
 
 
-def stage(effect: str = "", place: tuple[str, ...] = PLACE, **values: Any) -> tuple[Problem, Fit]:
+def stage(effect="", place=PLACE, **values):
     """Return a record of the rig with a law, and the refitted rig without the law."""
     network, rng = rig(), np.random.default_rng(7)
     t = np.arange(3000) * STEP
@@ -57,7 +57,7 @@ def stage(effect: str = "", place: tuple[str, ...] = PLACE, **values: Any) -> tu
     return problem, Fitter(problem, white_filters(np.array([NOISE]))).fit(structure, structure.start)
 
 
-def matches(problem: Problem, fit: Fit) -> list[Match]:
+def matches(problem, fit):
     fitter = Fitter(problem, white_filters(np.array([NOISE])))
     return match_laws(problem, fitter, fit, np.array([NOISE]), list(hypotheses(problem.network)))
 
@@ -73,15 +73,13 @@ def matches(problem: Problem, fit: Fit) -> list[Match]:
         ("sensor_delay", ("mass",), {"delay": 0.004}),
     ],
 )
-def test_the_law_that_is_missing_is_among_the_first_matches(
-    effect: str, place: tuple[str, ...], values: dict[str, float]
-) -> None:
+def test_the_law_that_is_missing_is_among_the_first_matches(effect, place, values):
     found = matches(*stage(effect, place, **values))
     laws = list(dict.fromkeys((m.hypothesis.effect, m.hypothesis.where) for m in found))
     assert (effect, place) in laws[:3], laws[:6]
 
 
-def test_a_match_has_the_value_of_the_law() -> None:
+def test_a_match_has_the_value_of_the_law():
     found = matches(*stage("coulomb_friction", level=1.0))
     friction = next(
         m for m in found if m.hypothesis.effect == "coulomb_friction" and m.hypothesis.where == PLACE
@@ -90,7 +88,7 @@ def test_a_match_has_the_value_of_the_law() -> None:
     assert set(friction.moved) == {"spring.stiffness", "damper.damping"}
 
 
-def test_the_measured_motion_is_nearer_to_the_truth_than_the_simulated_motion() -> None:
+def test_the_measured_motion_is_nearer_to_the_truth_than_the_simulated_motion():
     problem, fit = stage("cubic_stiffness", stiffness=4e8)
     record = problem.records[0]
     true = record.measured[:, 0] - record.inputs["base"]
@@ -99,7 +97,7 @@ def test_the_measured_motion_is_nearer_to_the_truth_than_the_simulated_motion() 
     assert np.std(measured - true) < 0.5 * np.std(simulated - true)
 
 
-def test_the_response_to_a_force_is_the_change_by_the_element() -> None:
+def test_the_response_to_a_force_is_the_change_by_the_element():
     problem, fit = stage()
     motion = measured_motions(problem, fit, np.array([NOISE]))[PLACE]
     h = next(h for h in hypotheses(problem.network) if h.effect == "cubic_stiffness" and h.where == PLACE)
@@ -113,7 +111,7 @@ def test_the_response_to_a_force_is_the_change_by_the_element() -> None:
     assert np.std(change - (both[0] - both[1])) < 0.03 * np.std(change)
 
 
-def test_the_response_of_a_pendulum_in_full_swing_is_the_change_by_the_element() -> None:
+def test_the_response_of_a_pendulum_in_full_swing_is_the_change_by_the_element():
     network = builders.network(
         "pendulum",
         [

@@ -38,9 +38,6 @@ def returns(steps=STEPS):
     return sum(env.step(a)[1] for a in currents(steps))
 
 
-# --------------------------------------------------------------------------------------- Gymnasium
-
-
 @theirs
 def test_wrappers_of_one_car():
     env = gym.make(NAME, max_episode_steps=STEPS)
@@ -106,20 +103,6 @@ def test_handed_out_speeds_are_those_of_the_step():
     )
 
 
-def test_workers_in_processes():
-    env = gym.make_vec(NAME, 2, vectorization_mode="async")
-    try:
-        own = gym.make_vec(NAME, 2)
-        obs, _ = env.reset(seed=0)
-        np.testing.assert_array_equal(obs, own.reset(seed=0)[0])
-        for a in currents(5, 2):
-            mine, theirs_ = own.step(a), env.step(a)
-            np.testing.assert_array_equal(mine[0], theirs_[0])
-            np.testing.assert_array_equal(mine[1], theirs_[1])
-    finally:
-        env.close()
-
-
 @theirs
 @pytest.mark.parametrize(("own", "rate", "steps"), [(False, 200, 20), (True, 50, 40)])
 def test_videos(own, rate, steps, tmp_path):
@@ -158,9 +141,6 @@ def test_videos(own, rate, steps, tmp_path):
         assert about["size"][0] * about["size"][1] == tiles * 960 * 600
         if folder == "one":
             assert about["duration"] == pytest.approx(steps / 200, abs=0.021)
-
-
-# ----------------------------------------------------------------------------------------- others
 
 
 @theirs

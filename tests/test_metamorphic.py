@@ -1,9 +1,7 @@
 """Changes of the data or of the model's order that say nothing about the rig must not change the verdict of a diagnosis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import builders
 import numpy as np
@@ -18,13 +16,10 @@ from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
 
-if TYPE_CHECKING:
-    from isd_gym.diagnosis import Diagnosis
-
 STEP, SAMPLES = 1e-2, 600
 
 #: two masses on a shaken base, as their owner knows them
-MODEL: dict[str, Any] = builders.model(
+MODEL = builders.model(
     "two masses",
     [
         spring("lower", "base", 4000.0),
@@ -48,7 +43,7 @@ class Rig:
     training: tuple[Table, ...]
     validation: tuple[Table, ...]
 
-    def diagnose(self, jobs: int = 2) -> Diagnosis:
+    def diagnose(self, jobs=2):
         return diagnose(
             self.training,
             self.model,
@@ -56,19 +51,19 @@ class Rig:
             settings=SearchSettings(matches=4, finals=2, turns=0, jobs=jobs),
         )
 
-    def with_tables(self, change: Any) -> Rig:
+    def with_tables(self, change):
         return replace(
             self, training=tuple(map(change, self.training)), validation=tuple(map(change, self.validation))
         )
 
 
-def measured(hidden: bool) -> Rig:
+def measured(hidden):
     """Records of the rig with quadratic damping in it, or without, and noise of one per cent."""
     rng = np.random.default_rng(5)
     true = Network.load({**MODEL, "elements": [*MODEL["elements"], *([DRAG] if hidden else [])]})
     band = butter(2, [0.5, 15.0], "band", fs=1 / STEP, output="sos")
 
-    def table(name: str) -> Table:
+    def table(name):
         base = 0.004 * sosfiltfilt(band, rng.standard_normal(SAMPLES))
         out = simulate(true, STEP * np.arange(SAMPLES), {"base": base})
         noisy = {
@@ -79,37 +74,37 @@ def measured(hidden: bool) -> Rig:
     return Rig(MODEL, (table("first"), table("second")), (table("third"),))
 
 
-def scaled(table: Table, factors: dict[str, float]) -> Table:
+def scaled(table, factors):
     columns = {k: v * factors.get(k, 1.0) for k, v in table.columns.items()}
     return Table(table.time, columns, table.source, table.units)
 
 
-def records_in_another_order(rig: Rig) -> Rig:
+def records_in_another_order(rig):
     return replace(rig, training=rig.training[::-1])
 
 
-def channels_in_another_order(rig: Rig) -> Rig:
+def channels_in_another_order(rig):
     return replace(rig, model={**rig.model, "outputs": rig.model["outputs"][::-1]})
 
 
-def elements_in_another_order(rig: Rig) -> Rig:
+def elements_in_another_order(rig):
     return replace(rig, model={**rig.model, "elements": rig.model["elements"][::-1]})
 
 
-def millimetres(rig: Rig) -> Rig:
+def millimetres(rig):
     outputs = [{**rig.model["outputs"][0], "unit": "mm"}, rig.model["outputs"][1]]
 
-    def in_millimetres(t: Table) -> Table:
+    def in_millimetres(t):
         return Table(t.time, scaled(t, {"stroke": 1e3}).columns, t.source, units={"stroke": "mm"})
 
     return replace(rig, model={**rig.model, "outputs": outputs}).with_tables(in_millimetres)
 
 
-def mirrored(rig: Rig) -> Rig:
+def mirrored(rig):
     return rig.with_tables(lambda t: scaled(t, dict.fromkeys(t.columns, -1.0)))
 
 
-def first_record_in_halves(rig: Rig) -> Rig:
+def first_record_in_halves(rig):
     first, *others = rig.training
     half = len(first) // 2
     parts = [
@@ -119,10 +114,10 @@ def first_record_in_halves(rig: Rig) -> Rig:
     return replace(rig, training=(*parts, *others))
 
 
-def a_millionth_of_noise(rig: Rig) -> Rig:
+def a_millionth_of_noise(rig):
     rng = np.random.default_rng(9)
 
-    def noisy(t: Table) -> Table:
+    def noisy(t):
         columns = {k: v + 1e-6 * np.std(v) * rng.standard_normal(len(v)) for k, v in t.columns.items()}
         return Table(t.time, columns, t.source, t.units)
 
@@ -137,13 +132,13 @@ CHANGES = {
 }
 
 
-def changed(rig: Rig, what: str) -> Rig:
+def changed(rig, what):
     for change in CHANGES[what]:
         rig = change(rig)
     return rig
 
 
-def stated(d: Diagnosis) -> tuple[str, set[tuple[str, frozenset[str]]]]:
+def stated(d):
     return d.verdict, {(e.effect, frozenset(e.between or ())) for e in d.effects}
 
 
@@ -152,23 +147,23 @@ NAMED = ("missing_effect", {("quadratic_damping", frozenset({"upper", "lower"}))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", CHANGES)
-def test_the_name_does_not_depend_on(what: str) -> None:
+def test_the_name_does_not_depend_on(what):
     d = changed(measured(hidden=True), what).diagnose()
     assert stated(d) == NAMED
     assert d.effects[0].parameters["damping"].value == pytest.approx(DRAG["damping"], rel=0.1)
 
 
 @pytest.mark.slow
-def test_nothing_is_named_where_nothing_is_missing() -> None:
+def test_nothing_is_named_where_nothing_is_missing():
     d = changed(measured(hidden=False), "pieces and noise").diagnose()
     assert d.verdict in ("no_discrepancy", "parameters_only")
 
 
 @pytest.mark.slow
-def test_the_name_does_not_depend_on_the_order_of_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_name_does_not_depend_on_the_order_of_hypotheses(monkeypatch):
     forward = library.hypotheses
 
-    def backward(network: Network) -> Any:
+    def backward(network):
         return iter(list(forward(network))[::-1])
 
     monkeypatch.setattr(screening, "hypotheses", backward)
@@ -176,7 +171,7 @@ def test_the_name_does_not_depend_on_the_order_of_hypotheses(monkeypatch: pytest
 
 
 @pytest.mark.slow
-def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
+def test_the_result_does_not_depend_on_the_number_of_threads():
     rig = measured(hidden=True)
     one, three = (rig.diagnose(jobs).to_dict() for jobs in (1, 3))
     kept = one.keys() - {"seconds", "search", "settings"}

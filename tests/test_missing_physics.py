@@ -1,14 +1,11 @@
 """MissingPhysBench: the figures of the scorer for answers whose score is known, the seal, and the rig with the closed loop."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -37,55 +34,51 @@ TEST = {"time": TIME, "x": np.sin(TIME)}
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
+def bench(monkeypatch):
     monkeypatch.syspath_prepend(BENCHMARKS)
     return importlib.import_module("missing_physics")
 
 
-def figures(bench: Any, truth: dict[str, Any], *effects: dict[str, Any], **more: Any) -> dict[str, Any]:
+def figures(bench, truth, *effects, **more):
     answer = {"effects": list(effects), **more}
     return bench.summarise([bench.score_case(truth, TEST, answer, more.get("prediction"))])
 
 
-def test_the_right_name_in_any_order_of_the_terminals(bench: Any) -> None:
-    f = figures(bench, TRUTH, {"law": "coulomb_friction", "place": GROUND[::-1], "probability": 0.9})
-    assert (f["place_f1"], f["law_accuracy"], f["wrong_names"]) == (1.0, 1.0, 0.0)
-    assert f["brier"] == pytest.approx(0.01)
-    assert f["abstention"] is None  # nothing to abstain from
+def law(name, place=GROUND, **more):
+    return {"law": name, "place": place, **more}
 
 
-def test_a_wrong_law_at_the_right_place(bench: Any) -> None:
-    f = figures(bench, TRUTH, {"law": "quadratic_damping", "place": GROUND, "probability": 0.8})
-    assert (f["place_f1"], f["law_accuracy"], f["wrong_names"]) == (1.0, 0.0, 1.0)
-    assert f["brier"] == pytest.approx((1.0 + 0.64) / 2)  # the true law was given no probability
+DRAG, UNLIKELY = law("quadratic_damping", probability=0.8), law("coulomb_friction", probability=0.3)
+PLACED = law(None)
 
 
-def test_a_small_effect_that_is_there_is_no_error(bench: Any) -> None:
-    small = TRUTH["nuisances"][0]
-    f = figures(bench, TRUTH, FRICTION, small)
-    assert (f["place_f1"], f["law_accuracy"], f["wrong_names"], f["brier"]) == (1.0, 1.0, 0.0, 0.0)
-    assert figures(bench, NOTHING, small)["abstention"] == 1.0
+@pytest.mark.parametrize(
+    ("truth", "effects", "expected"),
+    [
+        # terminals have no order; there is nothing to abstain from
+        (TRUTH, [law("coulomb_friction", GROUND[::-1], probability=0.9)], {"place_f1": 1, "law_accuracy": 1, "wrong_names": 0, "brier": 0.01, "abstention": None}),
+        # the true law was given no probability
+        (TRUTH, [DRAG], {"place_f1": 1, "law_accuracy": 0, "wrong_names": 1, "brier": (1 + 0.64) / 2}),
+        # a small effect that is there is no error
+        (TRUTH, [FRICTION, TRUTH["nuisances"][0]], {"place_f1": 1, "law_accuracy": 1, "wrong_names": 0, "brier": 0}),
+        (NOTHING, [TRUTH["nuisances"][0]], {"abstention": 1}),
+        # silence is right where nothing can be named
+        (NOTHING, [], {"abstention": 1}),
+        (NOTHING, [DRAG], {"abstention": 0, "wrong_names": 1, "brier": 0.64}),
+        (NOTHING, [PLACED], {"place_f1": 0}),
+        (OUTSIDE, [], {"abstention": 1}),
+        (OUTSIDE, [DRAG], {"abstention": 0, "wrong_names": 1, "brier": 0.64}),
+        (OUTSIDE, [PLACED], {"place_f1": 1, "abstention": 1}),
+        # an unlikely statement is not a name, but counts for the Brier score
+        (NOTHING, [UNLIKELY], {"wrong_names": 0, "abstention": 1, "brier": 0.09}),
+    ],
+)  # fmt: skip
+def test_answers_of_known_score(bench, truth, effects, expected):
+    found = figures(bench, truth, *effects)
+    assert {k: found[k] for k in expected} == pytest.approx(expected)
 
 
-def test_silence_is_right_where_nothing_can_be_named(bench: Any) -> None:
-    for truth in (NOTHING, OUTSIDE):
-        assert figures(bench, truth)["abstention"] == 1.0
-        f = figures(bench, truth, {**FRICTION, "probability": 0.7})
-        assert (f["abstention"], f["wrong_names"]) == (0.0, 1.0)
-        assert f["brier"] == pytest.approx(0.49)
-    placed = {"law": None, "place": GROUND}
-    assert figures(bench, OUTSIDE, placed)["place_f1"] == 1.0
-    assert figures(bench, OUTSIDE, placed)["abstention"] == 1.0
-    assert figures(bench, NOTHING, placed)["place_f1"] == 0.0
-
-
-def test_an_unlikely_statement_is_not_a_name_but_counts_for_the_brier_score(bench: Any) -> None:
-    f = figures(bench, NOTHING, {**FRICTION, "probability": 0.3})
-    assert (f["wrong_names"], f["abstention"]) == (0.0, 1.0)
-    assert f["brier"] == pytest.approx(0.09)
-
-
-def test_error_reduction_is_one_for_the_truth_and_zero_for_the_best_nominal_model(bench: Any) -> None:
+def test_error_reduction_is_one_for_the_truth_and_zero_for_the_best_nominal_model(bench):
     y, deviation = TEST["x"], np.std(TEST["x"])
     wave = np.tile([1.0, -1.0], len(y))[: len(y)] * deviation
     for share, expected in ((0.0, 1.0), (0.5, 0.0), (0.25, 0.75), (9.0, -1.0)):
@@ -95,12 +88,12 @@ def test_error_reduction_is_one_for_the_truth_and_zero_for_the_best_nominal_mode
     assert figures(bench, TRUTH, prediction={"x": y[:-1]})["error_reduction"] == -1.0
 
 
-def test_parameter_error_is_relative_to_the_truth(bench: Any) -> None:
+def test_parameter_error_is_relative_to_the_truth(bench):
     f = figures(bench, TRUTH, parameters={"spring.stiffness": 93.0, "unknown": 1.0})
     assert f["parameter_error"] == pytest.approx(0.07)
 
 
-def sealed_case(bench: Any, folder: Path) -> tuple[Path, Path]:
+def sealed_case(bench, folder):
     cases, truth, answers = folder / "cases", folder / "cases.truth", folder / "answers"
     for place in (cases, truth, answers / "case_01"):
         place.mkdir(parents=True)
@@ -112,7 +105,7 @@ def sealed_case(bench: Any, folder: Path) -> tuple[Path, Path]:
     return cases, answers
 
 
-def test_the_scorer_runs_without_the_package(bench: Any, tmp_path: Path) -> None:
+def test_the_scorer_runs_without_the_package(bench, tmp_path):
     cases, answers = sealed_case(bench, tmp_path)
     alone = tmp_path / "missing_physics.py"  # the file alone, in a folder without the project
     alone.write_bytes((BENCHMARKS / "missing_physics.py").read_bytes())
@@ -126,14 +119,14 @@ def test_the_scorer_runs_without_the_package(bench: Any, tmp_path: Path) -> None
     assert "import isd_gym" not in source and "from isd_gym" not in source
 
 
-def test_a_truth_that_was_changed_is_refused(bench: Any, tmp_path: Path) -> None:
+def test_a_truth_that_was_changed_is_refused(bench, tmp_path):
     cases, answers = sealed_case(bench, tmp_path)
     (tmp_path / "cases.truth" / "truth.json").write_text(json.dumps({"case_01": NOTHING}))
     with pytest.raises(SystemExit, match="sealed"):
         bench.score(cases, answers)
 
 
-def test_the_force_of_the_controller_moves_the_open_rig_as_the_closed_loop_did(bench: Any) -> None:
+def test_the_force_of_the_controller_moves_the_open_rig_as_the_closed_loop_did(bench):
     """The recorded force drives the true rig without its controller, by the project's own simulation, to the recorded position."""
     rigs = importlib.import_module("missing_physics_rigs")
     files, test, truth = rigs.make_case("loop.friction", 1, 40, bench.SAMPLES)

@@ -1,4 +1,4 @@
-"""Nodes that are moved by their velocity or acceleration: against the closed solution, and what they cannot tell."""
+"""Nodes that are moved by their velocity or acceleration, or cut where their motion was measured."""
 
 import copy
 from dataclasses import replace
@@ -6,21 +6,19 @@ from dataclasses import replace
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, friction, named, spring
+from builders import channel, damper, element, friction, spring
+from refusals import refused
 
 from isd_gym import simulate
 from isd_gym._common.errors import InputError
-from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.initial_states import states_along
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
 from isd_gym.diagnosis._hypotheses.missing_force import Deconvolution
 from isd_gym.diagnosis._hypotheses.motion import motions
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.network import Network, assemble, linearise
-from isd_gym.records.data import Table
+from isd_gym.physics.network import Network, assemble, cut, linearise, rejoin
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98
 TABLE = builders.model(
@@ -125,8 +123,7 @@ SECOND = channel("u2", "acceleration", "m")
 )  # fmt: skip
 def test_what_is_missing_is_said_in_a_line(quantity, more, words):
     t = np.arange(0, 1, 0.01)
-    with pytest.raises(InputError, match=words.replace("'", ".")):
-        simulate(shaken(quantity, **more), t, {"u": t, "u2": t})
+    refused(words.replace("'", "."), simulate, shaken(quantity, **more), t, {"u": t, "u2": t})
 
 
 def test_a_distance_cannot_be_an_input():
@@ -171,19 +168,6 @@ def test_the_motion_against_the_ground_is_that_of_the_displacement_from_the_star
         assert np.allclose(one, other, atol=2e-3 * np.abs(other).max())
 
 
-def test_a_record_driven_by_a_speed_can_be_cut_anywhere():
-    t = np.arange(0, 3, 1e-3)
-    network = Network.load(shaken("velocity"))
-    speed = MOVES["velocity"][1](t)
-    problem, _ = fitted(network, {"u": speed})
-    structure = base_structure(network)
-    (state,) = states_along(problem, structure, structure.start, {0: np.zeros(2)}, [1000])[0]
-    whole = simulate(network, t, {"u": speed})
-    later = simulate(network, t[1000:], {"u": speed[1000:]}, initial=state)
-    for name in ("d", "a"):
-        assert np.allclose(later[name], whole[name][1000:], atol=2e-3 * np.abs(whole[name]).max())
-
-
 INERTER = builders.model(
     "rack and pinion",
     [
@@ -218,18 +202,65 @@ def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_kno
         assert not response.moved.any()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("quantity", "level"), [("velocity", 0.5), ("acceleration", 1.5)])
-def test_the_friction_of_a_rig_whose_table_is_told_by_its_rate_is_named(quantity, level):
-    rng, t = np.random.default_rng(2), np.arange(0, 20, 5e-3)
-    model = shaken(quantity)
-    model["outputs"] = model["outputs"][1:2]  # the travel
-    model["uncertainty"] = {"k.stiffness": 0.05, "c.damping": 0.5}
-    phases = zip((0.3, 0.7, 1.1, 1.6, 2.3), rng.uniform(0, 6, 5), strict=True)
-    size = {"velocity": 0.1, "acceleration": 1.5}[quantity]
-    drive = size * sum(np.sin(2 * np.pi * f * t + p) for f, p in phases)
-    truth = {**model, "elements": [*model["elements"], friction("m", "table", level)]}
-    travel = simulate(truth, t, {"u": drive})["d"]
-    noisy = travel + 0.01 * travel.std() * rng.standard_normal(len(t))
-    found = diagnose([Table(t, {"u": drive, "d": noisy}, "run")], model)
-    assert named(found) == {("coulomb_friction", frozenset({"m", "table"}))}
+def car():
+    data = Network.load("quarter-car-isd").to_dict()
+    data["outputs"].append(channel("wheel_acceleration", "acceleration", "wheel"))
+    data["uncertainty"] = {
+        "body.mass": 0.05,
+        "wheel.mass": 0.05,
+        "tyre.stiffness": 0.05,
+        "damper.damping": 0.05,
+    }
+    return Network.load(data)
+
+
+def driven():
+    t = np.arange(0, 4, 1e-3)
+    return t, {
+        "road": 0.008 * np.sin(9 * t) ** 3 + 0.003 * np.sin(41 * t) ** 2,
+        "current": 2.0 * np.sign(np.sin(5 * t)),
+    }
+
+
+def test_what_is_above_the_cut_moves_as_in_the_whole_car():
+    t, inputs = driven()
+    whole = simulate(car(), t, inputs)
+    part = cut(car(), "wheel")
+    assert part.moved_nodes == ("wheel",) and "tyre" not in {e.name for e in part.elements}
+    assert [c.name for c in part.inputs] == ["wheel_acceleration", "current"]
+    assert set(part.uncertainty) == {"body.mass", "damper.damping"}
+    out = simulate(part, t, {"wheel_acceleration": whole["wheel_acceleration"], "current": inputs["current"]})
+    assert set(out) == {"body_acceleration", "suspension_travel", "device_travel"}
+    for name, y in out.items():
+        assert np.std(y - whole[name]) < 0.01 * np.std(whole[name])
+
+
+def test_a_displacement_is_taken_before_an_acceleration():
+    data = car().to_dict()
+    data["outputs"].append(channel("hub", "displacement", "wheel", unit="mm"))
+    part = cut(Network.load(data), "wheel")
+    assert part.inputs[0].name == "hub" and part.inputs[0].unit == "mm"
+    assert "wheel_acceleration" not in {c.name for c in part.outputs}  # the input tells it
+
+
+def test_what_was_found_in_a_part_comes_back_into_the_whole():
+    part = cut(car(), "wheel").with_parameters({"damper.damping": 1400.0})
+    part = part.with_element(friction("body", "wheel", 80.0))
+    whole = rejoin(car(), part)
+    assert whole.parameters["damper.damping"] == 1400.0 and whole.parameters["rub.level"] == 80.0
+    assert whole.parameters["tyre.stiffness"] == car().parameters["tyre.stiffness"]
+    assert whole.inputs == car().inputs and whole.uncertainty == car().uncertainty
+    assert rejoin(car(), cut(car(), "wheel")).parameters == car().parameters
+
+
+@pytest.mark.parametrize(
+    ("node", "words"),
+    [
+        ("roof", "no node 'roof'"),
+        ("road", "moved by an input already"),
+        ("piston", "no output measures the motion of 'piston'"),
+        ("body", "the other nodes are all connected without 'body'"),
+    ],
+)
+def test_a_cut_that_makes_no_sense_is_said_in_a_line(node, words):
+    refused(words, cut, car(), node)

@@ -6,9 +6,9 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, friction, network
+from refusals import refused
 from scipy.integrate import solve_ivp, trapezoid
 
-from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import Network, assemble, linearise
 from isd_gym.physics.simulate import simulate
@@ -139,33 +139,17 @@ def test_terminal_inertia_is_the_term_equation_4_drops():
 
 
 BAD = {
-    "unknown key": (lambda m: m.update(colour="red"), "unknown key 'colour'"),
-    "unknown element key": (
-        lambda m: m["elements"][0].update(stifness=1.0),
-        "main_spring.*unknown key 'stifness'",
-    ),
-    "unknown type": (lambda m: m["elements"][0].update(type="spring"), "main_spring.*unknown type 'spring'"),
-    "missing parameter": (lambda m: m["elements"][0].pop("stiffness"), "main_spring.*'stiffness' is missing"),
-    "negative mass": (lambda m: m["masses"].update(body=-1.0), "'body' must be a positive number of kg"),
-    "negative damping": (lambda m: m["elements"][4].update(damping=-1.0), "leak.*damping must be >= 0"),
-    "text for a number": (
-        lambda m: m["elements"][0].update(stiffness="22 kN/m"),
-        "main_spring.*must be a number",
-    ),
     "not finite": (lambda m: m["elements"][0].update(stiffness=float("nan")), "main_spring.*finite"),
     "unknown node": (lambda m: m["outputs"][0].update(at="roof"), "body_acceleration.*no node 'roof'"),
     "unknown unit": (
         lambda m: m["outputs"][0].update(unit="furlong"),
         "body_acceleration.*unknown unit 'furlong'",
     ),
-    "wrong unit": (lambda m: m["outputs"][0].update(unit="mm"), "body_acceleration.*cannot be converted to"),
     "floating node": (
         lambda m: m["elements"][8].update(between=["joint", "nowhere"]),
         "node 'nowhere' floats",
     ),
-    "same node": (lambda m: m["elements"][0].update(between=["body", "body"]), "main_spring.*itself"),
     "twice": (lambda m: m["elements"][1].update(name="main_spring"), "two elements are called 'main_spring'"),
-    "wrong schema": (lambda m: m.update(schema="isd-model/9"), "schema is 'isd-model/9'"),
     "massless acceleration": (
         lambda m: m["outputs"].append(channel("x", "acceleration", "joint")),
         "acceleration of a massless node",
@@ -189,8 +173,7 @@ def test_bad_models_are_one_line(case):
     change, message = BAD[case]
     model = copy.deepcopy(car())
     change(model)
-    with pytest.raises(InputError, match=message):
-        assemble(Network.from_dict(model))
+    refused(message, lambda: assemble(Network.from_dict(model)))
 
 
 def test_singular_massless_part_names_the_nodes():
@@ -198,16 +181,13 @@ def test_singular_massless_part_names_the_nodes():
     a, b = ["body", "hook"], ["hook", "wheel"]
     law = {"type": "quadratic_damping", "damping": 100.0}
     model["elements"] += [{"name": "a", "between": a, **law}, {"name": "b", "between": b, **law}]
-    with pytest.raises(InputError, match="nothing holds 'hook'"):
-        assemble(Network.from_dict(model))
+    refused("nothing holds 'hook'", lambda: assemble(Network.from_dict(model)))
 
 
 def test_unreadable_files(tmp_path):
     (tmp_path / "x.json").write_text('{"schema": ')
-    with pytest.raises(InputError, match="not JSON, line 1"):
-        Network.load(tmp_path / "x.json")
-    with pytest.raises(InputError, match="neither a file nor one of force-rig"):
-        Network.load("no-such-car")
+    refused("not JSON, line 1", Network.load, tmp_path / "x.json")
+    refused("neither a file nor one of force-rig", Network.load, "no-such-car")
 
 
 def test_changed_copies_leave_the_original():

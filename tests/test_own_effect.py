@@ -1,15 +1,13 @@
 """An element that a user registers is a hypothesis like any other: tried, fitted, named, drawn."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 from builders import channel, damper, model, spring
+from refusals import refused
 from scipy.integrate import solve_ivp
 
-from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.physics import elements as el
@@ -45,13 +43,13 @@ def registered():
     del el.TYPES["softening_clip"]
 
 
-def record(seed: int, force: float, length: float, seconds: float = 8.0) -> Table:
+def record(seed, force, length, seconds=8.0):
     """The true rig, by scipy's integrator."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 4e-3)
     w, phase = 2 * np.pi * rng.uniform(0.5, 6.0, 12), rng.uniform(0, 2 * np.pi, 12)
 
-    def slope(at: float, state: np.ndarray) -> list[float]:
+    def slope(at, state):
         d = state[0] - 0.003 * np.sin(w * at + phase).sum()
         v = state[1] - 0.003 * (w * np.cos(w * at + phase)).sum()
         return [state[1], -(812.0 * d + 7.8 * v + force * math.tanh(d / length)) / 2.0]
@@ -61,13 +59,13 @@ def record(seed: int, force: float, length: float, seconds: float = 8.0) -> Tabl
     return Table(t, {"base": base, "position": out + 2e-5 * rng.standard_normal(len(t))}, f"drive {seed}")
 
 
-def test_it_is_tried_at_every_place(registered) -> None:
+def test_it_is_tried_at_every_place(registered):
     tried = {(h.effect, h.where) for h in hypotheses(Network.load(RIG))}
     assert ("softening_clip", ("mass", "base")) in tried
     assert ("softening_clip", ("mass", "ground")) in tried
 
 
-def test_its_starts_are_sized_by_the_motion_though_it_says_nothing_of_them(registered) -> None:
+def test_its_starts_are_sized_by_the_motion_though_it_says_nothing_of_them(registered):
     d = 0.02 * np.sin(np.linspace(0, 20, 2000))
     motion = el.Motion(d, np.gradient(d, 0.01), d)
     at = el.Setting(Network.load(RIG), ("mass", "base"), motion, force=16.0)
@@ -79,7 +77,7 @@ def test_its_starts_are_sized_by_the_motion_though_it_says_nothing_of_them(regis
 
 
 @pytest.mark.slow  # the kernel is compiled with it
-def test_it_is_named_where_it_is_hidden(registered) -> None:
+def test_it_is_named_where_it_is_hidden(registered):
     found = diagnose([record(1, 6.0, 0.004)], RIG, validate=[record(2, 6.0, 0.004)])
     assert found.verdict == "missing_effect"
     (effect,) = found.effects
@@ -105,7 +103,7 @@ el.register(Clip)
 """
 
 
-def test_a_file_of_the_users_own_registers_elements(tmp_path) -> None:
+def test_a_file_of_the_users_own_registers_elements(tmp_path):
     file = tmp_path / "law.py"
     file.write_text(LAW)
     try:
@@ -114,17 +112,15 @@ def test_a_file_of_the_users_own_registers_elements(tmp_path) -> None:
     finally:
         el.TYPES.pop("filed_clip", None)
     (tmp_path / "none.py").write_text("x = 1")
-    with pytest.raises(InputError, match="registers no element"):
-        el.register_file(tmp_path / "none.py")
+    refused("registers no element", el.register_file, tmp_path / "none.py")
     (tmp_path / "broken.py").write_text("1 / 0")
-    with pytest.raises(InputError, match="ZeroDivisionError"):
-        el.register_file(tmp_path / "broken.py")
+    refused("ZeroDivisionError", el.register_file, tmp_path / "broken.py")
 
 
-def test_a_package_offers_elements_through_its_entry_point(monkeypatch) -> None:
+def test_a_package_offers_elements_through_its_entry_point(monkeypatch):
     class Entry:
         def load(self):
-            def offer() -> None:
+            def offer():
                 el.register(
                     type("Offered", (el.LinearDamping,), {"type": "offered_damper", "__module__": __name__})
                 )

@@ -1,7 +1,5 @@
 """Parameters that differ between records, on rigs whose truth is known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -10,7 +8,6 @@ import jsonschema
 import numpy as np
 import pytest
 from builders import channel, damper, element, spring
-from test_words import document
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
@@ -29,12 +26,7 @@ STEP, SAMPLES, NOISE = 2e-3, 4000, 1e-5  # [s], -, [m]
 
 
 def rig(*extra, **values):
-    """Return a mass on a spring and a damper to the ground, pushed by a force.
-
-    Args:
-        extra: Further elements.
-        values: Values of parameters, with "__" in place of ".".
-    """
+    """Return a mass on a spring and a damper to the ground, pushed by a force; values of parameters have "__" in place of "."."""
     network = builders.network(
         "stand",
         [spring("mass", "ground", 900.0), damper("mass", "ground", 9.0), *extra],
@@ -207,34 +199,6 @@ def test_neighbouring_values_that_do_not_differ_have_one_group():
     deviations, freedom = np.full(4, 0.1), np.full(4, 7.0)
     assert group_values(np.array([5.0, 1.0, 1.1, 5.1]), deviations, freedom) == (1, 0, 0, 1)
     assert group_values(np.array([1.0, 1.2, 0.9, 1.1]), deviations, freedom) == (0, 0, 0, 0)
-
-
-def test_a_law_that_explains_nearly_as_much_is_told_and_the_amplitudes_are():
-    """Two records at another amplitude: a damping that differs and a law of the amplitude may look alike."""
-    values = [
-        {"record": r, "value": v, "low": v - 1.0, "high": v + 1.0, "group": g}
-        for r, v, g in (("a", 12.0, 0), ("b", 19.0, 1), ("c", 12.5, 0))
-    ]
-    found = {
-        "parameters": [{"path": "damper.damping", "unit": "N s/m", "prior": 9.0, "values": values}],
-        "amplitude": [{"position": 1.0}, {"position": 2.0}, {"position": 1.1}],
-        "explained": 0.5,
-        "law": "quadratic damping between mass and ground",
-        "explained_by_law": 0.45,
-        "tied": True,
-        "error": {k: {"position": v} for k, v in (("joint", 0.1), ("differing", 0.07), ("alone", 0.07))},
-    }
-    told = statements_of(document(record_differences=found)).text
-    assert "Damping of damper differs between records: 12 to 12.5 N s/m in a and c and 19 N s/m in b." in told
-    assert "falls from 10.0 % to 7.0 % (50 % of the squared error beyond noise)" in told
-    assert "Quadratic damping between mass and ground with one value for all records removes 45 %" in told
-    assert "do not decide" in told and "by a factor of 1.9" in told
-    clear = found | {"tied": False, "explained_by_law": 0.03, "amplitude": 3 * [{"position": 1.0}]}
-    unknown = {"verdict": "unknown_effect", "reason": "records_differ", "effects": []}
-    told = statements_of(document(record_differences=clear, **unknown)).text
-    assert (
-        "No known law removes more than 3 %." in told and "decide" not in told and "amplitude of" not in told
-    )
 
 
 @pytest.mark.slow

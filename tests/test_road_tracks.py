@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.special import kv
 
 from isd_gym._common.errors import InputError
 from isd_gym.physics import tracks
+from isd_gym.physics._kernel.tracks import track_noise
 from isd_gym.physics.road import Road, bump, iso_road, on_side, paper_road, pothole, road
 from isd_gym.physics.tracks import SUM_STATES, TRACK_STATES, WheelPositions
 
@@ -45,17 +47,11 @@ def words(counter, count):
     return out
 
 
-# ------------------------------------------------------------------------------------------------ coherence
-
-
 def test_the_fitted_density_is_positive_at_all_frequencies():
     n = np.geomspace(1e-7, 1e5, 4000)
     square, poles = (2 * np.pi * 1.5 * n[:, None]) ** 2, np.square(tracks.COHERENCE_POLES)
     gamma = (tracks.COHERENCE_WEIGHTS * poles / (square + poles)).sum(axis=-1)
     assert gamma.min() > -0.01 and gamma.max() < 1.0
-
-
-# -------------------------------------------------------------------------------------------------- filters
 
 
 @pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
@@ -108,9 +104,6 @@ def test_filters_are_stable_and_cached():
     assert not gains.any() and np.all(poles <= 1.0)
 
 
-# ---------------------------------------------------------------------------------------------- realisations
-
-
 def test_drawn_numbers_are_those_of_the_counters():
     """The compiled recursion equals whole numbers and floats of Python to the last bit, for one track and for two."""
     ground, speed, step, count = iso_road("B"), 17.0, 1e-3, 40
@@ -143,8 +136,6 @@ def test_drawn_numbers_are_those_of_the_counters():
 
 
 def test_continued_draws_are_one_draw():
-    from isd_gym.physics._kernel.tracks import track_noise
-
     poles, gains = iso_road("C").track_filters(1.5, 20.0, 1e-3)
     whole, parts = np.empty((2, 100)), (np.empty((2, 37)), np.empty((2, 63)))
     track_noise(np.uint64(5), np.uint64(2**64 - 9), poles, gains, SUM_STATES, np.zeros(TRACK_STATES), whole)
@@ -152,18 +143,6 @@ def test_continued_draws_are_one_draw():
     for part in parts:
         seeds = track_noise(*seeds, poles, gains, SUM_STATES, states, part)
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole)
-
-
-def test_same_generator_same_road_and_another_for_another():
-    def draw(seed):
-        return iso_road("C").wheel_heights(CAR, 2.0, rng=np.random.default_rng(seed))
-
-    np.testing.assert_array_equal(draw(1), draw(1))
-    assert not np.array_equal(draw(1), draw(2))
-    assert np.all(draw(1)[:, 0] == 0.0)
-
-
-# ---------------------------------------------------------------------------------------------- wheelbase
 
 
 @pytest.mark.parametrize("name", ["paper", "C", "bump", "C+bump", "sweep"])
@@ -202,15 +181,6 @@ def test_delay_longer_than_the_drive():
     np.testing.assert_array_equal(tracks.delayed(np.arange(5.0), 2.5), [0, 0, 0, 0.5, 1.5])
 
 
-def test_rear_wheels_follow_their_own_side():
-    z = road("C").wheel_heights(CAR, 3.0, rng=np.random.default_rng(0))
-    np.testing.assert_array_equal(z[2:, 135:], z[:2, :-135])
-    assert np.abs(z[0] - z[1]).max() > 1e-3
-
-
-# ----------------------------------------------------------------------------------------- profiles of one side
-
-
 @pytest.mark.parametrize("shape", [bump, pothole])
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_bump_of_one_side(shape, side):
@@ -221,14 +191,6 @@ def test_bump_of_one_side(shape, side):
     np.testing.assert_array_equal(z[hit], one)
     np.testing.assert_array_equal(z[hit + 2, 135:], one[:-135])
     assert not z[[free, free + 2]].any()
-
-
-@pytest.mark.parametrize("name", ["bump", "pothole", "sweep"])
-def test_axle_meets_profiles_without_a_side(name):
-    z = road(name).wheel_heights(CAR, 2.0, rng=np.random.default_rng(0))
-    one = road(name).heights(2.0, rng=np.random.default_rng(0))
-    np.testing.assert_array_equal(z[0], one)
-    np.testing.assert_array_equal(z[1], one)
 
 
 def test_sum_of_class_and_bump_of_one_side():
@@ -275,16 +237,6 @@ def test_right_column_before_the_left_one_in_millimetres(tmp_path):
     assert np.abs(profile).max(axis=1) == pytest.approx([0.01, 0.02], rel=1e-3)
 
 
-def test_recorded_profile_of_one_track_on_two_sides(tmp_path):
-    path = recording(tmp_path / "lane.csv", "distance [m],height [m]", lambda a: 0.01 * math.sin(a))
-    left, right = road(path).wheel_heights(AXLE, 2.0, rng=np.random.default_rng(3))
-    np.testing.assert_array_equal(left, right)
-    assert left.std() > 1e-3
-
-
-# ------------------------------------------------------------------------------------------------- bad input
-
-
 @pytest.mark.parametrize(
     ("header", "message"),
     [
@@ -301,34 +253,21 @@ def test_recorded_profile_of_one_track_on_two_sides(tmp_path):
 )
 def test_bad_columns(tmp_path, header, message):
     zeros = [lambda a: 0.0] * header.count(",")
-    with pytest.raises(InputError, match=message):
-        road(recording(tmp_path / "r.csv", header, *zeros))
-
-
-@pytest.mark.parametrize(
-    ("row", "message"), [("2,0,nan", "line 4: not finite"), ("2,x,0", "line 4, column 'height_left': 'x'")]
-)
-def test_bad_values_of_either_track(tmp_path, row, message):
-    (tmp_path / "r.csv").write_text(f"distance,height_left,height_right\n0,0,0\n1,0,0\n{row}\n3,0,0\n")
-    with pytest.raises(InputError, match=message):
-        road(tmp_path / "r.csv")
+    refused(message, road, recording(tmp_path / "r.csv", header, *zeros))
 
 
 def test_right_track_in_millimetres_without_a_unit(tmp_path):
     flat, steep = lambda a: 0.0, lambda a: 10 * math.sin(3 * a)
     path = recording(tmp_path / "r.csv", "distance,height_left,height_right", flat, steep)
-    with pytest.raises(InputError, match="is the height in mm"):
-        road(path)
+    refused("is the height in mm", road, path)
 
 
 @pytest.mark.parametrize("name", ["bump-left", "pothole-right", "C+bump-right"])
 @pytest.mark.parametrize("wheels", [tracks.ONE_WHEEL, HALF_CAR])
 def test_road_with_sides_needs_a_car_with_two_tracks(name, wheels):
     message = f"road '{name}'".replace("+", r"\+") + " has a left and a right track, the car has one: choose"
-    with pytest.raises(InputError, match=message):
-        road(name).wheel_heights(wheels, 1.0, rng=np.random.default_rng(0))
-    with pytest.raises(InputError, match=message):
-        road(name).heights(1.0, rng=np.random.default_rng(0))
+    refused(message, road(name).wheel_heights, wheels, 1.0, rng=np.random.default_rng(0))
+    refused(message, road(name).heights, 1.0, rng=np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(
@@ -344,23 +283,17 @@ def test_road_with_sides_needs_a_car_with_two_tracks(name, wheels):
     ],
 )
 def test_bad_wheels(x, y, message):
-    with pytest.raises(InputError, match=message):
-        WheelPositions(x, y)
+    refused(message, WheelPositions, x, y)
 
 
 def test_bad_widths_sides_and_profiles():
-    with pytest.raises(InputError, match=r"track width 0\.01 m: give 0.1 to 10 m"):
-        paper_road().track_filters(0.01, 20.0, 1e-3)
-    with pytest.raises(InputError, match="no side 'middle': left or right"):
-        on_side(bump(), "middle")
-    with pytest.raises(InputError, match="road 'C' has no profile"):
-        on_side(iso_road("C"), "left")
-    with pytest.raises(InputError, match=r"no road 'bump-middle': paper.*bump-left"):
-        road("bump-middle")
+    refused(r"track width 0\.01 m: give 0.1 to 10 m", paper_road().track_filters, 0.01, 20.0, 1e-3)
+    refused("no side 'middle': left or right", on_side, bump(), "middle")
+    refused("road 'C' has no profile", on_side, iso_road("C"), "left")
+    refused(r"no road 'bump-middle': paper.*bump-left", road, "bump-middle")
     with pytest.raises(InputError, match=r"shape \(2,\) or \(2, 2\) for left and right, not \(3, 2\)"):
         Road("three", abscissa=np.arange(2.0), profile=np.zeros((3, 2)))
-    with pytest.raises(InputError, match="both abscissa and profile"):
-        replace(bump(), abscissa=None)
+    refused("both abscissa and profile", replace, bump(), abscissa=None)
 
 
 def test_rear_axle_may_be_narrower():

@@ -3,13 +3,14 @@
 import json
 import shutil
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from refusals import refused
 
-from isd_gym._common.errors import InputError
 from isd_gym.agents.policy import SHIPPED
 from isd_gym.benchmark import scoring
-from isd_gym.benchmark.policies import Idle, conventional, find, passive
+from isd_gym.benchmark.policies import Idle, conventional, passive
 from isd_gym.benchmark.scoring import Entry, drive, frequency_weighting, score, weighted_rms
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
@@ -49,8 +50,6 @@ def test_weighted_rms_of_a_sine():
 
 
 def test_same_roads_for_all_and_the_cost_is_the_reward():
-    import gymnasium as gym
-
     runs = [drive(Entry("x", lambda: Idle("x"), net), CAR, episodes=3, duration=2.0) for net in (None, CAR)]
     np.testing.assert_array_equal(runs[0].tyre_load, runs[1].tyre_load)
     env = gym.make("ISDSuspension-v0")
@@ -140,8 +139,7 @@ def test_policies_of_the_same_name_are_called_by_their_paths(tmp_path):
     assert [r["policy"] for r in found.policies] == ["passive", paths[0]]
     assert found.policies[0]["cost"]["value"] != found.policies[1]["cost"]["value"]
     for twice in (["ppo", "ppo"], [paths[1], paths[1], "ppo"], [Entry("a", lambda: Idle("a"))] * 2):
-        with pytest.raises(InputError, match="is named twice"):
-            score(twice, CAR, episodes=1, duration=0.5)
+        refused("is named twice", score, twice, CAR, episodes=1, duration=0.5)
 
 
 def test_the_conventional_car_takes_masses_by_their_order():
@@ -151,16 +149,3 @@ def test_the_conventional_car_takes_masses_by_their_order():
     own["masses"]["sprung"] = 500.0
     own["uncertainty"] = {}
     assert conventional(Network.load(own)).masses == {"body": 500.0, "wheel": CAR.masses["wheel"]}
-
-
-def test_what_is_no_car_cannot_be_scored():
-    with pytest.raises(InputError, match="'force-rig' is no car"):
-        passive(Network.load("force-rig"))
-
-
-def test_unknown_policy_lists_the_known():
-    with pytest.raises(
-        InputError,
-        match=r"no policy 'mcp' \(did you mean 'mpc'\?\): neither a policy folder, a file.py:Class, nor one of passive, isd-passive",
-    ):
-        find("mcp", CAR)

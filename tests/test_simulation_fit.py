@@ -1,9 +1,6 @@
 """From the search to `model.json`: sensor offsets, splines between sparse samples, and the last fit to all training data."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import builders
 import numpy as np
@@ -11,7 +8,6 @@ import pytest
 from builders import channel, damper, spring
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
-from test_words import document
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import diagnose
@@ -20,13 +16,9 @@ from isd_gym.diagnosis._selection.candidate import Candidate
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._selection.simulation_fit import fit_simulation_error, run_freely
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.diagnosis._verdict.wording import summary_of
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MASS, STIFFNESS, DAMPING, CUBIC = 2.0, 8000.0, 12.0, 4e7
 OFFSET, NOISE = 0.004, 1e-6  # [m]
@@ -34,7 +26,7 @@ STEP = 0.011  # [s]: nine samples per period of 10 Hz
 PAIR = ("mass", "ground")
 
 
-def duffing(offset: str = "free", stiffness: float = STIFFNESS) -> Network:
+def duffing(offset="free", stiffness=STIFFNESS):
     """A mass on a linear spring and a damper: the oscillator without its cubic spring."""
     return builders.network(
         "oscillator",
@@ -46,7 +38,7 @@ def duffing(offset: str = "free", stiffness: float = STIFFNESS) -> Network:
     )
 
 
-def record(seed: int, samples: int = 1500) -> Table:
+def record(seed, samples=1500):
     """A random multi-sine of force and the motion from rest, by scipy's integrator."""
     rng = np.random.default_rng(seed)
     t = np.arange(samples) * STEP
@@ -55,7 +47,7 @@ def record(seed: int, samples: int = 1500) -> Table:
     push = np.sum(4.0 * np.sin(2 * np.pi * lines[:, None] * t + phases[:, None]), axis=0) * np.minimum(t, 1.0)
     force = CubicSpline(t, push)
 
-    def rate(at: float, state: np.ndarray) -> list[float]:
+    def rate(at, state):
         x, v = state
         return [v, (float(force(at)) - STIFFNESS * x - CUBIC * x**3 - DAMPING * v) / MASS]
 
@@ -64,13 +56,13 @@ def record(seed: int, samples: int = 1500) -> Table:
     return Table(t, {"push": push, "position": noisy}, f"run {seed}")
 
 
-def error_of(network: Network, table: Table, interpolation: str = "auto") -> float:
+def error_of(network, table, interpolation="auto"):
     """RMS error of a simulation from rest, over the deviation of the measured output."""
-    out = simulate(network, table.time, {"push": table["push"]}, interpolation=interpolation)["position"]  # type: ignore[arg-type]
+    out = simulate(network, table.time, {"push": table["push"]}, interpolation=interpolation)["position"]
     return float(np.sqrt(np.mean((table["position"] - out) ** 2)) / np.std(table["position"]))
 
 
-def complete(stiffness: float = STIFFNESS) -> Network:
+def complete(stiffness=STIFFNESS):
     """The oscillator with its cubic spring, and the offset of its sensor."""
     structure = add(
         base_structure(duffing(stiffness=stiffness)),
@@ -80,10 +72,7 @@ def complete(stiffness: float = STIFFNESS) -> Network:
     return with_sensor_offsets(structure.network, (OFFSET,))  # fmt: skip
 
 
-# ------------------------------------------------------------------------------------------------- the offset
-
-
-def test_a_model_holds_the_offset_of_its_sensor() -> None:
+def test_a_model_holds_the_offset_of_its_sensor():
     network, t = complete(), np.arange(100) * 1e-3
     still = simulate(network, t, {"push": 0 * t})["position"]
     assert still == pytest.approx(np.full(100, OFFSET))
@@ -91,44 +80,38 @@ def test_a_model_holds_the_offset_of_its_sensor() -> None:
     assert network.outputs[0].offset == "free"  # a later diagnosis estimates what is left
 
 
-def test_a_further_offset_adds_to_the_first() -> None:
+def test_a_further_offset_adds_to_the_first():
     network = with_sensor_offsets(complete(), (0.001,))
     assert len([e for e in network.elements if e.type == "sensor_bias"]) == 1
     assert network.parameters["position_offset.bias"] == pytest.approx(OFFSET + 0.001)
 
 
-def test_only_one_offset_for_all_records_is_held() -> None:
+def test_only_one_offset_for_all_records_is_held():
     assert with_sensor_offsets(duffing("record"), (OFFSET,)) == duffing("record")
     assert with_sensor_offsets(duffing("none"), (0.0,)) == duffing("none")
     assert with_sensor_offsets(duffing(), None) == duffing()
 
 
-# ------------------------------------------------------------------------------------------- between samples
-
-
-def test_splines_follow_an_oscillator_that_straight_lines_do_not() -> None:
+def test_splines_follow_an_oscillator_that_straight_lines_do_not():
     table = record(1)
     lines, splines = (error_of(complete(), table, kind) for kind in ("linear", "auto"))
     assert splines < 0.005 < 0.02 < lines
 
 
-def test_dense_samples_keep_straight_lines() -> None:
+def test_dense_samples_keep_straight_lines():
     t = np.arange(2000) * 1e-3
     push = {"push": np.sin(2 * np.pi * 2.0 * t)}
     linear, auto = (simulate(duffing(), t, push, interpolation=k)["position"] for k in ("linear", "auto"))
     assert np.array_equal(linear, auto)
 
 
-def test_another_course_between_samples_is_refused() -> None:
+def test_another_course_between_samples_is_refused():
     t = np.arange(100) * 1e-3
     with pytest.raises(InputError, match="interpolation must be linear, smooth, spline or auto"):
-        simulate(duffing(), t, {"push": t}, interpolation="cubic")  # type: ignore[arg-type]
+        simulate(duffing(), t, {"push": t}, interpolation="cubic")
 
 
-# ---------------------------------------------------------------------------------------------- the last fit
-
-
-def candidate(stiffness: float) -> tuple[HeldOutEvaluator, Candidate]:
+def candidate(stiffness):
     """A candidate with a stiffness of the spring, and an evaluator of two training records."""
     tables = [record(k, 800) for k in (2, 3)]
     records = [Record(t.source, STEP, {"push": t["push"]}, t["position"][:, None]) for t in tables]
@@ -143,7 +126,7 @@ def candidate(stiffness: float) -> tuple[HeldOutEvaluator, Candidate]:
     return evaluator, Candidate(fit, 0.0)
 
 
-def test_the_last_fit_lowers_the_error_of_free_runs() -> None:
+def test_the_last_fit_lowers_the_error_of_free_runs():
     evaluator, wrong = candidate(1.01 * STIFFNESS)
     made = fit_simulation_error(evaluator, wrong, (np.inf, -np.inf))
     assert made is not None
@@ -154,11 +137,11 @@ def test_the_last_fit_lowers_the_error_of_free_runs() -> None:
     for error in (last.data, last.held_out):
         assert error["after"]["position"] < 0.2 * error["before"]["position"]
     assert last.values["spring.stiffness"] == structure.at(x).parameters["spring.stiffness"]
-    errors = run_freely(evaluator.whole, structure, x, evaluator.least_noise)  # type: ignore[arg-type]
+    errors = run_freely(evaluator.whole, structure, x, evaluator.least_noise)
     assert set(errors) == {0, 1} and errors[0].shape == (800, 1)
 
 
-def test_the_last_fit_is_dropped_where_it_gains_nothing_or_the_motion_is_lost() -> None:
+def test_the_last_fit_is_dropped_where_it_gains_nothing_or_the_motion_is_lost():
     evaluator, right = candidate(STIFFNESS)
     first = fit_simulation_error(evaluator, right, (np.inf, -np.inf))
     if first is not None:  # what is left after one fit is no gain
@@ -168,24 +151,8 @@ def test_the_last_fit_is_dropped_where_it_gains_nothing_or_the_motion_is_lost() 
     assert fit_simulation_error(evaluator, lost, (np.inf, -np.inf)) is None
 
 
-def test_the_summary_tells_both_estimates() -> None:
-    values = {"value": 1.0, "low": 0.9, "high": 1.1, "unit": "N/m"}
-    fit = {
-        "values": {"spring.stiffness": 1.3},
-        "data": {"before": {"position": 0.02}, "after": {"position": 0.01}},
-        "held_out": {"before": {"position": 0.02}, "after": {"position": 0.01}},
-        "outside": {"spring.stiffness": values},
-    }
-    said = summary_of(document(simulation_fit=fit))
-    assert "falls from 2.0 % to 1.0 % in position" in said
-    assert "spring.stiffness 1.3 N/m (0.9 to 1.1)" in said
-
-
-# ------------------------------------------------------------------------------------------------ model.json
-
-
 @pytest.mark.slow
-def test_a_diagnosed_oscillator_reads_like_its_sensor(tmp_path: Path) -> None:
+def test_a_diagnosed_oscillator_reads_like_its_sensor(tmp_path):
     """The completed model predicts a new record in the units of the sensor, offset included."""
     found = diagnose([record(4)], duffing(stiffness=1.03 * STIFFNESS))
     assert found.verdict == "missing_effect"

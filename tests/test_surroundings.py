@@ -1,5 +1,6 @@
 """The program with closed streams, other encodings, damaged files and full disks."""
 
+import importlib
 import json
 import os
 import resource
@@ -11,7 +12,9 @@ import pytest
 
 from isd_gym._commands._streams import ALIKE, PLAINER, prepare_streams
 from isd_gym._common.errors import InputError
+from isd_gym._common.files import whole
 from isd_gym.physics._kernel import jit
+from isd_gym.physics._kernel.jit import _Files
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
 SCORE = f"{sys.executable} -m isd_gym score passive --episodes 1 --duration 0.1"
@@ -81,7 +84,7 @@ FUNCTION = """
     """
 
 
-def damaged(data: bytes, how: str) -> bytes:
+def damaged(data, how):
     k = len(data) // 3
     flipped = bytes(b ^ 0x55 * (i == k) for i, b in enumerate(data))
     return {"empty": b"", "half": data[: len(data) // 2], "flipped": flipped}[how]
@@ -157,8 +160,6 @@ def test_a_full_disk_names_the_file(words, named, tmp_path):
 
 
 def test_errors_of_files_that_are_read_stay_what_they_are(tmp_path):
-    from isd_gym._common.files import whole
-
     with pytest.raises(FileNotFoundError), whole(tmp_path / "out.txt"):
         (tmp_path / "missing.csv").read_text()
     with pytest.raises(InputError, match=r"out.txt' \(No space"), whole(tmp_path / "out.txt"):
@@ -167,9 +168,6 @@ def test_errors_of_files_that_are_read_stay_what_they_are(tmp_path):
 
 def test_a_kernel_of_an_unknown_module_is_compiled_again(tmp_path):
     """A law of a notebook or of generated code has no module in another process: numba compiles after an OSError."""
-    import importlib
-
-    from isd_gym.physics._kernel.jit import _Files
 
     class Foreign:
         def __reduce__(self):

@@ -5,9 +5,9 @@ import json
 import gymnasium
 import numpy as np
 import pytest
+from refusals import refused
 
 from isd_gym import baselines, simulate
-from isd_gym._common.errors import InputError
 from isd_gym.physics.network import Network, linearise
 
 D, V = np.linspace(-0.06, 0.06, 241), np.linspace(-2.0, 2.0, 401)
@@ -107,8 +107,7 @@ def test_a_table_is_written_as_it_was_read():
     ],
 )
 def test_a_table_that_is_none_is_said_in_a_line(table, words):
-    with pytest.raises(InputError, match=words):
-        car({"type": "tabulated_force", **table})
+    refused(words, car, {"type": "tabulated_force", **table})
 
 
 def test_the_environment_and_the_controllers_take_a_table():

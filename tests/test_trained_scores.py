@@ -10,11 +10,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from program import run
+from refusals import refused
 
 from isd_gym._common.errors import InputError
-from isd_gym.benchmark.policies import find
+from isd_gym.agents.policy import Policy
+from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive
-from isd_gym.contrib.exports.archives import convert, trained_options
+from isd_gym.contrib.exports.archives import convert
 from isd_gym.physics.network import Network
 
 sb3 = pytest.importorskip("stable_baselines3")
@@ -23,13 +25,13 @@ from isd_gym.sb3 import ScoreCallback, make_vec_env, save_model  # noqa: E402
 CAR = "quarter-car-isd"
 
 
-def algorithm(kind: str):
+def algorithm(kind):
     if hasattr(sb3, kind):
         return getattr(sb3, kind)
     return getattr(pytest.importorskip("sb3_contrib"), kind)
 
 
-def learner(kind: str, env, **options):
+def learner(kind, env, **options):
     small = dict(policy_kwargs=dict(net_arch=[16, 8]), seed=1, device="cpu") | options
     if kind in ("PPO", "A2C"):
         small |= dict(n_steps=16) | (dict(batch_size=16) if kind == "PPO" else {})
@@ -53,9 +55,6 @@ def rewritten(path, change):
 
 def without_options(path):
     return rewritten(path, lambda data: data["observation_space"].pop("isd_gym"))
-
-
-# ------------------------------------------------------------------------------------------- archives
 
 
 def assert_drives_as_predicted(policy, model, network, *, steps=400):
@@ -125,8 +124,6 @@ def test_a_stock_model_is_scored_as_it_predicts(kind, network, is_stored, is_nor
 def test_a_converted_history_is_bounded_before_it_is_normalised(tmp_path):
     """An environment clips its histories to ±10; the policy, its folder and its C do so as well."""
     from stable_baselines3.common.vec_env import VecNormalize
-
-    from isd_gym.agents.policy import Policy
 
     env = VecNormalize(make_vec_env(4, cars_per_road=2), clip_obs=100.0)
     model = learner("PPO", env).learn(64)
@@ -229,17 +226,6 @@ def test_other_archives_are_one_line(tmp_path):
             assert says in err and len(err.splitlines()) == 1, (name, err)
 
 
-@pytest.mark.parametrize("text", ["hold=2", "observation", "observation=full,action=current", ""])
-def test_options_of_a_training_are_checked(text, tmp_path):
-    if "full" in text:
-        assert trained_options(text)["observation"] == "full"  # refused with the archive, by name
-        return
-    with pytest.raises(InputError, match="no option of a training"):
-        trained_options(text)
-
-
-# ------------------------------------------------------------------------------------------- own controllers
-
 OWN = """
 import numpy as np
 import helper_of_mine
@@ -338,8 +324,6 @@ def test_a_file_that_does_not_run_is_one_line(tmp_path):
         assert code == 2 and says in err and len(err.splitlines()) == 1
 
 
-# ------------------------------------------------------------------------------------------- during a training
-
 SHORT = dict(references=["skyhook"], roads=2, duration=0.5, verbose=0)
 
 
@@ -383,7 +367,6 @@ def test_scores_are_logged(tmp_path, capsys):
 @pytest.mark.filterwarnings("ignore")
 def test_references_on_validation_roads_are_those_of_drive():
     """J and changes are what `drive` says on the same roads, whose seeds no training has."""
-    from isd_gym.benchmark.policies import passive
     from isd_gym.sb3 import VALIDATION_SEED
 
     callback = ScoreCallback(100, **SHORT)
@@ -399,10 +382,8 @@ def test_references_on_validation_roads_are_those_of_drive():
 @pytest.mark.filterwarnings("ignore")
 def test_a_callback_with_wrong_arguments_is_refused(tmp_path):
     for wrong in (dict(every=0), dict(every=1.5), dict(roads=0), dict(duration=0.0), dict(references="mpc")):
-        with pytest.raises(InputError):
-            ScoreCallback(**wrong)
-    with pytest.raises(InputError):
-        ScoreCallback(save=tmp_path / "none" / "best.zip")
+        refused("", ScoreCallback, **wrong)
+    refused("", ScoreCallback, save=tmp_path / "none" / "best.zip")
     with pytest.raises(InputError, match="environments of isd_gym"):
         learner("PPO", "Pendulum-v1").learn(32, callback=ScoreCallback(**SHORT))
     with pytest.raises(InputError, match="no policy 'mpd'"):

@@ -7,6 +7,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, element, spring
+from refusals import refused
 from scipy.integrate import solve_ivp
 
 from isd_gym import simulate
@@ -95,8 +96,7 @@ def changed(**more):
     ],
 )  # fmt: skip
 def test_what_turns_is_not_mixed_with_what_moves_along_a_line(model, words):
-    with pytest.raises(InputError, match=words):
-        Network.load(model)
+    refused(words, Network.load, model)
 
 
 def cart(*elements, outputs="force"):

@@ -1,15 +1,12 @@
 """The warning of roads on which linear tyres would pull, and the share of the time in which they do."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
 import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from builders import element
+from program import python
 
 from isd_gym._common.errors import TyreContactWarning
 from isd_gym.physics._tyre_contact import pulling_share
@@ -20,7 +17,7 @@ from isd_gym.physics.road import road
 QUARTER = "ISDSuspension-v0"
 
 
-def with_lift_off(name: str) -> dict:
+def with_lift_off(name):
     """A quarter car whose wheel lifts off."""
     car = Network.load(name)
     content = car.to_dict()
@@ -91,13 +88,12 @@ def test_a_program_warns_once():
         "for road in ('paper', 'E', 'E', 'C', 'E'):\n"
         f"    gym.make({QUARTER!r}, road=road)\n"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stderr.count("TyreContactWarning") == 1
+    assert python(code).stderr.count("TyreContactWarning") == 1
 
 
 def test_the_command_says_it_in_one_line():
-    command = [sys.executable, "-m", "isd_gym", "score", "passive", "--road", "E", "--episodes", "2"]
-    run = subprocess.run([*command, "--duration", "1"], capture_output=True, text=True, check=False)
-    lines = [line for line in run.stderr.splitlines() if "tyre_lift_off" in line]
-    assert len(lines) == 1, run.stderr
+    words = ["isd-gym", "score", "passive", "--road", "E", "--episodes", "2", "--duration", "1"]
+    done = python(f"import sys; sys.argv = {words}; from isd_gym._commands import main; main()")
+    lines = [line for line in done.stderr.splitlines() if "tyre_lift_off" in line]
+    assert len(lines) == 1, done.stderr
     assert lines[0].startswith("isd-gym: on road E")

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from refusals import refused
 from typer.testing import CliRunner
 
 from isd_gym._commands import app
@@ -72,13 +73,10 @@ def test_a_model_that_is_named_goes_before_the_folders_own(tmp_path):
 
 
 def test_a_case_without_a_model_and_a_folder_without_cases_are_one_line(tmp_path):
-    with pytest.raises(InputError, match="no folders of records"):
-        cases_of(tmp_path)
+    refused("no folders of records", cases_of, tmp_path)
     case(tmp_path, "van", "a.csv")
-    with pytest.raises(InputError, match=r"holds no model\.json; --model"):
-        cases_of(tmp_path)
-    with pytest.raises(InputError, match="lies among the cases"):
-        check(tmp_path, tmp_path / "out")
+    refused(r"holds no model\.json; --model", cases_of, tmp_path)
+    refused("lies among the cases", check, tmp_path, tmp_path / "out")
 
 
 def test_a_file_that_changed_is_a_new_task(tmp_path):
@@ -118,23 +116,6 @@ def test_what_grew_over_dates_is_told():
     assert "<polyline" in page(merged) and json.dumps(merged)
     within = merge(*results({"2024-05-01": (300.0, 40.0), "2024-07-01": (340.0, 40.0)}))
     assert "within its intervals" in " ".join(" ".join(lines(within)).split())
-
-
-def test_the_first_line_of_the_page_is_the_finding():
-    cases, tasks, found = results({f"2024-0{k}-01": (300.0, 8.0) for k in range(1, 6)})
-    for task, verdict in zip(tasks[3:], ("unknown_effect", "no_discrepancy"), strict=True):
-        found[task.key]["diagnosis"] |= {
-            "verdict": verdict,
-            "effects": [],
-            "summary": "A long sentence. " * 9,
-        }
-    head = page(merge(cases, tasks, found)).split("<h2>")[0]
-    assert "<h1>3 of 5 cases lack a physical effect</h1>" in head
-    assert "Coulomb friction piston-joint in 3 cases. " in head
-    assert "1 of 5 cases lacks something without a name. 1 of 5 cases agrees with its model." in head
-    del found[tasks[0].key]
-    assert "1 of 5 cases has no result." in page(merge(cases, tasks, found))
-    assert "<h1>5 of 5 cases have no result</h1>" in page(merge(cases, tasks, {}))
 
 
 def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):

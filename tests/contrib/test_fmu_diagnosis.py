@@ -7,6 +7,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, element, spring
+from refusals import refused
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
@@ -64,8 +65,7 @@ def test_without_trust_nothing_is_opened(unit_file, tmp_path):
     assert isinstance(done.exception, InputError)
     assert "--trust-fmu" in str(done.exception) and "your rights" in str(done.exception)
     assert not (tmp_path / "out").exists()
-    with pytest.raises(InputError, match="compiled code"):
-        Unit(unit_file)
+    refused("compiled code", Unit, unit_file)
 
 
 CHANGED = RIG.with_parameters({"mass.mass": 46.0, "damper.damping": 150.0})
@@ -144,22 +144,19 @@ def test_what_is_no_unit_is_one_line(tmp_path, content, says):
         with zipfile.ZipFile(path, "w") as archive:
             for name, data in content.items():
                 archive.writestr(name, data)
-    with pytest.raises(InputError, match=says):
-        Unit(path, trust=True)
+    refused(says, Unit, path, trust=True)
 
 
 def test_a_bomb_is_not_unpacked(unit_file, monkeypatch):
     monkeypatch.setenv("ISD_GYM_READ_LIMIT_GB", "1e-6")
-    with pytest.raises(InputError, match="the limit is"):
-        Unit(unit_file, trust=True)
+    refused("the limit is", Unit, unit_file, trust=True)
 
 
 def test_a_unit_that_brings_its_process_down_is_one_line(unit_file, tmp_path):
     """Its own code, as it were: what a master sees is a process that has gone."""
     with Unit(unit_file, trust=True) as unit:
         unit._process.process.kill()
-        with pytest.raises(InputError, match="broke down"):
-            unit.run({"base": np.zeros(10)}, 10, STEP, ["acc"], {})
+        refused("broke down", unit.run, {"base": np.zeros(10)}, 10, STEP, ["acc"], {})
         assert unit.run({"base": np.zeros(10)}, 10, STEP, ["acc"], {}).shape == (
             10,
             1,
@@ -181,5 +178,4 @@ def test_bad_input_names_what_helps(unit, change, says):
     if "columns" in change:
         table = Table(table.time, {k: table[k] for k in change["columns"]}, "a")
     options = {k: v for k, v in change.items() if k != "columns"}
-    with pytest.raises(InputError, match=says):
-        diagnose_unit([table], unit, **options)
+    refused(says, diagnose_unit, [table], unit, **options)

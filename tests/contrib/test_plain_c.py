@@ -1,39 +1,41 @@
-"""A policy as C: compiled without a warning, it commands what Python commands, to rounding."""
-
-from __future__ import annotations
+"""A policy and the friction MPC as C: compiled without a warning, it commands what Python commands, to rounding."""
 
 import ctypes
 import json
 import shutil
 import subprocess
-from typing import TYPE_CHECKING
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from program import assert_one_line, run
+from refusals import refused
 
-from isd_gym._common.errors import InputError
+from isd_gym import baselines
 from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import SHIPPED, Head, Policy
+from isd_gym.contrib.exports import mpc_in_c
 from isd_gym.contrib.exports.policy_in_c import export_c
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(compiler is None, reason="no C compiler")
 NAMES = sorted(p.parent.name for p in SHIPPED.glob("*/policy.json"))
 
 
-def _compiled(policy: Policy, folder: Path):
-    """(reset, step) of the policy as C, through a shared library."""
-    header, source = export_c(policy, folder)
-    library = folder / "policy.so"
+def _library(source, folder):
+    """The source, compiled without a warning."""
+    library = folder / "own.so"
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
     subprocess.run([compiler, *flags, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"], check=True)
-    loaded = ctypes.CDLL(str(library))
+    return ctypes.CDLL(str(library))
+
+
+def _compiled(policy, folder):
+    """(reset, step) of the policy as C, through a shared library."""
+    header, source = export_c(policy, folder)
+    loaded = _library(source, folder)
     name, width = source.stem, policy.weights[0][0].shape[1]
     step = getattr(loaded, f"{name}_step")
     met = 0 if policy.memory.echo is None else policy.memory.echo.weights(policy.memory.step)[:, :, 0].size
@@ -41,7 +43,7 @@ def _compiled(policy: Policy, folder: Path):
     past = (max(policy.memory.ages) + 1) * len({column for column, _, _ in late}) if late else 0
     state, several = (ctypes.c_float * (width + met + past + 16))(), (ctypes.c_float * policy.currents)()
 
-    def command(observation: np.ndarray) -> float | np.ndarray:
+    def command(observation):
         row = np.ascontiguousarray(observation, np.float32).ctypes.data_as(ctypes.POINTER(ctypes.c_float))
         if policy.currents > 1:
             step.restype = None
@@ -53,7 +55,7 @@ def _compiled(policy: Policy, folder: Path):
     return lambda: getattr(loaded, f"{name}_reset")(state), command, header.read_text()
 
 
-def _observations(policy: Policy, steps: int) -> np.ndarray:
+def _observations(policy, steps):
     kind = policy.info["env"]["id"]
     env = gym.make(kind, observation=policy.observation, preview=policy.preview or None)
     obs, _ = env.reset(seed=3)
@@ -131,5 +133,69 @@ def test_onnx_does_not_pretend_to_know_the_road(tmp_path):
     pytest.importorskip("onnx")
     from isd_gym.contrib.exports.onnx import export_onnx
 
-    with pytest.raises(InputError, match="--c DIR"):
-        export_onnx(Policy.load("ppo-preview-0.1"), tmp_path / "p.onnx")
+    refused("--c DIR", export_onnx, Policy.load("ppo-preview-0.1"), tmp_path / "p.onnx")
+
+
+def _compiled_mpc(controller, folder):
+    header, source = mpc_in_c.export_c(controller, folder)
+    loaded = _library(source, folder)
+    step, reset = getattr(loaded, f"{source.stem}_step"), getattr(loaded, f"{source.stem}_reset")
+    step.restype = ctypes.c_double
+    state = (ctypes.c_double * 4096)()
+
+    def command(observation):
+        row = np.ascontiguousarray(observation, float)
+        return step(state, row.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+
+    return lambda: reset(state), command, header.read_text()
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["mpc-friction", "mpc-friction-preview", "mpc-robust"])
+@pytest.mark.parametrize("road", ["paper", "E"])
+def test_the_mpc_is_the_same_in_c(name, road, tmp_path):
+    options = {"preview": 0.1} if "preview" in name else {}
+    controller = baselines.make(name, **options)
+    reset, command, header = _compiled_mpc(controller, tmp_path)
+    env = gym.make(
+        "ISDSuspension-v0", road=road, observation=controller.observation, preview=controller.preview or None
+    )
+    obs, _ = env.reset(seed=3)
+    controller.reset()
+    seen, own = [], []
+    for _ in range(500):
+        seen.append(obs)
+        own.append(controller.act(obs))
+        obs, *_ = env.step(np.array([own[-1]]))
+    assert np.abs(own).max() > (3.0 if road == "E" else 1.0)  # E is at the limits and on the end stop
+    for _ in range(2):  # a reset forgets everything
+        reset()
+        # the plan ends where it stops to improve: sums in another order move a command by less than a microampere
+        np.testing.assert_allclose([command(row) for row in seen], own, rtol=0.0, atol=1e-6)
+    assert "body_acceleration [m/s^2]" in header and "0.005 s" in header
+
+
+@needs_compiler
+def test_broken_readings_are_what_python_makes_of_them(tmp_path):
+    controller = baselines.make("mpc-friction")
+    reset, command, _ = _compiled_mpc(controller, tmp_path)
+    reset()
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(40, 6)) * [1.0, 0.01, 0.2, 0.01, 0.05, 1.0]
+    rows[7, 2], rows[9, 0], rows[12, 5], rows[13, 5], rows[20, 1] = np.nan, np.inf, np.nan, 40.0, -1e300
+    own = [controller.act(row) for row in rows]
+    assert np.isfinite(own).all()
+    np.testing.assert_allclose([command(row) for row in rows], own, atol=1e-7)
+
+
+def test_what_has_no_c_is_one_line(tmp_path):
+    refused("no C for 'lqg'", mpc_in_c.export_c, baselines.make("lqg"), tmp_path)
+    bare = baselines.make("mpc-friction", model="quarter-car-passive")
+    refused("car with a motor", mpc_in_c.export_c, bare, tmp_path)
+
+
+def test_the_command_writes_it(tmp_path):
+    done = run("convert", "mpc-friction", "--c", tmp_path / "c")
+    assert done.returncode == 0 and (tmp_path / "c" / "mpc_friction.h").is_file(), done.stderr
+    refused = run("convert", "mpc-friction", "--onnx", tmp_path / "x.onnx")
+    assert_one_line(refused, "with --c DIR alone")

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusals import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.policies import Idle, find, passive
@@ -75,8 +76,7 @@ def test_an_id_goes_to_minaris_own_folder(tmp_path, monkeypatch):
     write_dataset(entry, "isd/mine-v3", CAR, **SHORT)
     data = minari.load_dataset("isd/mine-v3")
     assert data.id == "isd/mine-v3" and data.total_steps == 200
-    with pytest.raises(InputError, match="already"):
-        write_dataset(entry, "isd/mine-v3", CAR, **SHORT)
+    refused("already", write_dataset, entry, "isd/mine-v3", CAR, **SHORT)
 
 
 def test_nothing_is_left_when_it_fails(tmp_path, monkeypatch):
@@ -106,8 +106,7 @@ def test_nothing_is_left_when_it_fails(tmp_path, monkeypatch):
 def test_bad_input(change, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = {"out": "set", **SHORT, **change}
-    with pytest.raises(InputError, match=message):
-        write_dataset(find("isd-passive", CAR), settings.pop("out"), CAR, **settings)
+    refused(message, write_dataset, find("isd-passive", CAR), settings.pop("out"), CAR, **settings)
     assert not list(tmp_path.iterdir())
 
 

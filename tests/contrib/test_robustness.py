@@ -1,7 +1,5 @@
 """No condition makes a controller give a current that is not finite or not allowed; the page says what the files say."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import sys

@@ -1,0 +1,218 @@
+"""Which laws are tried, at which places, and where their fits begin."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
+import builders
+import numpy as np
+import pytest
+from builders import channel, damper, model, network, spring
+from refusals import refused
+from scipy.integrate import solve_ivp
+
+from isd_gym.diagnosis import diagnose
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._hypotheses.law_matching import Match, match_laws
+from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym.diagnosis._selection.admissibility import Travel, admissible_matches, is_observed
+from isd_gym.diagnosis._selection.equivalent_laws import _places_alike, _series_alone
+from isd_gym.diagnosis._selection.screening import Screening
+from isd_gym.diagnosis._simulation.problem import Problem, Record
+from isd_gym.physics.elements import Motion, Start
+from isd_gym.physics.network import Network
+from isd_gym.records.data import Table
+
+
+def matched(effect, values, **start):
+    structure = base_structure(Network.load("quarter-car-isd"))
+    h = next(h for h in hypotheses(structure.network) if h.effect == effect)
+    return structure, Match(h, Start(values, **start), values, {}, 1.0)
+
+
+def test_values_that_no_law_can_have_are_refused():
+    """A match may ask for a force without end; a case of it ended a whole diagnosis."""
+    structure, much = matched("cogging_force", {"amplitude": 1e12, "pitch": 0.01, "phase": 0.0})
+    refused("", much.begin, structure)
+    structure, little = matched("cogging_force", {"amplitude": 10.0, "pitch": 0.01, "phase": 0.0})
+    built, x = little.begin(structure)
+    assert len(x) == len(built.free)
+
+
+def test_a_match_of_another_size():
+    structure, m = matched("coulomb_friction", {"level": 100.0}, grows=("level",))
+    built, _ = m.sized(5.0).begin(structure)
+    assert built.network.element(built.names[-1]).level == 500.0
+
+
+def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure():
+    """It may be met before the first; a stop whose clearance the owner is not sure of is refitted instead. Found, it is not put there again."""
+    car = Network.load("quarter-car-isd")
+
+    def stops(network):
+        found = [h for h in hypotheses(network) if h.effect == "bump_stop"]
+        return [h for h in found if set(h.where) == {"piston", "joint"}]
+
+    assert car.element("end_stop").type == "bump_stop" and "end_stop.clearance" not in car.uncertainty
+    assert [dict(h.options)["side"] for h in stops(car)] == ["both", "extension", "compression"]
+    assert not stops(replace(car, uncertainty={**car.uncertainty, "end_stop.clearance": 0.1}))
+    found = add(base_structure(car), stops(car)[0], {"clearance": 0.01, "stiffness": 2e5})
+    stage = cast(
+        "Screening",
+        SimpleNamespace(current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car)),
+    )
+    assert not any(Screening.is_sensible(stage, h) for h in stops(found.network))
+    # two springs are one spring
+    assert not any(h.effect == "linear_stiffness" and h.where == ("body", "wheel") for h in hypotheses(car))
+
+
+def car():
+    return Network.load("quarter-car-isd")
+
+
+def law(effect, *where):
+    return next(
+        h for h in hypotheses(car()) if h.effect == effect and set(h.where) == set(where) and not h.behind
+    )
+
+
+def test_two_series_laws_give_way_to_one_at_every_link_of_their_line():
+    compliance = law("series_compliance", "joint", "wheel"), {"stiffness": 5e6}
+    play = law("backlash", "piston", "joint"), {"gap": 0.002}
+    friction = law("coulomb_friction", "wheel", "ground"), {"level": 10.0}
+    found = list(_series_alone(car(), [compliance, friction, play]))
+    oil, device, damper = (
+        frozenset(x) for x in (("body", "piston"), ("piston", "joint"), ("joint", "wheel"))
+    )
+    for effect, values, links in (
+        (
+            "series_compliance",
+            {"stiffness": 5e6},
+            {device, damper},
+        ),  # beside the oil's spring it is only a spring
+        ("backlash", {"gap": 0.002}, {oil, device, damper}),
+    ):
+        own = [effects for effects in found if effects[-1][0].effect == effect]
+        assert {frozenset(effects[-1][0].where) for effects in own} == links
+        assert all(
+            effects[0] is friction and effects[-1][1] == values and len(effects) == 2 for effects in own
+        )
+
+
+def test_a_series_law_by_itself_stays():
+    play = law("backlash", "piston", "joint"), {"gap": 0.002}
+    elsewhere = law("backlash", "wheel", "road"), {"gap": 0.001}  # the wheel's mass ends the line
+    assert not list(_series_alone(car(), [play]))
+    assert not list(_series_alone(car(), [play, elsewhere]))
+
+
+SHAFT = network(
+    "shaft",
+    [spring("rim", "hub", 6e6)],
+    [channel("push", "force", "hub")],
+    [channel("speed", "velocity", "rim")],
+    masses={"hub": 340.0, "rim": 20.0},
+)
+TIME = np.linspace(0.0, 10.0, 2000)
+SPEED = 20.0 * np.exp(-0.2 * TIME)
+
+
+def moving(ripple):
+    """Motion of hub and rim, which run down together beside a torsional vibration of the rim."""
+    swing = ripple * np.sin(40.0 * TIME)
+    travel = np.cumsum(SPEED) * (TIME[1] - TIME[0])
+    still = np.zeros_like(TIME)
+    hub, rim = Motion(travel, SPEED, still), Motion(travel + swing / 40.0, SPEED + swing, still)
+    return {
+        ("hub", "ground"): hub,
+        ("rim", "ground"): rim,
+        ("rim", "hub"): Motion(swing / 40.0, swing, still),
+    }
+
+
+def test_drag_at_one_end_of_a_stiff_shaft_is_tried_at_the_other_end_too():
+    problem = SimpleNamespace(network=SHAFT)
+    drag = Hypothesis("quadratic_damping", ("rim", "ground"))
+    (other,) = _places_alike(problem, drag, moving(ripple=3.0))
+    assert other.effect == "quadratic_damping" and other.where == ("hub", "ground")
+    assert _places_alike(problem, drag, moving(ripple=30.0)) == []  # the ends move apart
+    assert _places_alike(problem, Hypothesis("quadratic_damping", ("rim", "hub")), moving(ripple=3.0)) == []
+
+
+DRUM = model(
+    "drum",
+    [damper("drum", "ground", 0.1, "bearing")],
+    [],
+    [channel("speed", "angular_velocity", "drum")],
+    inertias={"drum": 14.0},
+    uncertainty={"bearing.damping": 2.0},
+)
+
+
+def coast_down(speed, seed, friction, drag):
+    """Return the speed of a drum that coasts down by friction [N m], damping and drag [N m s^2/rad^2], with noise of an encoder."""
+
+    def slowing(_, v):
+        return -(friction + 0.02 * v + drag * v * abs(v)) / 14.0
+
+    time = np.arange(0.0, 80.0, 0.2)
+    found = solve_ivp(slowing, (0.0, time[-1]), [speed], t_eval=time, rtol=1e-9, atol=1e-9)
+    noise = 0.02 * np.random.default_rng(seed).standard_normal(len(time))
+    return Table(time, {"speed": found.y[0] + noise}, f"run{seed}")
+
+
+@pytest.mark.slow
+def test_a_coast_down_whose_speed_alone_is_measured_shows_no_spring():
+    runs = [coast_down(v, k, 4.0, 0.003) for k, v in enumerate((42.0, 43.0, 39.0, 45.0))]
+    d = diagnose(runs[:2], DRUM, validate=runs[2:])
+    stated = {e.effect for e in d.effects} | {e for c in d.contenders for e in c.effects}
+    assert stated
+    assert not stated & {"cubic_stiffness", "linear_stiffness", "bump_stop", "gas_spring", "hysteresis"}
+
+
+def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed():
+    pair = ("drum", "ground")
+    spring = builders.spring(*[*pair], stiffness=3.0, name="s")
+    angle = channel("angle", "angle", "drum")
+    held = DRUM | {"elements": [*DRUM["elements"], spring]}
+    seen = DRUM | {"outputs": [angle]}
+    offset = DRUM | {"outputs": [angle | {"offset": "record"}]}
+    told = [is_observed(Network.load(m), pair) for m in (DRUM, held, seen, offset)]
+    assert told == [False, True, True, False]
+
+
+def test_no_pitch_is_offered_that_is_finer_than_the_samples():
+    time = np.arange(100) * 0.05
+    angle = channel("angle", "angle", "drum")
+    network = Network.load(DRUM | {"outputs": [angle]})
+    measured = (5.0 * time + 0.1 * np.sin(9.0 * time))[:, None]
+    problem = Problem(network, [Record("spin", 0.05, {}, measured)])
+    fitter = Fitter(problem, white_filters(np.array([0.01])))
+    fit = fitter.fit(base_structure(network))
+    offered = [h for h in hypotheses(network) if h.kind.periodic]
+    noise = np.array([0.01])
+
+    def pitches(starts):
+        return [s.values["pitch"] for s in starts]
+
+    every = pitches(match_laws(problem, fitter, fit, noise, offered))
+    kept = pitches(admissible_matches(problem, fitter, fit, noise, offered))
+    finest = 2.5 * 0.25  # samples of a period times travel of a sample [rad]
+    assert min(every) < finest < 1.05 * min(kept)
+    assert len(kept) < len(every)
+
+
+@pytest.mark.parametrize(
+    ("travel", "period", "is_seen"),
+    [
+        (Travel(is_observed=True, passes=1.0, span=10.0, advance=0.1), 0.3, True),
+        (Travel(is_observed=True, passes=1.0, span=10.0, advance=0.2), 0.3, False),  # finer than the samples
+        (Travel(is_observed=False, passes=1.0, span=10.0, advance=0.1), 2.0, True),
+        (Travel(is_observed=False, passes=1.0, span=10.0, advance=0.1), 4.0, False),  # one repetition
+        (Travel(is_observed=False, passes=2.0, span=10.0, advance=0.1), 4.0, True),
+    ],
+)
+def test_a_period_is_seen_where_samples_resolve_it_and_the_travel_holds_it_often(travel, period, is_seen):
+    assert travel.shows_period(period) == is_seen
