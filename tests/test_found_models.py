@@ -7,11 +7,8 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, element, pushed_mass
-<<<<<<< HEAD
 from program import with_wings
-=======
 from refusals import refused
->>>>>>> r_t
 from typer.testing import CliRunner
 
 from isd_gym import simulate

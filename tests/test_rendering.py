@@ -194,34 +194,12 @@ def test_words_never_touch_nor_leave_the_picture(size, cars, monkeypatch):
     picture_checks.check_words(poses, cars, size, monkeypatch)
 
 
-<<<<<<< HEAD
 @pytest.mark.parametrize(
     ("field", "value"),
     [("body", np.nan), ("current", np.inf), ("road_profile", np.array([0.0, np.nan]))],
 )
-def test_a_bad_snapshot_names_its_field(field: str, value: Any) -> None:
-    with pytest.raises(InputError, match=field):
-        snapshot(**{field: value})
-=======
-def test_a_renderer_says_what_it_cannot_do():
-    for arguments, words in (
-        ({"mode": "ansi"}, "human"),
-        ({"cars": 3}, "cars"),
-        ({"width": 320, "height": 200}, "too small"),
-        ({"fps": 0.0}, "fps"),
-    ):
-        refused(words, Renderer, **{"mode": "rgb_array", **arguments})
-    refused("draws 1 car", Renderer("rgb_array").draw, snapshot(), snapshot())
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("body", np.nan), ("current", np.inf), ("road_step", 0.0), ("current_limit", -5.0),
-     ("road_profile", np.zeros((2, 2))), ("road_profile", np.array([0.0, np.nan])), ("joint", None)],
-)  # fmt: skip
 def test_a_bad_snapshot_names_its_field(field, value):
     refused(field, snapshot, **{field: value})
->>>>>>> r_t
 
 
 def test_without_pygame_the_answer_is_one_line(monkeypatch):

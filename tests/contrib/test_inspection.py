@@ -10,11 +10,8 @@ from builders import QUARTER_CAR as CAR
 from builders import channel, damper, drive_quarter_car, spring
 from hypothesis import given, settings
 from hypothesis import strategies as st
-<<<<<<< HEAD
 from program import with_wings
-=======
 from refusals import refused
->>>>>>> r_t
 from typer.testing import CliRunner
 
 from isd_gym._common.errors import InputError
@@ -94,13 +91,8 @@ def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, 
     write_table(file, Table(time, {n: columns[c] for c, n in NAMES.items()}))
     network = Network.load(CAR)
     made = inspect([file], network)
-<<<<<<< HEAD
-    assert chosen(made) == names
-    save_map(made.suggestion.map(made.files, "car.json"), tmp_path / "map.json")
-=======
     assert chosen(made) == NAMES
-    made.suggestion.map(made.files, "car.json").save(tmp_path / "map.json")
->>>>>>> r_t
+    save_map(made.suggestion.map(made.files, "car.json"), tmp_path / "map.json")
     pytest.importorskip("jsonschema").validate(
         json.loads((tmp_path / "map.json").read_text()), load("isd-map/1")
     )
@@ -239,15 +231,8 @@ def test_overlapping_and_reversed_stamps_are_refused(order, words):
 
 @pytest.fixture(scope="module")
 def program():
-<<<<<<< HEAD
     """The program with the command of the wing."""
     return with_wings(inspect=command, simulate=simulate_command)
-=======
-    whole = typer.Typer()
-    whole.registered_commands = list(cli.app.registered_commands)
-    whole.command(name="inspect", cls=FiniteCommand)(command)
-    return whole
->>>>>>> r_t
 
 
 def message_of(program, *words):

@@ -6,11 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import channel, element, friction
-<<<<<<< HEAD
 from program import with_wings
-=======
 from refusals import refused
->>>>>>> r_t
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
