@@ -1,13 +1,7 @@
 """Laws that are matched to the residual of a fit, along the measured motion."""
 
-<<<<<<< HEAD
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
-=======
->>>>>>> r_t
 import builders
 import numpy as np
 import pytest
@@ -141,7 +135,7 @@ def test_the_response_of_a_pendulum_in_full_swing_is_the_change_by_the_element()
     assert np.std(change - (both[0] - both[1])) < 0.05 * np.std(change)
 
 
-def test_a_law_that_dissipates_starts_with_less_damping_and_the_same_work() -> None:
+def test_a_law_that_dissipates_starts_with_less_damping_and_the_same_work():
     """The damping of a model without the law has taken the law's work, and a staircase of optima may lie between the two."""
     problem, fit = stage("coulomb_friction", level=1.0)
     screening = Screening(problem, fit, np.array([NOISE]), SearchSettings())
@@ -152,11 +146,11 @@ def test_a_law_that_dissipates_starts_with_less_damping_and_the_same_work() -> N
     )
     rate = screening.motion[PLACE].v
 
-    def values(begun) -> dict[str, float]:
+    def values(begun):
         structure, x = begun
         return {f.path: f.back(float(v)) for f, v in zip(structure.free, x, strict=True)}
 
-    def work(v: dict[str, float]) -> float:
+    def work(v):
         return float(np.mean(v["damper.damping"] * rate**2 + v["coulomb_friction.level"] * np.abs(rate)))
 
     known = values(match.begin(fit.structure))
@@ -169,7 +163,7 @@ def test_a_law_that_dissipates_starts_with_less_damping_and_the_same_work() -> N
     assert not list(screening.starts_with_less_damping(spring))
 
 
-def test_fits_of_one_law_in_different_optima_are_both_candidates() -> None:
+def test_fits_of_one_law_in_different_optima_are_both_candidates():
     """The weights of a first fit are those of another model's residuals; held-out records decide between the optima."""
     problem, fit = stage("coulomb_friction", level=1.0)
     screening = Screening(problem, fit, np.array([NOISE]), SearchSettings())
