@@ -1,5 +1,6 @@
 """Models, elements and channels of the tests as short calls, in place of spelled-out JSON."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,13 @@ def channel(name: str, quantity: str, *nodes: str, **more: Any) -> dict[str, Any
 
 
 def model(name: str, elements: Any, inputs: Any = (), outputs: Any = (), **more: Any) -> dict[str, Any]:
-    """Return the JSON of a model: `more` holds masses, inertias, bodies, levers and uncertainty."""
+    """Return the JSON of a model: `more` holds masses, inertias, bodies, levers and uncertainty.
+
+    A channel may be a text of its name, quantity and nodes ("travel displacement body wheel").
+    """
     named = {"name": name} if name else {}
-    channels = {"inputs": [*inputs], "outputs": [*outputs]}
+    sides = {"inputs": inputs, "outputs": outputs}
+    channels = {k: [channel(*c.split()) if isinstance(c, str) else c for c in v] for k, v in sides.items()}
     return {"schema": "isd-model/1", **named, **more, "elements": [*elements], **channels}
 
 
@@ -55,10 +60,40 @@ def network(*given: Any, **more: Any) -> Network:
     return Network.load(model(*given, **more))
 
 
-def pushed_mass(name: str, outputs: list[dict[str, Any]], **more: Any) -> Network:
-    """Return a mass of 5 kg on a spring of 2000 N/m and a damper of 30 N s/m, pushed by a force."""
-    parts = [spring("mass", "ground", 2000.0), damper("mass", "ground", 30.0)]
-    return network(name, parts, [channel("push", "force", "mass")], outputs, masses={"mass": 5.0}, **more)
+def oscillator(
+    *outputs: Any, mass: float = 5.0, stiffness: float = 2000.0, damping: float = 30.0, base: str = "",
+    beside: Any = (), name: str = "oscillator", **more: Any,
+) -> Network:  # fmt: skip
+    """Return a mass [kg] on a spring [N/m] and a damper [N s/m], shaken at a base of this name or pushed by a force."""
+    foot, moved = (base, f"{base} displacement {base}") if base else ("ground", "push force mass")
+    parts = [spring("mass", foot, stiffness), damper("mass", foot, damping), *beside]
+    return network(name, parts, [moved], outputs, masses={"mass": mass}, **more)
+
+
+def sines(time: Any, frequencies: Any, phases: Any, sizes: Any = 1.0) -> Any:
+    """Return the sum of sines of these frequencies [Hz], phases [rad] and sizes."""
+    f, p, a = np.broadcast_arrays(frequencies, phases, sizes)
+    return np.sin(2 * np.pi * np.outer(time, f) + p) @ a
+
+
+def recorded(model: Network, step: float, inputs: Any, samples: int = 0, initial: Any = None) -> Any:
+    """Return the record of a diagnosis that a network itself makes, from rest or from a state."""
+    from isd_gym.diagnosis._simulation.problem import Problem, Record
+
+    samples = samples or len(next(iter(inputs.values())))
+    blank = Record("run", step, inputs, np.zeros((samples, len(model.outputs))))
+    state = None if initial is None else np.array(initial)[:, None]
+    seen = Problem(model, [blank]).simulate([model], 0, state, like=model)
+    return replace(blank, measured=seen[:, :, 0])
+
+
+def fitted(problem: Any, *noise: float, **options: Any) -> Any:
+    """Return the fit of a nominal model to records whose outputs have white noise of these deviations."""
+    from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+    from isd_gym.diagnosis._estimation.noise import white_filters
+    from isd_gym.diagnosis._estimation.structure import base_structure
+
+    return Fitter(problem, white_filters(np.array(noise))).fit(base_structure(problem.network), **options)
 
 
 def decoupled_half_car() -> Network:
@@ -74,11 +109,11 @@ QUARTER_CAR = model(
         damper("body", "wheel", 1500.0),
         spring("wheel", "road", 192000.0, "tyre"),
     ],
-    [channel("road", "displacement", "road")],
+    ["road displacement road"],
     [
-        channel("body_acceleration", "acceleration", "body"),
-        channel("wheel_acceleration", "acceleration", "wheel"),
-        channel("travel", "displacement", "body", "wheel"),
+        "body_acceleration acceleration body",
+        "wheel_acceleration acceleration wheel",
+        "travel displacement body wheel",
     ],
     masses={"body": 345.0, "wheel": 45.0},
 )

@@ -84,9 +84,8 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path, suffix):
     assert np.array_equal(again.time, table.time)
     assert all(np.array_equal(again[n], table[n]) for n in table.columns)
     assert [p.name for p in tmp_path.iterdir()] == [f"record{suffix}"]
-    assert np.array_equal(
-        read_table(tmp_path / f"record{suffix}", expected={}).time, table.time
-    )  # a free decay
+    # a free decay
+    assert np.array_equal(read_table(tmp_path / f"record{suffix}", expected={}).time, table.time)
     if suffix in (".parquet", ".mat", ".mf4"):
         assert again.units == {"tyre": "N"}
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from builders import QUARTER_CAR, channel, drive_quarter_car, friction, pushed_mass
+from builders import QUARTER_CAR, drive_quarter_car, friction, oscillator
 from html_page import Page
 from typer.testing import CliRunner
 
@@ -31,11 +31,8 @@ from isd_gym.records.data import Table, read_table, write_table
 jsonschema = pytest.importorskip("jsonschema")
 
 RATE = 100.0
-OWN = pushed_mass(
-    "pushed",
-    [channel("travel", "displacement", "mass"), channel("felt", "acceleration", "mass")],
-    uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.1},
-)
+KNOWN = {"spring.stiffness": 0.1, "damper.damping": 0.1}
+OWN = oscillator("travel displacement mass", "felt acceleration mass", uncertainty=KNOWN)
 PLACE = frozenset({"mass", "ground"})
 
 

@@ -344,9 +344,8 @@ def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side():
     def rate(t, y):
         d = y[0] - 0.05 * math.sin(2.0 * math.pi * t)
         v = y[1] - 0.1 * math.pi * math.cos(2.0 * math.pi * t)
-        spring = k * math.copysign(
-            max(abs(d) - 0.5 * gap, 0.0), d
-        )  # the play's own faces give by a ten-thousandth
+        # the play's own faces give by a ten-thousandth
+        spring = k * math.copysign(max(abs(d) - 0.5 * gap, 0.0), d)
         return [y[1], -(spring + c * v) / m]
 
     exact = solve_ivp(rate, (0.0, 3.0), [0.0, 0.0], t_eval=time, rtol=1e-8, atol=1e-10, max_step=0.002).y[0]

@@ -314,9 +314,8 @@ def test_a_degressive_damper_takes_the_place_of_the_linear_one():
     at = el.Setting(net, ("cart", "ground"), el.Motion(v, v, v), 1.0)
     for start in el.DegressiveDamping.starts(at):
         law = el.DegressiveDamping("x", ("cart", "ground"), **start.values)
-        assert el.rms(law.curve(v)) == pytest.approx(
-            3.0 * el.rms(v)
-        )  # the force of the damper that it replaces
+        # the force of the damper that it replaces
+        assert el.rms(law.curve(v)) == pytest.approx(3.0 * el.rms(v))
         linear = el.DegressiveDamping.special("linear_damping", start.values, at.motion)["damping"]
         level = el.DegressiveDamping.special("coulomb_friction", start.values, at.motion)["level"]
         assert linear * el.rms(v) == pytest.approx(level)

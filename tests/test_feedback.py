@@ -104,9 +104,8 @@ def test_an_open_loop_is_no_feedback(kind, stiffness):
     for seed in range(3):
         push = KINDS[kind](STEP * np.arange(SAMPLES), np.random.default_rng(seed))
         position = march(push, stiffness, seed)
-        if kind.endswith(
-            "measured"
-        ):  # the sensor of the input has noise, too: the output knows more of the true input
+        # the sensor of the input has noise, too: the output knows more of the true input
+        if kind.endswith("measured"):
             push = push + 0.02 * push.std() * np.random.default_rng(9).standard_normal(len(push))
         assert find_feedback([as_record(push, position)], cart(stiffness)) == ()
 

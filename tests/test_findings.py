@@ -66,9 +66,8 @@ def test_a_place_is_doubted_where_its_candidate_explains_less_than_half_or_did_n
     assert sure[REAR] == pytest.approx(0.9 * (1 - MISTAKEN["extra"]))  # the further effect did not pass
     (weak,) = found((1.0, front), own=front, explained=0.3)
     assert weak.place_probability == weak.kind_probability == pytest.approx(1 - MISTAKEN["weak"])
-    (partly,) = found(
-        (1.0, front), own=front, explained=0.8
-    )  # a part is explained, and the name did not pass
+    # a part is explained, and the name did not pass
+    (partly,) = found((1.0, front), own=front, explained=0.8)
     assert partly.place_probability == partly.kind_probability == pytest.approx(1 - MISTAKEN["partly"])
     (passed,) = found((1.0, front), own=front, explained=0.8, is_named=True)
     assert passed.kind_probability == pytest.approx(1 - MISTAKEN["kind"])

@@ -1,9 +1,10 @@
 """The diagnosis' fitter: its bounded step, records side by side, slopes used again, fewer samples to search by."""
 
-import builders
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from builders import channel, damper, friction, spring
+from builders import fitted, friction, network, oscillator, recorded, sines, spring
 from scipy.optimize import lsq_linear
 
 from isd_gym._common.errors import InputError
@@ -23,27 +24,18 @@ STEP = 2e-3
 
 
 def shaken(stiffness=4000.0):
-    return builders.network(
-        "shaken",
-        [spring("mass", "base", stiffness), damper("mass", "base", 12.0), friction("mass", "base", 2.0)],
-        [channel("base", "displacement", "base")],
-        [channel("mass", "displacement", "mass")],
-        masses={"mass": 2.0},
-        uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.1},
-    )
+    known = {"spring.stiffness": 0.1, "damper.damping": 0.1}
+    parts = {"stiffness": stiffness, "damping": 12.0, "beside": [friction("mass", "base", 2.0)]}
+    return oscillator("mass displacement mass", mass=2.0, base="base", uncertainty=known, **parts)
 
 
 def record(network, samples=2400, seed=3):
     """Made with the steps that the fit takes: what the steps make of dry friction is not what is tested here."""
     rng = np.random.default_rng(seed)
     t = np.arange(samples) * STEP
-    base = sum(
-        0.004 / k * np.sin(2 * np.pi * k * t + p)
-        for k, p in zip((2, 5, 9), rng.uniform(0, 6, 3), strict=True)
-    )
-    blank = Record("run", STEP, {"base": base}, base[:, None])
-    seen = Problem(network, [blank], ["fit"]).simulate([network], 0)[:, :, 0]
-    return Record("run", STEP, {"base": base}, seen + 1e-5 * rng.standard_normal((samples, 1)))
+    f = np.array([2, 5, 9])
+    made = recorded(network, STEP, {"base": sines(t, f, rng.uniform(0, 6, 3), 0.004 / f)})
+    return replace(made, measured=made.measured + 1e-5 * rng.standard_normal((samples, 1)))
 
 
 def test_records_side_by_side_say_what_each_says_alone():
@@ -105,13 +97,12 @@ def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion():
 
 
 def test_nothing_to_fit_is_a_fit_too():
-    travel, force = channel("base", "displacement", "rod"), channel("mass", "force", "rod")
-    net = builders.network("dyno", [spring("rod", "ground", 3e3, "gas")], [travel], [force])
+    gas = spring("rod", "ground", 3e3, "gas")
+    net = network("dyno", [gas], ["base displacement rod"], ["mass force rod"])
     t = np.arange(800) * STEP
     base = 0.01 * np.sin(9 * t)
     problem = Problem(net, [Record("dyno", STEP, {"base": base}, 3e3 * base[:, None])], ["fit"])
-    fit = Fitter(problem, white_filters(np.ones(1))).fit(base_structure(net))
-    assert fit.cost == pytest.approx(0.0, abs=1e-9)
+    assert fitted(problem, 1.0).cost == pytest.approx(0.0, abs=1e-9)
 
 
 def test_every_place_of_a_law_is_simulated_beside_the_others():
@@ -121,9 +112,7 @@ def test_every_place_of_a_law_is_simulated_beside_the_others():
     inputs = {"road": 0.01 * np.sin(20 * time), "current": np.sign(np.sin(9 * time))}
     y = np.stack([simulate(net, time, inputs)[c.name] for c in net.outputs], axis=1)
     problem = Problem(net, [Record("run", 2.5e-3, inputs, y, {})], ["fit"])
-    fit = Fitter(problem, white_filters(y.std(axis=0))).fit(
-        base_structure(net), base_structure(net).start, iterations=0
-    )
+    fit = fitted(problem, *y.std(axis=0), iterations=0)
     tried = [h for h in hypotheses(net) if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")]
     starts = starts_of(problem, fit, motions(problem, fit), tried)
     built = [ways[0] for h, start in starts if (ways := built_ways(fit, h, start))]
@@ -142,9 +131,7 @@ def test_every_place_of_a_law_is_simulated_beside_the_others():
 def test_one_that_breaks_down_takes_no_other_along(monkeypatch):
     net = shaken()
     problem = Problem(net, [record(net)], ["fit"])
-    fit = Fitter(problem, white_filters(np.ones(len(net.outputs)))).fit(
-        base_structure(net), base_structure(net).start, iterations=0
-    )
+    fit = fitted(problem, 1.0, iterations=0)
     whole, bad = Problem.simulate_all, shaken(5000.0)
 
     def breaks(self, networks, *args, **more):
@@ -183,13 +170,6 @@ def test_what_rests_on_a_limit_is_held_and_the_rest_moves_as_if_it_were_known():
 
 
 def test_no_stride_is_exceeded():
-    step = bounded_step(
-        np.eye(2),
-        np.array([100.0, -0.1]),
-        np.zeros(2),
-        np.full(2, -9e9),
-        np.full(2, 9e9),
-        np.array([1.0, 1.0]),
-        0.0,
-    )
+    slope, wide = np.array([100.0, -0.1]), np.full(2, 9e9)
+    step = bounded_step(np.eye(2), slope, np.zeros(2), -wide, wide, np.ones(2), 0.0)
     np.testing.assert_allclose(step, [1.0, -0.1])

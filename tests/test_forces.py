@@ -1,14 +1,13 @@
 """Typical forces at the places of a rig, and the size of a dissipative law by its work."""
 
-import builders
 import numpy as np
 import pytest
-from builders import channel, damper
+from builders import damper, fitted, network, recorded, spring
 
 from isd_gym._common.arrays import rms
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
-from isd_gym.diagnosis._estimation.structure import Hypothesis, base_structure, rebuilt
+from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
 from isd_gym.diagnosis._hypotheses.forces import PlaceForces, dissipated_work, lossy_share, place_forces
 from isd_gym.diagnosis._hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from isd_gym.diagnosis._selection.held_out import effect_size
@@ -19,40 +18,25 @@ STEP, BODY = 5e-3, 400.0
 
 
 def dropped(tyre=3e5, wheel=100.0, **more):
-    return builders.network(
-        "dropped",
-        [
-            builders.spring("body", "wheel", 4e4),
-            damper("body", "wheel", 500.0),
-            builders.spring("wheel", "ground", tyre, "tyre"),
-        ],
-        [],
-        [channel("body", "displacement", "body"), channel("wheel", "displacement", "wheel")],
-        masses={"body": BODY, "wheel": wheel},
-        **more,
-    )
+    strut = [spring("body", "wheel", 4e4), damper("body", "wheel", 500.0)]
+    parts, seen = [*strut, spring("wheel", "ground", tyre, "tyre")], ["body", "wheel"]
+    outputs, masses = [f"{n} displacement {n}" for n in seen], {"body": BODY, "wheel": wheel}
+    return network("dropped", parts, [], outputs, masses=masses, **more)
 
 
-def forces_of(network, state, samples=600):
+def forces_of(dropped, state, samples=600):
     """Typical forces of a free motion from `state`, and the motion (samples, outputs)."""
-    blank = Record("free", STEP, {}, np.zeros((samples, len(network.outputs))))
-    seen = Problem(network, [blank], ["fit"]).simulate([network], 0, np.array(state)[:, None], like=network)[
-        :, :, 0
-    ]
-    problem = Problem(network, [Record("free", STEP, {}, seen)], ["fit"])
-    structure = base_structure(network)
-    fit = Fitter(problem, white_filters(np.full(len(network.outputs), 1e-6))).fit(
-        structure, structure.start, {0: np.array(state)}, frozen=True, iterations=3
-    )
-    return place_forces(problem, fit), seen
+    problem = Problem(dropped, [recorded(dropped, STEP, {}, samples, state)], ["fit"])
+    fit = fitted(problem, 1e-6, 1e-6, initial={0: np.array(state)}, frozen=True, iterations=3)
+    return place_forces(problem, fit), problem.records[0].measured
 
 
 def test_the_force_of_a_free_pair_is_that_of_the_springs_and_does_not_follow_the_stiffest_one():
     fall = [0.02, 0.0, 0.0, 0.0]
     soft, motion = forces_of(dropped(3e5), fall)
     stiff, _ = forces_of(dropped(3e6), fall)
-    spring = 4e4 * rms(motion[:, 0] - motion[:, 1])
-    assert soft.at(("body", "ground")) == pytest.approx(spring, rel=0.1)
+    force = 4e4 * rms(motion[:, 0] - motion[:, 1])
+    assert soft.at(("body", "ground")) == pytest.approx(force, rel=0.1)
     # a tyre ten times as stiff carries the same load
     assert stiff.at(("body", "ground")) == pytest.approx(soft.at(("body", "ground")), rel=0.3)
     assert stiff.largest < 3 * soft.largest
@@ -67,30 +51,18 @@ def test_a_force_between_two_masses_is_compared_with_the_smaller_of_their_forces
 
 
 def test_an_input_force_counts_at_its_node():
-    network = builders.network(
-        "cart",
-        [damper("cart", "ground", 0.1, "drag")],
-        [channel("push", "force", "cart")],
-        [channel("speed", "velocity", "cart")],
-        masses={"cart": 2.0},
-    )
+    drag = damper("cart", "ground", 0.1, "drag")
+    cart = network("cart", [drag], ["push force cart"], ["speed velocity cart"], masses={"cart": 2.0})
     push = 10.0 * np.sin(2 * np.pi * 1.5 * STEP * np.arange(800))
-    blank = Record("run", STEP, {"push": push}, np.zeros((800, 1)))
-    seen = Problem(network, [blank], ["fit"]).simulate([network], 0)[:, :, 0]
-    problem = Problem(network, [Record("run", STEP, {"push": push}, seen)], ["fit"])
-    structure = base_structure(network)
-    fit = Fitter(problem, white_filters(np.array([1e-6]))).fit(structure, frozen=True, iterations=3)
+    problem = Problem(cart, [recorded(cart, STEP, {"push": push})], ["fit"])
+    fit = fitted(problem, 1e-6, frozen=True, iterations=3)
     assert place_forces(problem, fit).at(("cart", "ground")) == pytest.approx(rms(push), rel=0.05)
 
 
 def test_a_model_that_stands_still_takes_its_scale_from_the_measured_motion():
-    network = dropped()
     swing = 0.01 * np.sin(2 * np.pi * 1.6 * STEP * np.arange(600))
-    problem = Problem(network, [Record("free", STEP, {}, np.stack([swing, 0.1 * swing], 1))], ["fit"])
-    structure = base_structure(network)
-    fit = Fitter(problem, white_filters(np.full(2, 1e-5))).fit(
-        structure, structure.start, {0: np.zeros(4)}, frozen=True, iterations=0
-    )
+    problem = Problem(dropped(), [Record("free", STEP, {}, np.stack([swing, 0.1 * swing], 1))], ["fit"])
+    fit = fitted(problem, 1e-5, 1e-5, initial={0: np.zeros(4)}, frozen=True, iterations=0)
     inertia = BODY * rms(swing) * (2 * np.pi * 1.6) ** 2
     assert place_forces(problem, fit).at(("body", "ground")) == pytest.approx(inertia, rel=0.3)
 
@@ -101,22 +73,14 @@ LEVEL = 0.8  # [N] of friction, beside 250 N of elastic force at the beginning
 
 def ring_down(damping, effect, values):
     """Return a ring-down from 1 mm with a law that the model lacks, simulated by that law."""
-    between = ["beam", "ground"]
-    spring = builders.spring(*between, stiffness=STIFFNESS, name="bending")
-    damper = builders.damper(*between, damping=damping, name="loss")
-    network = builders.network(
-        "beam",
-        [spring, damper],
-        [],
-        [channel("rate", "velocity", "beam")],
-        masses={"beam": 1.0},
-        uncertainty={"loss.damping": 1.0},
-    )
+    parts = [spring("beam", "ground", STIFFNESS, "bending"), damper("beam", "ground", damping, "loss")]
+    known = {"masses": {"beam": 1.0}, "uncertainty": {"loss.damping": 1.0}}
+    beam = network("beam", parts, [], ["rate velocity beam"], **known)
     time = np.arange(0.0, 0.5, 2e-4)
     omega = np.sqrt(STIFFNESS)
     measured = -1e-3 * omega * np.exp(-0.5 * damping * time) * np.sin(omega * time)
-    problem = Problem(network, [Record("ring", 2e-4, {}, measured[:, None])])
-    structure = rebuilt(network, [(Hypothesis(effect, ("beam", "ground")), values)])
+    problem = Problem(beam, [Record("ring", 2e-4, {}, measured[:, None])])
+    structure = rebuilt(beam, [(Hypothesis(effect, ("beam", "ground")), values)])
     fit = Fitter(problem, white_filters(np.array([0.01]))).follow(structure, structure.start, [0])
     return problem, fit
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import builders
 import numpy as np
 import pytest
-from builders import channel, element, pushed_mass
+from builders import channel, element, oscillator
 from program import with_wings
 from refusals import refused
 from typer.testing import CliRunner
@@ -22,7 +22,7 @@ from isd_gym.physics._batch import posterior_ranges, ranges
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, write_table
 
-RIG = pushed_mass("rig", [channel("travel", "displacement", "mass", unit="mm", offset="record")])
+RIG = oscillator(channel("travel", "displacement", "mass", unit="mm", offset="record"), name="rig")
 TIME = np.arange(2000) / 200.0
 PUSH = 40.0 * np.sin(2 * np.pi * 2.1 * TIME) + 20.0 * np.sin(2 * np.pi * 3.7 * TIME + 1.0)
 
@@ -136,7 +136,7 @@ def test_the_command_reports_the_transfer_of_a_model_to_another_rig(files):
 def test_models_that_cannot_be_compared_are_one_line(files, monkeypatch, words, told):
     monkeypatch.chdir(files)
     output = channel("speed", "velocity", "mass")
-    pushed_mass("far", [output]).save("far.json")
+    oscillator(output, name="far").save("far.json")
     done = invoke("simulate", "rig.json", *words)
     assert isinstance(done.exception, InputError) and told in str(done.exception)
 

@@ -87,11 +87,8 @@ def test_two_series_laws_give_way_to_one_at_every_link_of_their_line():
         frozenset(x) for x in (("body", "piston"), ("piston", "joint"), ("joint", "wheel"))
     )
     for effect, values, links in (
-        (
-            "series_compliance",
-            {"stiffness": 5e6},
-            {device, damper},
-        ),  # beside the oil's spring it is only a spring
+        # beside the oil's spring it is only a spring
+        ("series_compliance", {"stiffness": 5e6}, {device, damper}),
         ("backlash", {"gap": 0.002}, {oil, device, damper}),
     ):
         own = [effects for effects in found if effects[-1][0].effect == effect]

@@ -2,10 +2,9 @@
 
 from types import SimpleNamespace
 
-import builders
 import numpy as np
 import pytest
-from builders import channel, damper, friction, pushed_mass, spring
+from builders import friction, oscillator
 from rigs.reference import simulate
 
 from isd_gym.diagnosis import SearchSettings, diagnose
@@ -14,14 +13,13 @@ from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_struct
 from isd_gym.diagnosis._selection.uncertainty import intervals, relative_uncertainty
 from isd_gym.diagnosis.result import Quantity
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 
 
 @pytest.mark.parametrize("stiffness", [2.5e6, -2.5e6, -2.5])
 def test_an_interval_is_about_its_value_for_either_sign(stiffness):
     """A softening spring has a negative cubic stiffness: mean -/+ 1.96 deviations, however large the value."""
-    rig = pushed_mass("rig", [channel("travel", "displacement", "mass")])
+    rig = oscillator("travel displacement mass")
     structure = add(
         base_structure(rig), Hypothesis("cubic_stiffness", ("mass", "ground")), {"stiffness": stiffness}
     )
@@ -38,10 +36,8 @@ def test_an_interval_is_about_its_value_for_either_sign(stiffness):
 
 def test_steps_of_differences_make_up_the_covariance_whatever_the_units():
     """The stiffness of a cubic spring has a deviation of 1e13, a logarithm one of 1e-2."""
-    rig = pushed_mass("rig", [channel("travel", "displacement", "mass")])
-    rig = Network.load(
-        rig.to_dict() | {"uncertainty": {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3}}
-    )
+    known = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3}
+    rig = oscillator("travel displacement mass", uncertainty=known)
     hypothesis = Hypothesis("cubic_stiffness", ("mass", "ground"))
     structure = add(base_structure(rig), hypothesis, {"stiffness": 1e15})
     deviation = np.array(
@@ -81,8 +77,8 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
         tables.append(
             Table(time=t[::fine], columns={"push": push[::fine], "travel": travel}, source=f"run{run}")
         )
-    rig = pushed_mass("rig", [channel("travel", "displacement", "mass")]).to_dict()
-    rig["uncertainty"] = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 1.0}
+    known = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 1.0}
+    rig = oscillator("travel displacement mass", uncertainty=known)
     found = diagnose(tables, rig, settings=SearchSettings(depth=0, jobs=1)).parameters
     for path, truth in (("mass.mass", m), ("spring.stiffness", k)):
         q = found[path]
@@ -93,23 +89,16 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
 
 def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
     """The motion of a shaken mass depends on ratios of mass, stiffness, damping and friction alone."""
-    model = builders.model(
-        "shaken",
-        [spring("mass", "base", 800.0), damper("mass", "base", 8.0), friction("mass", "ground", 0.8)],
-        [channel("moved", "displacement", "base")],
-        [channel("position", "displacement", "mass")],
-        masses={"mass": 2.0},
-    )
+    spread = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3, "rub.level": 0.3}
+    parts = {"mass": 2.0, "stiffness": 800.0, "damping": 8.0, "beside": [friction("mass", "ground", 0.8)]}
+    model = oscillator("position displacement mass", base="moved", uncertainty=spread, **parts)
     t, rng, tables = np.arange(3000) * 5e-3, np.random.default_rng(1), []
     for run in range(2):
         base = _smooth(np.random.default_rng(run), t, 5.0, 0.003)
-        y = simulate(model, t, {"moved": base})["position"]
+        y = simulate(model.to_dict(), t, {"moved": base})["position"]
         y = y + 0.003 * y.std() * rng.standard_normal(len(y))
         tables.append(Table(time=t, columns={"moved": base, "position": y}, source=f"run{run}"))
-    spread = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3, "rub.level": 0.3}
-    found = diagnose(
-        tables, model | {"uncertainty": spread}, settings=SearchSettings(depth=0, jobs=1)
-    ).parameters
+    found = diagnose(tables, model, settings=SearchSettings(depth=0, jobs=1)).parameters
     # precisions of the statements on the common factor add up
     known = sum(s**-2 for s in spread.values()) ** -0.5
     for path in ("mass.mass", "spring.stiffness"):
@@ -123,8 +112,8 @@ def test_a_law_is_determined_by_its_size_and_not_by_its_shape():
         "law", ("mass", "ground"), level=5.0, static_level=8.0, stribeck_velocity=0.1
     )
     known = {
-        "law.level": Quantity(5.0, 4.5, 5.5, "N", None),
-        "law.static_level": Quantity(8.0, 7.2, 8.8, "N", None),
+        f"law.{k}": Quantity(v, 0.9 * v, 1.1 * v, "N", None)
+        for k, v in (("level", 5.0), ("static_level", 8.0))
     }
     known["law.stribeck_velocity"] = Quantity(0.1, 0.001, 9.0, "m/s", None)
     assert relative_uncertainty(stribeck, known) == pytest.approx(-np.log(0.9))

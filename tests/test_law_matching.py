@@ -5,11 +5,10 @@ from dataclasses import replace
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, spring
+from builders import damper, element, fitted, oscillator, recorded, sines
 
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
-from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.law_forces import force_responses, law_forces, measured_motions
 from isd_gym.diagnosis._hypotheses.law_matching import match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
@@ -25,30 +24,22 @@ STEP, NOISE, PLACE = 2e-3, 2e-6, ("mass", "base")
 
 
 def rig():
-    return builders.network(
-        "shaken",
-        [spring("mass", "base", 4000.0), damper("mass", "base", 12.0)],
-        [channel("base", "displacement", "base")],
-        [channel("mass", "displacement", "mass")],
-        masses={"mass": 2.0},
-        uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.3},
-    )
+    known = {"spring.stiffness": 0.1, "damper.damping": 0.3}
+    parts = {"mass": 2.0, "stiffness": 4000.0, "damping": 12.0}
+    return oscillator("mass displacement mass", base="base", uncertainty=known, **parts)
 
 
 def stage(effect="", place=PLACE, **values):
     """Return a record of the rig with a law, and the refitted rig without the law."""
     network, rng = rig(), np.random.default_rng(7)
     t = np.arange(3000) * STEP
-    base = sum(
-        0.004 / k * np.sin(2 * np.pi * k * t + p)
-        for k, p in zip((2, 5, 9), rng.uniform(0, 6, 3), strict=True)
-    )
+    f = np.array([2, 5, 9])
+    base = sines(t, f, rng.uniform(0, 6, 3), 0.004 / f)
     true = network.with_element(el.TYPES[effect]("true", place, **values)) if effect else network
     seen = simulate(true, t, {"base": base}, interpolation="auto")["mass"]
     record = Record("run", STEP, {"base": base}, (seen + rng.normal(0, NOISE, len(t)))[:, None])
     problem = Problem(network, [record])
-    structure = base_structure(network)
-    return problem, Fitter(problem, white_filters(np.array([NOISE]))).fit(structure, structure.start)
+    return problem, fitted(problem, NOISE)
 
 
 def matches(problem, fit):
@@ -106,25 +97,13 @@ def test_the_response_to_a_force_is_the_change_by_the_element():
 
 
 def test_the_response_of_a_pendulum_in_full_swing_is_the_change_by_the_element():
-    network = builders.network(
-        "pendulum",
-        [
-            builders.element("gravity", "gravity_sine", "arm", "ground", torque=10.0),
-            damper("arm", "ground", 0.05, "bearing"),
-        ],
-        [],
-        [channel("angle", "angle", "arm")],
-        inertias={"arm": 1.0},
-        uncertainty={"gravity.torque": 0.05},
-    )
-    swing = Problem(network, [Record("swing", 0.02, {}, np.zeros((500, 1)))])
-    start = np.array([[1.0], [0.0]])
-    seen = swing.simulate([network], 0, start)
-    assert np.max(np.abs(seen)) > 0.9  # the start is not lost
-    problem = Problem(network, [Record("swing", 0.02, {}, seen[:, :, 0])])
-    structure = base_structure(network)
-    fit = Fitter(problem, white_filters(np.array([1e-4]))).fit(structure, structure.start)
     place = ("arm", "ground")
+    parts = [element("gravity", "gravity_sine", *place, torque=10.0), damper(*place, 0.05, "bearing")]
+    known = {"inertias": {"arm": 1.0}, "uncertainty": {"gravity.torque": 0.05}}
+    network = builders.network("pendulum", parts, [], ["angle angle arm"], **known)
+    problem = Problem(network, [recorded(network, 0.02, {}, 500, [1.0, 0.0])])
+    assert np.max(np.abs(problem.records[0].measured)) > 0.9  # the start is not lost
+    fit = fitted(problem, 1e-4)
     motion = measured_motions(problem, fit, np.array([1e-4]))[place]
     h = next(h for h in hypotheses(network) if h.effect == "coulomb_friction" and h.where == place)
     force = law_forces(fit.network, place, joined(motion), 0.02, [(h, {"level": 1e-3})])

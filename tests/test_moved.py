@@ -97,9 +97,8 @@ def test_a_velocity_may_rub_on_the_ground_and_friction_does_there_as_with_the_di
 def test_the_names_of_a_state_space_say_what_was_measured():
     space = linearise(shaken("acceleration"))
     assert space.inputs == ("u",)
-    assert np.allclose(
-        space.response(np.array([1e-3]))[0, 0], 1.0, atol=1e-3
-    )  # slowly, the mass goes with the table
+    # slowly, the mass goes with the table
+    assert np.allclose(space.response(np.array([1e-3]))[0, 0], 1.0, atol=1e-3)
     assert linearise(shaken("velocity")).inputs[0] == "u"
 
 

@@ -1,9 +1,10 @@
 """The unknown constant of a sensor: equal in all records, or free in each record."""
 
-import builders
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from builders import channel, damper, spring
+from builders import channel, fitted, oscillator, recorded, sines
 from refusals import refused
 from scipy.optimize import least_squares
 
@@ -22,29 +23,23 @@ OFFSET, NOISE = 0.013, 2e-5  # [m]
 
 def stand(offset="free"):
     """A mass on a spring to the ground, pushed by a known force."""
-    return builders.network(
-        "stand",
-        [spring("mass", "ground", 900.0), damper("mass", "ground", 9.0)],
-        [channel("push", "force", "mass")],
-        [channel("position", "displacement", "mass", offset=offset)],
-        masses={"mass": 2.0},
-        uncertainty={"spring.stiffness": 0.2, "damper.damping": 0.5},
-    )
+    position = channel("position", "displacement", "mass", offset=offset)
+    known = {"spring.stiffness": 0.2, "damper.damping": 0.5}
+    return oscillator(position, mass=2.0, stiffness=900.0, damping=9.0, uncertainty=known)
 
 
 def record(name, mean, seed, offset=OFFSET, size=2.0):
     """A push of some size [N] about a mean force [N] from rest at its deflection, seen by a sensor with an offset [m]."""
     rng = np.random.default_rng(seed)
     t = np.arange(SAMPLES) * STEP
-    push = mean + sum(size * np.sin(2 * np.pi * f * t + p) for f, p in zip((1.1, 2.7, 4.9), rng.uniform(0, 6, 3), strict=True))  # fmt: skip
+    push = mean + sines(t, (1.1, 2.7, 4.9), rng.uniform(0, 6, 3), size)
     blank = Record(name, STEP, {"push": push}, np.zeros((SAMPLES, 1)))
     network = stand()
     problem = Problem(network, [blank], ["fit"])
     rest = np.array([mean / 900.0, 0.0])
     x0 = np.linalg.lstsq(motion_rows(problem, network), rest, rcond=None)[0]
-    seen = problem.simulate([network], 0, x0[:, None], like=network)[:, :, 0]
-    noisy = seen + offset + NOISE * rng.standard_normal(seen.shape)
-    return Record(name, STEP, {"push": push}, noisy)
+    seen = recorded(network, STEP, {"push": push}, initial=x0).measured
+    return replace(blank, measured=seen + offset + NOISE * rng.standard_normal(seen.shape))
 
 
 def problem_of(network, *offsets, held=None, size=2.0):
@@ -71,7 +66,7 @@ def test_another_offset_is_refused(wrong):
 
 def test_one_sensor_has_one_offset_over_all_records():
     problem = problem_of(stand(), OFFSET, OFFSET, OFFSET)
-    fit = Fitter(problem, white_filters(np.array([NOISE]))).fit(base_structure(problem.network))
+    fit = fitted(problem, NOISE)
     found = {float(o[0]) for o in fit.offset.values()}
     assert len(found) == 1
     assert fit.structure.offsets == (found.pop(),)
@@ -83,7 +78,7 @@ def test_mean_forces_show_a_stiffness_through_one_offset_only():
     spread = {}
     for offset in ("free", "record"):
         problem = problem_of(stand(offset), OFFSET, OFFSET, OFFSET, size=0.2)
-        fit = Fitter(problem, white_filters(np.array([NOISE]))).fit(base_structure(problem.network))
+        fit = fitted(problem, NOISE)
         assert fit.network.parameters["spring.stiffness"] == pytest.approx(900.0, rel=0.02)
         assert fit.hessian is not None
         spread[offset] = float(np.linalg.inv(fit.hessian)[0, 0])
@@ -94,7 +89,7 @@ def test_mean_forces_show_a_stiffness_through_one_offset_only():
 def test_each_record_has_its_own_offset_where_the_model_says_so():
     true = (0.001, -0.004, 0.02)
     problem = problem_of(stand("record"), *true)
-    fit = Fitter(problem, white_filters(np.array([NOISE]))).fit(base_structure(problem.network))
+    fit = fitted(problem, NOISE)
     assert [float(fit.offset[i][0]) for i in range(3)] == pytest.approx(true, abs=10 * NOISE)
     assert fit.structure.offsets is None
 

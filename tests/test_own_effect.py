@@ -4,23 +4,18 @@ import math
 
 import numpy as np
 import pytest
-from builders import channel, damper, model, spring
+from builders import oscillator
 from refusals import refused
 from scipy.integrate import solve_ivp
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 
-RIG = model(
-    "shaken",
-    [spring("mass", "base", 800.0), damper("mass", "base", 8.0)],
-    [channel("base", "displacement", "base")],
-    [channel("position", "displacement", "mass")],
-    masses={"mass": 2.0},
-    uncertainty={"spring.stiffness": 0.05, "damper.damping": 0.1},
+KNOWN = {"spring.stiffness": 0.05, "damper.damping": 0.1}
+RIG = oscillator(
+    "position displacement mass", mass=2.0, stiffness=800.0, damping=8.0, base="base", uncertainty=KNOWN
 )
 
 
@@ -60,7 +55,7 @@ def record(seed, force, length, seconds=8.0):
 
 
 def test_it_is_tried_at_every_place(registered):
-    tried = {(h.effect, h.where) for h in hypotheses(Network.load(RIG))}
+    tried = {(h.effect, h.where) for h in hypotheses(RIG)}
     assert ("softening_clip", ("mass", "base")) in tried
     assert ("softening_clip", ("mass", "ground")) in tried
 
@@ -68,7 +63,7 @@ def test_it_is_tried_at_every_place(registered):
 def test_its_starts_are_sized_by_the_motion_though_it_says_nothing_of_them(registered):
     d = 0.02 * np.sin(np.linspace(0, 20, 2000))
     motion = el.Motion(d, np.gradient(d, 0.01), d)
-    at = el.Setting(Network.load(RIG), ("mass", "base"), motion, force=16.0)
+    at = el.Setting(RIG, ("mass", "base"), motion, force=16.0)
     starts = registered.starts(at)
     assert len(starts) == 3 and all(s.grows == ("force",) for s in starts)
     for s in starts:
@@ -108,7 +103,7 @@ def test_a_file_of_the_users_own_registers_elements(tmp_path):
     file.write_text(LAW)
     try:
         el.register_file(file)
-        assert any(h.effect == "filed_clip" for h in hypotheses(Network.load(RIG)))
+        assert any(h.effect == "filed_clip" for h in hypotheses(RIG))
     finally:
         el.TYPES.pop("filed_clip", None)
     (tmp_path / "none.py").write_text("x = 1")
@@ -130,7 +125,7 @@ def test_a_package_offers_elements_through_its_entry_point(monkeypatch):
     monkeypatch.setattr("isd_gym.physics.elements._base.entry_points", lambda group: [Entry()])
     el.discover.cache_clear()
     try:
-        assert any(h.effect == "offered_damper" for h in hypotheses(Network.load(RIG)))
+        assert any(h.effect == "offered_damper" for h in hypotheses(RIG))
     finally:
         el.TYPES.pop("offered_damper", None)
         el.discover.cache_clear()

@@ -168,9 +168,8 @@ def test_a_motor_on_a_terminal_without_mass(law):
         model["outputs"].append(builders.channel("law", "force", element="law"))
     time = np.arange(2001) * 1e-3
     current = np.repeat(np.random.default_rng(3).uniform(-5, 5, 101), 20)[: len(time)]
-    out = {
-        k: v[:-1] for k, v in simulate(model, time, {"current": current}).items()
-    }  # no current from the last sample on
+    # no current from the last sample on
+    out = {k: v[:-1] for k, v in simulate(model, time, {"current": current}).items()}
     push = thrust * current[:-1]  # on the terminal, towards the mass
     rest = push - damping * out["v"] - out.get("law", 0.0)
     np.testing.assert_allclose(out["damper"], damping * out["v"], rtol=1e-9, atol=1e-6)

@@ -7,7 +7,7 @@ import builders
 import jsonschema
 import numpy as np
 import pytest
-from builders import channel, damper, element, spring
+from builders import damper, element, oscillator, recorded, sines
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
@@ -27,14 +27,9 @@ STEP, SAMPLES, NOISE = 2e-3, 4000, 1e-5  # [s], -, [m]
 
 def rig(*extra, **values):
     """Return a mass on a spring and a damper to the ground, pushed by a force; values of parameters have "__" in place of "."."""
-    network = builders.network(
-        "stand",
-        [spring("mass", "ground", 900.0), damper("mass", "ground", 9.0), *extra],
-        [channel("push", "force", "mass")],
-        [channel("position", "displacement", "mass")],
-        masses={"mass": 2.0},
-        uncertainty={"mass.mass": 0.2, "spring.stiffness": 0.2, "damper.damping": 0.5},
-    )
+    known = {"mass.mass": 0.2, "spring.stiffness": 0.2, "damper.damping": 0.5}
+    parts = {"mass": 2.0, "stiffness": 900.0, "damping": 9.0, "beside": extra}
+    network = oscillator("position displacement mass", uncertainty=known, **parts)
     return network.with_parameters({k.replace("__", "."): v for k, v in values.items()})
 
 
@@ -42,18 +37,14 @@ def push(seed, size=20.0):
     """Return a multisine force (samples,) [N] of some size from 0.5 to 8 Hz."""
     rng, t = np.random.default_rng(seed), STEP * np.arange(SAMPLES)
     lines = np.arange(0.5, 8.0, 0.5)
-    phases = rng.uniform(0.0, 2.0 * np.pi, len(lines))
-    return (
-        size * np.sum(np.sin(2.0 * np.pi * lines[:, None] * t + phases[:, None]), axis=0) / len(lines) ** 0.5
-    )
+    return sines(t, lines, rng.uniform(0.0, 2.0 * np.pi, len(lines)), size / len(lines) ** 0.5)
 
 
 def measure(network, name, seed, size=20.0):
     """Return a record of a rig from rest, with sensor noise."""
-    blank = Record(name, STEP, {"push": push(seed, size)}, np.zeros((SAMPLES, 1)))
-    seen = Problem(network, [blank]).simulate([network], 0)[:, :, 0]
-    noise = NOISE * np.random.default_rng(1000 + seed).standard_normal(seen.shape)
-    return replace(blank, measured=seen + noise)
+    made = recorded(network, STEP, {"push": push(seed, size)})
+    noise = NOISE * np.random.default_rng(1000 + seed).standard_normal(made.measured.shape)
+    return replace(made, name=name, measured=made.measured + noise)
 
 
 def search(records, laws=()):
@@ -101,13 +92,9 @@ def test_a_coast_down_that_slows_faster_is_found():
     """A flywheel whose bearing drags more in one record; its motion has no period."""
 
     def wheel(damping):
-        return builders.network(
-            "wheel",
-            [damper("wheel", "ground", damping, "bearing")],
-            outputs=[channel("speed", "angular_velocity", "wheel")],
-            inertias={"wheel": 2.0},
-            uncertainty={"bearing.damping": 0.5},
-        )
+        parts, known = [damper("wheel", "ground", damping, "bearing")], {"bearing.damping": 0.5}
+        speed = ["speed angular_velocity wheel"]
+        return builders.network("wheel", parts, [], speed, inertias={"wheel": 2.0}, uncertainty=known)
 
     records, rng = [], np.random.default_rng(5)
     for k, damping in enumerate((0.02, 0.02, 0.03)):

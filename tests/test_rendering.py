@@ -17,9 +17,8 @@ from isd_gym.view._rendering.canvas import Canvas
 
 pygame = backend.pygame()
 LIMIT = 0.02465  # [m], Table 1's deputy stroke at the terminals
-PIXELS_PER_METRE = (
-    6.0 * 38.0 / 0.32
-)  # at 640x400, exaggerated six times: the wheel's 0.32 m are drawn as 38 px
+# at 640x400, exaggerated six times: the wheel's 0.32 m are drawn as 38 px
+PIXELS_PER_METRE = 6.0 * 38.0 / 0.32
 FLOOR = 400 - 58  # row of a flat road at 640x400
 
 
@@ -175,9 +174,8 @@ def test_curves_are_where_the_values_are():
     top, foot = grid[grid < 245].min(), grid[grid < 245].max()
     assert (upper.mean() - top) / (foot - top) == pytest.approx(1 / 6, abs=0.02)  # +2 in a range of -3 to 3
     top, foot = grid[grid > 255].min(), grid[grid > 255].max()
-    assert (lower.mean() - top) / (foot - top) == pytest.approx(
-        5 / 6, abs=0.02
-    )  # -20 mm in a range of -30 to 30
+    # -20 mm in a range of -30 to 30
+    assert (lower.mean() - top) / (foot - top) == pytest.approx(5 / 6, abs=0.02)
     assert columns[rows > 260].min() + 420 == pytest.approx(626 - 107, abs=4)  # two of four seconds
 
 

@@ -174,9 +174,8 @@ def test_a_snapshot_is_the_state_of_the_car(name):
             profile = shot.road_profiles[int(each.y < 0)]
             place = shot.road_behind + each.x - 1.35
             under = np.interp(place, np.arange(profile.size) * shot.road_step, profile)
-            assert under == pytest.approx(
-                height, abs=1e-3
-            )  # of a 50 mm bump between points that are 100 mm apart
+            # of a 50 mm bump between points that are 100 mm apart
+            assert under == pytest.approx(height, abs=1e-3)
     assert highest == pytest.approx(0.05, abs=1e-3)
 
 

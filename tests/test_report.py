@@ -338,9 +338,8 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     # a known law gives nearly all of the force: the page must not say that none does
     assert "no known effect passes the checks for a name" in page.text
     assert "no law of the library explains" not in page.text and "gives this force" not in page.text
-    assert (
-        page.text.count("with the force") == 3
-    )  # heads of the gap and parameter tables, the words on the stages
+    # heads of the gap and parameter tables, the words on the stages
+    assert page.text.count("with the force") == 3
     drawings = re.findall(r'<svg[^>]*class="schematic".*?</svg>', path.read_text(), re.S)
     assert ['data-part="el:missing_force"' in text for text in drawings] == [False, True]
     drawn = {file.stem: file.read_text() for file in path.parent.glob("*.svg")}

@@ -3,7 +3,7 @@
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, friction, spring
+from builders import damper, friction, oscillator, sines
 from refusals import refused
 
 from isd_gym._common.errors import InputError
@@ -17,19 +17,11 @@ from isd_gym.records.data import Table, check
 def rig(period, size):
     """A mass on a shaken base with that period [s], moved by some `size` [m], 25 samples a period."""
     w = 2 * np.pi / period
-    network = builders.network(
-        "",
-        [spring("mass", "base", 2.0 * w**2), damper("mass", "base", 0.8 * w)],
-        [channel("base", "displacement", "base")],
-        [channel("place", "displacement", "mass")],
-        masses={"mass": 2.0},
-    )
+    parts = {"mass": 2.0, "stiffness": 2.0 * w**2, "damping": 0.8 * w}
+    network = oscillator("place displacement mass", base="base", **parts)
     time = period / 25 * np.arange(1500)
     rng = np.random.default_rng(0)
-    base = sum(
-        size * np.sin(f * w * time + p)
-        for f, p in zip(np.geomspace(0.2, 2, 9), 6 * rng.random(9), strict=True)
-    )
+    base = sines(time, np.geomspace(0.2, 2, 9) / period, 6 * rng.random(9), size)
     place = simulate(network, time, {"base": base}, step=period / 100)["place"]
     noisy = place + 0.01 * place.std() * rng.standard_normal(len(place))
     return network, Table(time, {"base": base, "place": noisy}, "rig")
@@ -74,10 +66,8 @@ def test_a_slow_rig_in_milliseconds_is_refused_as_a_car_is():
 
 def coast_down(step, samples=300, model_time=50.0):
     """A wheel that coasts down by drag, its nominal model with a bearing of that time constant [s]."""
-    elements = [damper("wheel", "ground", 0.1 / model_time, "bearing")]
-    network = builders.network(
-        "", elements, outputs=[channel("speed", "angular_velocity", "wheel")], inertias={"wheel": 0.1}
-    )
+    bearing, speed = damper("wheel", "ground", 0.1 / model_time, "bearing"), "speed angular_velocity wheel"
+    network = builders.network("", [bearing], [], [speed], inertias={"wheel": 0.1})
     time = step * np.arange(samples)
     noise = 0.02 * np.random.default_rng(0).standard_normal(samples)
     return network, Table(time, {"speed": 75.0 / (1.0 + time / 60.0) + noise}, "wheel")
@@ -145,10 +135,5 @@ def test_uneven_stamps_are_compared_at_their_own_instants():
         return float(np.std((y - record.measured[:, 0])[later]) / np.std(record.measured[later, 0]))
 
     assert error(record) < 2.0 * error(read_record(table, network, []))
-    refused(
-        "gaps in time",
-        read_record,
-        Table(np.where(table.time > 10.0, table.time + 3.0, table.time), table.columns, "rig"),
-        network,
-        [],
-    )
+    torn = Table(np.where(table.time > 10.0, table.time + 3.0, table.time), table.columns, "rig")
+    refused("gaps in time", read_record, torn, network, [])

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import builders
 import numpy as np
 import pytest
-from builders import channel, damper, spring
+from builders import channel, oscillator
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
@@ -28,14 +27,9 @@ PAIR = ("mass", "ground")
 
 def duffing(offset="free", stiffness=STIFFNESS):
     """A mass on a linear spring and a damper: the oscillator without its cubic spring."""
-    return builders.network(
-        "oscillator",
-        [spring(*PAIR, stiffness=stiffness), damper(*PAIR, damping=DAMPING)],
-        [channel("push", "force", "mass")],
-        [channel("position", "displacement", "mass", offset=offset)],
-        masses={"mass": MASS},
-        uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.3},
-    )
+    position = channel("position", "displacement", "mass", offset=offset)
+    known = {"spring.stiffness": 0.1, "damper.damping": 0.3}
+    return oscillator(position, mass=MASS, stiffness=stiffness, damping=DAMPING, uncertainty=known)
 
 
 def record(seed, samples=1500):
@@ -64,12 +58,9 @@ def error_of(network, table, interpolation="auto"):
 
 def complete(stiffness=STIFFNESS):
     """The oscillator with its cubic spring, and the offset of its sensor."""
-    structure = add(
-        base_structure(duffing(stiffness=stiffness)),
-        Hypothesis("cubic_stiffness", PAIR),
-        {"stiffness": CUBIC},
-    )
-    return with_sensor_offsets(structure.network, (OFFSET,))  # fmt: skip
+    nominal = base_structure(duffing(stiffness=stiffness))
+    structure = add(nominal, Hypothesis("cubic_stiffness", PAIR), {"stiffness": CUBIC})
+    return with_sensor_offsets(structure.network, (OFFSET,))
 
 
 def test_a_model_holds_the_offset_of_its_sensor():

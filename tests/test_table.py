@@ -48,9 +48,8 @@ def test_a_table_does_what_its_law_does(law, table):
     t = np.arange(0, 2, 1e-3)
     by_law = simulate(car(law), t, road(t))
     without = simulate(Network.load("quarter-car-isd"), t, road(t))
-    for interpolation in (
-        ("linear", "smooth") if len(table["force"]) > 3 else ("linear",)
-    ):  # a kink is not smooth
+    # a kink is not smooth
+    for interpolation in ("linear", "smooth") if len(table["force"]) > 3 else ("linear",):
         by_table = simulate(
             car({"type": "tabulated_force", "interpolation": interpolation, **table}), t, road(t)
         )

@@ -107,9 +107,8 @@ def test_the_estimate_sees_the_rear_road_come():
     heights = []
     for _ in travel(Crew(Entry("lqg-wheelbase", lambda: made), 16), env, 600, seed=0):
         heights.append(env.task.batch.road_heights.copy())
-    line = made.estimator.x[
-        made.prediction.motion :
-    ]  # (27, cars), the youngest first, of one step before the last
+    # (27, cars), the youngest first, of one step before the last
+    line = made.estimator.x[made.prediction.motion :]
     met = np.diff(np.array(heights), axis=0)[:, 0][-2 : -2 - len(line) : -1]
     for rises in (slice(0, 10), slice(None)):  # over 50 ms, and over the wheelbase
         seen, true = line[rises].sum(axis=0), met[rises].sum(axis=0)

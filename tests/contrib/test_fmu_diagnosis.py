@@ -157,10 +157,8 @@ def test_a_unit_that_brings_its_process_down_is_one_line(unit_file, tmp_path):
     with Unit(unit_file, trust=True) as unit:
         unit._process.process.kill()
         refused("broke down", unit.run, {"base": np.zeros(10)}, 10, STEP, ["acc"], {})
-        assert unit.run({"base": np.zeros(10)}, 10, STEP, ["acc"], {}).shape == (
-            10,
-            1,
-        )  # and goes on in a new one
+        # and goes on in a new one
+        assert unit.run({"base": np.zeros(10)}, 10, STEP, ["acc"], {}).shape == (10, 1)
 
 
 @pytest.mark.parametrize(

@@ -341,9 +341,8 @@ def written(path, head, *columns):
 def said(program, *words):
     done = CliRunner().invoke(program, [str(w) for w in words])
     assert done.exit_code == 0, (done.output, done.exception)
-    rows = [
-        line for line in done.output.splitlines() if not line.startswith("map: ")
-    ]  # a path is never wrapped
+    # a path is never wrapped
+    rows = [line for line in done.output.splitlines() if not line.startswith("map: ")]
     assert words[0] != "inspect" or max(map(len, rows)) <= 80
     return done.output
 

@@ -355,9 +355,8 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative():
     buffer.compute_returns_and_advantage(torch.zeros(4), np.zeros(4))
     np.testing.assert_allclose(buffer.advantages, own * [[0.81], [0.9], [1.0]], atol=1e-6)
     learnt = np.concatenate([batch.advantages for batch in buffer.get(4)])
-    np.testing.assert_allclose(
-        np.sort(learnt), np.sort(buffer.advantages[:2].ravel())
-    )  # not at the last step
+    # not at the last step
+    np.testing.assert_allclose(np.sort(learnt), np.sort(buffer.advantages[:2].ravel()))
     buffer.episode_starts[2] = 1.0  # what follows an end is of another road
     buffer.compute_returns_and_advantage(torch.zeros(4), np.zeros(4))
     assert not buffer.advantages[:2].any() and buffer.advantages[2].any()
