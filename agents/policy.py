@@ -320,11 +320,7 @@ class Policy:
         return np.tanh(y) if self.output == "tanh" else np.clip(y, -1.0, 1.0)
 
     def copy(self) -> Policy:
-        """Return the policy with a separate memory.
-
-        Returns:
-            The copy.
-        """
+        """Return the policy with a separate memory."""
         other = copy(self)
         other._recall = None
         return other
@@ -417,9 +413,6 @@ class Policy:
 
         Args:
             folder: A policy folder, or the name of a shipped policy (ppo, sac).
-
-        Returns:
-            The policy.
 
         Raises:
             InputError: A file is missing, altered or invalid.

@@ -148,9 +148,6 @@ def make(
         control_step: Control step [s].
         options: Fields of the controller's settings, such as ``make("mpc", horizon=30)``.
 
-    Returns:
-        The controller.
-
     Raises:
         InputError: The name or an option is unknown, or the model is another kind of car.
     """

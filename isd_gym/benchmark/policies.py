@@ -40,9 +40,6 @@ def conventional(network: Network) -> Network:
     Args:
         network: Network of a car.
 
-    Returns:
-        Network of the passive car.
-
     Raises:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
@@ -78,9 +75,6 @@ def passive(network: Network) -> Entry:
     Args:
         network: Network of a car.
 
-    Returns:
-        The policy.
-
     Raises:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
@@ -115,9 +109,6 @@ def find(
             unknown.
         trained: Options of the training of a .zip file, such as "observation=history"; None to find them.
         options: Settings of a controller.
-
-    Returns:
-        The policy.
 
     Raises:
         InputError: The name is unknown, or the policy does not fit the plant.

@@ -257,9 +257,6 @@ class ISDSuspensionEnv(gym.Env):
     def snapshot(self) -> Snapshot | CarSnapshot:
         """Return the content of a picture of the car.
 
-        Returns:
-            Plain numbers for a renderer.
-
         Raises:
             InputError: The environment was made without a `render_mode`.
         """

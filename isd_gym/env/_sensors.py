@@ -79,9 +79,6 @@ class Sensors:
             given: Sensors, attributes by name, or a text such as ``noise=1,road_error=0.001``; None for exact
                 sensors.
 
-        Returns:
-            The sensors.
-
         Raises:
             InputError: An attribute or its value is invalid.
         """

@@ -168,9 +168,6 @@ class Options:
         Args:
             given: Options by name.
 
-        Returns:
-            The options.
-
         Raises:
             TypeError: A name is unknown; libraries that try the options of other environments rely on this
                 error.

@@ -101,9 +101,6 @@ class StageCost:
             corners: Number of corners. A car with an unusual number of corners gets the mean of the usual
                 references.
 
-        Returns:
-            Stage cost.
-
         Raises:
             InputError: An attribute does not exist, or an axis with a weight is not an axis of the body.
         """

@@ -299,9 +299,6 @@ def paper_road(kappa: float = PAPER_KAPPA) -> Road:
     Args:
         kappa: Road level [m^3/cycle].
 
-    Returns:
-        The road.
-
     References:
         Liu, Zhao, Yang, Chen, Shen, Shock and Vibration, 2019, Table 6. The default reproduces Table 7's
             passive row.
@@ -315,9 +312,6 @@ def iso_road(letter: str, *, cutoff: float = 0.002) -> Road:
     Args:
         letter: Class, A to H.
         cutoff: Cut-off [cycle/m].
-
-    Returns:
-        The road.
 
     Raises:
         InputError: No such class exists.
@@ -342,9 +336,6 @@ def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
         height: Height [m].
         length: Length [m].
         at: Distance of its beginning from the start [m].
-
-    Returns:
-        The road.
     """
 
     def shape(x: np.ndarray) -> np.ndarray:
@@ -362,9 +353,6 @@ def pothole(depth: float = 0.05, length: float = 1.0, at: float = 20.0, edge: fl
         length: Length [m].
         at: Distance of its beginning from the start [m].
         edge: Length of each edge [m].
-
-    Returns:
-        The road.
     """
     x = np.array([0.0, at, at + edge, at + length - edge, at + length, at + length + 1.0])
     return Road("pothole", abscissa=x, profile=np.array([0.0, 0.0, -depth, -depth, 0.0, 0.0]))
@@ -378,9 +366,6 @@ def sweep(amplitude: float = 0.005, start: float = 0.5, stop: float = 20.0, dura
         start: First frequency [Hz].
         stop: Last frequency [Hz].
         duration: Duration [s].
-
-    Returns:
-        The road.
     """
     t = np.arange(0.0, duration, 2.5e-4)
     phase = 2 * math.pi * (start * t + 0.5 * (stop - start) / duration * t**2)
@@ -553,9 +538,6 @@ def road(source: str | Path | Road) -> Road:
 
     Args:
         source: Name, file, or a road, which is returned unchanged.
-
-    Returns:
-        The road.
 
     Raises:
         InputError: The name is unknown, or the file holds no road.

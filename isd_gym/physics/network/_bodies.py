@@ -119,11 +119,7 @@ class Body:
         return {f"{self.name}.mass": float(self.mass), **inertias}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the body as an object of a model file.
-
-        Returns:
-            Plain data.
-        """
+        """Return the body as an object of a model file."""
         out: dict[str, Any] = {"mass": self.mass}
         if self.inertias:
             out["inertia"] = self.inertias
@@ -168,11 +164,7 @@ class Lever:
         return tuple(n for n, turns in zip(self.between, LEVER_UNITS[self.unit], strict=True) if turns)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the lever as an object of a model file.
-
-        Returns:
-            Plain data.
-        """
+        """Return the lever as an object of a model file."""
         return {"name": self.name, "between": list(self.between), "ratio": self.ratio, "unit": self.unit}
 
 

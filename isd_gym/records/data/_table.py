@@ -103,11 +103,7 @@ class Table:
         return float(time[0]), float(time[-1])
 
     def uniform(self) -> Table:
-        """Return the same samples on exactly uniform stamps, without jitter and rounding.
-
-        Returns:
-            Table with the same columns.
-        """
+        """Return the same samples on exactly uniform stamps, without jitter and rounding."""
         time = self._ends[0] + self.step * np.arange(len(self))
         return Table(time, self.columns, self.source, self.units)
 
