@@ -39,9 +39,9 @@ def printer() -> Any:
     return Console(width=None if sys.stdout.isatty() else PIPED, highlight=False, markup=False)
 
 
-def tell(text: str, *, dim: bool = False) -> None:
+def tell(text: str) -> None:
     """Print a sentence on stdout with word wrap."""
-    printer().print(text, style="dim" if dim else None)
+    printer().print(text)
 
 
 @contextmanager

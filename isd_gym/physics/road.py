@@ -306,12 +306,11 @@ def paper_road(kappa: float = PAPER_KAPPA) -> Road:
     return Road("paper", roughness=2 * kappa / REFERENCE_FREQUENCY**2)
 
 
-def iso_road(letter: str, *, cutoff: float = 0.002) -> Road:
-    """Return a road of an ISO 8608 class (geometric mean), flat below a cut-off.
+def iso_road(letter: str) -> Road:
+    """Return a road of an ISO 8608 class (geometric mean), flat below a cut-off of 0.002 cycle/m.
 
     Args:
         letter: Class, A to H.
-        cutoff: Cut-off [cycle/m].
 
     Raises:
         InputError: No such class exists.
@@ -321,12 +320,7 @@ def iso_road(letter: str, *, cutoff: float = 0.002) -> Road:
     """
     if letter.upper() not in ISO_CLASSES:
         raise InputError(f"no ISO 8608 class '{letter}': A to H")
-    return Road(letter.upper(), roughness=ISO_CLASSES[letter.upper()], cutoff=cutoff)
-
-
-def _over_distance(name: str, shape: Callable[[np.ndarray], np.ndarray], end: float) -> Road:
-    x = np.arange(0.0, end, 0.005)
-    return Road(name, abscissa=x, profile=shape(x))
+    return Road(letter.upper(), roughness=ISO_CLASSES[letter.upper()], cutoff=0.002)
 
 
 def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
@@ -337,12 +331,10 @@ def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
         length: Length [m].
         at: Distance of its beginning from the start [m].
     """
-
-    def shape(x: np.ndarray) -> np.ndarray:
-        inside = (x >= at) & (x <= at + length)
-        return np.where(inside, height * 0.5 * (1 - np.cos(2 * math.pi * (x - at) / length)), 0.0)
-
-    return _over_distance("bump", shape, at + length + 1.0)
+    x = np.arange(0.0, at + length + 1.0, 0.005)
+    inside = (x >= at) & (x <= at + length)
+    shape = np.where(inside, height * 0.5 * (1 - np.cos(2 * math.pi * (x - at) / length)), 0.0)
+    return Road("bump", abscissa=x, profile=shape)
 
 
 def pothole(depth: float = 0.05, length: float = 1.0, at: float = 20.0, edge: float = 0.1) -> Road:

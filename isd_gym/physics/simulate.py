@@ -276,10 +276,6 @@ def _with_laws(part: _Discrete, laws: Sequence[el.Element]) -> _Discrete:
     return replace(part, numbers=numbers, ints=ints)
 
 
-def _law_elements(network: Network) -> tuple[el.Element, ...]:
-    return tuple(part for e in network.elements if e.place == "between" for part in e.parts())
-
-
 def _linear_part(network: Network) -> tuple[Any, ...]:
     """Return everything that the linear equations of a network depend on, without the parameters of its laws."""
     elements = (
@@ -335,7 +331,8 @@ class Plant:
                 if key not in linear:
                     once[id(net)] = linear[key] = assemble(net, extra)
                 else:
-                    once[id(net)] = replace(linear[key], network=net, laws=_law_elements(net))
+                    laws = tuple(part for e in net.elements if e.place == "between" for part in e.parts())
+                    once[id(net)] = replace(linear[key], network=net, laws=laws)
         self.assemblies = [once[id(net)] for net in self.networks]
         first = self.assemblies[0]
         used = tuple(sorted({c for asm in linear.values() for c in _columns(asm)}))

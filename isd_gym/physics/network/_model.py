@@ -718,12 +718,11 @@ class Network:
         out.__dict__.update(elements=elements)
         return out
 
-    def with_element(self, element: el.Element | Mapping[str, Any], *, at: int | None = None) -> Network:
+    def with_element(self, element: el.Element | Mapping[str, Any]) -> Network:
         """Return a copy with an additional element.
 
         Args:
             element: The element, or its object in a model file.
-            at: Index in the list of elements; None for the end.
 
         Raises:
             InputError: The element is invalid or not connected.
@@ -732,9 +731,7 @@ class Network:
             from ._format import read_element
 
             element = read_element(element, len(self.elements))
-        listed = list(self.elements)
-        listed.insert(len(listed) if at is None else at, element)
-        return replace(self, elements=tuple(listed))
+        return replace(self, elements=(*self.elements, element))
 
     def without_element(self, name: str) -> Network:
         """Return a copy without an element and the uncertainties of its parameters.
