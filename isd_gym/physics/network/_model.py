@@ -690,18 +690,20 @@ class Network:
             else:
                 masses[owner] = float(value)
         elements = tuple(replace(e, **changes[e.name]) if e.name in changes else e for e in self.elements)
-        # values do not change the checked structure
+        own = {
+            k: tuple(replace(b, **changes.get(b.name, {})) for b in getattr(self, k))
+            for k in ("bodies", "levers")
+        }
+        out = self._with_values(masses=masses, elements=elements, **own)
+        out._check_masses()
+        return out
+
+    def _with_values(self, **parts: Any) -> Network:
+        """Return a copy with other values, which do not change the checked structure."""
         out = copy(self)
         for name in ("parameters", "_assembly"):
             out.__dict__.pop(name, None)
-        out.__dict__.update(masses=masses, elements=elements)
-        if bodies or levers:
-            own = {
-                k: tuple(replace(b, **changes.get(b.name, {})) for b in getattr(self, k))
-                for k in ("bodies", "levers")
-            }
-            out.__dict__.update(own)
-        out._check_masses()
+        out.__dict__.update(parts)
         return out
 
     def with_table(self, name: str, force: Any) -> Network:
@@ -711,12 +713,8 @@ class Network:
             name: Name of the element.
             force: Forces [N] in the shape of the table.
         """
-        out = copy(self)
-        for key in ("parameters", "_assembly"):
-            out.__dict__.pop(key, None)
         elements = tuple(replace(e, force=force) if e.name == name else e for e in self.elements)  # type: ignore[call-arg]
-        out.__dict__.update(elements=elements)
-        return out
+        return self._with_values(elements=elements)
 
     def with_element(self, element: el.Element | Mapping[str, Any]) -> Network:
         """Return a copy with an additional element.
