@@ -7,9 +7,10 @@ an unknown name.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .._common.errors import InputError, shown
 from .._common.plugins import POLICIES, find_wing, plugins
@@ -18,9 +19,6 @@ from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.network._bodies import Point
 from .driving import Entry, Idle
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 __all__ = ["Entry", "Idle", "available", "conventional", "find", "find_all", "passive"]
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from .._common.errors import InputError, shown
 from .._common.inputs import is_number
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = [
     "FULL_CAR",

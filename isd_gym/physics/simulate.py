@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import expm
@@ -22,9 +23,6 @@ from . import elements as el
 from ._balance import Balance
 from ._kernel.layout import CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = [
     "simulate",

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..._common.errors import InputError, shown
 from ..._common.inputs import is_number
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 MASSES = (1e-9, 1e9)  # [kg] or [kg m^2]
 #: axes of rotation of a body

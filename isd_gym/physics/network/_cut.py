@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from ..._common.errors import InputError, shown
 from ._model import GROUND, MOTIONS, Channel, Network
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 def cut(network: Network, node: str) -> Network:
