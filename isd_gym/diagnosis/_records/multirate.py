@@ -19,8 +19,7 @@ from scipy.sparse import csr_matrix
 from ..._common.errors import InputError
 from ..._common.units import HELD, convert
 from ...physics.simulate import pace
-from ...records._loggers.recording import Recording, Signal
-from ...records._loggers.resampling import sampled
+from ...records._loggers.recording import Recording, Signal, sampled
 from ...records.data import Table, check
 from ...records.data._quality import Scale, admit
 from .._simulation.interpolation import through
