@@ -142,8 +142,9 @@ class Batch:
         head = np.zeros(place.TABLES, np.int64)
         head[[place.COUNT, place.SUBSTEPS, place.SHOWS]] = self.count, self.substeps, place.MEASURED
         late = [int(behind > 0.0) for behind in wheels.behind]
-        tables = [head, [*columns.values()], wheels.track, late, wheels.leaders, current_of]
-        return np.concatenate(tables).astype(np.int64)
+        return np.array(
+            [*head, *columns.values(), *wheels.track, *late, *wheels.leaders, *current_of], np.int64
+        )
 
     def _set_drives(self) -> int:
         """Write the numbers of each motor's drive into the cars, and return how many past currents the drives need."""
