@@ -13,10 +13,11 @@ import hashlib
 import json
 import math
 import os
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import safetensors.numpy as safetensors
@@ -29,9 +30,6 @@ from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 from isd_gym.physics.network import Network
 
 from ._memory import Memory, Recall
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = [
     "Policy",
@@ -320,11 +318,7 @@ class Policy:
         return np.tanh(y) if self.output == "tanh" else np.clip(y, -1.0, 1.0)
 
     def copy(self) -> Policy:
-        """Return the policy with a separate memory.
-
-        Returns:
-            The copy.
-        """
+        """Return the policy with a separate memory."""
         other = copy(self)
         other._recall = None
         return other
@@ -417,9 +411,6 @@ class Policy:
 
         Args:
             folder: A policy folder, or the name of a shipped policy (ppo, sac).
-
-        Returns:
-            The policy.
 
         Raises:
             InputError: A file is missing, altered or invalid.

@@ -12,9 +12,9 @@ not the default, since the paper has no such term.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import erf
@@ -35,9 +35,6 @@ from ._model import (
 )
 from ._qp import Osqp, Program
 from .controller import CURRENT, DesignedController
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 __all__ = [
     "MpcSettings",

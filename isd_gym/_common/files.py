@@ -11,15 +11,12 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from .errors import InputError, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 try:
     import fcntl

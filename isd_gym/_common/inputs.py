@@ -11,12 +11,10 @@ import math
 import os
 import stat
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from .errors import InputError, shown
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 #: environment variable that raises the limit on the memory of a file's content
 LIMIT_VARIABLE = "ISD_GYM_READ_LIMIT_GB"

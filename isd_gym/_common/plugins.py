@@ -45,6 +45,7 @@ OWN = {
         "xlsx": "isd_gym.contrib.bench_files.entry:xlsx",
     },
     WINGS: {
+        "bench_files": "isd_gym.contrib.bench_files.writing",
         "ceilings": "isd_gym.contrib.ceilings.beside",
         "fleet": "isd_gym.contrib.fleet.command",
         "fmi": "isd_gym.contrib.fmi.command",

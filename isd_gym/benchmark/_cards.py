@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +19,6 @@ from .._common.errors import InputError, shown
 from .._common.inputs import read_json
 from ..records.schemas import check
 from .scoring import compare
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
 
 SCHEMA, SCORE = "isd-card/1", "isd-score/1"
 BUILT_IN = Path(__file__).parent / "references"

@@ -68,16 +68,12 @@ def snapshots(
         yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
 
 
-def _size(network: Network, cars: int) -> tuple[int, int]:
-    """Return width and height of a picture [px]."""
-    return WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
-
-
 @contextmanager
 def _renderer(mode: Any, network: Network, cars: int, scale: float = 1.0) -> Iterator[Any]:
     from ..view._rendering import Renderer
 
-    width, height = (round(scale * side) for side in _size(network, cars))
+    size = WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
+    width, height = (round(scale * side) for side in size)
     drawn = Renderer(mode, width=width, height=height, cars=cars)
     try:
         yield drawn

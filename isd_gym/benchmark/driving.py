@@ -82,32 +82,14 @@ class Idle:
         """Do nothing: there is no memory."""
 
     def act(self, observation: np.ndarray) -> float | np.ndarray:
-        """Return zero current for each motor.
-
-        Args:
-            observation: Without effect.
-
-        Returns:
-            Current [A], or currents (currents,) [A].
-        """
+        """Return zero current for each motor."""
         return 0.0 if self.currents == 1 else np.zeros(self.currents)
 
     def reset_batch(self, count: int) -> None:
-        """Do nothing: there is no memory.
-
-        Args:
-            count: Number of cars.
-        """
+        """Do nothing: there is no memory."""
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return zero current for each motor of each car.
-
-        Args:
-            observations: Observations (n, signals).
-
-        Returns:
-            Currents (n,) or (n, currents) [A].
-        """
+        """Return zero current for each motor of each car: (n,) or (n, currents)."""
         count = len(observations)
         return np.zeros(count) if self.currents == 1 else np.zeros((count, self.currents))
 

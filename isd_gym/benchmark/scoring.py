@@ -171,9 +171,6 @@ def comfort_point(car: Vehicle) -> str:
 
     Args:
         car: The car.
-
-    Returns:
-        Name of the point.
     """
     return "driver" if "driver" in car.points else car.body
 
@@ -269,9 +266,6 @@ def drive(
         sensors: Imperfections of the sensors.
         timed: Number of decisions of a batched policy that are repeated one at a time to measure the time.
         progress: Called now and then with the finished share.
-
-    Returns:
-        The signals.
 
     Raises:
         InputError: A car breaks, or an argument is invalid.
@@ -607,9 +601,6 @@ def score(
         ceiling: Returns the bound of controllers with a given preview [s] (its `change`), for the share of
             the causal gain, which is omitted for small samples (`comparability`).
         progress: Called now and then with the name of a policy and its finished share.
-
-    Returns:
-        The score.
 
     Raises:
         InputError: An argument is invalid, a policy is unknown or named twice, or a car breaks.

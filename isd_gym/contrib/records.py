@@ -8,8 +8,7 @@ import numpy as np
 
 from isd_gym._common.errors import InputError
 from isd_gym.records._loggers import files_of
-from isd_gym.records._loggers.recording import even, rasters
-from isd_gym.records._loggers.resampling import sampled
+from isd_gym.records._loggers.recording import even, rasters, sampled
 from isd_gym.records.data._columns import split_header
 
 if TYPE_CHECKING:

@@ -13,7 +13,6 @@ Data go one way, from the first of these packages to the last:
 `isd_gym.contrib.forecast` designs the test that would decide between candidates.
 """
 
-from ._estimation.initial_state_fit import FittedInitialState, initial_state
 from ._hypotheses.library import Hypothesis, hypotheses
 from ._selection.criteria import CRITERIA, Criteria
 from ._selection.settings import SearchSettings
@@ -30,7 +29,6 @@ __all__ = [
     "Effect",
     "EffectEvidence",
     "Evidence",
-    "FittedInitialState",
     "Gate",
     "Hypothesis",
     "Law",
@@ -40,5 +38,4 @@ __all__ = [
     "Trace",
     "diagnose",
     "hypotheses",
-    "initial_state",
 ]

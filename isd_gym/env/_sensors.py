@@ -7,17 +7,15 @@ therefore has exactly the noise of a single car with the same seed.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .._common.errors import InputError, shown
 from .._common.inputs import is_number, is_whole
 from ..physics._kernel.jit import compiled
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 #: standard deviation of the white noise on each measured signal at noise 1; the current is known exactly
 NOISE = {
@@ -78,9 +76,6 @@ class Sensors:
         Args:
             given: Sensors, attributes by name, or a text such as ``noise=1,road_error=0.001``; None for exact
                 sensors.
-
-        Returns:
-            The sensors.
 
         Raises:
             InputError: An attribute or its value is invalid.

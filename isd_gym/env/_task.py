@@ -6,11 +6,11 @@ import copy
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -25,10 +25,6 @@ from ..physics.network import Network
 from ..physics.road import Road, road
 from ._history import BOUND, Remembered, history_of
 from ._sensors import Sensors, Sight
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
 
 CONTROL_STEP = 5e-3  # s
 #: limits of options: control step [s], duration of an episode and preview [s], speed [m/s], control steps per action
@@ -167,9 +163,6 @@ class Options:
 
         Args:
             given: Options by name.
-
-        Returns:
-            The options.
 
         Raises:
             TypeError: A name is unknown; libraries that try the options of other environments rely on this

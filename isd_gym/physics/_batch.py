@@ -63,8 +63,6 @@ class Batch:
             raise InputError(
                 f"control step {control_step} s is not a whole multiple of physics step {physics_step} s"
             )
-        if not (isinstance(speed, int | float) and math.isfinite(speed) and speed > 0):
-            raise InputError(f"speed must be a positive number of m/s, not {speed!r}")
         self.control_step, self.speed, self.duration = control_step, float(speed), duration
         self.road = road(road_)
         self.randomize = ranges(network, randomize)
@@ -143,13 +141,9 @@ class Batch:
         ] or [0]
         head = np.zeros(place.TABLES, np.int64)
         head[[place.COUNT, place.SUBSTEPS, place.SHOWS]] = self.count, self.substeps, place.MEASURED
-        leaders = [
-            min((behind, i) for i, behind in enumerate(wheels.behind) if wheels.track[i] == t)[1]
-            for t in range(wheels.tracks)
-        ]
         late = [int(behind > 0.0) for behind in wheels.behind]
-        return np.concatenate([head, [*columns.values()], wheels.track, late, leaders, current_of]).astype(
-            np.int64
+        return np.array(
+            [*head, *columns.values(), *wheels.track, *late, *wheels.leaders, *current_of], np.int64
         )
 
     def _set_drives(self) -> int:
@@ -205,10 +199,8 @@ class Batch:
         self.cars, self.out = self._cars[:, :count], self._cars[of.outputs :, :count]
         self._setup = self._ints[len(self.plant.ints) :]
         self.counters = self._ways[of.counter :].view(np.uint64)  # (tracks, cars)
-        self.target = self.cars[
-            of.target : of.target + of.currents
-        ]  # commanded currents [A] (currents, count)
-        self.first_targets = self.target[:, 0]
+        #: commanded currents [A] (currents, count)
+        self.target = self.cars[of.target : of.target + of.currents]
         self._write_to(self._results, self.seen)
 
     def _write_to(self, results: np.ndarray, seen: np.ndarray) -> None:
@@ -221,22 +213,9 @@ class Batch:
         self._write_to(np.empty(self._results.shape), np.empty(self.seen.shape, np.float32))
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("cars", "out", "counters", "target", "first_targets", "_setup")
-        return {
-            k: v
-            for k, v in self.__dict__.items()
-            if k
-            not in (
-                *views,
-                "_drive",
-                "_drive_arguments",
-                "_shares",
-                "_calls",
-                "_crew",
-                "_first_results",
-                "first_seen",
-            )
-        }
+        views = ("cars", "out", "counters", "target", "_setup", "_first_results", "first_seen")
+        made = (*views, "_drive", "_drive_arguments", "_shares", "_calls", "_crew")
+        return {k: v for k, v in self.__dict__.items() if k not in made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -432,7 +411,7 @@ class Batch:
     # ----------------------------------------------------------------------------------------- step
 
     def step(self) -> np.ndarray:
-        """Run one control step with the currents in `current` (after `set_cost`: `target`); return the signals (signals, count) [SI]."""
+        """Run one control step with the present currents (after `set_cost`: `target`); return the signals (signals, count) [SI]."""
         drive = self._drive or self._compiled()
         if len(self._calls) == 1:
             self.broken = drive(*self._calls[0])
@@ -456,11 +435,6 @@ class Batch:
         of_car = kernel_of(self.plant.at, self.size)
         self._drive = of_car.drive.compile(tuple(map(typeof, self._calls[0])))  # type: ignore[attr-defined]
         return self._drive
-
-    @property
-    def current(self) -> np.ndarray:
-        """Present commanded current of the first corner [A] (count,)."""
-        return self.cars[self.of.current]
 
     @property
     def currents(self) -> np.ndarray:

@@ -7,9 +7,10 @@ that is nearest along the elements.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,9 +18,6 @@ from .._common.errors import InputError
 from . import elements as el
 from .network import GROUND, Channel, Network
 from .tracks import WheelPositions
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
 
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_RATE = 100.0  # A/s: 0.5 A per control step of 5 ms, Table 5

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from .._common.errors import InputError, shown
 from .._common.inputs import is_number
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = [
     "FULL_CAR",
@@ -100,9 +98,6 @@ class StageCost:
             axes: Axes about which the body rotates, of 'pitch' and 'roll'.
             corners: Number of corners. A car with an unusual number of corners gets the mean of the usual
                 references.
-
-        Returns:
-            Stage cost.
 
         Raises:
             InputError: An attribute does not exist, or an axis with a weight is not an axis of the body.

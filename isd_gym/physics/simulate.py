@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import expm
@@ -22,9 +23,6 @@ from . import elements as el
 from ._balance import Balance
 from ._kernel.layout import CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = [
     "simulate",
@@ -276,10 +274,6 @@ def _with_laws(part: _Discrete, laws: Sequence[el.Element]) -> _Discrete:
     return replace(part, numbers=numbers, ints=ints)
 
 
-def _law_elements(network: Network) -> tuple[el.Element, ...]:
-    return tuple(part for e in network.elements if e.place == "between" for part in e.parts())
-
-
 def _linear_part(network: Network) -> tuple[Any, ...]:
     """Return everything that the linear equations of a network depend on, without the parameters of its laws."""
     elements = (
@@ -335,7 +329,8 @@ class Plant:
                 if key not in linear:
                     once[id(net)] = linear[key] = assemble(net, extra)
                 else:
-                    once[id(net)] = replace(linear[key], network=net, laws=_law_elements(net))
+                    laws = tuple(part for e in net.elements if e.place == "between" for part in e.parts())
+                    once[id(net)] = replace(linear[key], network=net, laws=laws)
         self.assemblies = [once[id(net)] for net in self.networks]
         first = self.assemblies[0]
         used = tuple(sorted({c for asm in linear.values() for c in _columns(asm)}))
@@ -656,7 +651,7 @@ def simulate(
     plant = Plant(network, dt / every, extra=extra)
     if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
         raise InputError(
-            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.records.state_of makes a state from motions of nodes"
+            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.contrib.simulation.state_of makes a state from motions of nodes"
         )
     needs = plant.differentiated
     fine, slopes = {}, {}

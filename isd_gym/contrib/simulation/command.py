@@ -208,12 +208,11 @@ def _write(
     from isd_gym._common.units import convert
     from isd_gym.contrib.records import inputs_of, outputs_of
     from isd_gym.physics.simulate import simulate as run
-    from isd_gym.records import state_of
     from isd_gym.records._loggers import files_of
     from isd_gym.records._loggers.record_reading import records_of
     from isd_gym.records.data import Table, write_table
 
-    from .motions import motions_at, motions_of
+    from .motions import motions_at, motions_of, state_of
 
     check_file(out, model, *files_of(data))
     by = named.get("by")
@@ -232,7 +231,7 @@ def _write(
         )
     table, start = pieces[0], None
     if fitted:
-        from isd_gym.diagnosis._estimation.initial_state_fit import initial_state
+        from .initial_state_fit import initial_state
 
         begun = initial_state(table, network, outputs=measured)
         table, start = Table(begun.time, dict(begun.inputs), str(data)), begun.state

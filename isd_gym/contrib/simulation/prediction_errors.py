@@ -11,12 +11,13 @@ from isd_gym._common.arrays import channel_rms
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.clock_lag import align_clocks
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.initial_state_fit import ITERATIONS
 from isd_gym.diagnosis._estimation.noise import floors_of, white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._records import differentiate_inputs, read_record
 from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, deviation_within
 from isd_gym.physics.network import Network
+
+from .initial_state_fit import ITERATIONS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

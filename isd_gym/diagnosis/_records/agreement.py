@@ -43,11 +43,8 @@ VAGUE = 1.0  # relative uncertainty of a parameter from which amplitudes are not
 
 
 def find_misreading(problem: Problem) -> str:
-    """Return the clearest sign of a turned, mislabelled or swapped channel.
-
-    Returns:
-        A line with the correlation and the remedy; '' for records that agree with the model or cannot be compared.
-    """
+    """Return the clearest sign of a turned, mislabelled or swapped channel, in a line with the correlation and the remedy; '' for
+    records that agree with the model or cannot be compared."""
     network = problem.network
     if not network.inputs or not all(c.measured for c in network.inputs):
         return ""

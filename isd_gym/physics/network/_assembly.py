@@ -66,9 +66,6 @@ class Assembly:
 
         Args:
             part: 'x', 'r', 'v', 'alpha', 'F', 'I' or 'f'.
-
-        Returns:
-            Slice of the columns.
         """
         return _spans(self.size)[part]
 
@@ -79,9 +76,6 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
     Args:
         network: The model.
         extra: Further output channels, after those of the model.
-
-    Returns:
-        The equations.
 
     Raises:
         InputError: The massless part is singular, or an output is not defined in the network, such as the

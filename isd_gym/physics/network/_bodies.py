@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..._common.errors import InputError, shown
 from ..._common.inputs import is_number
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 MASSES = (1e-9, 1e9)  # [kg] or [kg m^2]
 #: axes of rotation of a body
@@ -119,11 +117,7 @@ class Body:
         return {f"{self.name}.mass": float(self.mass), **inertias}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the body as an object of a model file.
-
-        Returns:
-            Plain data.
-        """
+        """Return the body as an object of a model file."""
         out: dict[str, Any] = {"mass": self.mass}
         if self.inertias:
             out["inertia"] = self.inertias
@@ -168,11 +162,7 @@ class Lever:
         return tuple(n for n, turns in zip(self.between, LEVER_UNITS[self.unit], strict=True) if turns)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the lever as an object of a model file.
-
-        Returns:
-            Plain data.
-        """
+        """Return the lever as an object of a model file."""
         return {"name": self.name, "between": list(self.between), "ratio": self.ratio, "unit": self.unit}
 
 

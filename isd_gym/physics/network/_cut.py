@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from ..._common.errors import InputError, shown
 from ._model import GROUND, MOTIONS, Channel, Network
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 def cut(network: Network, node: str) -> Network:
@@ -22,9 +19,6 @@ def cut(network: Network, node: str) -> Network:
     Args:
         network: The whole model.
         node: Name of the node.
-
-    Returns:
-        The part.
 
     Raises:
         InputError: No output measures the motion of the node, or no moved node lies behind the node.
@@ -118,9 +112,6 @@ def rejoin(whole: Network, part: Network) -> Network:
     Args:
         whole: Model before the cut.
         part: Result of `cut`, changed by the diagnosis.
-
-    Returns:
-        The whole model.
     """
     node = next((n for n in part.moved_nodes if n not in whole.moved_nodes), None)
     behind = _behind(whole, node) if node is not None else set()

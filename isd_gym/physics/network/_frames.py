@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ..._common.errors import InputError
 from ..._common.units import TURNING
 from ._model import GROUND, MOTIONS, Network
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 
 def frames(network: Network) -> dict[str, int]:

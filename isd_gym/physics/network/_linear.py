@@ -166,9 +166,6 @@ def linearise(
             linearisation of friction, equation 9).
         laws: Whether the force of each law is an input with the law's name, instead of the slope of the law.
 
-    Returns:
-        The state space.
-
     Raises:
         InputError: The network has no linear state space.
     """

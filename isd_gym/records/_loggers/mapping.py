@@ -12,9 +12,11 @@ of a logger's time stamps; an unknown delay is fitted. `sure` and `why` are for 
 
 from __future__ import annotations
 
+from collections.abc import Mapping as Dict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..._common.errors import InputError, hint, plain, shown
 from ..._common.inputs import read_json
@@ -23,10 +25,6 @@ from ...physics.network import Channel, Network, without
 from ..data._columns import column_for, did_you_mean
 from ..schemas import check
 from .recording import EPOCH, Raster, Recording, Signal, continuous, mended, rasters, spans
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping as Dict
-    from collections.abc import Sequence
 
 SCHEMA = "isd-map/1"
 JOIN = "+"  # separator between the files of a run

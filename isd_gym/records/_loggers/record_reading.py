@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..._common.errors import InputError, MissingColumn, hint, plain, shown
 from ..._common.units import convert
@@ -16,9 +16,6 @@ from ..data._table import format_of
 from ..data._text import SideBySide
 from .mapping import ChannelMap, Column, files_of, runs
 from .recording import Raster, Recording, Signal, continuous, mended, rasters
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 
 def records_of(

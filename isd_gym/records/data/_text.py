@@ -10,8 +10,9 @@ import math
 import re
 from array import array
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -32,10 +33,6 @@ from ._columns import (
     time_unit,
     unit_known,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 #: limits of a text table: characters of a line, number of columns, memory while reading as a multiple of the
 #: size

@@ -36,9 +36,6 @@ def load(name: str) -> dict[str, Any]:
     Args:
         name: Name of the format, such as 'isd-model/1' or 'isd-model-1'.
 
-    Returns:
-        The schema.
-
     Raises:
         InputError: No such schema exists.
     """

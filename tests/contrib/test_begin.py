@@ -10,12 +10,11 @@ from program import with_wings
 from typer.testing import CliRunner
 
 from isd_gym._common.errors import InputError
+from isd_gym.contrib.simulation import initial_state, state_of
 from isd_gym.contrib.simulation.command import command
 from isd_gym.contrib.simulation.motions import motions_at
-from isd_gym.diagnosis._estimation.initial_state_fit import initial_state
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
-from isd_gym.records import state_of
 from isd_gym.records._loggers import Recording, Signal
 from isd_gym.records.data import Table, read_table, write_table
 
