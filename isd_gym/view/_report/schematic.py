@@ -309,6 +309,14 @@ class _Sheet:
         text = ", ".join([_channel(c), *(_briefly(e, self.net) for e in sensors)])
         return text, "found" if found else "signal"
 
+    def stroke(self, *what: Any, **look: Any) -> None:
+        """Draw a `_Stroke`."""
+        self.out.strokes.append(_Stroke(*what, **look))
+
+    def word(self, *what: Any, **look: Any) -> None:
+        """Write a `_Word`."""
+        self.out.words.append(_Word(*what, **look))
+
     # sizes
 
     def words(self, e: el.Element | Lever) -> list[tuple[str, str, bool]]:
@@ -406,7 +414,7 @@ class _Sheet:
 
         def line(points: Sequence[tuple[float, float]], **how: Any) -> None:
             shifted = [(cx + a, cy + b) for a, b in points]
-            self.out.strokes.append(_Stroke(shifted, part, colour, **how))
+            self.stroke(shifted, part, colour, **how)
 
         line([(0, top - cy), (0, -half)])
         line([(0, half), (0, bottom - cy)])
@@ -415,12 +423,10 @@ class _Sheet:
         for points, how in symbol:
             line(points, **how)
         if kind not in SYMBOLS or kind in LETTERED:
-            self.out.words.append(
-                _Word(cx, cy + 4, LETTERED.get(kind, "f"), part, colour, "middle", True, 12.0)
-            )
+            self.word(cx, cy + 4, LETTERED.get(kind, "f"), part, colour, "middle", True, 12.0)
         at = cy - 6.5 * (len(words) - 1) + 4
         for text, ink, bold in words:
-            self.out.words.append(_Word(cx + 18.0, at, text, part, ink, bold=bold))
+            self.word(cx + 18.0, at, text, part, ink, bold=bold)
             at += 13.0
 
     def draw_nodes(self) -> None:
@@ -435,34 +441,22 @@ class _Sheet:
                 if any(b.name == n for b in net.bodies):
                     right = max(right, self.right)
                 corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
-                self.out.strokes.append(_Stroke(corners, part, width=1.6, closed=True))
-                self.out.words.append(
-                    _Word(
-                        0.5 * (left + right),
-                        0.5 * (top + bottom) + 4,
-                        self.mass_text(n),
-                        part,
-                        "ink",
-                        "middle",
-                        True,
-                        12.5,
-                    )
-                )
+                self.stroke(corners, part, width=1.6, closed=True)
+                x, y = 0.5 * (left + right), 0.5 * (top + bottom) + 4
+                self.word(x, y, self.mass_text(n), part, "ink", "middle", True, 12.5)
             else:
                 at = 0.5 * (top + bottom)
                 left, right = min(xs) - 12.0, max(xs) + 12.0
                 fixed = n == GROUND or n in moved
-                if n == GROUND or fixed:
+                if fixed:
                     left, right = left - 16.0, right + 16.0
-                self.out.strokes.append(_Stroke([(left, at), (right, at)], part, width=2.6 if fixed else 1.8))
+                self.stroke([(left, at), (right, at)], part, width=2.6 if fixed else 1.8)
                 if n == GROUND:
                     for k in range(int((right - left) // 9)):
-                        self.out.strokes.append(
-                            _Stroke([(left + 9 * k + 9, at), (left + 9 * k, at + 9)], part, "muted", 1.0)
-                        )
+                        self.stroke([(left + 9 * k + 9, at), (left + 9 * k, at + 9)], part, "muted", 1.0)
                 else:
                     # a name inside the drawing, left of its bar, if the space is free
-                    self.out.words.append(_Word(left - 5, at + 4, channel_text(n), part, "muted", "end"))
+                    self.word(left - 5, at + 4, channel_text(n), part, "muted", "end")
             self.edge[n] = (left, right, 0.5 * (top + bottom))
         for body in net.bodies:
             if body.name in self.y:
@@ -478,16 +472,12 @@ class _Sheet:
             part = f"node:{node}"
             if node in self.attached:
                 xs = self.attached[node]
-                self.out.strokes.append(
-                    _Stroke([(min(xs) - 8, bottom), (max(xs) + 8, bottom)], part, width=4.0)
-                )
+                self.stroke([(min(xs) - 8, bottom), (max(xs) + 8, bottom)], part, width=4.0)
                 self.y[node] = (bottom, bottom)
             else:
                 at = left + (right - left) * (free.index(node) + 1) / (len(free) + 1)
-                self.out.strokes.append(
-                    _Stroke([(at - 5, top - 7), (at + 5, top - 7), (at, top)], part, closed=True, filled=True)
-                )
-                self.out.words.append(_Word(at + 9, top - 4, channel_text(node), part, "muted"))
+                self.stroke([(at - 5, top - 7), (at + 5, top - 7), (at, top)], part, closed=True, filled=True)
+                self.word(at + 9, top - 4, channel_text(node), part, "muted")
             self.edge[node] = self.edge[body.name]
         for k, (axis, node) in enumerate(body.angles.items()):
             part, cx, cy = f"node:{node}", right - 14.0 - 24.0 * k, 0.5 * (top + bottom)
@@ -495,10 +485,10 @@ class _Sheet:
                 (cx + 8 * math.cos(a), cy + 8 * math.sin(a))
                 for a in (0.25 * math.pi * i for i in range(-2, 5))
             ]
-            self.out.strokes.append(_Stroke(turn, part, width=1.2))
+            self.stroke(turn, part, width=1.2)
             x, y = turn[-1]
-            self.out.strokes.append(_Stroke([(x + 1, y - 5), (x, y), (x + 5, y + 1)], part, width=1.2))
-            self.out.words.append(_Word(cx, cy + 3.5, axis[0], part, "muted", "middle", size=9.0))
+            self.stroke([(x + 1, y - 5), (x, y), (x + 5, y + 1)], part, width=1.2)
+            self.word(cx, cy + 3.5, axis[0], part, "muted", "middle", size=9.0)
             self.edge[node] = self.edge[body.name]
 
     def height_of(self, n: str) -> float:
@@ -732,12 +722,10 @@ def _place_others(
 def _arrow(sheet: _Sheet, x: float, y0: float, y1: float, part: str, both: bool = False) -> None:
     """Draw a vertical arrow from y0 to y1."""
     s = math.copysign(5.0, y1 - y0)
-    sheet.out.strokes.append(_Stroke([(x, y0), (x, y1)], part, "signal", 1.2))
-    sheet.out.strokes.append(_Stroke([(x - 3.5, y1 - s), (x, y1), (x + 3.5, y1 - s)], part, "signal", 1.2))
+    sheet.stroke([(x, y0), (x, y1)], part, "signal", 1.2)
+    sheet.stroke([(x - 3.5, y1 - s), (x, y1), (x + 3.5, y1 - s)], part, "signal", 1.2)
     if both:
-        sheet.out.strokes.append(
-            _Stroke([(x - 3.5, y0 + s), (x, y0), (x + 3.5, y0 + s)], part, "signal", 1.2)
-        )
+        sheet.stroke([(x - 3.5, y0 + s), (x, y0), (x + 3.5, y0 + s)], part, "signal", 1.2)
 
 
 def _signals(sheet: _Sheet, x: float) -> None:
@@ -760,7 +748,7 @@ def _signals(sheet: _Sheet, x: float) -> None:
         ax, ay = end + 14.0, at + 17.0 * k
         # positive values point up; moved nodes have arrows in both directions
         _arrow(sheet, ax, ay + 7, ay - 8, part, both=both)
-        out.words.append(_Word(ax + 9, ay + 4, words, part, ink))
+        sheet.word(ax + 9, ay + 4, words, part, ink)
         taken[node] = max(taken.get(node, 0.0), ax + 12 + LETTER * 1.03 * len(words))
         widest = max(widest, taken[node])
     beside = widest + 16.0
@@ -775,12 +763,12 @@ def _signals(sheet: _Sheet, x: float) -> None:
             if n in sheet.attached:  # the arrow reaches the body
                 continue
             start = max(sheet.edge[n][1], taken.get(n, 0.0)) + 4
-            out.strokes.append(_Stroke([(start, y), (column + 6, y)], part, "muted", 0.6, dashed=True))
+            sheet.stroke([(start, y), (column + 6, y)], part, "muted", 0.6, dashed=True)
         _arrow(sheet, column, max(ys), min(ys), part, both=True)
         text, ink = sheet.output(c)
         # beside the arrow, away from the height of a node
         place = min(ys) + 0.5 * (max(ys) - min(ys))
-        out.words.append(_Word(column + 7, place, text, part, ink))
+        sheet.word(column + 7, place, text, part, ink)
         if own is None:
             beside += 26.0 + LETTER * len(text)
             widest = max(widest, beside)
