@@ -36,53 +36,32 @@ LONGEST, LEADERS = 1024, 8  # control steps of a delay, and wheels that lead
 class Filter:
     """A steady Kalman filter with a control law as plain matrices, in coordinates z of about unit size.
 
-    ``free = A z + B I``. Friction f in [-1, 1] of its level holds, ``S free = K f``, or slides; each friction
-    has one row of S and K. ``z+ = x + L (y - C x - D I - F f)`` with ``x = free + G f``. The law is ``I* =
-    law z - force tanh(rate z)`` [A]. Features of each current are ``(I* - I) / slew`` within ±`reach`, and
-    the offset [A] from the law in a policy's head.
-
-    Attributes:
-        A: State matrix (n, n).
-        B: Response to the currents (n, currents).
-        G: Response to the frictions (n, frictions).
-        S: Rates of the frictions (frictions, n).
-        K: Rates of the frictions per friction (frictions, frictions).
-        C: Output matrix of the first signals y (signals, n).
-        D: Response of the signals to the currents (signals, currents).
-        F: Response of the signals to the frictions (signals, frictions).
-        L: Gain of the filter (n, signals).
-        law: Currents by the state (currents, n).
-        rate: Rates in the friction compensation by the state (currents, n).
-        force: Friction over thrust constant (currents,) [A].
-        slew: Scale of the law's features [A].
-        reach: Bound of the law's features [-].
-        current: Index of the first present current among the signals; the others follow.
-        road: Change of z per known rise of the road by 1 m over the last step (n, roads); empty without a
-            known road.
-        law_ahead: Currents per rise of the road in the next steps (currents, points) [A/m], road after road.
-        rate_ahead: Rates in the friction compensation per rise of the road (currents, points).
-
-    Raises:
-        InputError: A shape or a number is invalid.
+    ``free = A z + B I``. Friction f in [-1, 1] of its level holds, ``S free = K f``, or slides; each
+    friction has one row of S and K. ``z+ = x + L (y - C x - D I - F f)`` with ``x = free + G f``. The law
+    is ``I* = law z - force tanh(rate z)`` [A]. Features of each current are ``(I* - I) / slew`` within
+    ±`reach`, and the offset [A] from the law in a policy's head.
     """
 
-    A: tuple[tuple[float, ...], ...]
-    B: tuple[tuple[float, ...], ...]
-    G: tuple[tuple[float, ...], ...]
-    S: tuple[tuple[float, ...], ...]
-    K: tuple[tuple[float, ...], ...]
-    C: tuple[tuple[float, ...], ...]
-    D: tuple[tuple[float, ...], ...]
-    F: tuple[tuple[float, ...], ...]
-    L: tuple[tuple[float, ...], ...]
-    law: tuple[tuple[float, ...], ...]
-    rate: tuple[tuple[float, ...], ...]
-    force: tuple[float, ...]
-    slew: float = 0.5
-    reach: float = 2.0
-    current: int = 5
+    A: tuple[tuple[float, ...], ...]  # state matrix (n, n)
+    B: tuple[tuple[float, ...], ...]  # response to the currents (n, currents)
+    G: tuple[tuple[float, ...], ...]  # response to the frictions (n, frictions)
+    S: tuple[tuple[float, ...], ...]  # rates of the frictions (frictions, n)
+    K: tuple[tuple[float, ...], ...]  # rates of the frictions per friction (frictions, frictions)
+    C: tuple[tuple[float, ...], ...]  # output matrix of the first signals y (signals, n)
+    D: tuple[tuple[float, ...], ...]  # response of the signals to the currents (signals, currents)
+    F: tuple[tuple[float, ...], ...]  # response of the signals to the frictions (signals, frictions)
+    L: tuple[tuple[float, ...], ...]  # gain of the filter (n, signals)
+    law: tuple[tuple[float, ...], ...]  # currents by the state (currents, n)
+    rate: tuple[tuple[float, ...], ...]  # rates in the friction compensation by the state (currents, n)
+    force: tuple[float, ...]  # friction over thrust constant (currents,) [A]
+    slew: float = 0.5  # scale of the law's features [A]
+    reach: float = 2.0  # bound of the law's features [-]
+    current: int = 5  # index of the first present current among the signals; the others follow
+    #: change of z per known rise of the road by 1 m over the last step (n, roads); empty without a known road
     road: tuple[tuple[float, ...], ...] = ()
+    #: currents per rise of the road in the next steps (currents, points) [A/m], road after road
     law_ahead: tuple[tuple[float, ...], ...] = ()
+    #: rates in the friction compensation per rise of the road (currents, points)
     rate_ahead: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
@@ -150,28 +129,18 @@ class Echo:
 
     The filter's estimate contains the rise of the road under each leading wheel in the control step that
     began `lag` steps ago. A following wheel meets that rise after distance / speed. The rises of the next
-    `points` steps under each following wheel are features; unknown rises are 0. A delay with a fraction of a
-    step is interpolated linearly.
-
-    Attributes:
-        rows: Rise under each leading wheel by the filter's estimate (leaders, n) [m].
-        followers: Index of the leading wheel, and distance behind the leading wheel [m], of each following
-            wheel.
-        speed: Speed [m/s].
-        lag: Age of the estimated rise [control steps].
-        points: Number of rises per following wheel.
-        rise: Scale of a rise [m].
-
-    Raises:
-        InputError: A shape or a number is invalid.
+    `points` steps under each following wheel are features; unknown rises are 0. A delay with a fraction of
+    a step is interpolated linearly.
     """
 
+    #: rise under each leading wheel by the filter's estimate (leaders, n) [m]
     rows: tuple[tuple[float, ...], ...]
+    #: index of the leading wheel, and distance behind the leading wheel [m], of each following wheel
     followers: tuple[tuple[int, float], ...]
-    speed: float
-    lag: int
-    points: int
-    rise: float
+    speed: float  # speed [m/s]
+    lag: int  # age of the estimated rise [control steps]
+    points: int  # number of rises per following wheel
+    rise: float  # scale of a rise [m]
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -208,10 +177,8 @@ class Echo:
         return len(self.followers) * self.points
 
     def weights(self, step: float) -> np.ndarray:
-        """Return the weights of the measured rises in the rises ahead.
-
-        A rise of age j was met in the step that began `lag` + j steps ago.
-        """
+        """Return the weights (leaders, ages, width) of the measured rises in the rises ahead; a rise of age j
+        was met in the step that began `lag` + j steps ago."""
         delays = [distance / (self.speed * step) for _, distance in self.followers]
         if max(delays) > LONGEST:
             raise InputError(
@@ -244,23 +211,14 @@ def _made(kind: type[Any], data: Mapping[str, Any] | None) -> Any:
 
 @dataclass(frozen=True)
 class Memory(History):
-    """Definition of the features of observations: a history, the road ahead, and an estimate.
+    """Definition of the features of observations: a history, the road ahead, and an estimate."""
 
-    Attributes:
-        filter: Estimate among the features; None without an estimate.
-        ahead: Number of heights of the road ahead after the signals in an observation, one per control step.
-        rise: Scale of the rises of the road ahead [m]; RMS of the paper's road over a control step by
-            default.
-        echo: Road before following wheels, before the estimate among the features; None without following
-            wheels.
-
-    Raises:
-        InputError: A value is outside its limits.
-    """
-
-    filter: Filter | None = None
+    filter: Filter | None = None  # estimate among the features; None without an estimate
+    #: number of heights of the road ahead after the signals in an observation, one per control step
     ahead: int = 0
+    #: scale of the rises of the road ahead [m]; RMS of the paper's road over a control step by default
     rise: float = 1.4e-3
+    #: road before following wheels, before the estimate among the features; None without following wheels
     echo: Echo | None = None
 
     def __post_init__(self) -> None:
@@ -343,12 +301,8 @@ class Memory(History):
 
 
 class Recall(Remembered):
-    """The memory of several cars; `features` (count, width) float32 are the present features.
-
-    Args:
-        memory: Definition of the features.
-        observations: Observations (count, signals, then the road ahead) at the start of an episode.
-    """
+    """The memory of several cars, from their first observations (count, signals, then the road ahead);
+    `features` (count, width) float32 are the present features."""
 
     def __init__(self, memory: Memory, observations: np.ndarray) -> None:
         count, columns = observations.shape

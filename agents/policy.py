@@ -13,10 +13,11 @@ import hashlib
 import json
 import math
 import os
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import safetensors.numpy as safetensors
@@ -29,9 +30,6 @@ from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 from isd_gym.physics.network import Network
 
 from ._memory import Memory, Recall
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = [
     "Policy",
@@ -49,25 +47,15 @@ SHIPPED = Path(__file__).parent / "policies"
 
 @dataclass(frozen=True)
 class Head:
-    """Conversion of a policy's output in [-1, 1] to the commanded current of each motor.
+    """Conversion of a policy's output in [-1, 1] to the commanded current of each motor."""
 
-    Attributes:
-        mode: 'target' for a share of `limit`; 'increment' for the present current plus a share of `slew`;
-            'residual' for the law of the memory's filter plus an offset.
-        limit: Largest current [A].
-        slew: Largest change of current per control step [A].
-        keep: Factor on the offset of a residual at each step [-].
-        gain: Change of the offset of a residual at output 1 [A].
-
-    Raises:
-        InputError: A value is outside its limits.
-    """
-
+    #: 'target' for a share of `limit`; 'increment' for the present current plus a share of `slew`; 'residual'
+    #: for the law of the memory's filter plus an offset
     mode: str = "target"
-    limit: float = CURRENT_LIMIT
-    slew: float = SLEW_LIMIT
-    keep: float = 0.9
-    gain: float = 0.5
+    limit: float = CURRENT_LIMIT  # largest current [A]
+    slew: float = SLEW_LIMIT  # largest change of current per control step [A]
+    keep: float = 0.9  # factor on the offset of a residual at each step [-]
+    gain: float = 0.5  # change of the offset of a residual at output 1 [A]
 
     def __post_init__(self) -> None:
         if self.mode not in ("target", "increment", "residual"):
@@ -82,16 +70,8 @@ class Head:
             raise InputError(f"the action's gain must be at most {2 * CURRENT_LIMIT:g} A, not {self.gain:g}")
 
     def current(self, share: np.ndarray, present: np.ndarray, recall: Recall | None = None) -> np.ndarray:
-        """Return the commanded currents.
-
-        Args:
-            share: Output of the network (count, currents) in [-1, 1].
-            present: Present currents (count, currents) [A].
-            recall: Memory of the cars, with the law and the offset of a residual.
-
-        Returns:
-            Currents (count, currents) [A].
-        """
+        """Return the commanded currents (count, currents) [A] for outputs `share` (count, currents) in [-1,
+        1] and present currents [A]; `recall` has the law and the offset of a residual."""
         if self.mode == "target":
             return share * np.float32(self.limit)
         if self.mode == "residual":
@@ -104,18 +84,7 @@ class Head:
 
 
 def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarray]:
-    """Return the tensors of a safetensors file.
-
-    Args:
-        data: Content of the file.
-        where: Name of the file, for messages.
-
-    Returns:
-        Array by name.
-
-    Raises:
-        InputError: The data are no safetensors file.
-    """
+    """Return the tensors of a safetensors file by name; `where` is the file's name for messages."""
     try:
         return safetensors.load(data)
     except Exception as error:  # any error is a fault of the file
@@ -349,11 +318,7 @@ class Policy:
         return np.tanh(y) if self.output == "tanh" else np.clip(y, -1.0, 1.0)
 
     def copy(self) -> Policy:
-        """Return the policy with a separate memory.
-
-        Returns:
-            The copy.
-        """
+        """Return the policy with a separate memory."""
         other = copy(self)
         other._recall = None
         return other
@@ -446,9 +411,6 @@ class Policy:
 
         Args:
             folder: A policy folder, or the name of a shipped policy (ppo, sac).
-
-        Returns:
-            The policy.
 
         Raises:
             InputError: A file is missing, altered or invalid.

@@ -6,10 +6,12 @@ controller sees only the observation of the environment.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Idle
@@ -21,10 +23,6 @@ from .controller import BatchController
 
 if __name__ != "isd_gym.baselines":  # a second copy, found in the source tree, would have classes of its own
     raise ImportError("the package is imported as isd_gym.baselines, not baselines")
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
 
 _PREVIEW = 0.25  # default preview of the controllers with preview [s]
 
@@ -147,9 +145,6 @@ def make(
         cost: Minimised stage cost; None for the environment's.
         control_step: Control step [s].
         options: Fields of the controller's settings, such as ``make("mpc", horizon=30)``.
-
-    Returns:
-        The controller.
 
     Raises:
         InputError: The name or an option is unknown, or the model is another kind of car.

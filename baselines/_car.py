@@ -71,51 +71,30 @@ class WholeCar(Laws):
 
 @dataclass(frozen=True)
 class CarModel(WholeCar):
-    """One control step of a car: ``x+ = A x + inputs I + G f + gamma w``, ``y = C x + feedthrough I + F f``.
+    """One control step of a car: ``x+ = A x + inputs I + G f + gamma w``, ``y = C x + feedthrough I + F f``."""
 
-    Attributes:
-        car: Car.
-        step: Control step [s].
-        A: System matrix (n, n) of the state: motion of the car, then the delay line [m].
-        inputs: Effect (n, currents) of the currents [A], held over the step.
-        G: Effect (n, laws) of the forces [N] of the laws that are kept apart (friction, stops).
-        gamma: Effect (n, tracks) of the next rise of each track [m].
-        W: Covariance (n, n) of the state per step: of these rises, and of the road between the samples.
-        C: Channels of the car (channels, n): `Vehicle.channels`.
-        feedthrough: Effect (channels, currents) of the currents on the channels.
-        F: Effect (channels, laws) of the forces on the channels.
-        S: Rates (laws, n) of the laws.
-        SF: Effect (laws, laws) of the forces on these rates.
-        laws: Laws that are kept apart.
-        motion: Number of states of the car's motion; the delay line follows.
-        delays: Delay of each corner behind the foremost wheel of its track [steps].
-        heights: Height of each corner over the foremost wheel of its track, by the delay line (corners, line).
-        rises: Rise of each corner over the next step, by the delay line (corners, line).
-        lift: Shift of the motion when a track rises by 1 m (motion, tracks).
-        drifts: States (n, motions) of a car whose body moves at constant speed, each wheel with it.
-        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
-    """
-
-    car: Vehicle
-    step: float
-    A: np.ndarray
-    inputs: np.ndarray
-    G: np.ndarray
-    gamma: np.ndarray
+    car: Vehicle  # car
+    step: float  # control step [s]
+    A: np.ndarray  # system matrix (n, n) of the state: motion of the car, then the delay line [m]
+    inputs: np.ndarray  # effect (n, currents) of the currents [A], held over the step
+    G: np.ndarray  # effect (n, laws) of the forces [N] of the laws that are kept apart (friction, stops)
+    gamma: np.ndarray  # effect (n, tracks) of the next rise of each track [m]
+    #: covariance (n, n) of the state per step: of these rises, and of the road between the samples
     W: np.ndarray
-    C: np.ndarray
-    feedthrough: np.ndarray
-    F: np.ndarray
-    S: np.ndarray
-    SF: np.ndarray
-    laws: tuple[el.Element, ...]
-    motion: int
-    delays: np.ndarray
+    C: np.ndarray  # channels of the car (channels, n): `Vehicle.channels`
+    feedthrough: np.ndarray  # effect (channels, currents) of the currents on the channels
+    F: np.ndarray  # effect (channels, laws) of the forces on the channels
+    S: np.ndarray  # rates (laws, n) of the laws
+    SF: np.ndarray  # effect (laws, laws) of the forces on these rates
+    laws: tuple[el.Element, ...]  # laws that are kept apart
+    motion: int  # number of states of the car's motion; the delay line follows
+    delays: np.ndarray  # delay of each corner behind the foremost wheel of its track [steps]
+    #: height of each corner over the foremost wheel of its track, by the delay line (corners, line)
     heights: np.ndarray
-    rises: np.ndarray
-    lift: np.ndarray
-    drifts: np.ndarray
-    road_intensity: float
+    rises: np.ndarray  # rise of each corner over the next step, by the delay line (corners, line)
+    lift: np.ndarray  # shift of the motion when a track rises by 1 m (motion, tracks)
+    drifts: np.ndarray  # states (n, motions) of a car whose body moves at constant speed, each wheel with it
+    road_intensity: float  # two-sided intensity of the road's velocity [m^2/s]
 
     @property
     def current_places(self) -> slice:
@@ -135,10 +114,8 @@ class CarModel(WholeCar):
         return rows
 
     def kalman_gain(self, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
-        """Return the steady gain (n, measured) of a Kalman filter on the measured signals.
-
-        Angular accelerations are as accurate as the difference of two accelerometers at the axles.
-        """
+        """Return the steady gain (n, measured) of a Kalman filter; angular accelerations are as accurate as
+        the difference of two accelerometers at the axles."""
         apart = max(abs(place) for c in self.car.corners for place in (c.x, c.y))
         errors = []
         for signal in self.car.measured[: self.current_places.start]:
@@ -151,17 +128,11 @@ class CarModel(WholeCar):
 
 @dataclass(frozen=True)
 class CarWeights:
-    """Quadratic weights of a design; each weight is shared equally by the corners.
+    """Quadratic weights of a design; each weight is shared equally by the corners."""
 
-    Attributes:
-        cost: Stage cost of the car.
-        effort: Weight of the currents [1/A^2].
-        centring: Weight of the devices' travels over their reach [-].
-    """
-
-    cost: StageCost
-    effort: float = 0.0
-    centring: float = 0.01
+    cost: StageCost  # stage cost of the car
+    effort: float = 0.0  # weight of the currents [1/A^2]
+    centring: float = 0.01  # weight of the devices' travels over their reach [-]
 
     def of(self, model: WholeCar) -> tuple[np.ndarray, np.ndarray]:
         """Return the weights of the channels (channels,) and of the currents (currents,) of a model."""
@@ -179,21 +150,15 @@ class CarWeights:
 
 @dataclass(frozen=True)
 class _Line:
-    """The delay line: relation between past rises and the corners.
+    """The delay line: relation between past rises and the corners."""
 
-    Attributes:
-        heights: Height of each corner over the foremost wheel of its track, by the line (corners, states).
-        rises: Rise of each corner over the next step, by the line (corners, states).
-        new: Rise of each corner over the next step, by the next rise of each track (corners, tracks).
-        shift: The line one step later (states, states).
-        entry: State in which the next rise of each track enters (states, tracks).
-    """
-
+    #: height of each corner over the foremost wheel of its track, by the line (corners, states)
     heights: np.ndarray
-    rises: np.ndarray
+    rises: np.ndarray  # rise of each corner over the next step, by the line (corners, states)
+    #: rise of each corner over the next step, by the next rise of each track (corners, tracks)
     new: np.ndarray
-    shift: np.ndarray
-    entry: np.ndarray
+    shift: np.ndarray  # the line one step later (states, states)
+    entry: np.ndarray  # state in which the next rise of each track enters (states, tracks)
 
     @classmethod
     def of(cls, delays: np.ndarray, tracks: list[int]) -> _Line:

@@ -26,11 +26,8 @@ OWN = ("suspension_travel", "suspension_travel_rate", "device_travel", "device_t
 
 
 def corner_cost(cost: StageCost) -> StageCost:
-    """Return the stage cost of a quarter car with the weights of a car with several corners.
-
-    The weights of vertical, pitch and roll acceleration are added. The references are those of the quarter
-    car.
-    """
+    """Return the stage cost of a quarter car: the sum of the weights of vertical, pitch and roll
+    acceleration, and the references of the quarter car."""
     motions = cost.acceleration + cost.pitch + cost.roll
     return StageCost(
         acceleration=round(motions, 12),
@@ -61,16 +58,7 @@ def at_each_corner(
 
 
 class Decentralised(BatchController):
-    """Independent controllers at the corners of a car.
-
-    Args:
-        name: Name in scores.
-        model: Network of the assumed car.
-        corners: Controllers of quarter cars, as returned by `at_each_corner`.
-
-    Attributes:
-        corners: Controllers of quarter cars, in the order of the currents.
-    """
+    """Independent controllers of quarter cars at the corners of a car, in the order of the currents."""
 
     def __init__(self, name: str, model: Network, corners: Sequence[BatchController]) -> None:
         """Store the controllers of the corners."""

@@ -17,17 +17,9 @@ class Estimator:
     """Steady Kalman filter of the state above the road for many cars, with friction as a known force.
 
     The friction in the prediction is the projected force at the estimate (it holds, or resists with its
-    level); the road is white velocity. The measurements correct both.
-
-    Args:
-        model: Prediction model.
-        sensors: Standard deviations of the measurements.
-        friction_noise: Standard deviation of the model's friction per step [N].
-        noise: Covariance of the state per step (n, n), in addition to road and friction; None for zero.
-
-    Attributes:
-        x: Estimate (n, cars).
-        f: Friction of the prediction (laws, cars) [N].
+    level); the road is white velocity. The measurements correct both. `friction_noise` is the standard
+    deviation of the model's friction per step [N], `noise` an additional covariance of the state per step
+    (n, n). `x` (n, cars) is the estimate, `f` (laws, cars) the friction of the prediction [N].
     """
 
     def __init__(

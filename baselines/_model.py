@@ -39,24 +39,16 @@ ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20
 
 @dataclass(frozen=True)
 class Sensors:
-    """Standard deviations in a Kalman filter; small, since the environment's sensors are exact by default.
+    """Standard deviations in a Kalman filter; small, since the environment's sensors are exact by default."""
 
-    Attributes:
-        body_acceleration: Body acceleration [m/s^2].
-        suspension_travel: Suspension travel [m].
-        suspension_travel_rate: Rate of the suspension travel [m/s].
-        device_travel: Travel of the device [m].
-        device_travel_rate: Rate of the device [m/s].
-        memory: Time over which the car's absolute speed, which is not measured, is integrated from the
-            acceleration before the mean level of the road dominates [s]. Exact sensors would allow minutes;
-            the bias of an accelerometer does not.
-    """
-
-    body_acceleration: float = 0.02
-    suspension_travel: float = 2e-5
-    suspension_travel_rate: float = 2e-3
-    device_travel: float = 2e-5
-    device_travel_rate: float = 2e-3
+    body_acceleration: float = 0.02  # body acceleration [m/s^2]
+    suspension_travel: float = 2e-5  # suspension travel [m]
+    suspension_travel_rate: float = 2e-3  # rate of the suspension travel [m/s]
+    device_travel: float = 2e-5  # travel of the device [m]
+    device_travel_rate: float = 2e-3  # rate of the device [m/s]
+    #: time over which the car's absolute speed, which is not measured, is integrated from the acceleration
+    #: before the mean level of the road dominates [s]. Exact sensors would allow minutes; the bias of an
+    #: accelerometer does not
     memory: float = 5.0
 
     @property
@@ -97,50 +89,29 @@ class Model(Laws):
     x (n,) are states with positions above the road, I [A] the current of the step, f (nl,) [N] the forces of
     the nonlinear `laws` (friction, stops), w the road, y (6,) the signals of `Vehicle.channels`, and v (nl,)
     [m/s] the rates of the laws.
-
-    Attributes:
-        network: The network.
-        step: Control step [s].
-        A: State matrix (n, n).
-        B: Response of the state to the current (n,).
-        G: Response of the state to the forces (n, nl).
-        W: Covariance of the road's effect per step (n, n).
-        P: Response of the state to a linear rise of the road by 1 m over the step (n,), for preview.
-        C: Output matrix (6, n).
-        D: Response of the outputs to the current (6,).
-        F: Response of the outputs to the forces (6, nl).
-        S: Rates of the laws by the state (nl, n).
-        SI: Rates of the laws by the current (nl,).
-        SF: Rates of the laws by the forces (nl, nl).
-        E: Elongations of the laws by the state (nl, n).
-        laws: Elements with a nonlinear law.
-        thrust: Force at the terminals of the motor [N/A]; 0 without a motor.
-        motor_rate: Rate of the device by the state (n,).
-        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
-        nodes: Displacement and velocity of every node by the state, in the order of the full observation.
-        lift: State of the assembly when car and road are lifted by 1 m: x = x_assembly - lift r.
     """
 
-    network: Network
-    step: float
-    A: np.ndarray
-    B: np.ndarray
-    G: np.ndarray
-    W: np.ndarray
-    P: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    F: np.ndarray
-    S: np.ndarray
-    SI: np.ndarray
-    SF: np.ndarray
-    E: np.ndarray
-    laws: tuple[el.Element, ...]
-    thrust: float
-    motor_rate: np.ndarray
-    road_intensity: float
+    network: Network  # the network
+    step: float  # control step [s]
+    A: np.ndarray  # state matrix (n, n)
+    B: np.ndarray  # response of the state to the current (n,)
+    G: np.ndarray  # response of the state to the forces (n, nl)
+    W: np.ndarray  # covariance of the road's effect per step (n, n)
+    P: np.ndarray  # response of the state to a linear rise of the road by 1 m over the step (n,), for preview
+    C: np.ndarray  # output matrix (6, n)
+    D: np.ndarray  # response of the outputs to the current (6,)
+    F: np.ndarray  # response of the outputs to the forces (6, nl)
+    S: np.ndarray  # rates of the laws by the state (nl, n)
+    SI: np.ndarray  # rates of the laws by the current (nl,)
+    SF: np.ndarray  # rates of the laws by the forces (nl, nl)
+    E: np.ndarray  # elongations of the laws by the state (nl, n)
+    laws: tuple[el.Element, ...]  # elements with a nonlinear law
+    thrust: float  # force at the terminals of the motor [N/A]; 0 without a motor
+    motor_rate: np.ndarray  # rate of the device by the state (n,)
+    road_intensity: float  # two-sided intensity of the road's velocity [m^2/s]
+    #: displacement and velocity of every node by the state, in the order of the full observation
     nodes: np.ndarray
-    lift: np.ndarray
+    lift: np.ndarray  # state of the assembly when car and road are lifted by 1 m: x = x_assembly - lift r
 
     @property
     def heave(self) -> np.ndarray:
@@ -170,10 +141,8 @@ def dry(laws: Sequence[el.Element]) -> list[int]:
 
 
 def equivalent_damping(level: float, rate_rms: float) -> float:
-    """Return the damping [N s/m] that is equivalent to dry friction of a level [N] at a Gaussian rate of an RMS [m/s].
-
-    The quasi-linearisation of section 4.2: the least-squares gain of f sgn(v) on v is f sqrt(2/pi)/sigma.
-    """
+    """Return the damping [N s/m] that is equivalent to dry friction of a level [N] at a Gaussian rate: the
+    least-squares gain of f sgn(v) on v is f sqrt(2/pi)/sigma (section 4.2)."""
     return level * math.sqrt(2 / math.pi) / rate_rms
 
 
@@ -182,25 +151,17 @@ class Equations:
     """Linear equations of a car; dry friction and stops are inputs, and other laws are linearised by their slope at rest.
 
     Columns of all matrices are the base vector of `Assembly`; the columns of linearised laws are zero.
-
-    Attributes:
-        rate: Derivative of the state.
-        out: Channels.
-        E: Elongations [m] of the laws.
-        R: Rates [m/s] of the laws.
-        columns: Columns of the states 'x', displacements 'r' [m] and velocities 'v' [m/s] of the roads, and
-            currents 'I' [A].
-        apart: Columns of the forces of the laws.
-        laws: Dry frictions and stops.
     """
 
-    rate: np.ndarray
-    out: np.ndarray
-    E: np.ndarray
-    R: np.ndarray
+    rate: np.ndarray  # derivative of the state
+    out: np.ndarray  # channels
+    E: np.ndarray  # elongations [m] of the laws
+    R: np.ndarray  # rates [m/s] of the laws
+    #: columns of the states 'x', displacements 'r' [m] and velocities 'v' [m/s] of the roads, and currents
+    #: 'I' [A]
     columns: dict[str, slice]
-    apart: list[int]
-    laws: tuple[el.Element, ...]
+    apart: list[int]  # columns of the forces of the laws
+    laws: tuple[el.Element, ...]  # dry frictions and stops
 
 
 def equations(network: Network, channels: Sequence[Channel], damping: Mapping[str, float]) -> Equations:
@@ -344,21 +305,14 @@ def paper_reach() -> float:
 
 @dataclass(frozen=True)
 class Weights:
-    """Quadratic weights of a design.
+    """Quadratic weights of a design."""
 
-    Attributes:
-        cost: Stage cost.
-        move: Weight of the change of current per step [1/A^2].
-        effort: Weight of the current [1/A^2].
-        centring: Weight of the device's travel over `reach` [-]; without this weight, the device is free to
-            drift.
-        reach: Travel of the device up to its stop [m], see `device_reach`.
-    """
-
-    cost: StageCost
-    move: float = 0.0
-    effort: float = 0.0
+    cost: StageCost  # stage cost
+    move: float = 0.0  # weight of the change of current per step [1/A^2]
+    effort: float = 0.0  # weight of the current [1/A^2]
+    #: weight of the device's travel over `reach` [-]; without this weight, the device is free to drift
     centring: float = 0.01
+    #: travel of the device up to its stop [m], see `device_reach`
     reach: float = field(default_factory=paper_reach)
 
     @property
@@ -479,19 +433,12 @@ def stationary(A: np.ndarray, W: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Linearised:
-    """A model with dampers instead of friction.
+    """A model with dampers instead of friction."""
 
-    Attributes:
-        model: The model.
-        damping: Damping [N s/m] by name of a law.
-        rate_rms: RMS of the rate [m/s] by name of a law.
-        friction_noise: Covariance of the state per step due to the difference between friction and dampers
-            (n, n).
-    """
-
-    model: Model
-    damping: dict[str, float]
-    rate_rms: dict[str, float]
+    model: Model  # the model
+    damping: dict[str, float]  # damping [N s/m] by name of a law
+    rate_rms: dict[str, float]  # RMS of the rate [m/s] by name of a law
+    #: covariance of the state per step due to the difference between friction and dampers (n, n)
     friction_noise: np.ndarray
 
 

@@ -24,12 +24,8 @@ class Program(Protocol):
 
 
 class Osqp:
-    """OSQP with one setup and warm starts. An inaccurate solution is accepted, since the controller limits its command.
-
-    Args:
-        P: Quadratic cost (n, n).
-        A: Constraints (m, n).
-    """
+    """OSQP with one setup and warm starts, for the cost P (n, n) and the constraints A (m, n). An inaccurate
+    solution is accepted, since the controller limits its command."""
 
     def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
         import osqp

@@ -29,27 +29,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Strut:
-    """The strut of a car between body and wheel: the elements parallel to the motor, and the damper in series with the motor.
+    """The strut of a car between body and wheel: the elements parallel to the motor, and the damper in series with the motor."""
 
-    Attributes:
-        body_mass: Mass of the body [kg].
-        spring: Spring between body and wheel, parallel to the strut [N/m].
-        thrust: Thrust constant at the terminals [N/A]; 0 without a motor.
-        stiffness: Stiffness parallel to the motor [N/m].
-        damping: Damping parallel to the motor [N s/m].
-        inertance: Inertance parallel to the motor [kg].
-        friction: Friction parallel to the motor [N].
-        series: Damping in series with the motor [N s/m]; infinite without a damper.
-    """
-
-    body_mass: float
-    spring: float
-    thrust: float
-    stiffness: float
-    damping: float
-    inertance: float
-    friction: float
-    series: float
+    body_mass: float  # mass of the body [kg]
+    spring: float  # spring between body and wheel, parallel to the strut [N/m]
+    thrust: float  # thrust constant at the terminals [N/A]; 0 without a motor
+    stiffness: float  # stiffness parallel to the motor [N/m]
+    damping: float  # damping parallel to the motor [N s/m]
+    inertance: float  # inertance parallel to the motor [kg]
+    friction: float  # friction parallel to the motor [N]
+    series: float  # damping in series with the motor [N s/m]; infinite without a damper
 
     @classmethod
     def of(cls, network: Network) -> Strut:
@@ -85,22 +74,14 @@ class Strut:
 
 @dataclass(frozen=True)
 class StrutSettings:
-    """Settings of skyhook and acceleration-driven damping (ADD).
+    """Settings of skyhook and acceleration-driven damping (ADD)."""
 
-    Attributes:
-        body: Skyhook damping, or difference of the two dampings of ADD [N s/m].
-        travel: Damping on the suspension's rate [N s/m].
-        forget: High pass of the integrated acceleration [1/s].
-        tau: Time constant of the inner loop [s].
-        width: Rate below which the sign of the friction is smoothed [m/s].
-        softness: Product of acceleration and rate below which the switch of ADD is smoothed [m^2/s^3].
-    """
-
-    body: float
-    travel: float
-    forget: float = 0.5
-    tau: float = 0.02
-    width: float = 0.02
+    body: float  # skyhook damping, or difference of the two dampings of ADD [N s/m]
+    travel: float  # damping on the suspension's rate [N s/m]
+    forget: float = 0.5  # high pass of the integrated acceleration [1/s]
+    tau: float = 0.02  # time constant of the inner loop [s]
+    width: float = 0.02  # rate below which the sign of the friction is smoothed [m/s]
+    #: product of acceleration and rate below which the switch of ADD is smoothed [m^2/s^3]
     softness: float = 0.02
 
 
@@ -137,12 +118,8 @@ class ForceControl(DesignedController[StrutSettings]):
 
 
 class Skyhook(ForceControl):
-    """Skyhook damping F = c_body v_body + c_travel (v_body - v_wheel): a damper to the sky, and a damper to the wheel.
-
-    References:
-        Karnopp, Crosby and Harwood, "Vibration control using semi-active force generators", Journal of
-        Engineering for Industry, 1974.
-    """
+    """Skyhook damping F = c_body v_body + c_travel (v_body - v_wheel): a damper to the sky, and a damper to
+    the wheel (Karnopp, Crosby and Harwood, Journal of Engineering for Industry, 1974)."""
 
     usual = "skyhook"
     default = StrutSettings(body=2500.0, travel=1100.0, forget=0.95, tau=0.006, width=0.012)
@@ -152,12 +129,8 @@ class Skyhook(ForceControl):
 
 
 class AccelerationDriven(ForceControl):
-    """Acceleration-driven damping: firm while body acceleration and travel rate have the same sign, soft otherwise.
-
-    References:
-        Savaresi, Silani and Bittanti, "Acceleration-Driven-Damper (ADD): An optimal control algorithm for
-        comfort-oriented semiactive suspensions", Journal of Dynamic Systems, Measurement, and Control, 2005.
-    """
+    """Acceleration-driven damping: firm while body acceleration and travel rate have the same sign, soft
+    otherwise (Savaresi, Silani and Bittanti, Journal of Dynamic Systems, Measurement, and Control, 2005)."""
 
     usual = "add"
     default = StrutSettings(body=2600.0, travel=2300.0, forget=0.1, tau=0.0016, width=0.012, softness=0.06)

@@ -38,19 +38,13 @@ DESIGN_SPEED = 20.0  # m/s, at which `ROAD_INTENSITY` holds
 
 @dataclass(frozen=True)
 class WheelbaseSettings(LawSettings):
-    """Settings of an LQG with a known rear road.
-
-    Attributes:
-        speed: Speed of the car [m/s], to which the intensity of the road's velocity is proportional.
-        is_known: Whether the estimator knows that the rear wheels meet the road of the front wheels.
-
-    Raises:
-        InputError: The speed is not positive.
-    """
+    """Settings of an LQG with a known rear road."""
 
     # J against passive on roads 1000-1007 of the half car: 0.01 -28.99 %, 0.02 -30.09, 0.03 -30.22, 0.04 -30.05
     effort: float = 0.03
+    #: speed of the car [m/s], to which the intensity of the road's velocity is proportional
     speed: float = DESIGN_SPEED
+    #: whether the estimator knows that the rear wheels meet the road of the front wheels
     is_known: bool = True
 
     def __post_init__(self) -> None:
@@ -61,23 +55,14 @@ class WheelbaseSettings(LawSettings):
 
 @dataclass(frozen=True)
 class WheelbaseMpcSettings(FrictionMpcSettings):
-    """Settings of the planner at each corner, in addition to `FrictionMpcSettings`; the previews follow from the speed.
+    """Settings of the planner at each corner, in addition to `FrictionMpcSettings`; the previews follow from the speed."""
 
-    Attributes:
-        speed: Speed of the car [m/s].
-    """
-
-    speed: float = DESIGN_SPEED
+    speed: float = DESIGN_SPEED  # speed of the car [m/s]
 
 
 class WheelbaseLqg(DesignedController[WheelbaseSettings]):
-    """The law ``I = -K x`` of the frictionless car and its delay line, plus the friction over the thrust constant at each corner.
-
-    Attributes:
-        prediction: Model of the car.
-        weights: Weights of the design.
-        estimator: Kalman filter of the car's motion and of the delay line.
-    """
+    """The law ``I = -K x`` of the frictionless car and its delay line, plus the friction over the thrust
+    constant at each corner."""
 
     usual = "lqg-wheelbase"
     default = WheelbaseSettings()
@@ -113,20 +98,6 @@ class WheelbaseMpc(Decentralised):
 
     A Kalman filter of the whole car infers the road from the motion of the front wheels. Each corner plans
     for its quarter car; the feedback handles the coupling of the corners by the body.
-
-    Args:
-        model: Network of the assumed car.
-        cost: Stage cost of the car; None for the usual one.
-        control_step: Control step [s].
-        settings: Settings; None for the defaults.
-        name: Name in scores.
-
-    Attributes:
-        prediction: Model of the car.
-        estimator: Kalman filter of the car's motion and of the delay line.
-
-    Raises:
-        InputError: The network has a single corner.
     """
 
     default = WheelbaseMpcSettings()

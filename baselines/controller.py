@@ -170,9 +170,6 @@ def steps_ahead(preview: float, control_step: float) -> int:
         preview: Preview [s].
         control_step: Control step [s].
 
-    Returns:
-        Number of control steps.
-
     Raises:
         InputError: The preview is negative or no integer multiple of the control step.
     """

@@ -318,38 +318,24 @@ def _plan(x, current, moves, road, m, iterations):
 class FrictionMpcSettings:
     """Settings of the friction-aware MPC. Weights are in addition to the stage cost.
 
-    Attributes:
-        horizon: Horizon [steps].
-        iterations: Largest number of sweeps per step.
-        move: Weight of the change of current [1/A^2].
-        effort: Weight of the current [1/A^2].
-        tyre_load: Weight of the tyre load [-].
-        centring: Weight of the device's travel over its stop [-].
-        spread: Factor on the road's share in the friction's rate [-].
-        floor: Smallest spread of the friction's rate [m/s].
-        terminal_rate: Rate of the linearisation of friction in the cost-to-go [m/s].
-        friction_noise: Standard deviation of the estimator's friction per step [N].
-        preview: Known road ahead [s]; only the road beyond contributes to the spread.
-        sensors: Standard deviations of the measurements in the estimator.
-        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
-
     Raises:
         InputError: The horizon or the number of sweeps is smaller than 1.
     """
 
-    horizon: int = 20
-    iterations: int = 2
-    move: float = 0.05
-    effort: float = 0.0
-    tyre_load: float = 0.1
-    centring: float = 0.05
-    spread: float = 1.0
-    floor: float = 0.005
-    terminal_rate: float = 0.2
-    friction_noise: float = 300.0
-    preview: float = 0.0
+    horizon: int = 20  # horizon [steps]
+    iterations: int = 2  # largest number of sweeps per step
+    move: float = 0.05  # weight of the change of current [1/A^2]
+    effort: float = 0.0  # weight of the current [1/A^2]
+    tyre_load: float = 0.1  # weight of the tyre load [-]
+    centring: float = 0.05  # weight of the device's travel over its stop [-]
+    spread: float = 1.0  # factor on the road's share in the friction's rate [-]
+    floor: float = 0.005  # smallest spread of the friction's rate [m/s]
+    terminal_rate: float = 0.2  # rate of the linearisation of friction in the cost-to-go [m/s]
+    friction_noise: float = 300.0  # standard deviation of the estimator's friction per step [N]
+    preview: float = 0.0  # known road ahead [s]; only the road beyond contributes to the spread
+    #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = ROAD_INTENSITY
+    road_intensity: float = ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
 
     def __post_init__(self) -> None:
         if self.horizon < 1 or self.iterations < 1:
@@ -357,21 +343,11 @@ class FrictionMpcSettings:
 
 
 def with_preview(settings: FrictionMpcSettings, preview: float, control_step: float) -> FrictionMpcSettings:
-    """Return the settings for a preview: a horizon of at least the preview, and more sweeps for the longer plan.
+    """Return the settings for a preview [s]: a horizon of at least the preview, and more sweeps for the
+    longer plan.
 
-    J against passive on roads 1000-1007, 0.1 s: 2 sweeps -33.10 %, 6 sweeps -33.31; 20 steps more of horizon
-    -33.09 (2 sweeps).
-
-    Args:
-        settings: Settings without preview.
-        preview: Known road ahead [s].
-        control_step: Control step [s].
-
-    Returns:
-        The changed settings.
-
-    Raises:
-        InputError: The preview is negative or no integer multiple of the control step.
+    J against passive on roads 1000-1007, 0.1 s: 2 sweeps -33.10 %, 6 sweeps -33.31; 20 steps more of
+    horizon -33.09 (2 sweeps).
     """
     horizon = max(steps_ahead(preview, control_step), settings.horizon)
     return replace(settings, preview=preview, horizon=horizon, iterations=6)

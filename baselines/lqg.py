@@ -22,42 +22,26 @@ STEEPEST = 0.1  # largest rise of a road per control step [m]
 
 @dataclass(frozen=True)
 class LawSettings:
-    """Settings of a linear-quadratic law with friction compensation. Weights are in addition to the stage cost.
+    """Settings of a linear-quadratic law with friction compensation. Weights are in addition to the stage cost."""
 
-    Attributes:
-        effort: Weight of the current [1/A^2].
-        tyre_load: Weight of the tyre load [-].
-        centring: Weight of the device's travel over its stop [-].
-        compensation: Compensated share of the friction [-].
-        lead: Time ahead for which the law is evaluated, since the drive slews [s].
-        foresight: Time ahead for which the sign of the device's rate is evaluated [s].
-        width: Rate below which the sign is smoothed [m/s].
-        friction_noise: Standard deviation of the estimator's friction per step [N].
-        sensors: Standard deviations of the measurements in the estimator.
-        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
-    """
-
-    effort: float = 0.01
-    tyre_load: float = 0.0
-    centring: float = 0.03
-    compensation: float = 1.0
-    lead: float = 0.01
-    foresight: float = 0.025
-    width: float = 0.02
-    friction_noise: float = 300.0
+    effort: float = 0.01  # weight of the current [1/A^2]
+    tyre_load: float = 0.0  # weight of the tyre load [-]
+    centring: float = 0.03  # weight of the device's travel over its stop [-]
+    compensation: float = 1.0  # compensated share of the friction [-]
+    lead: float = 0.01  # time ahead for which the law is evaluated, since the drive slews [s]
+    foresight: float = 0.025  # time ahead for which the sign of the device's rate is evaluated [s]
+    width: float = 0.02  # rate below which the sign is smoothed [m/s]
+    friction_noise: float = 300.0  # standard deviation of the estimator's friction per step [N]
+    #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = ROAD_INTENSITY
+    road_intensity: float = ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
 
 
 @dataclass(frozen=True)
 class LqgSettings(LawSettings):
-    """Settings of the LQG, in addition to `LawSettings`.
+    """Settings of the LQG, in addition to `LawSettings`."""
 
-    Attributes:
-        preview: Known road ahead [s].
-    """
-
-    preview: float = 0.0
+    preview: float = 0.0  # known road ahead [s]
 
 
 class Lqg(DesignedController[LqgSettings]):
@@ -115,15 +99,8 @@ class Lqg(DesignedController[LqgSettings]):
         return self.law(self.estimator.update(obs, last), self._rises)
 
     def law(self, x: np.ndarray, ahead: np.ndarray | None = None) -> np.ndarray:
-        """Return the wanted current.
-
-        Args:
-            x: States (n, cars).
-            ahead: Rises of the road ahead (points, cars) [m]; None without preview.
-
-        Returns:
-            Currents (cars,) [A].
-        """
+        """Return the wanted currents (cars,) [A] for states (n, cars) and rises of the road `ahead` (points,
+        cars) [m]."""
         wanted, rate = self._law @ x, self._rate @ x
         if ahead is not None:
             wanted, rate = wanted + self._law_ahead @ ahead, rate + self._rate_ahead @ ahead

@@ -12,9 +12,9 @@ not the default, since the paper has no such term.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import erf
@@ -36,9 +36,6 @@ from ._model import (
 from ._qp import Osqp, Program
 from .controller import CURRENT, DesignedController
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 __all__ = [
     "MpcSettings",
 ]
@@ -55,39 +52,28 @@ class MpcSettings:
     """Settings of the paper's controller, including choices that the paper leaves open. Weights are in addition
     to the stage cost.
 
-    Attributes:
-        horizon: Horizon [steps].
-        moves: Lengths of the pieces with constant change of current [steps]; the change is zero afterwards.
-        move: Weight of the change of current [1/A^2].
-        tyre_load: Weight of the tyre load [-].
-        centring: Weight of the device's travel over its stop [-].
-        terminal: Whether the cost-to-go of the linear regulator is added after the horizon.
-        friction: 'equivalent' for the damper of equation (9) alone; 'planned' adds the difference between
-            friction and damper along the last plan, whose rates are known in advance, averaged over the
-            effect of the road.
-        spread: Factor on the effect of the road in 'planned' [-].
-        friction_noise: Standard deviation of the estimator's friction per step [N].
-        solver: Class of the quadratic program (`_qp.Program`); other solvers are compared in
-            `docs/explanation/baselines.md`.
-        sensors: Standard deviations of the measurements in the estimator.
-        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
-
     Raises:
         InputError: Moves do not fit into the horizon, or the kind of friction is unknown.
     """
 
-    horizon: int = 20
+    horizon: int = 20  # horizon [steps]
+    #: lengths of the pieces with constant change of current [steps]; the change is zero afterwards
     moves: tuple[int, ...] = (1, 1, 2, 3, 5, 8)
-    move: float = 0.05
-    tyre_load: float = 0.0
-    centring: float = 0.05
-    terminal: bool = True
+    move: float = 0.05  # weight of the change of current [1/A^2]
+    tyre_load: float = 0.0  # weight of the tyre load [-]
+    centring: float = 0.05  # weight of the device's travel over its stop [-]
+    terminal: bool = True  # whether the cost-to-go of the linear regulator is added after the horizon
+    #: 'equivalent' for the damper of equation (9) alone; 'planned' adds the difference between friction and
+    #: damper along the last plan, whose rates are known in advance, averaged over the effect of the road
     friction: str = "planned"
-    spread: float = 1.0
-    friction_noise: float = 300.0
+    spread: float = 1.0  # factor on the effect of the road in 'planned' [-]
+    friction_noise: float = 300.0  # standard deviation of the estimator's friction per step [N]
+    #: class of the quadratic program (`_qp.Program`); other solvers are compared in
+    #: `docs/explanation/baselines.md`
     solver: Callable[[np.ndarray, np.ndarray], Program] = Osqp
+    #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = ROAD_INTENSITY
+    road_intensity: float = ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
 
     def __post_init__(self) -> None:
         if self.horizon < 1 or not self.moves or min(self.moves) < 1 or sum(self.moves) > self.horizon:

@@ -62,10 +62,19 @@ def comments(thing: griffe.Class) -> dict[str, str]:
         if line.strip().startswith("#"):
             above.append(line.strip().lstrip("#: "))
             continue
-        if match := re.match(r"\s+(\w+)\s*:[^#]*(?:#:?\s*(.+))?$", line):
-            out[match[1]] = match[2] or " ".join(above)
+        match = re.match(r"\s+(\w+)\s*:[^#]*(?:#:?\s*(.+))?$", line)
+        text = match and "ClassVar" not in line and (match[2] or " ".join(above))
+        if text:
+            out.setdefault(match[1], text)
         above = []
-    return {name: text for name, text in out.items() if text}
+    return out
+
+
+def whole(text: str) -> str:
+    """Return a comment as a sentence: with a capital, except for a symbol, and a full stop."""
+    return (text if re.match(r"\w+[_(]|[a-z]\b(?! )", text) else text[:1].upper() + text[1:]).rstrip(
+        "."
+    ) + "."
 
 
 def once(rows: dict[str, str]) -> dict[str, str]:
@@ -136,14 +145,16 @@ class Arguments(griffe.Extension):
             beside, names = comments(thing), {}
             for name, field in thing.members.items():
                 own = field.is_attribute and field.annotation is not None and not name.startswith("_")
-                if own and "ClassVar" not in str(field.annotation):
+                if own and "property" not in field.labels and f"{name}: ClassVar" not in thing.source:
                     names[name] = None if field.value is None else str(field.value)
-            text = told(
-                thing.docstring.value,
-                list(names),
-                {k: v for k, v in beside.items() if k in names},
-                "Attributes",
-            )
+            text = thing.docstring.value
+            if beside and "Attributes:" not in text:
+                rows = {name: whole(beside[name]) if name in beside else "–" for name in names}
+                told_rows = "\n".join(f"    {name}: {row}" for name, row in rows.items())
+                prose, *rest = re.split(r"^(?=(?:Raises|References):$)", text, maxsplit=1, flags=re.MULTILINE)
+                text = "\n\n".join([prose.strip(), f"Attributes:\n{told_rows}", *rest])
+            else:
+                text = told(text, list(names), {}, "Attributes")
             for name, default in names.items():
                 if default is not None and len(default) < 40:
                     text = re.sub(

@@ -31,6 +31,7 @@ import tracks as tracks_of
 
 from isd_gym.benchmark import _cards as cards
 from isd_gym.contrib.ceilings.ceiling import known
+from isd_gym.contrib.hub.card_table import table
 from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
 from isd_gym.env._task import Options
@@ -303,7 +304,7 @@ def robust_row() -> tuple[float, *tuple[str, ...]]:
 
 def card_table(environment: str) -> str:
     """Track `standard` of an environment."""
-    return cards.table(cards.load(environment), "standard")
+    return table(cards.load(environment), "standard")
 
 
 def half_car_card() -> str:

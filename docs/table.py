@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from isd_gym.benchmark import _cards as cards
+from isd_gym.contrib.hub.card_table import table
 
 PAGE = Path(__file__).parent / "reference" / "benchmark.md"
 
@@ -15,7 +16,7 @@ def fill(page: str) -> str:
     card = cards.load("ISDSuspension-v0")
     for track in card["tracks"]:
         start, end = f"<!-- {track['track']}: python docs/table.py -->", f"<!-- end of {track['track']} -->"
-        text = f"{start}\n\n{cards.table(card, track['track'])}\n\n{end}"
+        text = f"{start}\n\n{table(card, track['track'])}\n\n{end}"
         page, count = re.subn(
             f"{re.escape(start)}.*?{re.escape(end)}", lambda _, t=text: t, page, flags=re.DOTALL
         )

@@ -175,9 +175,6 @@ def make_vec_env(
         options: Arguments of `BatchedVecEnv` and options of the environment (network, road, speed, randomize,
             ...).
 
-    Returns:
-        The vector environment.
-
     Raises:
         InputError: The name is no environment of this package, or an option is invalid.
     """

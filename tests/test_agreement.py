@@ -101,6 +101,25 @@ def test_a_defect_of_a_rig_is_no_misreading(changes):
         assert line(record(rig=true_rig(level=level), **changes)) == ""
 
 
+def test_a_motor_whose_nodes_are_exchanged_has_two_remedies():
+    """One output that a motor moves the wrong way: the sensor or the motor may be turned round."""
+    outputs = [channel("angle", "angle", "arm")]
+    parts = [spring("arm", "ground", 2.0), damper("arm", "ground", 0.02)]
+    inputs = [{"name": "command", "quantity": "voltage", "element": "drive", "unit": "V"}]
+    rig, model = (
+        builders.network(
+            "arm", [*parts, {**motor, "between": ends}], inputs, outputs, inertias={"arm": 0.003}
+        )
+        for motor in [{"name": "drive", "type": "motor", "thrust_constant": 0.1}]
+        for ends in (["ground", "arm"], ["arm", "ground"])
+    )
+    volts = 5.0 * road()
+    moved = simulate(rig, TIME, {"command": volts})
+    table = Table(TIME, {"command": volts, "angle": moved["angle"]})
+    assert line(table, model=rig) == ""
+    assert line(table, model=model).endswith("--sign angle=-1, or swap the nodes of motor drive in the model")
+
+
 def test_a_delayed_sensor_is_no_misreading():
     table = record()
     late = table.columns | {"acc": np.roll(table["acc"], 8)}

@@ -14,6 +14,7 @@ from isd_gym._commands._card_table import print_track
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark.scoring import fingerprints, score
 from isd_gym.contrib.ceilings.ceiling import known
+from isd_gym.contrib.hub.card_table import table
 from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
 ON = {"episodes": 4, "duration": 0.5}
@@ -36,7 +37,7 @@ def test_a_submitted_score_is_paired_as_if_all_had_driven_together(card):
         assert own["cost"][key] == pytest.approx(expected[key], rel=1e-7, abs=1e-8)
     ratio = np.mean(together.raw["add"]["cost"]) / np.mean(together.raw["skyhook"]["cost"]) - 1
     assert own["against"]["skyhook"]["change"] == pytest.approx(ratio, rel=1e-6)
-    assert "passive" in own["against"] and "| 1 | `" in cards.table(card, "brief", [theirs])
+    assert "passive" in own["against"] and "| 1 | `" in table(card, "brief", [theirs])
 
 
 def test_a_reference_driven_again_is_the_reference(card):

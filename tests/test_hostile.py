@@ -23,12 +23,13 @@ from builders import channel, damper, spring
 from program import assert_one_line, python, run
 from refusals import refused
 
-from isd_gym._common.errors import InputError, markdown, plain, shown
+from isd_gym._common.errors import InputError, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy, read_safetensors
 from isd_gym.benchmark.policies import find
 from isd_gym.contrib.engine import stored
 from isd_gym.contrib.exports.archives import array, convert, read_normalize, read_pickle, read_torch
+from isd_gym.contrib.markdown import markdown
 from isd_gym.contrib.sweep.conditions import Grid, _sound, sweep
 from isd_gym.contrib.sweep.grid import belongings
 from isd_gym.physics import elements as el

@@ -1,5 +1,7 @@
 """Laws that are matched to the residual of a fit, along the measured motion."""
 
+from dataclasses import replace
+
 import builders
 import numpy as np
 import pytest
@@ -11,6 +13,9 @@ from isd_gym.diagnosis._hypotheses.law_forces import force_responses, law_forces
 from isd_gym.diagnosis._hypotheses.law_matching import match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._hypotheses.motion import joined, motions
+from isd_gym.diagnosis._selection.candidate import Candidate
+from isd_gym.diagnosis._selection.screening import Screening
+from isd_gym.diagnosis._selection.settings import SearchSettings
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
 from isd_gym.physics.simulate import simulate
@@ -106,3 +111,41 @@ def test_the_response_of_a_pendulum_in_full_swing_is_the_change_by_the_element()
     initial = fit.initial[0][:, None]
     both = [problem.simulate([n], 0, initial, like=fit.network)[:, 0, 0] for n in (slowed, fit.network)]
     assert np.std(change - (both[0] - both[1])) < 0.05 * np.std(change)
+
+
+def test_a_law_that_dissipates_starts_with_less_damping_and_the_same_work():
+    """The damping of a model without the law has taken the law's work, and a staircase of optima may lie between the two."""
+    problem, fit = stage("coulomb_friction", level=1.0)
+    screening = Screening(problem, fit, np.array([NOISE]), SearchSettings())
+    match = next(
+        m
+        for m in screening.matches
+        if m.hypothesis.effect == "coulomb_friction" and set(m.hypothesis.where) == set(PLACE)
+    )
+    rate = screening.motion[PLACE].v
+
+    def values(begun):
+        structure, x = begun
+        return {f.path: f.back(float(v)) for f, v in zip(structure.free, x, strict=True)}
+
+    def work(v):
+        return float(np.mean(v["damper.damping"] * rate**2 + v["coulomb_friction.level"] * np.abs(rate)))
+
+    known = values(match.begin(fit.structure))
+    begun = [values(start) for start in screening.starts_with_less_damping(match)]
+    assert [v["damper.damping"] / known["damper.damping"] for v in begun] == pytest.approx(
+        [0.5, 0.46], abs=0.1
+    )
+    assert [work(v) / work(known) for v in begun] == pytest.approx([1.0, 1.0], rel=0.02)
+    spring = next(m for m in screening.matches if m.hypothesis.effect == "cubic_stiffness")
+    assert not list(screening.starts_with_less_damping(spring))
+
+
+def test_fits_of_one_law_in_different_optima_are_both_candidates():
+    """The weights of a first fit are those of another model's residuals; held-out records decide between the optima."""
+    problem, fit = stage("coulomb_friction", level=1.0)
+    screening = Screening(problem, fit, np.array([NOISE]), SearchSettings())
+    near, far = (replace(fit, outputs={i: y + e for i, y in fit.outputs.items()}) for e in (0.0, 1e-3))
+    named, closer, twin = Candidate(far, 1.0), Candidate(near, 2.0), Candidate(near, 3.0)
+    assert screening.first_of_each_law([twin, closer, None, named]) == [named, closer]
+    assert screening.first_of_each_law([Candidate(near, 1.0), named, Candidate(near, np.nan)]) != [named]

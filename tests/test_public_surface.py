@@ -50,12 +50,12 @@ isd_gym.benchmark.scoring
     weighted_rms
     also MEASURES PRINTED check_size compare corner_measures fingerprints measures units unscored
 isd_gym.diagnosis
-    CRITERIA Contender Criteria Diagnosis Effect EffectEvidence Evidence FittedInitialState Gate Hypothesis
-    Law Place Quantity SearchSettings Trace diagnose hypotheses initial_state
+    CRITERIA Contender Criteria Diagnosis Effect EffectEvidence Evidence Gate Hypothesis Law Place Quantity
+    SearchSettings Trace diagnose hypotheses
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
     also BestCandidate BestTable DifferingParameter FOLDER Over RecordDifferences Remainder SCHEMA
-    SimulationFit Stretches Tabulated is_far_better
+    ScreenedPlace SimulationFit Stretches Tabulated is_far_better
 isd_gym.env
     ISDSuspensionEnv ISDSuspensionVectorEnv Options RELATIVE_SCALE Sensors
 isd_gym.env.autoload
@@ -88,7 +88,6 @@ isd_gym.physics.tracks
     WheelPositions delayed innovations track_filters
     also COHERENCE_POLES COHERENCE_WEIGHTS DIFFERENCE_STATES ONE_WHEEL SUM_STATES TRACK_STATES
 isd_gym.records
-    state_of
 isd_gym.records.data
     Finding Format Table check convert read_table write_table
 isd_gym.records.schemas

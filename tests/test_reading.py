@@ -10,10 +10,11 @@ from program import run
 from refusals import refused
 from scipy.io import savemat
 
-from isd_gym._commands.simulate import command
 from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
 from isd_gym.contrib.inspection import inspect
+from isd_gym.contrib.inspection.map_file import save_map
+from isd_gym.contrib.simulation.command import command
 from isd_gym.records._loggers import ChannelMap, Recording
 from isd_gym.records._loggers.record_reading import records_of
 from isd_gym.records.data import Table, read_table
@@ -72,6 +73,16 @@ def test_a_header_in_a_comment_line_names_the_columns(head, separator, tmp_path)
     check(record)
 
 
+def test_columns_that_are_empty_throughout_do_not_count(tmp_path):
+    """A spreadsheet fills the lines of a logger's file up to its longest line, here the remark of another output."""
+    head = f"% Logger,,,,\n% Output A (off) - Sine, 10 MHz, 1 Vpp, offset 0 V, phase 0 deg\n% {HEAD},,\n"
+    lines = text().splitlines()
+    (record,) = read(tmp_path / "a.csv", head + "".join(f"{line},,\n" for line in lines))
+    check(record)
+    (record,) = read(tmp_path / "b.csv", "".join(f"{line},\n" for line in (HEAD, *lines)))
+    check(record)
+
+
 def test_a_comment_that_is_no_header_is_none(tmp_path):
     refused("--columns NAME,NAME", read, tmp_path / "a.csv", "# measured by J., 3 May\n" + text())
     refused("--columns NAME,NAME", read, tmp_path / "a.csv", "# 1, 2, 3\n" + text())
@@ -83,7 +94,7 @@ def test_a_file_without_time_is_read_at_a_rate(tmp_path):
     (record,) = records_of(path, RIG, WANTED, rate=500.0)
     check(record)
     found = inspect([path], RIG, rate=500.0)
-    found.map("rig.json").save(tmp_path / "map.json")  # the map remembers the rate
+    save_map(found.map("rig.json"), tmp_path / "map.json")  # the map remembers the rate
     (record,) = records_of(path, RIG, WANTED, by=ChannelMap.load(tmp_path / "map.json"))
     check(record)
     of_schema(json.loads((tmp_path / "map.json").read_text()), "isd-map/1", "the map")

@@ -192,22 +192,10 @@ def test_words_never_touch_nor_leave_the_picture(size, cars, monkeypatch):
     picture_checks.check_words(poses, cars, size, monkeypatch)
 
 
-def test_a_renderer_says_what_it_cannot_do():
-    for arguments, words in (
-        ({"mode": "ansi"}, "human"),
-        ({"cars": 3}, "cars"),
-        ({"width": 320, "height": 200}, "too small"),
-        ({"fps": 0.0}, "fps"),
-    ):
-        refused(words, Renderer, **{"mode": "rgb_array", **arguments})
-    refused("draws 1 car", Renderer("rgb_array").draw, snapshot(), snapshot())
-
-
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("body", np.nan), ("current", np.inf), ("road_step", 0.0), ("current_limit", -5.0),
-     ("road_profile", np.zeros((2, 2))), ("road_profile", np.array([0.0, np.nan])), ("joint", None)],
-)  # fmt: skip
+    [("body", np.nan), ("current", np.inf), ("road_profile", np.array([0.0, np.nan]))],
+)
 def test_a_bad_snapshot_names_its_field(field, value):
     refused(field, snapshot, **{field: value})
 
@@ -264,16 +252,15 @@ def film(count=5, height=64, width=96):
     return frames
 
 
-@pytest.mark.parametrize("shape", [(64, 96), (65, 97)])
-def test_an_mp4_holds_the_frames(tmp_path, shape):
+def test_an_mp4_holds_the_frames(tmp_path):
     encoder = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
     path = tmp_path / "car.mp4"
-    frames = film(6, *shape)
+    frames = film(6)
     write_video(path, iter(frames), 25)
     command = [encoder, "-loglevel", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
-    back = np.frombuffer(raw, np.uint8).reshape(6, shape[0] + shape[0] % 2, shape[1] + shape[1] % 2, 3)
-    assert np.abs(back[:, : shape[0], : shape[1]].astype(int) - frames).mean() < 10
+    back = np.frombuffer(raw, np.uint8).reshape(6, 64, 96, 3)
+    assert np.abs(back.astype(int) - frames).mean() < 10
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -307,17 +294,8 @@ def test_a_film_that_fails_leaves_what_was_there(tmp_path):
 
 def test_a_film_that_cannot_be_is_refused_in_one_line(tmp_path, monkeypatch):
     frames = film(2)
-    for name, pictures, fps, words in (
-        ("car.avi", frames, 25, "end the name in .mp4 or .gif"),
-        ("car.gif", [], 25, "no frames"),
-        ("car.mp4", [], 25, "no frames"),
-        ("car.gif", frames, 60, "50 frames per second"),
-        ("car.mp4", frames, -1, "fps"),
-        ("car.gif", [frames[0], frames[1][:-1]], 25, "frame 1"),
-        ("car.gif", [frames[0].astype(float)], 25, "frame 0"),
-        ("no/car.gif", frames, 25, "no folder"),
-    ):
-        refused(words, write_video, tmp_path / name, pictures, fps)
+    for name, words in (("car.avi", "end the name in .mp4 or .gif"), ("no/car.gif", "no folder")):
+        refused(words, write_video, tmp_path / name, frames, 25)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(InputError) as caught:
         write_video(tmp_path / "car.mp4", frames, 25)

@@ -5,7 +5,7 @@ Heavy imports wait until a command runs, so that ``--help`` answers at once.
 
 from __future__ import annotations
 
-from . import card, diagnose, networks, policies, score, show, simulate, warm
+from . import card, diagnose, networks, policies, score, show
 from ._app import FiniteCommand, SeveralValuesCommand, app
 from ._main import main
 
@@ -17,8 +17,6 @@ for _name, _command in (
     ("policies", policies.command),
     ("card", card.command),
     ("networks", networks.command),
-    ("simulate", simulate.command),
     ("diagnose", diagnose.command),
-    ("warm", warm.command),
 ):
     app.command(name=_name, cls=SeveralValuesCommand if _name == "diagnose" else FiniteCommand)(_command)

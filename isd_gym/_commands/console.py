@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from .._common import files
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
 
 
 def write_json(path: Path | None, data: dict[str, Any]) -> None:
@@ -39,9 +37,9 @@ def printer() -> Any:
     return Console(width=None if sys.stdout.isatty() else PIPED, highlight=False, markup=False)
 
 
-def tell(text: str, *, dim: bool = False) -> None:
+def tell(text: str) -> None:
     """Print a sentence on stdout with word wrap."""
-    printer().print(text, style="dim" if dim else None)
+    printer().print(text)
 
 
 @contextmanager

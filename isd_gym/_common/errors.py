@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import unicodedata
+from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+from typing import Any
 
 MESSAGE_LIMIT = 1200  # characters; longer messages are shortened in the middle
 NAME_LIMIT = 80
@@ -26,19 +23,6 @@ def plain(text: str, limit: int = NAME_LIMIT) -> str:
     if text.isprintable():
         return text
     return "".join(c if harmless(c) else c.encode("unicode_escape").decode("ascii") for c in text)
-
-
-#: characters with a meaning in Markdown, HTML or a table
-_MARKUP = frozenset("&<>|`*[]\\~#$!")
-
-
-def markdown(text: str, limit: int = NAME_LIMIT, *, code: bool = False) -> str:
-    """Return a text from a file for a page in Markdown, where it appears as it is written."""
-    text = plain(text, limit)
-    words = re.sub(
-        r"(?<![^\W_])_|_(?![^\W_])", "&#95;", "".join(f"&#{ord(c)};" if c in _MARKUP else c for c in text)
-    )
-    return f"`{text}`" if code and words == text else words
 
 
 def harmless(text: str) -> bool:
@@ -63,10 +47,8 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
 
 
 def how_to_install(extra: str) -> str:
-    """Return the shell command that installs an optional dependency group of this package.
-
-    The package is in no registry yet, so the command assumes a clone of the repository.
-    """
+    """Return the shell command that installs an optional dependency group in a clone of the repository: the
+    package is in no registry yet."""
     # the default torch wheel may download gigabytes
     torch = "pip install torch==2.13.0 && " if extra == "agents" else ""
     return f'{torch}pip install ".[{extra}]" in a clone of the repository'

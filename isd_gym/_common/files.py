@@ -11,15 +11,12 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from .errors import InputError, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 try:
     import fcntl
@@ -127,19 +124,6 @@ def make_folder(path: str | Path) -> Path:
     return path
 
 
-@contextmanager
-def held(folder: Path, kind: str) -> Iterator[None]:
-    """Lock the folder of a growing result for this process."""
-    handle = _lock(folder)
-    if handle is None and fcntl is not None:
-        raise InputError(f"another process is writing the {kind} in '{folder}'")
-    try:
-        yield
-    finally:
-        if handle is not None:
-            os.close(handle)
-
-
 def check_file(path: str | Path, *read: str | Path | None) -> None:
     """Check before long work that a file can be written."""
     path = Path(path)
@@ -213,7 +197,7 @@ def _workshop(path: Path) -> Iterator[Path]:
     try:
         while True:
             shop = Path(tempfile.mkdtemp(dir=path.parent, prefix=_PREFIX))
-            handle = _lock(shop)
+            handle = lock(shop)
             if shop.is_dir():
                 break
             if handle is not None:  # another process cleared the folder before the lock
@@ -228,7 +212,7 @@ def _workshop(path: Path) -> Iterator[Path]:
             os.close(handle)
 
 
-def _lock(shop: Path) -> int | None:
+def lock(shop: Path) -> int | None:
     """Return a handle that locks a workshop for the life of this process, or None without a lock."""
     if fcntl is None:
         return None
@@ -251,7 +235,7 @@ def _clear(folder: Path) -> None:
     except OSError:
         return
     for shop in stale:
-        handle = _lock(shop)
+        handle = lock(shop)
         if handle is None:
             continue
         try:

@@ -30,16 +30,8 @@ THREADS = {f"{k}_NUM_THREADS": "1" for k in ("OMP", "OPENBLAS", "MKL", "NUMEXPR"
 class Guarded:
     """A process that runs a program text until it is closed.
 
-    The program reads a line of JSON and the accompanying numbers from standard input. It answers with a line
-    of JSON and numbers on standard output. All numbers are float64.
-
-    Args:
-        program: Python text.
-        environment: Additional environment variables.
-        folder: Working folder; None for the present one.
-
-    Raises:
-        InputError: No process can be started.
+    The program reads a line of JSON and the accompanying numbers from standard input. It answers with a
+    line of JSON and numbers on standard output. All numbers are float64.
     """
 
     def __init__(
@@ -66,10 +58,8 @@ class Guarded:
         patience: float,
         numbers: Array | None = None,
     ) -> tuple[dict[str, Any], list[Array]] | None:
-        """Send a request, and return the answer; None if the process died or took longer than `patience` [s].
-
-        `counts` returns the number of numbers in each array of an answer.
-        """
+        """Return the answer to a request, whose arrays have `counts` numbers; None if the process died or
+        took longer than `patience` [s]."""
         asked, told = self.process.stdin, self.process.stdout
         assert asked is not None and told is not None
         watch = threading.Timer(patience, self.process.kill)

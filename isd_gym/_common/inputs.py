@@ -11,12 +11,10 @@ import math
 import os
 import stat
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from .errors import InputError, shown
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 #: environment variable that raises the limit on the memory of a file's content
 LIMIT_VARIABLE = "ISD_GYM_READ_LIMIT_GB"
@@ -27,10 +25,7 @@ DIGITS = 300  # digits of an integer in JSON that fits a float
 
 
 def memory_limit() -> int:
-    """Return the number of bytes that the content of one file may occupy in memory.
-
-    The environment variable `ISD_GYM_READ_LIMIT_GB` changes the default of 1 GB.
-    """
+    """Return the number of bytes that the content of one file may occupy: 1 GB, or `ISD_GYM_READ_LIMIT_GB`."""
     text = os.environ.get(LIMIT_VARIABLE)
     if text is None:
         return int(DEFAULT_LIMIT_GB * 2**30)
@@ -93,10 +88,7 @@ def read_bytes(path: str | Path, limit: int = JSON_LIMIT) -> bytes:
 
 
 def parse_json(data: bytes | str, where: str) -> Any:
-    """Return the content of a JSON text.
-
-    A byte order mark is skipped.
-    """
+    """Return the content of a JSON text, without its byte order mark."""
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data.removeprefix("\ufeff")
     except UnicodeDecodeError as error:

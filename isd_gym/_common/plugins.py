@@ -30,9 +30,11 @@ OWN = {
         "inspect": "isd_gym.contrib.inspection.command:command",
         "plan": "isd_gym.contrib.forecast.command:command",
         "record": "isd_gym.contrib.minari.command:command",
+        "simulate": "isd_gym.contrib.simulation.command:command",
         "sweep": "isd_gym.contrib.sweep.command:command",
         "reproduce": "isd_gym.contrib.reproduce:command",
         "ceiling": "isd_gym.contrib.ceilings.ceiling:command",
+        "warm": "isd_gym.contrib.warming.command:command",
     },
     READERS: {
         "lvm": "isd_gym.contrib.bench_files.entry:lvm",
@@ -43,12 +45,14 @@ OWN = {
         "xlsx": "isd_gym.contrib.bench_files.entry:xlsx",
     },
     WINGS: {
+        "bench_files": "isd_gym.contrib.bench_files.writing",
         "ceilings": "isd_gym.contrib.ceilings.beside",
         "fleet": "isd_gym.contrib.fleet.command",
         "fmi": "isd_gym.contrib.fmi.command",
         "forecast": "isd_gym.contrib.forecast.planning",
         "hub": "isd_gym.contrib.hub",
         "no_road": "isd_gym.contrib.no_road.command",
+        "own_controllers": "isd_gym.contrib.own_controllers",
     },
 }
 

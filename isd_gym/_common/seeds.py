@@ -15,10 +15,7 @@ _SCORING = 0x15D
 
 
 def scoring_generator(index: int) -> np.random.Generator:
-    """Return the generator of a scoring road.
-
-    No seed of ``reset(seed=)`` gives the same draws.
-    """
+    """Return the generator of a scoring road; no seed of ``reset(seed=)`` gives the same draws."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(index, spawn_key=(_SCORING,))))
 
 

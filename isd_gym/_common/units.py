@@ -30,79 +30,50 @@ HELD = ("current", "condition")
 TURNING = ("rad", "rad/s", "rad/s^2", "N m")
 Value = TypeVar("Value", float, Any)  # a number, or an array of numbers
 
+#: factor of each unit on its SI unit
+_FACTORS = {
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254, "km/h": 1.0 / 3.6},
+    "m/s^2": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665},
+    "N": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
+    "A": {"A": 1.0, "mA": 1e-3},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
+    "rad/s^2": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180.0},
+    "N m": {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3},
+    "V": {"V": 1.0, "mV": 1e-3, "kV": 1e3},
+    "degC": {"degC": 1.0},
+    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+}
 #: unit -> (SI unit, factor)
-TABLE: dict[str, tuple[str, float]] = {
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "in": ("m", 0.0254),
-    "m/s": ("m/s", 1.0),
-    "mm/s": ("m/s", 1e-3),
-    "cm/s": ("m/s", 1e-2),
-    "in/s": ("m/s", 0.0254),
-    "km/h": ("m/s", 1.0 / 3.6),
-    "m/s^2": ("m/s^2", 1.0),
-    "mm/s^2": ("m/s^2", 1e-3),
-    "g": ("m/s^2", 9.80665),
-    "N": ("N", 1.0),
-    "kN": ("N", 1e3),
-    "lbf": ("N", 4.4482216152605),
-    "A": ("A", 1.0),
-    "mA": ("A", 1e-3),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", math.pi / 180.0),
-    "rev": ("rad", 2.0 * math.pi),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", math.pi / 180.0),
-    "rpm": ("rad/s", math.pi / 30.0),
-    "rad/s^2": ("rad/s^2", 1.0),
-    "deg/s^2": ("rad/s^2", math.pi / 180.0),
-    "N m": ("N m", 1.0),
-    "mN m": ("N m", 1e-3),
-    "kN m": ("N m", 1e3),
-    "V": ("V", 1.0),
-    "mV": ("V", 1e-3),
-    "kV": ("V", 1e3),
-    "degC": ("degC", 1.0),
-    "Pa": ("Pa", 1.0),
-    "kPa": ("Pa", 1e3),
-    "MPa": ("Pa", 1e6),
-    "bar": ("Pa", 1e5),
-    "s": ("s", 1.0),
-    "ms": ("s", 1e-3),
-    "us": ("s", 1e-6),
-    "ns": ("s", 1e-9),
+TABLE = {unit: (si, factor) for si, factors in _FACTORS.items() for unit, factor in factors.items()}
+#: other spellings of units
+_SPELLINGS = {
+    spelling: unit
+    for unit, spellings in {
+        "m/s^2": ("m/s2", "m/s**2", "m/s²"),
+        "mm/s^2": ("mm/s2", "mm/s²"),
+        "deg": ("°", "degree", "degrees"),
+        "degC": ("°C",),
+        "rad": ("radian",),
+        "deg/s": ("°/s",),
+        "rpm": ("1/min", "U/min"),
+        "rad/s^2": ("rad/s2", "rad/s²"),
+        "deg/s^2": ("deg/s2", "deg/s²", "°/s²"),
+        "N m": ("Nm", "N.m", "N*m", "N·m"),
+        "mN m": ("mNm",),
+        "kN m": ("kNm",),
+        "V": ("volt",),
+        "s": ("sec",),
+        "um": ("µm",),
+        "us": ("µs",),
+        "km/h": ("kph",),
+        "N": ("newton",),
+        "g": ("G",),
+    }.items()
+    for spelling in spellings
 }
-_SPELLINGS = {"m/s2": "m/s^2", "m/s**2": "m/s^2", "m/s²": "m/s^2", "mm/s2": "mm/s^2", "mm/s²": "mm/s^2"}
-_SPELLINGS |= {
-    "°": "deg",
-    "°C": "degC",
-    "degree": "deg",
-    "degrees": "deg",
-    "radian": "rad",
-    "°/s": "deg/s",
-    "1/min": "rpm",
-    "U/min": "rpm",
-}
-_SPELLINGS |= {
-    "rad/s2": "rad/s^2",
-    "rad/s²": "rad/s^2",
-    "deg/s2": "deg/s^2",
-    "deg/s²": "deg/s^2",
-    "°/s²": "deg/s^2",
-}
-_SPELLINGS |= {
-    "Nm": "N m",
-    "N.m": "N m",
-    "N*m": "N m",
-    "N·m": "N m",
-    "mNm": "mN m",
-    "kNm": "kN m",
-    "volt": "V",
-}
-_SPELLINGS |= {"sec": "s", "µm": "um", "kph": "km/h", "newton": "N", "G": "g", "µs": "us"}
 
 
 def practical(value: float, unit: str) -> tuple[float, str]:

@@ -41,7 +41,6 @@ def snapshots(
     from ..env._environment import ISDSuspensionEnv
     from ..env._task import CONTROL_STEP
 
-    _check_length(seconds)
     network = Network.load(network)
     cars: list[Any] = []  # name, controller, environment, observation
     for entry in entries:
@@ -69,21 +68,12 @@ def snapshots(
         yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
 
 
-def _check_length(seconds: float) -> None:
-    if not (np.isfinite(seconds) and seconds > 0):
-        raise InputError(f"seconds must be positive, not {seconds}")
-
-
-def _size(network: Network, cars: int) -> tuple[int, int]:
-    """Return width and height of a picture [px]."""
-    return WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
-
-
 @contextmanager
 def _renderer(mode: Any, network: Network, cars: int, scale: float = 1.0) -> Iterator[Any]:
     from ..view._rendering import Renderer
 
-    width, height = (round(scale * side) for side in _size(network, cars))
+    size = WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
+    width, height = (round(scale * side) for side in size)
     drawn = Renderer(mode, width=width, height=height, cars=cars)
     try:
         yield drawn
@@ -103,7 +93,6 @@ def film(
     from ..env._task import CONTROL_STEP
     from ..view._rendering import write_video
 
-    _check_length(drive.get("seconds", 10.0))
     network = Network.load(network)
     gif = Path(path).suffix.lower() == ".gif"
     fps = 25.0 if gif else 50.0

@@ -56,17 +56,11 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class Entry:
-    """A policy in a score.
+    """A policy in a score."""
 
-    Attributes:
-        name: Name in the score.
-        make: Returns a new controller at every call.
-        network: Plant of the policy; None for the common plant.
-    """
-
-    name: str
-    make: Callable[[], Controller]
-    network: Network | None = None
+    name: str  # name in the score
+    make: Callable[[], Controller]  # returns a new controller at every call
+    network: Network | None = None  # plant of the policy; None for the common plant
 
 
 class Idle:
@@ -88,32 +82,14 @@ class Idle:
         """Do nothing: there is no memory."""
 
     def act(self, observation: np.ndarray) -> float | np.ndarray:
-        """Return zero current for each motor.
-
-        Args:
-            observation: Without effect.
-
-        Returns:
-            Current [A], or currents (currents,) [A].
-        """
+        """Return zero current for each motor."""
         return 0.0 if self.currents == 1 else np.zeros(self.currents)
 
     def reset_batch(self, count: int) -> None:
-        """Do nothing: there is no memory.
-
-        Args:
-            count: Number of cars.
-        """
+        """Do nothing: there is no memory."""
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return zero current for each motor of each car.
-
-        Args:
-            observations: Observations (n, signals).
-
-        Returns:
-            Currents (n,) or (n, currents) [A].
-        """
+        """Return zero current for each motor of each car: (n,) or (n, currents)."""
         count = len(observations)
         return np.zeros(count) if self.currents == 1 else np.zeros((count, self.currents))
 
@@ -123,10 +99,6 @@ class Crew:
 
     `observation` is the wanted observation, `preview` [s] the wanted length of the road ahead, and `times`
     [s] the processor times of single decisions with one controller per car.
-
-    Args:
-        entry: The policy.
-        cars: Number of cars.
     """
 
     def __init__(self, entry: Entry, cars: int) -> None:
@@ -147,14 +119,7 @@ class Crew:
                 c.reset()
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return the commanded currents.
-
-        Args:
-            observations: Observations (cars, n).
-
-        Returns:
-            Currents (cars,) or (cars, currents) [A].
-        """
+        """Return the commanded currents (cars,) or (cars, currents) [A] for observations (cars, n)."""
         if self.batched:
             return np.asarray(self.controllers[0].act_batch(observations))
         out = []
@@ -171,21 +136,13 @@ class Crew:
 
 
 class _Leg(NamedTuple):
-    """One control step of all cars.
+    """One control step of all cars."""
 
-    Attributes:
-        step: Index of the step.
-        seen: Observations before the step (cars, n).
-        actions: Commanded currents (cars, currents) [A].
-        rewards: Rewards of the step (cars,).
-        ahead: Observations after the step (cars, n).
-    """
-
-    step: int
-    seen: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    ahead: np.ndarray
+    step: int  # index of the step
+    seen: np.ndarray  # observations before the step (cars, n)
+    actions: np.ndarray  # commanded currents (cars, currents) [A]
+    rewards: np.ndarray  # rewards of the step (cars,)
+    ahead: np.ndarray  # observations after the step (cars, n)
 
 
 def travel(
@@ -198,22 +155,10 @@ def travel(
     dtype: DTypeLike = float,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[_Leg]:
-    """Drive all cars from their start; episode i has the road of seed ``seed + first + i``, or scoring road ``first + i``.
+    """Drive all cars from their start, and yield each control step.
 
-    Args:
-        crew: The policy.
-        env: Environment with one car per car of the crew.
-        steps: Number of control steps.
-        seed: Seed of episode 0; None for the scoring roads, which no seed reaches.
-        first: Index of the first episode.
-        dtype: Type of the commands, which are limited to the action space.
-        progress: Called now and then with the finished share.
-
-    Yields:
-        Each control step.
-
-    Raises:
-        InputError: A car breaks, or the policy commands another number of currents.
+    Episode i has the road of seed ``seed + first + i``, or scoring road ``first + i``. Commands are
+    limited to the action space; `progress` is called now and then with the finished share.
     """
     crew.reset()
     obs, _ = env.reset(options={"scoring_road": first}) if seed is None else env.reset(seed=seed + first)

@@ -7,21 +7,18 @@ an unknown name.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .._common.errors import InputError, shown
-from .._common.plugins import POLICIES, plugins
+from .._common.plugins import POLICIES, find_wing, plugins
 from ..physics._vehicle import kind, vehicle
 from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.network._bodies import Point
-from ._own_controller import entry_of_file
 from .driving import Entry, Idle
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 __all__ = ["Entry", "Idle", "available", "conventional", "find", "find_all", "passive"]
 
@@ -40,9 +37,6 @@ def conventional(network: Network) -> Network:
 
     Args:
         network: Network of a car.
-
-    Returns:
-        Network of the passive car.
 
     Raises:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
@@ -79,9 +73,6 @@ def passive(network: Network) -> Entry:
     Args:
         network: Network of a car.
 
-    Returns:
-        The policy.
-
     Raises:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
@@ -117,14 +108,12 @@ def find(
         trained: Options of the training of a .zip file, such as "observation=history"; None to find them.
         options: Settings of a controller.
 
-    Returns:
-        The policy.
-
     Raises:
         InputError: The name is unknown, or the policy does not fit the plant.
     """
-    if (own := entry_of_file(name)) is not None:
-        return own
+    own = find_wing("own_controllers")
+    if own and (entry := own.entry_of_file(name)) is not None:
+        return entry
     if trained is not None and name.lower().endswith(".zip"):
         options["trained"] = trained
     car = vehicle(network)

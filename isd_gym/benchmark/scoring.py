@@ -74,26 +74,17 @@ def _of_corners(kind: str, unit: str) -> property:
 
 @dataclass
 class Run:
-    """Signals of one policy over all episodes.
+    """Signals of one policy over all episodes."""
 
-    Attributes:
-        car: The driven car.
-        signals: Signals (steps, episodes) by name, in SI units. A quarter car has body_acceleration,
-            suspension_travel, device_travel_rate, tyre_load and current. A car with several corners has the
-            signals of each corner, with the name of the corner appended, and pitch_acceleration and
-            roll_acceleration.
-        control_step: Control step [s].
-        times: Processor times of single decisions [s].
-        fallbacks: Number of safe substitute decisions.
-        preview: Length of the previewed road [s].
-    """
-
-    car: Vehicle
+    car: Vehicle  # the driven car
+    #: signals (steps, episodes) by name, in SI units. A quarter car has body_acceleration, suspension_travel,
+    #: device_travel_rate, tyre_load and current. A car with several corners has the signals of each corner,
+    #: with the name of the corner appended, and pitch_acceleration and roll_acceleration
     signals: dict[str, np.ndarray]
-    control_step: float
-    times: np.ndarray
-    fallbacks: int
-    preview: float = 0.0
+    control_step: float  # control step [s]
+    times: np.ndarray  # processor times of single decisions [s]
+    fallbacks: int  # number of safe substitute decisions
+    preview: float = 0.0  # length of the previewed road [s]
 
     def of(self, kind: str) -> list[np.ndarray]:
         """Return the signals of a kind: of every corner, or of the body.
@@ -180,9 +171,6 @@ def comfort_point(car: Vehicle) -> str:
 
     Args:
         car: The car.
-
-    Returns:
-        Name of the point.
     """
     return "driver" if "driver" in car.points else car.body
 
@@ -231,16 +219,8 @@ def weighted_rms(acceleration: np.ndarray, step: float) -> np.ndarray:
 
 
 def check_size(car: Vehicle, episodes: int, duration: float) -> None:
-    """Check the number and the length of episodes before their signals are stored.
-
-    Args:
-        car: The car.
-        episodes: Number of episodes.
-        duration: Length of an episode [s].
-
-    Raises:
-        InputError: A number is not positive and finite, or the signals do not fit into the memory.
-    """
+    """Check before long work that number and length [s] of episodes are positive, and that their signals fit
+    into the memory."""
     from ..env._task import CONTROL_STEP
 
     if episodes < 1:
@@ -286,9 +266,6 @@ def drive(
         sensors: Imperfections of the sensors.
         timed: Number of decisions of a batched policy that are repeated one at a time to measure the time.
         progress: Called now and then with the finished share.
-
-    Returns:
-        The signals.
 
     Raises:
         InputError: A car breaks, or an argument is invalid.
@@ -356,14 +333,7 @@ MEASURES = {
 
 
 def units(car: Vehicle) -> dict[str, str]:
-    """Return the units of the measures of a car: `MEASURES`, and the measures of axes and corners.
-
-    Args:
-        car: The car.
-
-    Returns:
-        Unit by name.
-    """
+    """Return the unit of each measure of a car: `MEASURES`, and the measures of axes and corners."""
     own = {f"{axis}_acceleration_rms": "rad/s^2" for axis in car.axes}
     if len(car.corners) > 1:
         for kind, unit in (("suspension_travel", "m"), ("tyre_load", "N"), ("current", "A")):
@@ -373,18 +343,12 @@ def units(car: Vehicle) -> dict[str, str]:
 
 
 def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, tuple[np.ndarray, str]]:
-    """Return mean squares (means for cost and energy, maxima for peaks) by episode.
+    """Return mean squares (means for cost and energy, maxima for peaks) by episode (episodes,), and units,
+    for the names of `units`.
 
     Travel, tyre load and current without the name of a corner combine all corners: the mean of the mean
-    squares, and the largest peak. Energy is the sum over all motors.
-
-    Args:
-        run: Signals.
-        cost: Stage cost of the car.
-        point: Point of the body whose acceleration is weighted by ISO 2631-1; None for `comfort_point`.
-
-    Returns:
-        Values (episodes,) and unit by name, the names of `units`.
+    squares, and the largest peak. Energy is the sum over all motors. `point` is the point of the
+    evaluation by ISO 2631-1.
     """
     dt, car = run.control_step, run.car
 
@@ -427,14 +391,8 @@ PRINTED: tuple[dict[str, tuple[str, str, float, int]], ...] = (
 
 
 def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float]]]:
-    """Return the printed form of the measures of axes and corners, one group per table; no groups for a quarter car.
-
-    Args:
-        row: A policy of a score.
-
-    Returns:
-        Heading, decimals and scale by name of the measure.
-    """
+    """Return heading, decimals and scale of the measures of axes and corners, one group per table; no groups
+    for a quarter car."""
     out = []
     for kinds in PRINTED:
         group = {}
@@ -456,19 +414,11 @@ def _pool(name: str, values: np.ndarray) -> np.ndarray:
 
 
 def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dict[str, Any]:
-    """Return a quantity of a score: the value, and the paired change against a reference with its 95 % interval.
+    """Return value, unit, change, low and high of a quantity of a score, from values (episodes,) of a policy
+    and of its reference.
 
-    The interval is that of the ratio of the pooled values over `_RESAMPLES` draws of the episodes, with common
-    draws for all quantities and policies.
-
-    Args:
-        name: Name of the measure.
-        values: Values of the policy (episodes,), as returned by `measures`.
-        ground: Values of the reference (episodes,).
-        unit: Unit of the quantity.
-
-    Returns:
-        Plain data with value, unit, change, low and high.
+    The 95 % interval is that of the ratio of the pooled values over `_RESAMPLES` draws of the episodes,
+    with common draws for all quantities and policies.
     """
     quantity: dict[str, Any] = {"value": float(_pool(name, values)), "unit": unit}
     if np.all(ground > 0):
@@ -518,18 +468,7 @@ def _rounded(values: np.ndarray) -> list[float]:
 def fingerprints(
     road: Any, speed: float, duration: float, seed: int | None, episodes: int
 ) -> list[list[float]]:
-    """Return a fingerprint of each episode's road: its heights at every tenth of the episode.
-
-    Args:
-        road: The road.
-        speed: Speed [m/s].
-        duration: Length of an episode [s].
-        seed: Seed of episode 0; None for the scoring roads.
-        episodes: Number of episodes.
-
-    Returns:
-        Heights [m] of each road.
-    """
+    """Return a fingerprint of each episode's road: its heights [m] at every tenth of the episode."""
     ground = find_road(road)
     out = []
     for rng in generators(seed, 0, episodes):
@@ -541,45 +480,27 @@ def fingerprints(
 
 @dataclass
 class Score:
-    """Result of `score`.
+    """Result of `score`."""
 
-    Attributes:
-        road: Name of the road.
-        speed: Speed [m/s].
-        network: Name of the plant.
-        episodes: Number of episodes.
-        duration: Length of an episode [s].
-        seed: Seed of episode 0; None for the scoring roads.
-        policies: One row per policy (`isd-score/1`).
-        sensors: Imperfections of the sensors.
-        raw: Values of `measures` by policy and name, one per episode.
-        roads: Fingerprint of each road, see `fingerprints`.
-        runs: Signals by policy, for reports.
-        references: Bounds and published figures, as sentences.
-        plant: The network.
-        ground: The road.
-        comparable: Allowed bounds and published figures.
-        cost: Stage cost of the car.
-        point: Point of the body of the evaluation by ISO 2631-1.
-    """
-
-    road: str
-    speed: float
-    network: str
-    episodes: int
-    duration: float
-    seed: int | None
-    policies: list[dict[str, Any]]
-    sensors: Sensors = field(default_factory=Sensors)
+    road: str  # name of the road
+    speed: float  # speed [m/s]
+    network: str  # name of the plant
+    episodes: int  # number of episodes
+    duration: float  # length of an episode [s]
+    seed: int | None  # seed of episode 0; None for the scoring roads
+    policies: list[dict[str, Any]]  # one row per policy (`isd-score/1`)
+    sensors: Sensors = field(default_factory=Sensors)  # imperfections of the sensors
+    #: values of `measures` by policy and name, one per episode
     raw: dict[str, dict[str, list[float]]] = field(repr=False, default_factory=dict)
+    #: fingerprint of each road, see `fingerprints`
     roads: list[list[float]] = field(repr=False, default_factory=list)
-    runs: dict[str, Run] = field(repr=False, default_factory=dict)
-    references: dict[str, Any] = field(default_factory=dict)
-    plant: Network | None = field(repr=False, default=None)
-    ground: Road | None = field(repr=False, default=None)
-    comparable: Comparable = field(default_factory=Comparable)
-    cost: StageCost = field(default_factory=StageCost)
-    point: str = ""
+    runs: dict[str, Run] = field(repr=False, default_factory=dict)  # signals by policy, for reports
+    references: dict[str, Any] = field(default_factory=dict)  # bounds and published figures, as sentences
+    plant: Network | None = field(repr=False, default=None)  # the network
+    ground: Road | None = field(repr=False, default=None)  # the road
+    comparable: Comparable = field(default_factory=Comparable)  # allowed bounds and published figures
+    cost: StageCost = field(default_factory=StageCost)  # stage cost of the car
+    point: str = ""  # point of the body of the evaluation by ISO 2631-1
 
     @property
     def drives(self) -> str:
@@ -625,21 +546,7 @@ def unscored(
     seed: int | None,
     sensors: Sensors | None = None,
 ) -> Score:
-    """Return the conditions of a score before driving, without quantities and episodes.
-
-    Args:
-        entries: The policies, for their names and previews.
-        network: The plant.
-        road: The road.
-        speed: Speed [m/s].
-        episodes: Number of episodes.
-        duration: Length of an episode [s].
-        seed: Seed of episode 0; None for the scoring roads.
-        sensors: Imperfections of the sensors, if any.
-
-    Returns:
-        A score without policies.
-    """
+    """Return the conditions of a score before driving, without quantities and episodes."""
     rows = [{"policy": e.name, "preview": {"value": Crew(e, 1).preview, "unit": "s"}} for e in entries]
     return Score(
         road=getattr(road, "name", str(road)),
@@ -694,9 +601,6 @@ def score(
         ceiling: Returns the bound of controllers with a given preview [s] (its `change`), for the share of
             the causal gain, which is omitted for small samples (`comparability`).
         progress: Called now and then with the name of a policy and its finished share.
-
-    Returns:
-        The score.
 
     Raises:
         InputError: An argument is invalid, a policy is unknown or named twice, or a car breaks.

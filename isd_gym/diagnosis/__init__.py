@@ -9,11 +9,10 @@ Data go one way, from the first of these packages to the last:
 - `_selection`: which effects predict held-out records best;
 - `_verdict`: evidence, what it allows to say, and the words.
 
-`_workflow` runs all of it, `_result_builder` makes the `result` of what it found, and `_prediction_errors` judges a model as it is.
+`_workflow` runs all of it, and `_result_builder` makes the `result` of what it found.
 `isd_gym.contrib.forecast` designs the test that would decide between candidates.
 """
 
-from ._estimation.initial_state_fit import FittedInitialState, initial_state
 from ._hypotheses.library import Hypothesis, hypotheses
 from ._selection.criteria import CRITERIA, Criteria
 from ._selection.settings import SearchSettings
@@ -30,7 +29,6 @@ __all__ = [
     "Effect",
     "EffectEvidence",
     "Evidence",
-    "FittedInitialState",
     "Gate",
     "Hypothesis",
     "Law",
@@ -40,5 +38,4 @@ __all__ = [
     "Trace",
     "diagnose",
     "hypotheses",
-    "initial_state",
 ]

@@ -257,9 +257,6 @@ class ISDSuspensionEnv(gym.Env):
     def snapshot(self) -> Snapshot | CarSnapshot:
         """Return the content of a picture of the car.
 
-        Returns:
-            Plain numbers for a renderer.
-
         Raises:
             InputError: The environment was made without a `render_mode`.
         """
@@ -666,8 +663,4 @@ def _threads(cars: int) -> int:
     return max(1, min(cores, cars // 2048))
 
 
-_MODES = {
-    "next_step": AutoresetMode.NEXT_STEP,
-    "same_step": AutoresetMode.SAME_STEP,
-    "disabled": AutoresetMode.DISABLED,
-}
+_MODES = {mode.name.lower(): mode for mode in AutoresetMode}

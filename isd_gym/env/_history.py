@@ -44,29 +44,18 @@ LEADS = (0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1)
 
 @dataclass(frozen=True)
 class History:
-    """Definition of the numbers of a history. Without scales, the signals are unchanged.
+    """Definition of the numbers of a history. Without scales, the signals are unchanged."""
 
-    Attributes:
-        scale: Scale of each signal [SI unit of the signal].
-        change: Scale of each signal's change over a control step.
-        order: Highest order of change.
-        leak: Index of the signal, time constant [s] and scale of each leaky integral.
-        step: Control step [s].
-        late: Column of a number, distance of the following wheel behind the leading one [m], and time before its arrival
-            [s], for each number that is repeated later.
-        speed: Speed of the car [m/s], which turns distances into delays.
-
-    Raises:
-        InputError: A value is outside its limits.
-    """
-
-    scale: tuple[float, ...] = ()
-    change: tuple[float, ...] = ()
-    order: int = 0
+    scale: tuple[float, ...] = ()  # scale of each signal [SI unit of the signal]
+    change: tuple[float, ...] = ()  # scale of each signal's change over a control step
+    order: int = 0  # highest order of change
+    #: index of the signal, time constant [s] and scale of each leaky integral
     leak: tuple[tuple[int, float, float], ...] = ()
-    step: float = 5e-3
+    step: float = 5e-3  # control step [s]
+    #: column of a number, distance of the following wheel behind the leading one [m], and time before its
+    #: arrival [s], for each number that is repeated later
     late: tuple[tuple[int, float, float], ...] = ()
-    speed: float = 20.0
+    speed: float = 20.0  # speed of the car [m/s], which turns distances into delays
 
     def __post_init__(self) -> None:
         if not 0 <= self.order <= ORDERS:
@@ -130,10 +119,11 @@ class History:
 
 
 def history_of(car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> History:
-    """Return the history of a car: its signals, their first and second changes, and the velocities of the body.
+    """Return the history of a car: its signals, their first and second changes, and the velocities of the
+    body.
 
-    With following wheels, it also has the travel, the rate of the travel and its change at each leading corner, and the
-    velocities and accelerations of the body, as they were before the following wheel met this road (`LEADS`).
+    With following wheels, it also has numbers of each leading corner and of the body as they were before
+    the following wheel met this road (`LEADS`).
     """
     kinds = [signal.kind for signal in car.measured]
     scale = tuple(SCALES[kind][0] for kind in kinds)
@@ -158,17 +148,8 @@ def history_of(car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> History
 
 
 class Remembered:
-    """The histories of several cars.
-
-    Args:
-        history: Definition of the numbers.
-        count: Number of cars.
-        signals: Number of signals.
-        width: Number of columns of `features`; the history fills the first ones. None for the history alone.
-
-    Attributes:
-        features: Present histories (count, width) float32, not clipped.
-    """
+    """The histories of several cars; `features` (count, width) float32 are the present ones, not clipped, in
+    the first of `width` columns."""
 
     def __init__(self, history: History, count: int, signals: int, width: int | None = None) -> None:
         self.signals, self.order = signals, history.order

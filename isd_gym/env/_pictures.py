@@ -22,12 +22,7 @@ PAST = 4.0  # length of the curves [s]
 
 
 class Onlooker:
-    """Follows one car of a task and makes snapshots of the car.
-
-    Args:
-        task: Cars, made with `picture`.
-        car: Index of the car.
-    """
+    """Follows one car of a task that was made with `picture`, and makes snapshots of the car."""
 
     def __init__(self, task: Task, car: int) -> None:
         """Follow a car from its next start."""
@@ -55,13 +50,9 @@ class Onlooker:
         self._steps = steps
         self._cost -= reward
         self._trail.append(tuple(batch.track_heights[:, self.car].tolist()))
-        self._past.append((steps * self.task.decision, *batch.out[: self._curves, self.car].tolist()))
-
-    @property
-    def _curves(self) -> int:
-        """Number of signals with a curve; a quarter car shows acceleration and travel."""
-        of = self.task.batch.of
-        return of.accelerations if self.task.network.bodies else of.accelerations + 1
+        # signals with a curve: a quarter car shows its travel, too
+        curves = batch.of.accelerations + (not self.task.network.bodies)
+        self._past.append((steps * self.task.decision, *batch.out[:curves, self.car].tolist()))
 
     def snapshot(self) -> Snapshot | CarSnapshot:
         """Return the content of a picture of the car."""
@@ -126,20 +117,11 @@ class Onlooker:
 
         batch, (corner,) = self.task.batch, self.task.vehicle.corners
         places = self._places()
-        shown = self._corner(0, corner, places, places[corner.body])
         return Snapshot(
-            body=shown.body,
-            wheel=shown.wheel,
-            piston=shown.piston,
-            joint=shown.joint,
+            **vars(self._corner(0, corner, places, places[corner.body])),
             road_profile=self._road(0),
-            current=shown.current,
-            current_limit=shown.current_limit,
             body_acceleration=float(batch.out[0, self.car]),
             suspension_travel=float(batch.out[batch.of.accelerations, self.car]),
-            tyre_load=shown.tyre_load,
-            static_tyre_load=shown.static_tyre_load,
-            device_travel_limit=shown.device_travel_limit,
             **self._drive(),
         )
 

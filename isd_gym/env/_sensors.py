@@ -7,17 +7,15 @@ therefore has exactly the noise of a single car with the same seed.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .._common.errors import InputError, shown
 from .._common.inputs import is_number, is_whole
 from ..physics._kernel.jit import compiled
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 #: standard deviation of the white noise on each measured signal at noise 1; the current is known exactly
 NOISE = {
@@ -41,23 +39,17 @@ class Sensors:
 
     The present current is always known, since the controller sets the current.
 
-    Attributes:
-        noise: White noise of the measured signals as a multiple of `NOISE` [-]; (low, high) to draw the
-            multiple for every episode.
-        delay: Delay of the measured signals [control steps].
-        road_error: Standard deviation of the white error of each height of the road ahead [m].
-        road_lag: Age of the picture of the road [s], which is not compensated.
-        road_range: Range of the road sensor [m]; beyond, the road appears level.
-
     Raises:
         InputError: A value is outside its limits.
     """
 
+    #: white noise of the measured signals as a multiple of `NOISE` [-]; (low, high) to draw the multiple for
+    #: every episode
     noise: float | tuple[float, float] = 0.0
-    delay: int = 0
-    road_error: float = 0.0
-    road_lag: float = 0.0
-    road_range: float = math.inf
+    delay: int = 0  # delay of the measured signals [control steps]
+    road_error: float = 0.0  # standard deviation of the white error of each height of the road ahead [m]
+    road_lag: float = 0.0  # age of the picture of the road [s], which is not compensated
+    road_range: float = math.inf  # range of the road sensor [m]; beyond, the road appears level
 
     def __post_init__(self) -> None:
         noise = self.noise
@@ -84,9 +76,6 @@ class Sensors:
         Args:
             given: Sensors, attributes by name, or a text such as ``noise=1,road_error=0.001``; None for exact
                 sensors.
-
-        Returns:
-            The sensors.
 
         Raises:
             InputError: An attribute or its value is invalid.
@@ -149,18 +138,10 @@ def _add_noise(seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int
 
 
 class Sight:
-    """`Sensors` in action on several cars; the measured signals come first in an observation.
+    """`Sensors` in action on several cars.
 
-    Args:
-        sensors: Imperfections.
-        cars: Number of cars.
-        signals: Kind of each measured signal; signals of the kind 'current' come last and are exact.
-        tracks: Number of tracks of road ahead.
-        points: Number of heights of each track, one per control step.
-        control_step: Control step [s].
-
-    Raises:
-        InputError: The lag of the road is no integer number of control steps.
+    The measured signals come first in an observation, those of the kind 'current' are exact and last among
+    them. The road ahead follows: `points` heights of each track, one per control step [s].
     """
 
     def __init__(

@@ -6,11 +6,11 @@ import copy
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -25,10 +25,6 @@ from ..physics.network import Network
 from ..physics.road import Road, road
 from ._history import BOUND, Remembered, history_of
 from ._sensors import Sensors, Sight
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
 
 CONTROL_STEP = 5e-3  # s
 #: limits of options: control step [s], duration of an episode and preview [s], speed [m/s], control steps per action
@@ -168,9 +164,6 @@ class Options:
         Args:
             given: Options by name.
 
-        Returns:
-            The options.
-
         Raises:
             TypeError: A name is unknown; libraries that try the options of other environments rely on this
                 error.
@@ -199,32 +192,10 @@ def _channel_faults(network: Network, names: Sequence[str]) -> list[el.Element]:
 class Task:
     """Cars with the spaces, sensors, costs and limits of the environments.
 
-    Args:
-        count: Number of cars.
-        options: Options of the environment.
-        picture: Whether pictures of the cars will be drawn.
-        threads: Number of threads that share the cars.
-
-        group: Number of consecutive cars on one road; with 1 the reference of a relative reward is a car without
-            current.
-
-    Attributes:
-        options: Options of the environment.
-        network: Network of the cars.
-        vehicle: The network as a car.
-        batch: Cars on their roads.
-        actions: Actions of the next decision (currents, cars), to be written by the environment.
-        decision: Time between two actions [s].
-        episode: Length of an episode [decisions].
-        labels: Name and unit of each number of an observation.
-        slowest: Lowest speed of a car [m/s].
-        step_info: Names of the numbers in `info` of a step after the speed and the cost, in the order of
-            `Batch.judged`.
-        is_faulty: Whether a policy sees signals with errors.
-        is_plain: Whether a decision is one control step with commanded currents and minus its cost as reward.
-
-    Raises:
-        InputError: The network is no car, or an option is invalid.
+    `picture` tells whether pictures of the cars will be drawn, `threads` how many threads share them.
+    `group` is the number of consecutive cars on one road; with 1 the reference of a relative reward is a
+    car without current. The environment writes `actions` (currents, cars) of the next decision, and reads
+    `batch.judged`: minus the cost, then the numbers of `step_info`.
     """
 
     def __init__(
@@ -352,8 +323,8 @@ class Task:
     def advance(self) -> np.ndarray:
         """Run one decision: `hold` control steps with the same action.
 
-        Afterwards `batch.judged` holds the mean terms of the cost over the control steps, the last tyre loads, and
-        whether a limit was exceeded. `observe` returns the observations.
+        `batch.judged` then holds the mean terms of the cost over the control steps, the last tyre loads,
+        and whether a limit was exceeded.
         """
         batch, of, hold = self.batch, self.batch.of, self.options.hold
         means = 1 + len(self.vehicle.costs)
@@ -406,10 +377,7 @@ class Task:
     def _sense(
         self, obs: np.ndarray, which: np.ndarray | slice = slice(None), *, first: bool = False
     ) -> np.ndarray:
-        """Return reported values of exact observations: first faults of the model's channels, then `sensors`.
-
-        Physics and reward use the exact signals.
-        """
+        """Return reported values of exact observations: first faults of the model's channels, then `sensors`."""
         names = [signal.name for signal in self.measured]
         step = self.batch.control_step
         for e in self._channel_faults:
@@ -494,9 +462,7 @@ def usual_level(batch: Batch) -> float:
 
 
 def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[str, float]]:
-    """Return a function that makes `info` from the speed and the numbers of the kernel.
-
-    The first number of the kernel is minus the cost. A dictionary display takes a third of the time of `dict` and `zip`.
-    """
+    """Return a function that makes `info` from the speed and the numbers of the kernel, the first of which is
+    minus the cost; a dictionary display takes a third of the time of `dict` and `zip`."""
     pairs = ", ".join(f"{name!r}: told[{i}]" for i, name in enumerate(names, 1))
     return eval(f"lambda speed, told: {{'speed': speed, 'cost': -told[0], {pairs}}}")

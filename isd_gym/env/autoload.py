@@ -33,14 +33,8 @@ class _AfterGymnasium:
 
 
 def spec_of(name: str) -> ModuleSpec | None:
-    """Return the spec of a module that registers the environments after its import.
-
-    Args:
-        name: Name of the module, ``gymnasium.envs``.
-
-    Returns:
-        The spec; None for an unknown module.
-    """
+    """Return the spec of a module that registers the environments after its import; None for an unknown
+    module."""
     from importlib.util import find_spec
 
     sys.meta_path[:] = [f for f in sys.meta_path if not _is_own(f)]

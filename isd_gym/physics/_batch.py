@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,18 +38,9 @@ LATE = 100  # groups of cars that this thread handles while another thread wakes
 class Batch:
     """Cars of one network (or of a distribution of it), each on a separate road.
 
-    Args:
-        count: Number of cars.
-        network: The plant.
-        road_: Road, unless `randomize` has roads.
-        speed: Speed [m/s], unless `randomize` has a range.
-        control_step: Control step [s], an integer multiple of `physics_step`.
-        physics_step: Physics step [s].
-        duration: Length of fixed profiles [s].
-        randomize: As `ranges` takes them: parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' ->
-            list of roads.
-        preview: Length of the road that is drawn ahead [s], rounded to control steps.
-        extra: Further output channels.
+    `control_step` [s] is an integer multiple of `physics_step`, `duration` [s] the length of fixed
+    profiles, and `preview` [s] the length of the road that is drawn ahead. Speed [m/s] and road hold
+    unless `randomize` (`ranges`) has them.
     """
 
     def __init__(
@@ -73,8 +63,6 @@ class Batch:
             raise InputError(
                 f"control step {control_step} s is not a whole multiple of physics step {physics_step} s"
             )
-        if not (isinstance(speed, int | float) and math.isfinite(speed) and speed > 0):
-            raise InputError(f"speed must be a positive number of m/s, not {speed!r}")
         self.control_step, self.speed, self.duration = control_step, float(speed), duration
         self.road = road(road_)
         self.randomize = ranges(network, randomize)
@@ -153,13 +141,9 @@ class Batch:
         ] or [0]
         head = np.zeros(place.TABLES, np.int64)
         head[[place.COUNT, place.SUBSTEPS, place.SHOWS]] = self.count, self.substeps, place.MEASURED
-        leaders = [
-            min((behind, i) for i, behind in enumerate(wheels.behind) if wheels.track[i] == t)[1]
-            for t in range(wheels.tracks)
-        ]
         late = [int(behind > 0.0) for behind in wheels.behind]
-        return np.concatenate([head, [*columns.values()], wheels.track, late, leaders, current_of]).astype(
-            np.int64
+        return np.array(
+            [*head, *columns.values(), *wheels.track, *late, *wheels.leaders, *current_of], np.int64
         )
 
     def _set_drives(self) -> int:
@@ -210,15 +194,13 @@ class Batch:
             for begin, stop in zip(ends[:-1], ends[1:], strict=True)
         ]
         self._calls: list[tuple[Any, ...]] = []
-        self._crew: Crew | None = None
+        self._crew: tuple[int, ThreadPoolExecutor] | None = None  # process and its threads
         of = self.of
         self.cars, self.out = self._cars[:, :count], self._cars[of.outputs :, :count]
         self._setup = self._ints[len(self.plant.ints) :]
         self.counters = self._ways[of.counter :].view(np.uint64)  # (tracks, cars)
-        self.target = self.cars[
-            of.target : of.target + of.currents
-        ]  # commanded currents [A] (currents, count)
-        self.first_targets = self.target[:, 0]
+        #: commanded currents [A] (currents, count)
+        self.target = self.cars[of.target : of.target + of.currents]
         self._write_to(self._results, self.seen)
 
     def _write_to(self, results: np.ndarray, seen: np.ndarray) -> None:
@@ -231,22 +213,9 @@ class Batch:
         self._write_to(np.empty(self._results.shape), np.empty(self.seen.shape, np.float32))
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("cars", "out", "counters", "target", "first_targets", "_setup")
-        return {
-            k: v
-            for k, v in self.__dict__.items()
-            if k
-            not in (
-                *views,
-                "_drive",
-                "_drive_arguments",
-                "_shares",
-                "_calls",
-                "_crew",
-                "_first_results",
-                "first_seen",
-            )
-        }
+        views = ("cars", "out", "counters", "target", "_setup", "_first_results", "first_seen")
+        made = (*views, "_drive", "_drive_arguments", "_shares", "_calls", "_crew")
+        return {k: v for k, v in self.__dict__.items() if k not in made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -262,17 +231,13 @@ class Batch:
         lifted: Sequence[Sequence[float]] = (),
         threads: int = 1,
     ) -> None:
-        """Let every step limit the commanded currents in `target`, and compute rewards, costs and observations.
+        """Let every step limit the commanded currents in `target`, and compute rewards, costs and
+        observations.
 
-        Args:
-            weights: Factors on the squares of accelerations, travels, tyre loads and currents
-                (`StageCost.factors`).
-            bounds: Bounds of the measured signals without the currents.
-            width: Width of an observation.
-            shows: Content of an observation: `MEASURED`, `WHOLE` or `AHEAD` of `layout`.
-            lifted: Share of the road's height at each corner that is subtracted from each output (outputs,
-                corners).
-            threads: Number of threads that share the cars; the results do not depend on the number.
+        `weights` are the factors of `StageCost.factors`, `bounds` those of the measured signals without
+        the currents. An observation has `width` numbers and shows `MEASURED`, `WHOLE` or `AHEAD` of
+        `layout`. `lifted` (outputs, corners) is the share of the road's height that is subtracted from
+        each output. The results do not depend on `threads`.
         """
         of = self.of
         self._setup[place.IS_COMMANDED], self._setup[place.SHOWS] = True, shows
@@ -446,14 +411,15 @@ class Batch:
     # ----------------------------------------------------------------------------------------- step
 
     def step(self) -> np.ndarray:
-        """Run one control step with the currents in `current` (after `set_cost`: `target`); return the signals (signals, count) [SI]."""
+        """Run one control step with the present currents (after `set_cost`: `target`); return the signals (signals, count) [SI]."""
         drive = self._drive or self._compiled()
         if len(self._calls) == 1:
             self.broken = drive(*self._calls[0])
         else:
-            if self._crew is None or self._crew.process != os.getpid():  # threads do not survive a fork
-                self._crew = Crew(len(self._calls))
-            self.broken = sum(self._crew.do(drive, self._calls))
+            if self._crew is None or self._crew[0] != os.getpid():  # threads do not survive a fork
+                self._crew = os.getpid(), ThreadPoolExecutor(len(self._calls) - 1)
+            others = [self._crew[1].submit(drive, *call) for call in self._calls[1:]]
+            self.broken = drive(*self._calls[0]) + sum(other.result() for other in others)
         if self.points:
             self._setup[place.NOW] = (self._setup[place.NOW] + 1) % self.points
         if self.kept:
@@ -469,11 +435,6 @@ class Batch:
         of_car = kernel_of(self.plant.at, self.size)
         self._drive = of_car.drive.compile(tuple(map(typeof, self._calls[0])))  # type: ignore[attr-defined]
         return self._drive
-
-    @property
-    def current(self) -> np.ndarray:
-        """Present commanded current of the first corner [A] (count,)."""
-        return self.cars[self.of.current]
 
     @property
     def currents(self) -> np.ndarray:
@@ -511,10 +472,8 @@ class Batch:
 
     @property
     def levels(self) -> np.ndarray:
-        """Level of the rough road (count,) [m^2], to which the cost of a linear car is proportional.
-
-        With one track, the level is the variance that each physics step adds to the height under the wheel.
-        """
+        """Level of the rough road (count,) [m^2], to which the cost of a linear car is proportional; with one
+        track, the variance that each physics step adds to the height."""
         return self.cars[self.of.gain] ** 2
 
     @property
@@ -528,10 +487,8 @@ class Batch:
         return self.road_heights[self._setup[self.of.leader : self.of.leader + self.of.tracks]]
 
     def road_ahead(self, points: int | None = None, track: int = 0) -> np.ndarray:
-        """Return a track ahead relative to the height under its first wheel (count, points) [m], one point per control step.
-
-        None for all drawn points; the left track comes before the right track.
-        """
+        """Return a track ahead relative to the height under its first wheel (count, points) [m], one point
+        per control step; the left track comes before the right track."""
         begin = int(self._setup[place.NOW])
         ahead = self._ahead[: self.count].reshape(self.count, self.of.tracks, self.points)[:, track]
         return np.roll(ahead, -begin, axis=1)[:, :points] - self.track_heights[track][:, None]
@@ -581,11 +538,9 @@ def with_found_ranges(network: Network, given: Mapping[str, Any] | str | Path | 
 def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
     """Return checked ranges of `randomize`.
 
-    Args:
-        network: The plant.
-        given: Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' -> list
-            of roads; 'found' -> folder of a diagnosis, whose intervals are ranges of parameters without an own
-            entry. Or a folder alone. None for no ranges.
+    Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' -> list of
+    roads; 'found' -> folder of a diagnosis, whose intervals are ranges of parameters without an own entry;
+    or that folder alone.
     """
     known = network.parameters
     out: dict[str, Any] = {}
@@ -605,38 +560,3 @@ def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> di
             raise InputError(f"randomize: '{key}' needs 0 < low <= high, not ({low:g}, {high:g})")
         out[key] = (low, high)
     return out
-
-
-class Crew:
-    """Waiting threads for shares of a work; the calling thread takes the first share."""
-
-    def __init__(self, size: int) -> None:
-        self.process = os.getpid()
-        self.asked: list[SimpleQueue[Any]] = [SimpleQueue() for _ in range(size - 1)]
-        self.done: SimpleQueue[Any] = SimpleQueue()
-        for queue in self.asked:
-            Thread(target=_work, args=(queue, self.done), daemon=True).start()
-
-    def do(self, function: Callable[..., int], shares: Sequence[tuple[Any, ...]]) -> list[int]:
-        """Run a function on each share."""
-        for queue, share in zip(self.asked, shares[1:], strict=True):
-            queue.put((function, share))
-        results = [function(*shares[0])]
-        results += [self.done.get() for _ in self.asked]
-        for result in results:
-            if isinstance(result, BaseException):
-                raise result
-        return results
-
-    def __del__(self) -> None:
-        for queue in self.asked:
-            queue.put(None)
-
-
-def _work(asked: SimpleQueue[Any], done: SimpleQueue[Any]) -> None:
-    while (task := asked.get()) is not None:
-        function, share = task
-        try:
-            done.put(function(*share))
-        except BaseException as error:
-            done.put(error)

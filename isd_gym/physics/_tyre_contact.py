@@ -21,7 +21,7 @@ from .network._linear import transfer
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ._vehicle import Corner, Vehicle
+    from ._vehicle import Vehicle
     from .road import Road
 
 LARGEST_SHARE = 0.01  # of the time with a pulling tyre, above which a warning is given
@@ -29,10 +29,11 @@ FREQUENCIES = np.geomspace(0.1, 100.0, 60)  # of the tyre load [Hz]; wheel hop i
 
 
 def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
-    """Return the share of the time in which the tyre that pulls most often has a negative total load; 0 for tyres that lift off.
+    """Return the share of the time in which the tyre that pulls most often has a negative total load; 0 for
+    tyres that lift off.
 
-    The load is normally distributed, with the variance of the linear car without friction and current, at a speed [m/s]. Fixed
-    profiles are not counted.
+    The load is normally distributed, with the variance of the linear car without friction and current.
+    Fixed profiles are not counted.
     """
     if ground.roughness == 0.0:
         return 0.0
@@ -44,17 +45,15 @@ def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
     density = ground.psd(FREQUENCIES / speed) / speed  # over frequency [m^2/Hz]
     share = 0.0
     for i, (corner, static) in enumerate(zip(car.corners, car.static_tyre_loads, strict=True)):
-        if static is None or _lifts_off(car, corner):
+        lifts_off = any(
+            isinstance(e, el.TyreLiftOff) and corner.road in e.where for e in car.network.elements
+        )
+        if static is None or lifts_off:
             continue
         gain = np.abs(response[:, i, inputs.index(corner.road_input)])
         deviation = math.sqrt(float(trapezoid(gain**2 * density, FREQUENCIES)))
         share = max(share, 0.5 * math.erfc(static / (math.sqrt(2.0) * deviation)))
     return share
-
-
-def _lifts_off(car: Vehicle, corner: Corner) -> bool:
-    """Return whether the tyre of a corner cannot pull on the road."""
-    return any(isinstance(e, el.TyreLiftOff) and corner.road in e.where for e in car.network.elements)
 
 
 def warn_of_pulling_tyres(car: Vehicle, roads: Iterable[Road], speed: float) -> None:

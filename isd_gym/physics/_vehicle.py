@@ -7,9 +7,10 @@ that is nearest along the elements.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,9 +18,6 @@ from .._common.errors import InputError
 from . import elements as el
 from .network import GROUND, Channel, Network
 from .tracks import WheelPositions
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
 
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_RATE = 100.0  # A/s: 0.5 A per control step of 5 ms, Table 5
@@ -142,11 +140,8 @@ class Vehicle:
 
     @cached_property
     def resting_masses(self) -> tuple[float, ...]:
-        """Share of the body's mass that rests on each corner [kg].
-
-        The shares balance the weight about the centre of gravity. For more than three corners, the shares are
-        the most even ones (least sum of squares).
-        """
+        """Share of the body's mass that rests on each corner [kg]: the shares balance the weight about the
+        centre of gravity, with the least sum of squares."""
         mass = self.network.carried[self.body]
         rows = np.array([self.arms(c.x, c.y) for c in self.corners]).T
         rows = rows[np.abs(rows).max(axis=1) > 0]
@@ -219,11 +214,8 @@ class Vehicle:
         )
 
     def shares(self, channel: Channel) -> tuple[float, ...]:
-        """Return the shares of the road heights in the reference of a node's displacement.
-
-        A node of a corner is measured from the road of the corner, a node of the body from the mean of all
-        roads.
-        """
+        """Return the shares of the road heights in the reference of a node's displacement: a node of a corner
+        is measured from the road of the corner, a node of the body from the mean of all roads."""
         count = len(self.corners)
         if channel.quantity != "displacement" or channel.at in self.angles.values():
             return (0.0,) * count

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from .._common.errors import InputError, shown
 from .._common.inputs import is_number
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = [
     "FULL_CAR",
@@ -55,37 +53,25 @@ class StageCost:
     reference is the RMS of the signal in the passive car on the paper's road at 20 m/s; the passive car then
     costs 0.9 as well.
 
-    Attributes:
-        acceleration: Weight of the vertical acceleration of the body [-].
-        travel: Weight of the suspension travel [-].
-        tyre_load: Weight of the dynamic tyre load [-].
-        current: Weight of the motor current [-].
-        acceleration_reference: Vertical acceleration of the body [m/s^2].
-        travel_reference: Suspension travel [m], one value, or one per corner.
-        tyre_load_reference: Dynamic tyre load [N], one value, or one per corner.
-        current_reference: Motor current [A].
-        pitch: Weight of the pitch acceleration of the body [-].
-        roll: Weight of the roll acceleration of the body [-].
-        pitch_reference: Pitch acceleration [rad/s^2].
-        roll_reference: Roll acceleration [rad/s^2].
-
     References:
         Liu, Zhao, Yang, Chen, Shen, "Predictive Control of Vehicle ISD Suspension Based on a Hydraulic
             Electric Inerter", Shock and Vibration, 2019, section 4.2 and Table 7.
     """
 
-    acceleration: float = 0.6  # [-]
-    travel: float = 0.3  # [-]
-    tyre_load: float = 0.0  # [-]
-    current: float = 0.0  # [-]
-    acceleration_reference: float = 0.8306  # [m/s^2]
-    travel_reference: float | tuple[float, ...] = 7.6e-3  # [m]
-    tyre_load_reference: float | tuple[float, ...] = 518.0  # [N]
-    current_reference: float = 5.0  # [A]
-    pitch: float = 0.0  # [-]
-    roll: float = 0.0  # [-]
-    pitch_reference: float = 1.0  # [rad/s^2]
-    roll_reference: float = 1.0  # [rad/s^2]
+    acceleration: float = 0.6  # weight of the vertical acceleration of the body [-]
+    travel: float = 0.3  # weight of the suspension travel [-]
+    tyre_load: float = 0.0  # weight of the dynamic tyre load [-]
+    current: float = 0.0  # weight of the motor current [-]
+    acceleration_reference: float = 0.8306  # vertical acceleration of the body [m/s^2]
+    #: suspension travel [m], one value, or one per corner
+    travel_reference: float | tuple[float, ...] = 7.6e-3
+    #: dynamic tyre load [N], one value, or one per corner
+    tyre_load_reference: float | tuple[float, ...] = 518.0
+    current_reference: float = 5.0  # motor current [A]
+    pitch: float = 0.0  # weight of the pitch acceleration of the body [-]
+    roll: float = 0.0  # weight of the roll acceleration of the body [-]
+    pitch_reference: float = 1.0  # pitch acceleration [rad/s^2]
+    roll_reference: float = 1.0  # roll acceleration [rad/s^2]
 
     def __post_init__(self) -> None:
         for name in _TERMS:
@@ -112,9 +98,6 @@ class StageCost:
             axes: Axes about which the body rotates, of 'pitch' and 'roll'.
             corners: Number of corners. A car with an unusual number of corners gets the mean of the usual
                 references.
-
-        Returns:
-            Stage cost.
 
         Raises:
             InputError: An attribute does not exist, or an axis with a weight is not an axis of the body.

@@ -19,9 +19,9 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,9 +35,6 @@ from .tracks import (
     delayed,
     track_filters,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 __all__ = [
     "NAMES",
@@ -299,9 +296,6 @@ def paper_road(kappa: float = PAPER_KAPPA) -> Road:
     Args:
         kappa: Road level [m^3/cycle].
 
-    Returns:
-        The road.
-
     References:
         Liu, Zhao, Yang, Chen, Shen, Shock and Vibration, 2019, Table 6. The default reproduces Table 7's
             passive row.
@@ -309,15 +303,11 @@ def paper_road(kappa: float = PAPER_KAPPA) -> Road:
     return Road("paper", roughness=2 * kappa / REFERENCE_FREQUENCY**2)
 
 
-def iso_road(letter: str, *, cutoff: float = 0.002) -> Road:
-    """Return a road of an ISO 8608 class (geometric mean), flat below a cut-off.
+def iso_road(letter: str) -> Road:
+    """Return a road of an ISO 8608 class (geometric mean), flat below a cut-off of 0.002 cycle/m.
 
     Args:
         letter: Class, A to H.
-        cutoff: Cut-off [cycle/m].
-
-    Returns:
-        The road.
 
     Raises:
         InputError: No such class exists.
@@ -327,12 +317,7 @@ def iso_road(letter: str, *, cutoff: float = 0.002) -> Road:
     """
     if letter.upper() not in ISO_CLASSES:
         raise InputError(f"no ISO 8608 class '{letter}': A to H")
-    return Road(letter.upper(), roughness=ISO_CLASSES[letter.upper()], cutoff=cutoff)
-
-
-def _over_distance(name: str, shape: Callable[[np.ndarray], np.ndarray], end: float) -> Road:
-    x = np.arange(0.0, end, 0.005)
-    return Road(name, abscissa=x, profile=shape(x))
+    return Road(letter.upper(), roughness=ISO_CLASSES[letter.upper()], cutoff=0.002)
 
 
 def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
@@ -342,16 +327,11 @@ def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
         height: Height [m].
         length: Length [m].
         at: Distance of its beginning from the start [m].
-
-    Returns:
-        The road.
     """
-
-    def shape(x: np.ndarray) -> np.ndarray:
-        inside = (x >= at) & (x <= at + length)
-        return np.where(inside, height * 0.5 * (1 - np.cos(2 * math.pi * (x - at) / length)), 0.0)
-
-    return _over_distance("bump", shape, at + length + 1.0)
+    x = np.arange(0.0, at + length + 1.0, 0.005)
+    inside = (x >= at) & (x <= at + length)
+    shape = np.where(inside, height * 0.5 * (1 - np.cos(2 * math.pi * (x - at) / length)), 0.0)
+    return Road("bump", abscissa=x, profile=shape)
 
 
 def pothole(depth: float = 0.05, length: float = 1.0, at: float = 20.0, edge: float = 0.1) -> Road:
@@ -362,9 +342,6 @@ def pothole(depth: float = 0.05, length: float = 1.0, at: float = 20.0, edge: fl
         length: Length [m].
         at: Distance of its beginning from the start [m].
         edge: Length of each edge [m].
-
-    Returns:
-        The road.
     """
     x = np.array([0.0, at, at + edge, at + length - edge, at + length, at + length + 1.0])
     return Road("pothole", abscissa=x, profile=np.array([0.0, 0.0, -depth, -depth, 0.0, 0.0]))
@@ -378,9 +355,6 @@ def sweep(amplitude: float = 0.005, start: float = 0.5, stop: float = 20.0, dura
         start: First frequency [Hz].
         stop: Last frequency [Hz].
         duration: Duration [s].
-
-    Returns:
-        The road.
     """
     t = np.arange(0.0, duration, 2.5e-4)
     phase = 2 * math.pi * (start * t + 0.5 * (stop - start) / duration * t**2)
@@ -553,9 +527,6 @@ def road(source: str | Path | Road) -> Road:
 
     Args:
         source: Name, file, or a road, which is returned unchanged.
-
-    Returns:
-        The road.
 
     Raises:
         InputError: The name is unknown, or the file holds no road.

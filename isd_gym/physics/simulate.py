@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import expm
@@ -22,9 +23,6 @@ from . import elements as el
 from ._balance import Balance
 from ._kernel.layout import CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = [
     "simulate",
@@ -99,14 +97,7 @@ def _instant(asm: Assembly) -> bool:
 
 
 def side_by_side(asm: Assembly) -> tuple[object, ...]:
-    """Return the properties that assemblies must share to be lanes of one `Plant`.
-
-    Args:
-        asm: An assembly.
-
-    Returns:
-        A key; equal keys fit together.
-    """
+    """Return the properties that assemblies must share to be lanes of one `Plant`."""
     laws = tuple(type(e).__name__ for e in asm.laws)
     return asm.size, laws, asm.by_difference, asm.outputs_by_difference, _instant(asm)
 
@@ -130,20 +121,9 @@ def _step_matrices(asm: Assembly, B: np.ndarray, step: float) -> tuple[np.ndarra
 
 @lru_cache(maxsize=_DISCRETE)
 def discretise(asm: Assembly, step: float, columns: tuple[int, ...]) -> _Discrete:
-    """Return the exact discretisation of the linear part: first-order hold for `columns`, zero-order hold for
-    currents and friction.
-
-    Args:
-        asm: Equations of motion.
-        step: Step [s].
-        columns: Columns of the base vector that are linear over the step.
-
-    Returns:
-        The discrete network.
-
-    Raises:
-        InputError: The network diverges so fast that its matrices are not finite.
-    """
+    """Return the exact discretisation of the linear part at a step [s]: first-order hold for `columns` of the
+    base vector, zero-order hold for currents and friction. Raise `InputError` for matrices that are not
+    finite."""
     from ._kernel.compiled import law_code
 
     n, laws = asm.size[0], list(asm.laws)
@@ -294,10 +274,6 @@ def _with_laws(part: _Discrete, laws: Sequence[el.Element]) -> _Discrete:
     return replace(part, numbers=numbers, ints=ints)
 
 
-def _law_elements(network: Network) -> tuple[el.Element, ...]:
-    return tuple(part for e in network.elements if e.place == "between" for part in e.parts())
-
-
 def _linear_part(network: Network) -> tuple[Any, ...]:
     """Return everything that the linear equations of a network depend on, without the parameters of its laws."""
     elements = (
@@ -322,20 +298,12 @@ def _stored(matrix: np.ndarray) -> np.ndarray:
 
 
 class Plant:
-    """Networks prepared for the kernel: one network shared by all lanes, or one per lane with the same structure.
+    """Networks prepared for the kernel at a step [s]: one network shared by all lanes, or one per lane with
+    the same structure.
 
     `u_columns` are the inputs of the base vector that the kernel reads, in order; `labels` names them as
     (part, channel) with part 'r', 'v', 'alpha' or 'F'. `at` gives the places in `mats`, `ints` and a state
-    (`layout`).
-
-    Args:
-        networks: One network, or one per lane.
-        step: Step [s].
-        lanes: Number of lanes for a single network.
-        extra: Further output channels, after those of the network.
-
-    Raises:
-        InputError: The step is not positive, or the networks differ in structure.
+    (`layout`). `extra` are further output channels.
     """
 
     def __init__(
@@ -361,7 +329,8 @@ class Plant:
                 if key not in linear:
                     once[id(net)] = linear[key] = assemble(net, extra)
                 else:
-                    once[id(net)] = replace(linear[key], network=net, laws=_law_elements(net))
+                    laws = tuple(part for e in net.elements if e.place == "between" for part in e.parts())
+                    once[id(net)] = replace(linear[key], network=net, laws=laws)
         self.assemblies = [once[id(net)] for net in self.networks]
         first = self.assemblies[0]
         used = tuple(sorted({c for asm in linear.values() for c in _columns(asm)}))
@@ -411,13 +380,8 @@ class Plant:
         self.kernel = kernel_of(self.at)
 
     def place(self, mats: np.ndarray, lane: int, part: _Discrete) -> None:
-        """Write the numbers of a lane into an array in which every lane has separate numbers.
-
-        Args:
-            mats: Array (groups, numbers, 8), changed in place.
-            lane: Index of the lane.
-            part: The discrete network of the lane.
-        """
+        """Write the numbers of a lane into an array (groups, numbers, 8), in which every lane has separate
+        numbers."""
         at = self.at
         group, l = divmod(lane, WIDTH)
         mats[group, : at.own, l] = part.numbers[: at.own]
@@ -439,17 +403,11 @@ class Plant:
         inputs: np.ndarray | None = None,
         held: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return a new state of the kernel.
+        """Return a new state (rows, lanes) of the kernel.
 
-        Args:
-            initial: State (n,) or (n, lanes) in the coordinates of the assembly; None for rest.
-            inputs: Values (inputs, 1 or lanes) of the inputs at the start, in the order of `labels`; None for
-                zero.
-            held: Values (held inputs, 1 or lanes) of currents and logged channels at the start; None for
-                zero.
-
-        Returns:
-            State (rows, lanes).
+        `initial` (n,) or (n, lanes) is in the coordinates of the assembly, `inputs` (inputs, 1 or lanes)
+        in the order of `labels`, `held` (held inputs, 1 or lanes) of currents and logged channels; None
+        for rest and zero.
         """
         state = np.zeros((self.at.height, self.lanes))
         if initial is not None and self.n:
@@ -459,14 +417,7 @@ class Plant:
         return state
 
     def grouped(self, state: np.ndarray) -> np.ndarray:
-        """Return a state in groups of lanes.
-
-        Args:
-            state: State (rows, lanes).
-
-        Returns:
-            State (groups, rows, 8).
-        """
+        """Return a state (rows, lanes) in groups of lanes (groups, rows, 8)."""
         grouped = aligned(self.groups, len(state), WIDTH)
         for group in range(self.groups):
             some = state[:, group * WIDTH : (group + 1) * WIDTH]
@@ -521,15 +472,7 @@ class Plant:
                     z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)[1]
 
     def order_of(self, part: str, name: str) -> int:
-        """Return how often an input is differentiated for a part of the base vector.
-
-        Args:
-            part: 'r', 'v', 'alpha' or 'F'.
-            name: Name of the input.
-
-        Returns:
-            Number of derivatives.
-        """
+        """Return how often an input is differentiated for a part 'r', 'v', 'alpha' or 'F' of the base vector."""
         return PARTS.index(part) - PARTS.index(self.told[name]) if part in PARTS else 0
 
     @property
@@ -556,18 +499,10 @@ class Plant:
         initial: np.ndarray | None = None,
         derivatives: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     ) -> np.ndarray:
-        """Simulate, and return the outputs at every `every`-th step.
+        """Simulate, and return the outputs (samples, outputs, lanes) [SI] at every `every`-th step.
 
-        Args:
-            inputs: Values [SI] by channel at every physics step, (every*(samples-1)+1,) or with a lane axis.
-            every: Number of physics steps per output sample.
-            samples: Number of output samples.
-            initial: State in the coordinates of the assembly; None for rest.
-            derivatives: Known velocities and accelerations [SI] of moved nodes by channel; differences
-                otherwise.
-
-        Returns:
-            Outputs (samples, outputs, lanes) [SI].
+        Inputs [SI] have values at every physics step, (every*(samples-1)+1,) or with a lane axis.
+        `derivatives` are known velocities and accelerations [SI] of moved nodes; differences otherwise.
         """
         total = every * (samples - 1) + 1
         shared = all(np.ndim(v) == 1 for v in inputs.values())
@@ -608,17 +543,8 @@ class Plant:
 
 
 def effective_current(network: Network, motor: str, command: np.ndarray, step: float) -> np.ndarray:
-    """Return the current behind a motor's drive, with the effects in the order of `DRIVE_ORDER` and unknown effects last.
-
-    Args:
-        network: The model.
-        motor: Name of the motor.
-        command: Commanded current (n, lanes) [A], held over each step.
-        step: Step [s].
-
-    Returns:
-        Current (n, lanes) [A].
-    """
+    """Return the current (n, lanes) [A] behind a motor's drive for a command (n, lanes) [A] that is held over
+    each step [s], with the effects in the order of `DRIVE_ORDER` and unknown effects last."""
     out = np.asarray(command, float)
     drive = [e for e in network.elements if e.place == "element" and e.where[0] == motor]
     kinds = el.DRIVE_ORDER
@@ -630,16 +556,8 @@ def effective_current(network: Network, motor: str, command: np.ndarray, step: f
 
 
 def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> dict[str, np.ndarray]:
-    """Return outputs as the sensors of the network report them, with delay, gain and bias.
-
-    Args:
-        network: The model.
-        outputs: Exact outputs (n, ...) by channel, in the channel's unit.
-        step: Sampling step [s].
-
-    Returns:
-        Reported outputs (n, ...) by channel.
-    """
+    """Return outputs (n, ...) by channel as the sensors of the network report them, with delay, gain and
+    bias."""
     seen = dict(outputs)
     for e in network.elements:
         if e.place == "channel" and e.where[0] in seen:
@@ -648,16 +566,8 @@ def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> d
 
 
 def upsample(values: np.ndarray, every: int, hold: bool = False) -> np.ndarray:
-    """Return a record at a multiple of its sampling rate.
-
-    Args:
-        values: Samples (n, ...) over time.
-        every: Multiple.
-        hold: Whether each value is held until the next (currents), instead of linear interpolation.
-
-    Returns:
-        Samples (every*(n-1)+1, ...).
-    """
+    """Return a record (n, ...) at a multiple of its sampling rate (every*(n-1)+1, ...): linear between
+    samples, or each value held until the next."""
     if every == 1:
         return np.asarray(values, float)
     if hold:
@@ -671,15 +581,8 @@ _MOST_STEPS = 1e8
 
 
 def pace(values: np.ndarray, step: float) -> float:
-    """Return the time scale of a signal: the inverse of the circular frequency below which half of its power lies.
-
-    Args:
-        values: Samples (n,).
-        step: Sampling step [s].
-
-    Returns:
-        Time scale [s].
-    """
+    """Return the time scale [s] of a signal (n,): the inverse of the circular frequency below which half of
+    its power lies."""
     # the import takes longer than the simulation of most records
     from scipy.signal import welch
 
@@ -748,7 +651,7 @@ def simulate(
     plant = Plant(network, dt / every, extra=extra)
     if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
         raise InputError(
-            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.records.state_of makes a state from motions of nodes"
+            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.contrib.simulation.state_of makes a state from motions of nodes"
         )
     needs = plant.differentiated
     fine, slopes = {}, {}

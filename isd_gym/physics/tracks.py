@@ -160,17 +160,13 @@ class WheelPositions:
     Wheels with the same y run in one track. Otherwise the wheels with y > 0 run in the left track and the
     wheels with y < 0 in the right track; the track width is the distance between the mean y of both sides.
 
-    Attributes:
-        x: Distance of each wheel in front of the centre of gravity [m].
-        y: Distance of each wheel to the left of the centre of gravity [m].
-
     Raises:
         InputError: No wheels, unequal numbers of x and y, positions that are not finite, or more than two
             tracks.
     """
 
-    x: tuple[float, ...]
-    y: tuple[float, ...]
+    x: tuple[float, ...]  # distance of each wheel in front of the centre of gravity [m]
+    y: tuple[float, ...]  # distance of each wheel to the left of the centre of gravity [m]
 
     def __post_init__(self) -> None:
         """Check the positions."""

@@ -5,21 +5,21 @@ import re
 
 import numpy as np
 import pytest
-import typer
 from builders import QUARTER_CAR as CAR
 from builders import channel, damper, drive_quarter_car, model, spring
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from program import with_wings
 from refusals import refused
 from typer.testing import CliRunner
 
-from isd_gym import _commands as cli
-from isd_gym._commands import FiniteCommand
 from isd_gym._common.errors import InputError
 from isd_gym.contrib.inspection import head, inspect, lines, page
 from isd_gym.contrib.inspection.command import command
 from isd_gym.contrib.inspection.consistency import integral_consistency
 from isd_gym.contrib.inspection.facts import sparkline
+from isd_gym.contrib.inspection.map_file import save_map
+from isd_gym.contrib.simulation.command import command as simulate_command
 from isd_gym.diagnosis._records import read_record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
@@ -102,7 +102,7 @@ def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, 
     network = Network.load(CAR)
     made = inspect([file], network)
     assert chosen(made) == NAMES
-    made.suggestion.map(made.files, "car.json").save(tmp_path / "map.json")
+    save_map(made.suggestion.map(made.files, "car.json"), tmp_path / "map.json")
     by = ChannelMap.load(valid(tmp_path / "map.json"))
     (back,) = runs(file, network, (*network.inputs, *network.outputs), by=by)
     for name, column in columns.items():
@@ -228,10 +228,8 @@ def test_overlapping_and_reversed_stamps_are_refused(order, words):
 
 @pytest.fixture(scope="module")
 def program():
-    whole = typer.Typer()
-    whole.registered_commands = list(cli.app.registered_commands)
-    whole.command(name="inspect", cls=FiniteCommand)(command)
-    return whole
+    """The program with the command of the wing."""
+    return with_wings(inspect=command, simulate=simulate_command)
 
 
 def message_of(program, *words):

@@ -12,8 +12,9 @@ from gymnasium import spaces
 from refusals import refused
 
 from isd_gym._common.errors import InputError
-from isd_gym._common.files import claim_folder, held
+from isd_gym._common.files import claim_folder
 from isd_gym.agents.policy import Head, Policy
+from isd_gym.contrib.training.checkpoint import held
 from isd_gym.contrib.training.settings import MEMORY, SETTINGS, PPOSettings, SACSettings, robust
 
 torch = pytest.importorskip("torch")

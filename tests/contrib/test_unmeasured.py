@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import channel, element, friction
+from program import with_wings
 from refusals import refused
 from typer.testing import CliRunner
 
@@ -16,6 +17,7 @@ from isd_gym.contrib.no_road import estimation, identification, identify
 from isd_gym.contrib.no_road.decision import check_fit, compute_coloured_shares, find_plausible_range
 from isd_gym.contrib.no_road.estimation import ModelFit, estimate_uncertainty
 from isd_gym.contrib.no_road.identification import prepare_model
+from isd_gym.contrib.simulation.command import command as simulate_command
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._simulation.time_limit import TimeLimit
 from isd_gym.physics.network import Network
@@ -120,7 +122,8 @@ def test_a_record_without_its_road_is_told_what_helps():
 def test_the_commands_tell_it_too_and_write_nothing(command, tmp_path):
     write_table(tmp_path / "drive.csv", short())
     car(True).save(tmp_path / "car.json")
-    done = CliRunner().invoke(cli.app, command.format(tmp_path / "drive", tmp_path / "car.json").split())
+    words = command.format(tmp_path / "drive", tmp_path / "car.json").split()
+    done = CliRunner().invoke(with_wings(simulate=simulate_command), words)
     assert isinstance(done.exception, InputError) and "diagnose --cut wheel" in str(done.exception)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["car.json", "drive.csv"]
 

@@ -173,8 +173,8 @@ def _check_undecided(after: Path) -> None:
 def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
     """Return the records of DATA with the inputs of the model, and the outputs if complete."""
     from isd_gym._common.units import convert
-    from isd_gym.records._loggers.record_reading import outputs_of, records_of
-    from isd_gym.records._loggers.resampling import inputs_of
+    from isd_gym.contrib.records import inputs_of, outputs_of
+    from isd_gym.records._loggers.record_reading import records_of
     from isd_gym.records.data import Table
 
     out = []

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym._common.errors import InputError, markdown, plain, shown
+from isd_gym._common.errors import InputError, plain, shown
 from isd_gym._common.files import check_folder, whole_folder
 from isd_gym._common.plugins import wing
 from isd_gym.agents.policy import JSON_NAME, WEIGHTS_NAME, Policy
@@ -23,8 +23,11 @@ from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark._show import film
 from isd_gym.benchmark.policies import passive
 from isd_gym.benchmark.scoring import Entry, score
+from isd_gym.contrib.markdown import markdown
 from isd_gym.env.registration import ENVIRONMENTS, EPISODE_STEPS
 from isd_gym.physics.network import Network
+
+from .card_table import table as card_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -160,11 +163,11 @@ def _card(policy: Policy, title: str, found: dict[str, Any]) -> str:
     algorithm = plain(str(policy.info.get("algorithm", "a network"))).upper()
     try:
         references = cards.load(environment)
-        table = cards.table(references, cards.match(found, references)["track"], [found])
+        table = card_table(references, cards.match(found, references)["track"], [found])
     except InputError:  # fewer episodes, or another preview, than the references
         today = datetime.date.today().isoformat()
         own = cards.make(environment, [cards.track(found, "own", found["command"])], today)
-        table = cards.table(own, "own")
+        table = card_table(own, "own")
     metrics = [
         ("mean_reward", f"{returns.mean():.2f} +/- {returns.std():.2f}"),
         ("cost_j", round(row["cost"]["value"], 4)),

@@ -67,6 +67,7 @@ def command(
     from isd_gym.records._loggers import ChannelMap, Column
     from isd_gym.records._loggers.mapping import files_of
 
+    from .map_file import save_map
     from .report import inspect, lines, page
 
     files = [file for word in data for file in files_of(word)]
@@ -122,6 +123,6 @@ def command(
     write_json(json_file, found.to_dict())
     if out is not None and found.suggestion is not None:
         made = found.suggestion
-        found.map(str(model)).save(out)
+        save_map(found.map(str(model)), out)
         doubt = [n for n, (_, sure) in made.channels.items() if sure < 0.9]
         typer.echo(f"map: {out}" + (f" (look at {', '.join(doubt)})" if doubt else ""), err=True)

@@ -15,6 +15,7 @@ from isd_gym.records._loggers.recording import EPOCH, Raster, continuous, raster
 from isd_gym.records.data._columns import did_you_mean
 
 from .facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
+from .map_file import map_content
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -84,7 +85,7 @@ class Inspection:
         }
         if self.suggestion is not None:
             name = self.network.name if self.network else ""
-            out["map"] = self.suggestion.map(self.files, name, self.columns, self.rate).to_dict()
+            out["map"] = map_content(self.suggestion.map(self.files, name, self.columns, self.rate))
             out["missing"], out["remarks"] = self.suggestion.missing, self.suggestion.remarks
         return out
 

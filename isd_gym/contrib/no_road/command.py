@@ -39,7 +39,8 @@ def identify_without_road(
         json_file: File of the result as JSON; None for none.
     """
     from isd_gym._common.files import check_folder
-    from isd_gym.records._loggers.record_reading import outputs_of, records_of
+    from isd_gym.contrib.records import outputs_of
+    from isd_gym.records._loggers.record_reading import records_of
 
     check_folder(out, *FOLDER)
     logged = set.intersection(

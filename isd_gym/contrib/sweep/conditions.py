@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym._common.errors import InputError, markdown
+from isd_gym._common.errors import InputError
 from isd_gym._common.files import claim_folder, write_text
 from isd_gym._common.inputs import is_number
 from isd_gym._common.seeds import named_roads
 from isd_gym.contrib.engine import Outcome, Task, shard, stored
 from isd_gym.contrib.engine import run as run_tasks
+from isd_gym.contrib.markdown import markdown
 from isd_gym.physics.network import Network
 
 from .grid import SCHEMA, Condition, Grid, belongings

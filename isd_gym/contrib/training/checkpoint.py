@@ -11,18 +11,18 @@ from __future__ import annotations
 import json
 import os
 import re
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym._common.errors import InputError, shown
-from isd_gym._common.files import writing
+from isd_gym._common.files import lock, writing
 from isd_gym._common.inputs import is_number, read_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 SCHEMA = "isd-checkpoint/2"
@@ -262,3 +262,16 @@ def _moments(
     if any(n < 0 or set(moments) != {"step", "exp_avg", "exp_avg_sq"} for n, moments in state.items()):
         raise InputError(f"its {shown(optimizer_name)} is not Adam's")
     return state
+
+
+@contextmanager
+def held(folder: Path, kind: str) -> Iterator[None]:
+    """Lock the folder of a growing result for this process."""
+    handle = lock(folder)
+    if handle is None and os.name != "nt":  # Windows has no such locks
+        raise InputError(f"another process is writing the {kind} in '{folder}'")
+    try:
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym._common.errors import InputError, how_to_install, shown
-from isd_gym._common.files import claim_folder, held, write_text, writing
+from isd_gym._common.files import claim_folder, write_text, writing
 from isd_gym._common.inputs import read_json
 from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import Head, Policy
@@ -312,7 +312,7 @@ class Run:
         Raises:
             InputError: The folder holds another run, or is in use.
         """
-        with held(claim_folder(self.out, *FOLDER), FOLDER[0]):
+        with checkpoint.held(claim_folder(self.out, *FOLDER), FOLDER[0]):
             return self._go()
 
     def _go(self) -> dict[str, Any]:

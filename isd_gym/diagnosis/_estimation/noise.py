@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: order of the autoregressive filters
 ORDER = 20
+#: values that a filter handles at a time
+IN_CACHE = 1024
 
 
 @dataclass(frozen=True)
@@ -33,19 +35,24 @@ class Whitener:
         wide = residual.reshape(*residual.shape[:2], -1)
         out = np.empty(wide.shape)
         for j, a in enumerate(self.taps):
-            _filter(a, wide[:, j], out[:, j])
+            rows = np.ascontiguousarray(wide[:, j])
+            out[:, j] = _filter(a, rows.ravel(), rows.shape[1]).reshape(rows.shape)
         return out.reshape(residual.shape)
 
 
 @compiled(nogil=True)
-def _filter(taps: Array, x: Array, out: Array) -> None:
-    """out[t] = sum over k of taps[k] x[t - k], for every column of x (n, columns)."""
-    for t in range(len(x)):
-        for c in range(x.shape[1]):
-            out[t, c] = taps[0] * x[t, c]
-        for k in range(1, min(len(taps), t + 1)):
-            for c in range(x.shape[1]):
-                out[t, c] += taps[k] * x[t - k, c]
+def _filter(taps: Array, x: Array, width: int) -> Array:
+    """Return y[t] = sum over k of taps[k] x[t - k] for rows of `width` values, one row after the other (rows * width,)."""
+    out = taps[0] * x
+    for begin in range(0, len(x), IN_CACHE):
+        end = min(begin + IN_CACHE, len(x))
+        for k in range(1, len(taps)):
+            first = max(begin, k * width)
+            if first < end:  # slices, so that the loop over them is compiled to vector instructions
+                y, late = out[first:end], x[first - k * width : end - k * width]
+                for i in range(len(y)):
+                    y[i] += taps[k] * late[i]
+    return out
 
 
 def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, int]:

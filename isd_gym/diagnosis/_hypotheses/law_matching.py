@@ -11,7 +11,6 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ..._common.errors import InputError
 from ...physics.elements import PERIODS
@@ -31,6 +30,9 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...physics.elements import Motion, Start
     from .._estimation.gauss_newton import Fit, Fitter
+
+#: share of a derivative that others leave, below which it depends on them
+DEPENDENT = 1e-7
 
 
 @dataclass(frozen=True)
@@ -67,44 +69,61 @@ class Match:
 class Residual:
     """Whitened residual of a fit, orthogonal to the derivatives by parameters, initial states and offsets.
 
-    `whole`, `left` (rows,): residual before and after the projection; `basis` (rows, directions); `solve` (parameters, rows): parameters
-    of the fit that explain a residual; `spans`: record -> (first row, last row, outputs of the fit).
+    `whole`, `left` (rows,): residual before and after the projection; `spans`: record -> (first row, last row, outputs of the fit);
+    `nuisances`: record -> orthonormal basis of its initial state and offsets (rows of the record, directions); `basis` (rows,
+    directions): of the parameters, nuisances eliminated; `solve` (parameters, rows): parameters of the fit that explain a residual.
     """
 
     whole: Array
     left: Array
+    spans: dict[int, tuple[int, int, Array]]
+    nuisances: dict[int, Array]
     basis: Array
     solve: Array
-    spans: dict[int, tuple[int, int, Array]]
 
     def without(self, columns: Array) -> Array:
-        return np.asarray(columns - self.basis @ (self.basis.T @ columns), dtype=np.float64)
+        out = columns.copy()
+        for i, Q in self.nuisances.items():
+            first, last, _ = self.spans[i]
+            out[first:last] -= Q @ (Q.T @ columns[first:last])
+        return np.asarray(out - self.basis @ (self.basis.T @ columns), dtype=np.float64)
 
 
 def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
     structure, own = fit.structure, len(fit.x)
     p = own + int(problem.shared_offset.sum())  # parameters, and offsets that all records share
-    parts, spans, at = [], {}, 0
+    parts, spans, nuisances, at = [], {}, {}, 0
     begun = {i: fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, fit.x, begun).items():
         r = (problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i]))[:, :, None]
         free = problem.nuisances(i, t.outputs)
         common = problem.common(t.outputs)
         W = fitter.weights(np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2))
-        parts.append(W.reshape(-1, W.shape[2]))
-        spans[i] = (at, at + len(parts[-1]), t.outputs)
-        at += len(parts[-1])
-    by_record = block_diag(*(W[:, 1 + p :] for W in parts))
-    J = np.zeros((at + own, p + by_record.shape[1]))
-    J[:at, :p], J[:at, p:] = np.concatenate([W[:, 1 : 1 + p] for W in parts]), by_record
-    J[at:, :own] = np.diag(1 / structure.sigma)  # the stated uncertainty
-    r = np.concatenate([*(W[:, 0] for W in parts), (structure.mean - fit.x) / structure.sigma])
-    norm = np.linalg.norm(J, axis=0)
-    norm = np.where(norm > 0, norm, 1)
-    Q, R = np.linalg.qr(J / norm)
-    solve = (np.linalg.pinv(R, rcond=1e-7) @ Q.T)[:own] / norm[:own, None]
-    Q = Q[:, np.abs(np.diag(R)) > 1e-7]
-    return Residual(r, r - Q @ (Q.T @ r), Q, solve, spans)
+        W = W.reshape(-1, W.shape[2])
+        nuisances[i], _, _ = _orthogonal(W[:, 1 + p :])
+        parts.append(W[:, : 1 + p])
+        spans[i] = (at, at + len(W), t.outputs)
+        at += len(W)
+    J = np.zeros((at + own, 1 + p))
+    J[:at] = np.concatenate(parts)
+    J[at:, 0] = (structure.mean - fit.x) / structure.sigma
+    J[at:, 1 : 1 + own] = np.diag(1 / structure.sigma)  # the stated uncertainty
+    whole, norm = J[:, 0].copy(), np.linalg.norm(J, axis=0)
+    for i, (first, last, _) in spans.items():
+        J[first:last] -= nuisances[i] @ (nuisances[i].T @ J[first:last])
+    basis, Q, R = _orthogonal(J[:, 1:], norm[1:])
+    solve = (np.linalg.pinv(R, rcond=DEPENDENT) @ Q.T)[:own] / np.where(norm > 0, norm, 1)[1 : 1 + own, None]
+    return Residual(whole, J[:, 0] - basis @ (basis.T @ J[:, 0]), spans, nuisances, basis, solve)
+
+
+def _orthogonal(columns: Array, norm: Array | None = None) -> tuple[Array, Array, Array]:
+    """Return an orthonormal basis of columns (rows, columns), and their QR decomposition relative to their norm.
+
+    `norm`: Size of each column, of which a dependent column leaves less than `DEPENDENT`; its own norm by default.
+    """
+    norm = np.linalg.norm(columns, axis=0) if norm is None else norm
+    Q, R = np.linalg.qr(columns / np.where(norm > 0, norm, 1))
+    return Q[:, np.abs(np.diag(R)) > DEPENDENT], Q, R
 
 
 def match_laws(
@@ -117,16 +136,16 @@ def match_laws(
     residual = residual_of(problem, fitter, fit)
     motion = measured_motions(problem, fit, noise)
     starts = starts_of(problem, fit, {pair: joined(m) for pair, m in motion.items()}, candidates)
-    small = [(h, start) for h, start in starts if not _follows_motion(h)]
+    small = [(h, start) for h, start in starts if not follows_motion(h)]
     found = _match_small_effects(problem, fitter, fit, residual, small)
-    along = sorted(((h, s) for h, s in starts if _follows_motion(h)), key=lambda t: t[0].where)
+    along = sorted(((h, s) for h, s in starts if follows_motion(h)), key=lambda t: t[0].where)
     for where, group in groupby(along, key=lambda t: t[0].where):
         pair = (where[0], where[1])
         found += _match_forces(problem, fitter, fit, residual, pair, motion[pair], list(group))
     return sorted(found, key=lambda m: -m.share)
 
 
-def _follows_motion(h: Hypothesis) -> bool:
+def follows_motion(h: Hypothesis) -> bool:
     """Return whether the motion of its two nodes tells the force of a law."""
     return h.place == "between" and not (h.kind.series or h.kind.loaded or h.kind.scheduled)
 

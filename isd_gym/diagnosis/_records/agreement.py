@@ -43,11 +43,8 @@ VAGUE = 1.0  # relative uncertainty of a parameter from which amplitudes are not
 
 
 def find_misreading(problem: Problem) -> str:
-    """Return the clearest sign of a turned, mislabelled or swapped channel.
-
-    Returns:
-        A line with the correlation and the remedy; '' for records that agree with the model or cannot be compared.
-    """
+    """Return the clearest sign of a turned, mislabelled or swapped channel, in a line with the correlation and the remedy; '' for
+    records that agree with the model or cannot be compared."""
     network = problem.network
     if not network.inputs or not all(c.measured for c in network.inputs):
         return ""
@@ -75,7 +72,11 @@ def find_misreading(problem: Problem) -> str:
     if turned:
         j = min(turned, key=lambda j: own[j])
         name = plain(outputs[j].name, 40)
-        return f"{name} follows the model with r = {own[j]:.2f}, turned round: --sign {name}=-1"
+        line = f"{name} follows the model with r = {own[j]:.2f}, turned round: --sign {name}=-1"
+        motors = {plain(c.elements[0], 40) for c in network.inputs if c.quantity in ("current", "voltage")}
+        if motors and len(turned) == len(outputs):
+            return f"{line}, or swap the nodes of motor {' and '.join(sorted(motors))} in the model"
+        return line
     if any(u >= VAGUE for u in network.uncertainty.values()):
         return ""
     scaled = [j for j in agree if own[j] > SCALED]

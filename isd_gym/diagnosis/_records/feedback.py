@@ -52,16 +52,12 @@ class Feedback:
 
 
 def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback, ...]:
-    """Find inputs that follow from past outputs.
+    """Return the inputs that follow from past outputs; none for records that are too short for a decision.
 
     Each commanded input (`COMMANDED`) is predicted from its own past alone and from its own past with past outputs. Of an input that
     switches between a few values, the own past includes the time since the last switch, so that a clock is no
-    feedback. Predictions are fitted on every other block in time and tested on the blocks between.
-
-    `records`: Measured records on one clock, before any filter; records with time stamps by channel are left out.
-
-    Returns:
-        The inputs under feedback; empty without feedback, or if the records are too short for a decision.
+    feedback. Predictions are fitted on every other block in time and tested on the blocks between. The records are on one clock,
+    before any filter; records with time stamps by channel are left out.
     """
     usable = [r for r in records if r.reading is None and r.samples == len(r) > 4 * (OWN + OUTPUT)]
     if not usable:
@@ -89,14 +85,8 @@ def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback
 def _gain(
     records: Sequence[Record], name: str, outputs: Sequence[int], *, relay: bool
 ) -> tuple[float, float]:
-    """Compute by how much past outputs improve the prediction of an input.
-
-    `relay`: Whether the prediction knows levels of the outputs at which the input switched (`_crossing`).
-
-    Returns:
-        Share of the squared error of the own prediction that the outputs remove, mean over blocks; probability of as many
-        improved blocks without feedback.
-    """
+    """Return the share of the squared error of the own prediction that past outputs remove, mean over blocks, and the probability
+    of as many improved blocks without feedback. With `relay` the prediction knows the levels at which the input switched."""
     own, more, target = [], [], []
     for r in records:
         u = r.inputs[name] - r.inputs[name].mean()

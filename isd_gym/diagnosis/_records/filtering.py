@@ -51,11 +51,8 @@ LEAST_COMPARED = 60  # least number of compared samples of a record behind a low
 
 
 def differentiate_inputs(records: list[Record], network: Network) -> list[Record]:
-    """Return records with low-passed inputs and derivatives, if noisy inputs have to be differentiated.
-
-    Returns:
-        New records behind one low-pass; `records` unchanged if no low-pass is needed or sampling intervals differ.
-    """
+    """Return records behind one low-pass, with derivatives, if noisy inputs have to be differentiated; `records` unchanged if no
+    low-pass is needed or sampling intervals differ."""
     orders = count_derivatives(network)
     step = records[0].step
     if not orders or any(abs(r.step - step) > 1e-3 * step for r in records):
@@ -87,11 +84,7 @@ def differentiate_inputs(records: list[Record], network: Network) -> list[Record
 
 
 def count_derivatives(network: Network) -> dict[str, int]:
-    """Return the inputs that move a node and have to be differentiated.
-
-    Returns:
-        Input name -> how often the input is differentiated, 1 or 2.
-    """
+    """Return how often each input that moves a node has to be differentiated, 1 or 2."""
     orders = {
         c.name: _highest_derivative(network, str(c.at)) - MOTIONS.index(c.quantity) for c in network.moving
     }
@@ -113,10 +106,7 @@ def choose_decimation(records: Sequence[Record], network: Network) -> int:
     """Return n such that every n-th output sample is compared, behind a low-pass at `FILLED` of the new Nyquist frequency.
 
     The low-pass ends at the noise of the derivatives of the inputs (`find_derivative_band`), but never within the signal band
-    of the outputs (`find_signal_band`).
-
-    Returns:
-        1 if no low-pass is needed or every low-pass would remove signal.
+    of the outputs (`find_signal_band`). n is 1 if no low-pass is needed or every low-pass would remove signal.
     """
     orders = count_derivatives(network)
     nyquist = 0.5 / records[0].step
@@ -138,13 +128,10 @@ def choose_decimation(records: Sequence[Record], network: Network) -> int:
 
 
 def find_noise_band(records: Sequence[Record], network: Network) -> float:
-    """Return the frequency [Hz] from which on a force computed from a twice differentiated motion is noise.
+    """Return the lowest frequency [Hz] from which on a force computed from a twice differentiated motion is noise, or infinity.
 
     White noise of the motion makes noise of the computed force that grows with the square of the frequency. From the returned
     frequency on, this noise has more power than the measured force, at that frequency and in sum over all higher frequencies.
-
-    Returns:
-        The lowest frequency over all computed forces; infinite without such a frequency.
     """
     step, lowest = records[0].step, math.inf
     usable = [r for r in records if r.reading is None and len(r) == r.samples >= 64]
@@ -166,11 +153,7 @@ def find_noise_band(records: Sequence[Record], network: Network) -> float:
 
 
 def find_computed_forces(network: Network) -> list[tuple[Channel, Channel]]:
-    """Return the measured displacements that are differentiated twice, each with the force measured at the same node.
-
-    Returns:
-        Pairs of an input (displacement) and an output (force).
-    """
+    """Return the measured displacements (inputs) that are differentiated twice, each with the output of the force at the same node."""
     orders = count_derivatives(network)
     return [
         (c, o)
@@ -181,31 +164,20 @@ def find_computed_forces(network: Network) -> list[tuple[Channel, Channel]]:
 
 
 def estimate_white_noise(x: Array) -> float:
-    """Estimate the white noise of a smooth signal from its differences.
+    """Return the RMS of the white noise of a smooth signal (n,): the least over several orders of differences.
 
-    Differences of high order suppress a smooth motion, and have the variance of the noise times a binomial coefficient.
-
-    Args:
-        x: The signal (n,).
-
-    Returns:
-        RMS noise in the unit of the signal: the least over the orders.
-
-    References:
-        Hall, Kay and Titterington, Asymptotically optimal difference-based estimation of variance, Biometrika 77 (1990) 521.
+    Differences of high order suppress a smooth motion, and have the variance of the noise times a binomial coefficient (Hall, Kay
+    and Titterington, Biometrika 77 (1990) 521).
     """
     variances = [np.mean(np.diff(x, m) ** 2) / math.comb(2 * m, m) for m in ORDERS if len(x) > 2 * m]
     return math.sqrt(float(min(variances, default=0.0)))
 
 
 def find_derivative_band(record: Record, network: Network, channel: Channel, order: int) -> float:
-    """Return the frequency [Hz] up to which the derivative of an input is signal rather than noise.
+    """Return the frequency [Hz] up to which the derivative of an input is signal; infinite if its noise is negligible.
 
     The band ends in the valley between motion and noise. A force sensor at the moved node gives a better estimate
     (`_find_force_band`).
-
-    Returns:
-        The frequency [Hz]; infinite if the noise of the derivative is negligible.
     """
     x, step = record.inputs[channel.name], record.step
     f, density = _estimate_density(np.diff(x, order), step)
@@ -233,17 +205,12 @@ def _find_force_band(
     motion: Array,
     valley: int,
 ) -> float | None:
-    """Return the frequency [Hz] above which the force computed from a measured motion is noise.
+    """Return the frequency [Hz] above which the force computed from a measured motion is noise; None if the linear model has no
+    frequency response.
 
     Above this frequency the computed force has more than 1.5 times the power of the measured force. A missing effect causes
-    an excess at some frequencies only.
-
-    `frequency`: Frequencies [Hz] (n,).
-    `motion`: Power density of the measured motion (n,).
-    `valley`: Index of the frequency up to which computed and measured power are made equal.
-
-    Returns:
-        The frequency [Hz]; None if the linear model has no frequency response.
+    an excess at some frequencies only. Up to the index `valley` of `frequency` (n,) [Hz], computed and measured power are made
+    equal; `motion` (n,) is the power density of the measured motion.
     """
     try:
         gain = transfer(network, frequency)[:, output, network.inputs.index(channel)]

@@ -19,8 +19,7 @@ from scipy.sparse import csr_matrix
 from ..._common.errors import InputError
 from ..._common.units import HELD, convert
 from ...physics.simulate import pace
-from ...records._loggers.recording import Recording, Signal
-from ...records._loggers.resampling import sampled
+from ...records._loggers.recording import Recording, Signal, sampled
 from ...records.data import Table, check
 from ...records.data._quality import Scale, admit
 from .._simulation.interpolation import through
@@ -82,13 +81,7 @@ class _Grid:
 def check_recording(
     recording: Recording, network: Network, accepted: Sequence[str], notes: list[str], scale: Scale
 ) -> None:
-    """Run the data checks separately for each group of channels with common time stamps.
-
-    `accepted`: Names of checks (or 'all') to reduce to warnings.
-
-    Raises:
-        InputError: A check failed.
-    """
+    """Run the data checks separately for each group of channels with common time stamps; the `accepted` checks only warn."""
     inputs = {c.name: c.spoken for c in network.inputs}
     outputs = {c.name: c.spoken for c in network.outputs}
     groups: dict[tuple[str, bytes], list[str]] = {}
@@ -124,11 +117,8 @@ def build_record(
 ) -> Record:
     """Return a record with outputs compared at the instants of their samples.
 
-    `lags`: Delay [s] of the stamps of clocks with unknown lag; zero by default.
-    `cutoff`: Cutoff [Hz] of a low-pass for every output; by default only faster outputs are low-passed.
-
-    Raises:
-        InputError: The inputs have several clocks of unknown lag, or the channels have too little time in common.
+    `lags` are the delays [s] of the stamps of clocks with unknown lag. Every output passes a low-pass with the cutoff [Hz]; without
+    a cutoff only faster outputs do.
     """
     notes = [] if notes is None else notes
     clock = _find_reference_clock(recording, network)
@@ -280,9 +270,6 @@ def check_sampling_rates(record: Record, network: Network) -> None:
     """Refuse records with an output sampled below twice the bandwidth of its motion.
 
     The bandwidth is that of the nominal model, simulated over the inputs of the record.
-
-    Raises:
-        InputError: The sampling rate of an output is too low.
     """
     signals = record.source.signals if record.source is not None else {}
     steps = [signals[c.name].step if signals else record.step for c in network.outputs]

@@ -33,16 +33,9 @@ LEAST_SAMPLES = 32  # least number of samples of a record from which the scale o
 def read_record(
     source: Table | Recording | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
 ) -> Record:
-    """Return a measured record after the data checks.
+    """Return a measured record after the data checks, with inputs in SI units and outputs in the units of the channels.
 
-    `network`: The nominal model, with the inputs and outputs of the record.
-    `accept`: Names of data checks (or 'all') to reduce to warnings.
-
-    Returns:
-        Record with inputs in SI units and outputs in the units of the channels.
-
-    Raises:
-        InputError: A column is missing, a check failed, or `accept` names no check.
+    The checks that `accept` names (or 'all') only warn.
     """
     for name in accept:
         known_check(name)
@@ -116,9 +109,8 @@ def _convert_table(table: Table, network: Network) -> Record:
 def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
     """Return the time scale of the rig and the standard deviations of outputs simulated from rest.
 
-    Returns:
-        The time scale alone if the model has no input, if an input is differentiated twice (noise would dominate the outputs),
-        or if the simulation fails.
+    The time scale stands alone if the model has no input, if an input is differentiated twice (noise would dominate the outputs),
+    or if the simulation fails.
     """
     time, slowest = own_time(network), slowest_time(network)
     scale = Scale(time or CAR, slowest=slowest or math.nan, period=2.0 * math.pi * time if time else math.inf)

@@ -28,15 +28,9 @@ def split_records(
 
     Each held-out record is cut into segments, alternately for validation and for test, so that both roles see every record and the
     order of the records does not matter. Without `validate` the last third of the records is held out, or the last third of the motion
-    of a single record.
-
-    `data`: Training records; the source of held-out records if `validate` is empty.
-    `time`: Time scale of the rig [s].
-    `lead`: Simulated time before a held-out segment, without comparison [s].
-
-    Returns:
-        The records, training records first, and their roles: "fit" (training), "choose" (validation), "report" (test). Where no
-        held-out record has two segments, all are for validation; no test record is left then.
+    of a single record. The records come back with their roles, training records first: "fit" (training), "choose" (validation),
+    "report" (test). Where no held-out record has two segments, all are for validation. `time` is the time scale of the rig [s],
+    `lead` the simulated time before a held-out segment, without comparison [s].
     """
     training, held = data, validate
     if not held and len(training) > 1:

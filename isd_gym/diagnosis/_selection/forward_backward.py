@@ -200,8 +200,8 @@ class Search:
         count = len(path) - 1
         while count > 0 and not self.tests.passes_inclusion(scores, path[count - 1], path[count]):
             count -= 1
-        scores.foremost = path[max(count, min(1, len(path) - 1))]
         if not count:
+            scores.foremost = scores.best_predictor() if scores.stages else scores.refitted
             return scores
         chosen = self._merge_laws(scores, self._eliminate(scores, path[count]))
         simplest = self._take_simplest(scores, chosen)

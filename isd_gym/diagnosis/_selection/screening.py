@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,6 +18,8 @@ from .._estimation.gauss_newton import Fit, Fitter, gap, residuals
 from .._estimation.initial_states import guess, transfer_states
 from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped
 from .._estimation.noise import refined_noise, whitener
+from .._hypotheses.law_forces import law_forces
+from .._hypotheses.law_matching import follows_motion
 from .._hypotheses.library import Hypothesis, hypotheses
 from .._hypotheses.motion import motions
 from .._hypotheses.position_spectrum import thinning_loses
@@ -34,9 +37,10 @@ from .candidate import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from ..._common.arrays import Array
+    from ...physics.elements import Motion
     from .._estimation.structure import Structure
     from .._hypotheses.law_matching import Match
     from .._simulation.problem import Problem
@@ -49,6 +53,10 @@ TRIED, FITTED, PERIODS = 6, 2, 4
 VARIANTS = 2
 #: multiples of the matched size at which an effect in series, at a drive or at a sensor is tried
 SIZES = (1.0, 4.0, 20.0, 80.0)
+#: kinds of laws that dissipate, and shares of the damping with which they are tried
+DISSIPATING, DAMPING = ("dry_friction", "viscous"), (0.5, 0.25)
+#: ratio of mean squared errors from which two fits of one law are in different optima
+CLOSER = 0.9
 #: lengths of segments that keep the phase, as multiples of the usual length
 LENGTHS = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
 #: Gauss-Newton steps of the first fit of each start, of the fit of the best start, and of a fit from segments to whole records
@@ -85,6 +93,11 @@ class Screening:
     def first_noise(self) -> Array:
         """White noise of the current fit (channels,)."""
         return white_noise(self.problem, self.current, self.least_noise)
+
+    @cached_property
+    def motion(self) -> dict[tuple[str, str], Motion]:
+        """Motion of every pair of nodes in the current fit."""
+        return motions(self.problem, self.current)
 
     @cached_property
     def fitter(self) -> Fitter:
@@ -177,6 +190,7 @@ class Screening:
                     except InputError:
                         continue
                 tries += [own] if own else []
+            tries += [[begun] for begun in self.starts_with_less_damping(m)]
         every = [t for own in tries for t in own]
         if not every:
             return []
@@ -189,8 +203,32 @@ class Screening:
             order = np.array(list(dict.fromkeys([*order[: FITTED - 1], 0, *order]))[:FITTED])
         return [tries[k][best[k][1]] for k in order]
 
-    def fit(self, group: Sequence[Match]) -> Candidate | None:
-        """Fit a law to the records from its best starts; None where every fit breaks down."""
+    def starts_with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
+        """Yield starts with a share of the damping at the place of a law that dissipates, which takes over the damping's work.
+
+        The damping of a model without the law has been fitted to that work, and the law may have an optimum at either split of it.
+        """
+        h, current = m.hypothesis, self.current
+        if h.kind.mechanism not in DISSIPATING or not follows_motion(h):
+            return
+        here = {f"{e.name}.damping" for e in beside(current.network, h.where) if e.type == "linear_damping"}
+        free = [f for f in current.structure.free if f.path in here]
+        motion = self.motion.get((h.where[0], h.where[1]))
+        if not free or motion is None:
+            return
+        step = self.problem.records[self.problem.estimation[0]].step
+        force = law_forces(current.network, (h.where[0], h.where[1]), motion, step, [(h, m.values)])[:, 0]
+        work, square = float(np.mean(force * motion.v)), float(np.mean(motion.v**2))
+        if not work > 0:
+            return
+        for share in DAMPING:
+            less = {f.path: f.forward(max(share * f.back(m.moved[f.path]), f.back(f.low))) for f in free}
+            taken = square * sum(f.back(m.moved[f.path]) - f.back(less[f.path]) for f in free)
+            with suppress(InputError):
+                yield replace(m, moved=m.moved | less).sized(1 + taken / work).begin(current.structure)
+
+    def fit(self, group: Sequence[Match]) -> list[Candidate]:
+        """Fit a law to the records from its best starts; return the fits with the smallest deviance and with the smallest gap."""
         tries = []
         for structure, x in self.starts(group):
             known = transfer_states(self.problem, self.current.network, self.current.initial, structure)
@@ -205,17 +243,34 @@ class Screening:
             except BROKEN:
                 continue
             tries.append(self._candidate(f))
-        if not tries:
-            return None
-        f = min(tries, key=lambda c: c.deviance).fit
+        return [r for r in map(self._continued, self.first_of_each_law(tries)) if r is not None]
+
+    def first_of_each_law(self, found: Iterable[Candidate | None]) -> list[Candidate]:
+        """Return the fits of each set of effects with the smallest deviance and with the smallest gap, smallest deviance first.
+
+        The weights of a fit are those of another model's residuals, under which the deviance may miss the gap.
+        """
+        fitted = [r for r in found if r is not None and math.isfinite(r.deviance)]
+        out = []
+        for r in _best_first(fitted):
+            alike = [q for q in fitted if q.hypotheses == r.hypotheses]
+            closest = min(alike, key=lambda q: (gap(self.problem, q.fit), q.deviance))
+            is_closer = gap(self.problem, closest.fit) < CLOSER * gap(self.problem, r.fit)
+            out += [r, closest] if is_closer else [r]
+        return sorted(out, key=lambda r: r.deviance)
+
+    def _continued(self, r: Candidate) -> Candidate | None:
+        f = r.fit
         try:
             return self._candidate(self.fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=FURTHER))
         except BROKEN:
             return None
 
     def leading(self, fitted: Sequence[Candidate]) -> list[Candidate]:
-        """Return the first candidates, and the candidate that closes most of the gap."""
-        first = self.closers_first(fitted)[: self.settings.finals]
+        """Return the fits of the first laws, and the candidate that closes most of the gap."""
+        ordered = self.closers_first(fitted)
+        laws = list(dict.fromkeys(r.hypotheses for r in ordered))[: self.settings.finals]
+        first = [r for r in ordered if r.hypotheses in laws]
         closest = min(fitted, key=lambda r: gap(self.problem, r.fit), default=None)
         return first if closest is None or closest in first else [*first, closest]
 
@@ -273,15 +328,16 @@ class Screening:
         brief = self.brief
         groups, _ = brief.shortlist(), brief.fitter
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            ranked = brief.leading(_best_first(pool.map(brief.fit, groups)))
+            fitted = brief.first_of_each_law(r for found in pool.map(brief.fit, groups) for r in found)
+            ranked = brief.leading(fitted)
             tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
             plainer = [
                 r for found in pool.map(lambda r: brief.special_cases(r, tried), ranked) for r in found
             ]
-            ranked = brief.leading(_best_first([*ranked, *plainer]))
+            ranked = brief.leading(brief.first_of_each_law([*ranked, *plainer]))
             if brief is self:
                 return ranked
-            return _best_first(pool.map(lambda r: self.continued(r, brief), ranked))
+            return self.first_of_each_law(pool.map(lambda r: self.continued(r, brief), ranked))
 
     def run(self) -> ScreeningResult:
         """Run the stage."""
@@ -291,12 +347,12 @@ class Screening:
             places.setdefault(frozenset(m.hypothesis.where), m)
         best = tuple(places.values())
         if self.coarse is not self:
-            ranked = _best_first(map(self._transferred, ranked))
+            ranked = self.first_of_each_law(map(self._transferred, ranked))
         if not ranked:
             return ScreeningResult((), self.first_noise, best)
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            ranked = _best_first(pool.map(lambda r: self.settle_noise(r, noise), ranked))
+            ranked = self.first_of_each_law(pool.map(lambda r: self.settle_noise(r, noise), ranked))
         return ScreeningResult(tuple(self.rank(ranked)), noise, best)
 
     def _transferred(self, r: Candidate) -> Candidate | None:

@@ -182,13 +182,7 @@ def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
 
 
 def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array:
-    """Compute the root of the mean variance within groups of series.
-
-    `series`: Signals (samples, channels).
-
-    Returns:
-        Deviation (channels,) about the means of the groups, at least 1e-300.
-    """
+    """Return the deviation (channels,) of series (samples, channels) about the means of their groups, at least 1e-300."""
     parts: dict[object, list[Array]] = {}
     for y, group in zip(series, groups, strict=True):
         parts.setdefault(group, []).append(y)
@@ -218,14 +212,10 @@ LARGEST = 2_000_000
 
 
 class Problem:
-    """A nominal model and measured records.
+    """A nominal model and measured records, training records first and all of them unless `roles` say otherwise.
 
-    Args:
-        network: The nominal model.
-        records: Measured records, training records first.
-        roles: Role of each record. Default: all are training records.
-        step: Largest physics step relative to the time scale of the motion.
-        time: Time scale of the motion [s], if known from other records.
+    `step` is the largest physics step relative to the time scale of the motion, and `time` that scale [s], if known from other
+    records.
     """
 
     def __init__(
@@ -363,28 +353,17 @@ class Problem:
         return Problem(network, self.records, self.roles, self.step, self.time)
 
     def deviation(self, records: Sequence[int] | None = None) -> Array:
-        """Compute the root of the mean variance within measured records.
+        """Return the deviation (channels,) within measured records, by default those to fit by, at least 1e-300.
 
         The distance between the means of two measured records is no motion and does not count. Segments with the name of one measured
         record count as one record.
-
-        Args:
-            records: Indices of the records. Default: those to fit by.
-
-        Returns:
-            Deviation (channels,) in the channels' units, at least 1e-300.
         """
         pick = [self.records[i] for i in (self.estimation if records is None else records)]
         return deviation_within([r.measured for r in pick], [r.name for r in pick])
 
     def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
-        """Return the nuisances of a record at the start of a fit.
-
-        `shared`: Known offsets (channels,) of the sensors that all records share.
-
-        Returns:
-            Offsets (channels,) and further lags (clocks,): zero but for `shared`.
-        """
+        """Return offsets (channels,) and further lags (clocks,) of a record at the start of a fit: zero but for the known offsets
+        that all records share."""
         out = np.zeros(len(self.channels) + len(self.records[index].clocks))
         if shared is not None:
             out[np.flatnonzero(self.shared_offset)] = np.asarray(shared)[self.shared_offset]

@@ -21,13 +21,8 @@ class TimeUp(Exception):
 
 
 class TimeLimit:
-    """Limit of time from now on. The compilation of kernels, which a machine does once, does not count.
-
-    Args:
-        limit: Limit [s]; None for no limit.
-        clock: Function that returns the time [s]; processor time by default, for the same result on a busy machine.
-        start: Time of the clock at the start [s]; None for now.
-    """
+    """Limit of time [s] from now on, or from a `start` of the clock. The compilation of kernels, which a machine does once, does not
+    count. The clock is that of the processor by default, for the same result on a busy machine."""
 
     def __init__(
         self,

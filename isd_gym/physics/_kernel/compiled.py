@@ -6,8 +6,9 @@ import functools
 import hashlib
 import math
 import types
+from collections.abc import Callable, Sequence
 from importlib import resources
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numba as nb
 from numba.core.options import DefaultOptions
@@ -15,9 +16,6 @@ from numba.core.options import DefaultOptions
 from .. import cost
 from .. import elements as el
 from . import cars, contact, jit, lanes, law_forces, layout, linear, newton, solve, steps
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 
 def _dispatch(functions: Sequence[Callable[..., Any]], fallback: Callable[..., Any]) -> Callable[..., Any]:

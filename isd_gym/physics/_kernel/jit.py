@@ -10,16 +10,14 @@ import errno
 import hashlib
 import pickle
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numba as nb
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from ..._common.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class _Files(IndexDataCacheFile):

@@ -58,14 +58,10 @@ REWARD = 0  # first row of `results`
 class CarSize(NamedTuple):
     """Numbers of parts of a car."""
 
-    #: measured accelerations of the body: vertical, pitch, roll
-    accelerations: int  # motions of the body that are measured: vertical, pitch, roll
-    #: corners, each with a wheel and a suspension
-    corners: int  # wheels, each with a suspension of its own
-    #: commanded currents
-    currents: int  # that are commanded
-    #: tracks of the road, 1 or 2
-    tracks: int  # of the road, 1 or 2
+    accelerations: int  # measured accelerations of the body: vertical, pitch, roll
+    corners: int  # corners, each with a wheel and a suspension
+    currents: int  # commanded currents
+    tracks: int  # tracks of the road, 1 or 2
 
     @property
     def filters(self) -> int:

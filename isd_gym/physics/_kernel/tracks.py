@@ -10,16 +10,11 @@ from .jit import compiled
 
 @compiled(error_model="numpy")
 def track_noise(seed_sum, seed_difference, poles, gains, split, states, out):
-    """Fill `out` with the rough road of two tracks, continuing from the counters and the states of its sections.
+    """Fill `out` (2, count) with the heights [m] of the left and the right track, and return the next counters (uint64) of the noise
+    of their sum and difference.
 
-    Args:
-        seed_sum: Counter of the noise that drives the sum, uint64.
-        seed_difference: Counter of the noise that drives the difference, uint64.
-        poles: Discrete poles of the sections (n,), as `isd_gym.physics.tracks.track_filters` returns them.
-        gains: Gains of the sections [m] (n,).
-        split: Number of sections of the sum; the others belong to the difference.
-        states: States of the sections [m] (n,), continued in place.
-        out: Heights of the left and the right track [m] (2, count), filled.
+    `poles` and `gains` (n,) are those of `isd_gym.physics.tracks.track_filters`. The first `split` sections belong to the sum; their
+    `states` (n,) [m] are continued in place.
     """
     count = out.shape[1]
     seed_sum = road_noise(seed_sum, 1.0, 0.0, 0.0, out[0])  # unit variance, replaced by heights below

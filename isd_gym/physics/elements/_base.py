@@ -76,9 +76,6 @@ def parameter(
         spread: Plausible standard deviation from the default [unit], for parameters whose range does not
             depend on a rig.
         stride: Largest change in a single step of a fit [unit].
-
-    Returns:
-        A dataclass field.
     """
     lengths = re.search(r"/m(?:\^(\d))?$", unit)
     often = int(lengths[1] or 1) if lengths else 1
@@ -109,9 +106,6 @@ def plausible(of: Any, low: float = -math.inf, high: float = math.inf, *, reach:
         low: Smallest plausible value [unit of the parameter].
         high: Largest plausible value [unit of the parameter].
         reach: Largest factor by which a fit may leave the start value.
-
-    Returns:
-        A dataclass field.
     """
     meta = {**of.metadata, "plausible": (low, high), "reach": reach}
     return field(metadata=meta) if of.default is MISSING else field(default=of.default, metadata=meta)
@@ -134,17 +128,11 @@ def spoken(effect: str) -> str:
 
 @dataclass(frozen=True)
 class Motion:
-    """Simulated relative motion of a pair of nodes.
+    """Simulated relative motion of a pair of nodes."""
 
-    Attributes:
-        d: Elongation (n,) [m].
-        v: Rate of elongation (n,) [m/s].
-        a: Second derivative of elongation (n,) [m/s^2].
-    """
-
-    d: Array
-    v: Array
-    a: Array
+    d: Array  # elongation (n,) [m]
+    v: Array  # rate of elongation (n,) [m/s]
+    a: Array  # second derivative of elongation (n,) [m/s^2]
 
     @property
     def reach(self) -> float:
@@ -170,30 +158,19 @@ PROBE = 0.05
 
 @dataclass(frozen=True)
 class Setting:
-    """Place of a hypothesis, with scales of the data at the place.
+    """Place of a hypothesis, with scales of the data at the place."""
 
-    Attributes:
-        network: The model.
-        where: The place: two nodes, a motor, or a channel.
-        motion: Relative motion of the two nodes; None at a motor or a channel.
-        force: Typical force of the data [N].
-        signal: Standard deviation of the motor's current [A], or of the channel [unit of the channel].
-        time: Reciprocal of the typical circular frequency of the motion [s].
-        options: Values of the choices that are not numbers.
-        samples: Measured channel [unit of the channel] or commanded current [A], (n,); None between two
-            nodes.
-        pitches: Periods [m] in the spectrum of the missing force over travel, for laws that repeat over
-            travel.
-    """
-
-    network: Network
-    where: tuple[str, ...]
-    motion: Motion | None
-    force: float
+    network: Network  # the model
+    where: tuple[str, ...]  # the place: two nodes, a motor, or a channel
+    motion: Motion | None  # relative motion of the two nodes; None at a motor or a channel
+    force: float  # typical force of the data [N]
+    #: standard deviation of the motor's current [A], or of the channel [unit of the channel]
     signal: float = 1.0
-    time: float = 0.05
-    options: Mapping[str, str] = field(default_factory=dict)
+    time: float = 0.05  # reciprocal of the typical circular frequency of the motion [s]
+    options: Mapping[str, str] = field(default_factory=dict)  # values of the choices that are not numbers
+    #: measured channel [unit of the channel] or commanded current [A], (n,); None between two nodes
     samples: Array | None = None
+    #: periods [m] in the spectrum of the missing force over travel, for laws that repeat over travel
     pitches: tuple[float, ...] = ()
 
     @property
@@ -215,21 +192,14 @@ class Setting:
 
 @dataclass(frozen=True)
 class Start:
-    """Start values of a fit.
+    """Start values of a fit."""
 
-    Attributes:
-        values: Value by parameter.
-        ways: Value sets whose responses are projected together; the start values alone by default.
-        grows: Parameters that scale with the amplitude of the effect.
-        inverse: Whether the effect is proportional to the reciprocal of the parameters.
-        signed: Whether the effect may have either sign.
-    """
-
-    values: dict[str, float]
+    values: dict[str, float]  # value by parameter
+    #: value sets whose responses are projected together; the start values alone by default
     ways: tuple[dict[str, float], ...] = ()
-    grows: tuple[str, ...] = ()
-    inverse: bool = False
-    signed: bool = False
+    grows: tuple[str, ...] = ()  # parameters that scale with the amplitude of the effect
+    inverse: bool = False  # whether the effect is proportional to the reciprocal of the parameters
+    signed: bool = False  # whether the effect may have either sign
 
     def __post_init__(self) -> None:
         if not self.ways:
@@ -247,14 +217,10 @@ class Element:
     the parameters p, the elongation d [m], its rate v [m/s], the elongation d_last [m] at the step before,
     the law's state z and the step h [s]. ``bound(p, d, v)`` returns the level [N] that a dry friction can
     hold.
-
-    Attributes:
-        name: Name, unique in the model.
-        where: Two terminals (nodes), or a motor, or a channel.
     """
 
-    name: str
-    where: tuple[str, ...]
+    name: str  # name, unique in the model
+    where: tuple[str, ...]  # two terminals (nodes), or a motor, or a channel
 
     type: ClassVar[str] = ""
     #: kind of physical effect, one of `MECHANISMS`
@@ -312,19 +278,12 @@ class Element:
         return self.where[0], self.where[1]
 
     def linear(self) -> tuple[float, float, float]:
-        """Return the linear part of the element.
-
-        Returns:
-            Stiffness [N/m], damping [N s/m] and inertance [kg].
-        """
+        """Return stiffness [N/m], damping [N s/m] and inertance [kg] of the linear part of the element."""
         return 0.0, 0.0, 0.0
 
     def parts(self) -> tuple[Element, ...]:
-        """Return the elements that the kernel steps: the element itself if it has a law; an empty tuple if the force is linear.
-
-        Returns:
-            Elements with a law or a bound.
-        """
+        """Return the elements that the kernel steps: the element itself if it has a law or a bound; an empty
+        tuple if the force is linear."""
         return (self,) if self.law is not None or self.bound is not None else ()
 
     @classmethod
@@ -333,37 +292,23 @@ class Element:
         return cls.parts is not Element.parts
 
     def law_parameters(self) -> list[float]:
-        """Return the numbers that `law` or `bound` reads, in order.
-
-        Returns:
-            Numbers in the units of the parameters.
-        """
+        """Return the numbers that `law` or `bound` reads, in order and in the units of the parameters."""
         return [getattr(self, f.name) for f in parameter_fields(type(self))]
 
     def quiet(self) -> float:
-        """Return the elongation below which a smooth law is exactly zero and at rest.
-
-        Returns:
-            Magnitude of the elongation [m]; 0 without such a span.
-        """
+        """Return the magnitude of the elongation [m] below which a smooth law is exactly zero and at rest; 0
+        without such a span."""
         return 0.0
 
     def period(self) -> float | None:
-        """Return the travel after which the force repeats.
-
-        Returns:
-            Period of the elongation [m], or [rad] where nodes turn; None for a law that does not repeat over travel.
-        """
+        """Return the travel [m] after which the force repeats, or [rad] where nodes turn; None for a law that
+        does not repeat over travel."""
         return float(getattr(self, self.periodic[0])) if self.periodic else None
 
     def contact(self) -> tuple[float, float, float, float] | None:
-        """Return the contact limits of a stop.
+        """Return upper and lower limit [m], stiffness [N/m] and damping [N s/m] of a stop; None for other laws.
 
         A stop pushes back with ``k (d - clearance) + c v`` beyond a limit, and never pulls.
-
-        Returns:
-            Elongations of the upper and lower limit [m], stiffness [N/m] and damping [N s/m]; None for other
-                laws.
         """
         return None
 
@@ -405,11 +350,7 @@ class Element:
         return np.asarray(self.linear()[1 if rate else 0] * axis, dtype=np.float64)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the element as an object of a model file.
-
-        Returns:
-            Name, type, place and parameters.
-        """
+        """Return the element as an object of a model file: name, type, place and parameters."""
         place: Any = list(self.where) if self.place == "between" else self.where[0]
         out: dict[str, Any] = {"name": self.name, "type": self.type, self.place: place}
         for f in fields(self):
@@ -425,40 +366,22 @@ class Element:
 
         By default, a place may have no other element of this type, except if the shape (`shaped_by`) of each
         one is known for sure: a second element is then more than a change of the first.
-
-        Args:
-            network: The model.
-            where: The place.
         """
         alike = [e for e in beside(network, where) if e.type == cls.type]
         return all(cls.shaped_by and f"{e.name}.{cls.shaped_by}" not in network.uncertainty for e in alike)
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
-        """Return the choices that are not numbers; each set of choices is a separate hypothesis.
-
-        Args:
-            network: The model.
-            where: The place.
-
-        Returns:
-            Value by choice, for each hypothesis.
-        """
+        """Return the choices that are not numbers, value by choice; each set is a separate hypothesis."""
         return [{}]
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        """Return start values of fits, scaled by the motion and force of the data.
+        """Return start values of fits, best guesses first, scaled by the motion and force of the data.
 
         By default, a parameter in m (m/s) is tried at fractions of the elongation (rate), and any other
         parameter in the middle of its plausible range. Parameters in which the force is linear are then
         scaled so that the force is `PROBE` of the typical force.
-
-        Args:
-            at: Place and scales of the data.
-
-        Returns:
-            Start values, best guesses first.
         """
         from ._starts import generic_starts
 
@@ -466,15 +389,7 @@ class Element:
 
     @classmethod
     def sized(cls, start: Start, amplitude: Array) -> dict[str, float]:
-        """Return start values scaled to fitted amplitudes of the responses.
-
-        Args:
-            start: Start values.
-            amplitude: Factor (ways,) for each response of `start.ways` [-].
-
-        Returns:
-            Value by parameter.
-        """
+        """Return start values scaled to fitted amplitudes (ways,) [-] of the responses of `start.ways`."""
         values = dict(start.values)
         factor = float(np.clip(amplitude[0], -50.0 if start.signed else 0.1, 50.0))
         for key in start.grows:
@@ -483,16 +398,9 @@ class Element:
 
     @classmethod
     def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        """Return the values of an effect of another size with the same shape.
+        """Return the values of an effect of the same shape, with a `factor` [-] on the size of the start values.
 
         An effect without a size stays unchanged.
-
-        Args:
-            start: Start values.
-            factor: Size relative to the start values [-].
-
-        Returns:
-            Value by parameter.
         """
         values = dict(start.ways[0])
         for key in start.grows:
@@ -501,103 +409,45 @@ class Element:
 
     @classmethod
     def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
-        """Return start values of a special case.
-
-        Args:
-            simple: Type of the special case, one of `contains`.
-            values: Value by parameter of this type.
-            motion: Relative motion of the two nodes; None at a motor or a channel.
-
-        Returns:
-            Value by parameter of the special case.
-        """
+        """Return start values of the type `simple`, one of `contains`, from the values of this type."""
         names = {f.name for f in parameter_fields(TYPES[simple])}
         return {key: value for key, value in values.items() if key in names}
 
     @classmethod
     def tied(cls, network: Network, where: tuple[str, ...]) -> dict[str, str]:
-        """Return the parameters that follow another parameter of the model.
-
-        Args:
-            network: The model.
-            where: The place.
-
-        Returns:
-            Path in the network by parameter of this element.
-        """
+        """Return the parameters that follow another parameter of the model: path in the network by parameter."""
         return {}
 
     @classmethod
     def held(cls, options: Mapping[str, str]) -> tuple[str, ...]:
-        """Return the parameters that keep their start values in a fit.
-
-        Args:
-            options: Values of the choices that are not numbers.
-
-        Returns:
-            Names of parameters.
-        """
+        """Return the parameters that keep their start values in a fit, for the values of the choices."""
         return ()
 
     def well_formed(self) -> bool:
-        """Return whether the values agree with the meaning of the type.
-
-        Other values may occur during a search but are never reported.
-        """
+        """Return whether the values agree with the meaning of the type; others are never reported."""
         return True
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples on the rarer side of the law's characteristic point, such as a clearance or a slip.
-
-        Args:
-            motion: Motion of the terminals.
-
-        Returns:
-            Share from 0 to 1; 1 for a law without such a point.
-        """
+        """Return the share of the samples on the rarer side of the law's characteristic point, such as a
+        clearance or a slip; 1 for a law without such a point."""
         return 1.0
 
     def differs_from_limit(self, motion: Motion) -> bool:
-        """Return whether a motion distinguishes the law from a limiting case with another name.
-
-        Args:
-            motion: Motion of the terminals.
-        """
+        """Return whether a motion distinguishes the law from a limiting case with another name."""
         return True
 
     def fault(self, time: float) -> float:
-        """Return the size of a sensor's fault.
-
-        Args:
-            time: Time constant of the motion [s].
-
-        Returns:
-            Relative error of a gain, or delay over `time` [-]; 0 for a force.
-        """
+        """Return the size of a sensor's fault: the relative error of a gain, or a delay over the time constant
+        of the motion [s]; 0 for a force."""
         return 0.0
 
     def own_share(self, beside: Sequence[Element]) -> float:
-        """Return the share of the force that no parameter of the neighbouring elements could produce.
-
-        Args:
-            beside: Elements at the place.
-
-        Returns:
-            Share from 0 to 1.
-        """
+        """Return the share of the force that no parameter of the elements at the place could produce."""
         return 1.0
 
     def differing(self, beside: Sequence[Element]) -> tuple[str, str] | None:
-        """Return two parameters whose difference alone is the effect.
-
-        A neighbouring element could produce the common part of the two parameters.
-
-        Args:
-            beside: Elements at the place.
-
-        Returns:
-            Names of two parameters; None if each parameter is an effect.
-        """
+        """Return two parameters whose difference alone is the effect, since an element at the place could
+        produce their common part; None if each parameter is an effect."""
         return None
 
 
@@ -677,9 +527,6 @@ def register(cls: type[Element]) -> type[Element]:
 
     Args:
         cls: Class of the element; becomes a frozen dataclass.
-
-    Returns:
-        The class.
 
     Raises:
         InputError: The class has no type name, or an unknown mechanism.

@@ -8,6 +8,7 @@ smooth curve through the knots. `beyond` holds the last force or the last slope 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -17,8 +18,6 @@ from ..._common.inputs import number
 from ._base import Element, parameter, register
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from ..._common.arrays import Array
     from ..network import Network
 
@@ -169,7 +168,8 @@ def _finer(d: Array, v: Array, f: Array) -> tuple[Array, Array, Array]:
     from scipy.interpolate import PchipInterpolator
 
     def between(x: Array) -> Array:
-        return np.concatenate([np.linspace(a, b, FINER, endpoint=False) for a, b in _pairs(x)] + [x[-1:]])
+        finer = [np.linspace(a, b, FINER, endpoint=False) for a, b in pairwise(x)]
+        return np.concatenate([*finer, x[-1:]])
 
     if len(d) and len(v):
         most = int(math.sqrt(CELLS / f.size))
@@ -182,7 +182,3 @@ def _finer(d: Array, v: Array, f: Array) -> tuple[Array, Array, Array]:
         fine = between(v)
         v, f = fine, np.asarray(PchipInterpolator(v, f, axis=-1)(fine))
     return d, v, f
-
-
-def _pairs(x: Array) -> Sequence[tuple[float, float]]:
-    return list(zip(x[:-1], x[1:], strict=True))

@@ -45,44 +45,27 @@ class Assembly:
 
     The columns of all matrices are the base vector (x, r, v, alpha, F, I, f): states, displacement [m],
     velocity and acceleration of the moved nodes, force inputs [N], currents [A], law forces [N].
-
-    Attributes:
-        network: The model.
-        channels: Channels of the outputs.
-        size: Numbers of states, moved nodes, force inputs, currents and laws.
-        laws: Elements with a law.
-        rate: Time derivative of the states, rows (states, columns).
-        elongation: Elongation of each law [m], rows (laws, columns).
-        elongation_rate: Rate of elongation of each law [m/s], rows (laws, columns).
-        by_difference: Whether each law acts on an algebraic node, whose velocity is the difference of its
-            positions.
-        outputs: Rows (channels, columns).
-        outputs_by_difference: Whether each output is on an algebraic node.
-        position: Positions of the nodes, moved nodes last, rows (nodes, columns).
-        velocity: Velocities of the nodes, moved nodes last, rows (nodes, columns).
     """
 
-    network: Network
-    channels: tuple[Channel, ...]
-    size: tuple[int, int, int, int, int]
-    laws: tuple[el.Element, ...]
-    rate: np.ndarray
-    elongation: np.ndarray
-    elongation_rate: np.ndarray
+    network: Network  # the model
+    channels: tuple[Channel, ...]  # channels of the outputs
+    size: tuple[int, int, int, int, int]  # numbers of states, moved nodes, force inputs, currents and laws
+    laws: tuple[el.Element, ...]  # elements with a law
+    rate: np.ndarray  # time derivative of the states, rows (states, columns)
+    elongation: np.ndarray  # elongation of each law [m], rows (laws, columns)
+    elongation_rate: np.ndarray  # rate of elongation of each law [m/s], rows (laws, columns)
+    #: whether each law acts on an algebraic node, whose velocity is the difference of its positions
     by_difference: tuple[bool, ...]
-    outputs: np.ndarray
-    outputs_by_difference: tuple[bool, ...]
-    position: np.ndarray
-    velocity: np.ndarray
+    outputs: np.ndarray  # rows (channels, columns)
+    outputs_by_difference: tuple[bool, ...]  # whether each output is on an algebraic node
+    position: np.ndarray  # positions of the nodes, moved nodes last, rows (nodes, columns)
+    velocity: np.ndarray  # velocities of the nodes, moved nodes last, rows (nodes, columns)
 
     def columns(self, part: str) -> slice:
         """Return the columns of a part of the base vector.
 
         Args:
             part: 'x', 'r', 'v', 'alpha', 'F', 'I' or 'f'.
-
-        Returns:
-            Slice of the columns.
         """
         return _spans(self.size)[part]
 
@@ -93,9 +76,6 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
     Args:
         network: The model.
         extra: Further output channels, after those of the model.
-
-    Returns:
-        The equations.
 
     Raises:
         InputError: The massless part is singular, or an output is not defined in the network, such as the
@@ -164,10 +144,8 @@ def _schedule(
     by_difference: Sequence[bool],
     size: Size,
 ) -> None:
-    """Give laws that read a logged channel the value of the channel instead of the elongation.
-
-    Logged channels follow the currents in the base vector.
-    """
+    """Give laws that read a logged channel the value of the channel, which follows the currents in the base
+    vector, instead of the elongation."""
     currents = sum(c.quantity == "current" for c in network.inputs)
     logged = [c.name for c in network.inputs if c.quantity == "condition"]
     for j, e in enumerate(laws):

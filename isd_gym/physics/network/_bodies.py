@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..._common.errors import InputError, shown
 from ..._common.inputs import is_number
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 MASSES = (1e-9, 1e9)  # [kg] or [kg m^2]
 #: axes of rotation of a body
@@ -21,31 +19,17 @@ LEVER_UNITS = {"m/m": (False, False), "m/rad": (False, True), "rad/m": (True, Fa
 
 
 def angle_node(body: str, axis: str) -> str:
-    """Return the name of the node that is the angle of a body about an axis.
-
-    Args:
-        body: Name of the body.
-        axis: 'pitch' or 'roll'.
-
-    Returns:
-        Name such as 'body.pitch'.
-    """
+    """Return the name of the node that is the angle of a body about an axis, such as 'body.pitch'."""
     return f"{body}.{axis}"
 
 
 @dataclass(frozen=True)
 class Point:
-    """A point of a rigid body, an ordinary node of the network.
+    """A point of a rigid body, an ordinary node of the network."""
 
-    Attributes:
-        name: Name of the node.
-        x: Distance in front of the centre of gravity [m].
-        y: Distance to the left of the centre of gravity [m].
-    """
-
-    name: str
-    x: float = 0.0
-    y: float = 0.0
+    name: str  # name of the node
+    x: float = 0.0  # distance in front of the centre of gravity [m]
+    y: float = 0.0  # distance to the left of the centre of gravity [m]
 
     def arm(self, axis: str) -> float:
         """Return the upward motion of the point per angle about an axis.
@@ -72,22 +56,17 @@ class Body:
     The centre of gravity is a node with the name of the body, and the angle about an axis a rotational node
     ('body.pitch'). Every point is a node that follows: z_point = z - x pitch + y roll.
 
-    Attributes:
-        name: Name of the body and of the node at its centre of gravity.
-        mass: Mass [kg].
-        pitch: Moment of inertia about the y axis [kg m^2]; None for a body that does not pitch.
-        roll: Moment of inertia about the x axis [kg m^2]; None for a body that does not roll.
-        points: Named points.
-
     Raises:
         InputError: A value is not a number, or is outside its limits.
     """
 
-    name: str
-    mass: float
+    name: str  # name of the body and of the node at its centre of gravity
+    mass: float  # mass [kg]
+    #: moment of inertia about the y axis [kg m^2]; None for a body that does not pitch
     pitch: float | None = None
+    #: moment of inertia about the x axis [kg m^2]; None for a body that does not roll
     roll: float | None = None
-    points: tuple[Point, ...] = ()
+    points: tuple[Point, ...] = ()  # named points
 
     def __post_init__(self) -> None:
         where, (low, high) = f"body {shown(self.name)}", MASSES
@@ -138,11 +117,7 @@ class Body:
         return {f"{self.name}.mass": float(self.mass), **inertias}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the body as an object of a model file.
-
-        Returns:
-            Plain data.
-        """
+        """Return the body as an object of a model file."""
         out: dict[str, Any] = {"mass": self.mass}
         if self.inertias:
             out["inertia"] = self.inertias
@@ -158,20 +133,14 @@ class Lever:
     A lever has no mass and no play. Examples are a rocker or bell crank (m/m), a rack and pinion (m/rad), a
     drum (rad/m) and a gear (rad/rad).
 
-    Attributes:
-        name: Name of the lever.
-        between: First and second node.
-        ratio: Motion of the first node per motion of the second.
-        unit: Unit of the ratio, one of `LEVER_UNITS`.
-
     Raises:
         InputError: The ratio, the unit or the pair of nodes is invalid.
     """
 
-    name: str
-    between: tuple[str, str]
-    ratio: float
-    unit: str
+    name: str  # name of the lever
+    between: tuple[str, str]  # first and second node
+    ratio: float  # motion of the first node per motion of the second
+    unit: str  # unit of the ratio, one of `LEVER_UNITS`
 
     def __post_init__(self) -> None:
         where, (low, high) = f"lever {shown(self.name)}", RATIOS
@@ -193,11 +162,7 @@ class Lever:
         return tuple(n for n, turns in zip(self.between, LEVER_UNITS[self.unit], strict=True) if turns)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the lever as an object of a model file.
-
-        Returns:
-            Plain data.
-        """
+        """Return the lever as an object of a model file."""
         return {"name": self.name, "between": list(self.between), "ratio": self.ratio, "unit": self.unit}
 
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from ..._common.errors import InputError, shown
 from ._model import GROUND, MOTIONS, Channel, Network
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 def cut(network: Network, node: str) -> Network:
@@ -22,9 +19,6 @@ def cut(network: Network, node: str) -> Network:
     Args:
         network: The whole model.
         node: Name of the node.
-
-    Returns:
-        The part.
 
     Raises:
         InputError: No output measures the motion of the node, or no moved node lies behind the node.
@@ -97,15 +91,7 @@ def cut_nodes(network: Network) -> list[str]:
 
 
 def without(network: Network, name: str) -> str:
-    """Return advice for an input that was not measured, as the end of a message.
-
-    Args:
-        network: The model.
-        name: Name of the input.
-
-    Returns:
-        A clause; '' without advice.
-    """
+    """Return advice for an input that was not measured, as the end of a message; '' without advice."""
     if any(c.name == name and c.quantity == "condition" for c in network.inputs):
         return "; where nobody logged it, leave the input and the elements that read it out of the model"
     road = next((c for c in network.moving if c.name == name and c.quantity == "displacement"), None)
@@ -126,9 +112,6 @@ def rejoin(whole: Network, part: Network) -> Network:
     Args:
         whole: Model before the cut.
         part: Result of `cut`, changed by the diagnosis.
-
-    Returns:
-        The whole model.
     """
     node = next((n for n in part.moved_nodes if n not in whole.moved_nodes), None)
     behind = _behind(whole, node) if node is not None else set()
@@ -153,10 +136,9 @@ def rejoin(whole: Network, part: Network) -> Network:
 
 
 def _behind(network: Network, node: str) -> set[str]:
-    """Return the nodes that, without `node`, are connected with a moved node; raise `InputError` if there are none.
+    """Return the nodes that, without `node`, are connected with a moved node; raise `InputError` without any.
 
-    If all nodes are connected with a moved node, as in a half car cut at one wheel, the part with the largest
-    mass stays.
+    If all nodes are, as in a half car cut at one wheel, the part with the largest mass stays.
     """
     links: dict[str, set[str]] = {n: set() for n in network.nodes}
     pairs = [e.where for e in network.elements if e.place == "between" and GROUND not in e.where]

@@ -68,19 +68,7 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
 
 def from_dict(data: Any) -> Network:
     """Return the model of a JSON object."""
-    known = {
-        "schema",
-        "name",
-        "description",
-        "masses",
-        "inertias",
-        "bodies",
-        "elements",
-        "levers",
-        "inputs",
-        "outputs",
-        "uncertainty",
-    }
+    known = {f.name for f in fields(Network)} - {"turning"} | {"schema", "inertias"}
     _check_keys(data, known, {"schema", "elements"}, "the model")
     if data["schema"] != SCHEMA:
         raise InputError(f"schema is {shown(data['schema'])}, expected '{SCHEMA}'")
@@ -238,24 +226,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
     """Return an input or output of a model file; kind ('inputs' or 'outputs') and index of the entry are for messages."""
     name = _name_of(data, kind, index)
     where = f"{kind[:-1]} '{name}'"
-    _check_keys(
-        data,
-        {
-            "name",
-            "quantity",
-            "unit",
-            "at",
-            "between",
-            "element",
-            "body",
-            "axis",
-            "offset",
-            "noise",
-            "measured",
-        },
-        {"quantity", "unit"},
-        where,
-    )
+    _check_keys(data, {f.name for f in fields(Channel)} | {"body"}, {"quantity", "unit"}, where)
     quantity = data["quantity"]
     if not isinstance(quantity, str) or quantity not in QUANTITIES:
         raise InputError(f"{where}: unknown quantity {shown(quantity)} (known: {', '.join(QUANTITIES)})")

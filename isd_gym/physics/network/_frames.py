@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ..._common.errors import InputError
 from ..._common.units import TURNING
 from ._model import GROUND, MOTIONS, Network
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 
 def frames(network: Network) -> dict[str, int]:
@@ -38,11 +36,8 @@ def frames(network: Network) -> dict[str, int]:
 
 
 def order_told(network: Network, pair: tuple[str, str]) -> int:
-    """Return the lowest derivative of the distance between two nodes that the inputs determine.
-
-    0 for a known distance; 1 for a known rate only (a node moved by its velocity, relative to the ground); 2 for a
-    known acceleration only.
-    """
+    """Return the lowest derivative of the distance between two nodes that the inputs determine: 0 for a known
+    distance, 1 for a known rate only (a node moved by its velocity), 2 for a known acceleration only."""
     frame = frames(network)
     frame |= {str(c.at): j for j, c in enumerate(network.moving) if c.quantity != "displacement"}
     first, second = (frame.get(node) for node in pair)

@@ -21,23 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StateSpace:
-    """Linear system ``dx/dt = A x + B u``, ``y = C x + D u`` in SI units with named signals.
+    """Linear system ``dx/dt = A x + B u``, ``y = C x + D u`` in SI units with named signals."""
 
-    Attributes:
-        A: State matrix (states, states).
-        B: Input matrix (states, inputs).
-        C: Output matrix (outputs, states).
-        D: Feedthrough matrix (outputs, inputs).
-        inputs: Names of the inputs u.
-        outputs: Names of the outputs y.
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    A: np.ndarray  # state matrix (states, states)
+    B: np.ndarray  # input matrix (states, inputs)
+    C: np.ndarray  # output matrix (outputs, states)
+    D: np.ndarray  # feedthrough matrix (outputs, inputs)
+    inputs: tuple[str, ...]  # names of the inputs u
+    outputs: tuple[str, ...]  # names of the outputs y
 
     def response(self, frequency: np.ndarray) -> np.ndarray:
         """Return the complex frequency response.
@@ -54,14 +45,10 @@ class StateSpace:
 
 
 def slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slopes of laws at rest; laws that read a logged channel have the slope at the reference of the channel.
+    """Return stiffness [N/m] and damping [N s/m] of laws at rest, (laws,) each; `damping` [N s/m] by name
+    replaces the slopes of a law.
 
-    Args:
-        laws: Laws.
-        damping: Linear damping [N s/m] by name of a law, instead of the slopes of the law.
-
-    Returns:
-        Stiffness [N/m] and damping [N s/m] of each law, (laws,) each.
+    Laws that read a logged channel have the slope at the reference of the channel.
     """
     slopes_k, slopes_c = np.zeros(len(laws)), np.zeros(len(laws))
     for j, e in enumerate(laws):
@@ -178,9 +165,6 @@ def linearise(
         damping: Linear damping [N s/m] by name of a law, instead of the slope of the law at rest (statistical
             linearisation of friction, equation 9).
         laws: Whether the force of each law is an input with the law's name, instead of the slope of the law.
-
-    Returns:
-        The state space.
 
     Raises:
         InputError: The network has no linear state space.

@@ -39,33 +39,25 @@ def check_name(name: Any, what: str) -> str:
 
 @dataclass(frozen=True)
 class Channel:
-    """An input or output of a model.
+    """An input or output of a model."""
 
-    Attributes:
-        name: Name of the channel, and of its column in a table.
-        quantity: Quantity in the equations (a key of `UNITS`). An angle in deg is a displacement, a torque in
-            N m a force, a commanded voltage a current.
-        unit: Unit of the channel in a table.
-        at: Node.
-        between: Two nodes of a relative motion.
-        element: Element of a force or current; several for the sum of their forces.
-        offset: Unknown constant of an output's sensor: 'free' for a common constant of all records, 'record'
-            for a constant per record, None without.
-        noise: RMS of an output's noise from the sensor's data sheet [unit]; None if unknown.
-        measured: False for a road that was not measured.
-        axis: 'pitch' or 'roll' if `at` is the angle of a body ('body.pitch'); a model file has "body" and
-            "axis" instead.
-    """
-
-    name: str
+    name: str  # name of the channel, and of its column in a table
+    #: quantity in the equations (a key of `UNITS`). An angle in deg is a displacement, a torque in N m a
+    #: force, a commanded voltage a current
     quantity: str
-    unit: str
-    at: str | None = None
-    between: tuple[str, str] | None = None
+    unit: str  # unit of the channel in a table
+    at: str | None = None  # node
+    between: tuple[str, str] | None = None  # two nodes of a relative motion
+    #: element of a force or current; several for the sum of their forces
     element: str | tuple[str, ...] | None = None
+    #: unknown constant of an output's sensor: 'free' for a common constant of all records, 'record' for a
+    #: constant per record, None without
     offset: Offset | None = None
+    #: RMS of an output's noise from the sensor's data sheet [unit]; None if unknown
     noise: float | None = None
-    measured: bool = True
+    measured: bool = True  # false for a road that was not measured
+    #: 'pitch' or 'roll' if `at` is the angle of a body ('body.pitch'); a model file has "body" and "axis"
+    #: instead
     axis: str | None = None
 
     @property
@@ -85,11 +77,7 @@ class Channel:
         return (self.element,) if isinstance(self.element, str) else self.element or ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the channel as an object of a model file (`isd-model/1`).
-
-        Returns:
-            Plain data.
-        """
+        """Return the channel as an object of a model file (`isd-model/1`)."""
         out: dict[str, Any] = {"name": self.name, "quantity": self.spoken}
         if self.at is not None and self.axis is not None:
             out |= {"body": self.at.removesuffix(f".{self.axis}"), "axis": self.axis}
@@ -115,32 +103,21 @@ class Network:
 
     Immutable and validated on construction; `with_parameters` and `with_element` return changed copies.
 
-    Attributes:
-        name: Name, for people.
-        masses: Mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`.
-        elements: Two-terminal elements, and effects at motors and channels.
-        inputs: Input channels.
-        outputs: Output channels.
-        uncertainty: Relative standard deviation by parameter path; parameters without an entry are known.
-        description: Description, for people.
-        turning: Rotational nodes among the masses.
-        bodies: Rigid bodies; their points are ordinary nodes.
-        levers: Ratios that couple two nodes.
-
     Raises:
         InputError: An entry is invalid; the message names the entry in one line.
     """
 
-    name: str
-    masses: Mapping[str, float]
-    elements: tuple[el.Element, ...]
-    inputs: tuple[Channel, ...] = ()
-    outputs: tuple[Channel, ...] = ()
+    name: str  # name, for people
+    masses: Mapping[str, float]  # mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`
+    elements: tuple[el.Element, ...]  # two-terminal elements, and effects at motors and channels
+    inputs: tuple[Channel, ...] = ()  # input channels
+    outputs: tuple[Channel, ...] = ()  # output channels
+    #: relative standard deviation by parameter path; parameters without an entry are known
     uncertainty: Mapping[str, float] = field(default_factory=dict)
-    description: str = ""
-    turning: frozenset[str] = frozenset()
-    bodies: tuple[Body, ...] = ()
-    levers: tuple[Lever, ...] = ()
+    description: str = ""  # description, for people
+    turning: frozenset[str] = frozenset()  # rotational nodes among the masses
+    bodies: tuple[Body, ...] = ()  # rigid bodies; their points are ordinary nodes
+    levers: tuple[Lever, ...] = ()  # ratios that couple two nodes
 
     # ------------------------------------------------------------------------------------ the file
 
@@ -151,9 +128,6 @@ class Network:
         Args:
             source: Name of a built-in model ('quarter-car-isd'), a JSON file, the content of a file, or a
                 network, which is returned unchanged.
-
-        Returns:
-            The model.
 
         Raises:
             InputError: The file cannot be read, or an entry is invalid.
@@ -169,9 +143,6 @@ class Network:
         Args:
             data: Content of a model file (`isd-model/1`).
 
-        Returns:
-            The model.
-
         Raises:
             InputError: An entry is invalid; the message names the entry.
         """
@@ -180,21 +151,13 @@ class Network:
         return from_dict(data)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the model as the content of a model file (`isd-model/1`).
-
-        Returns:
-            Plain data.
-        """
+        """Return the model as the content of a model file (`isd-model/1`)."""
         from ._format import to_dict
 
         return to_dict(self)
 
     def dumps(self) -> str:
-        """Return the model as JSON text, one element or channel per line.
-
-        Returns:
-            Text of a model file.
-        """
+        """Return the model as JSON text, one element or channel per line."""
         from ._format import dumps
 
         return dumps(self)
@@ -543,9 +506,6 @@ class Network:
             at: Measured node.
             between: Two nodes of a relative motion.
             element: Element of a force.
-
-        Returns:
-            The channel.
         """
         if element is not None:
             between = self.element(element).between
@@ -647,9 +607,6 @@ class Network:
         Args:
             path: Path of the parameter, such as 'oil.stiffness'.
 
-        Returns:
-            Unit.
-
         Raises:
             InputError: No such parameter exists.
         """
@@ -690,9 +647,6 @@ class Network:
         Args:
             name: Name of the element.
 
-        Returns:
-            The element.
-
         Raises:
             InputError: No such element exists.
         """
@@ -706,9 +660,6 @@ class Network:
 
         Args:
             uncertainty: Relative standard deviation by parameter; parameters that the network lacks are left out.
-
-        Returns:
-            The new network.
         """
         known = self.parameters
         return replace(self, uncertainty={k: v for k, v in uncertainty.items() if k in known})
@@ -718,9 +669,6 @@ class Network:
 
         Args:
             values: Value by path ('body.mass', 'main_spring.stiffness'), in the parameter's unit.
-
-        Returns:
-            The changed model.
 
         Raises:
             InputError: No such parameter exists, or a value is outside its limits.
@@ -742,18 +690,20 @@ class Network:
             else:
                 masses[owner] = float(value)
         elements = tuple(replace(e, **changes[e.name]) if e.name in changes else e for e in self.elements)
-        # values do not change the checked structure
+        own = {
+            k: tuple(replace(b, **changes.get(b.name, {})) for b in getattr(self, k))
+            for k in ("bodies", "levers")
+        }
+        out = self._with_values(masses=masses, elements=elements, **own)
+        out._check_masses()
+        return out
+
+    def _with_values(self, **parts: Any) -> Network:
+        """Return a copy with other values, which do not change the checked structure."""
         out = copy(self)
         for name in ("parameters", "_assembly"):
             out.__dict__.pop(name, None)
-        out.__dict__.update(masses=masses, elements=elements)
-        if bodies or levers:
-            own = {
-                k: tuple(replace(b, **changes.get(b.name, {})) for b in getattr(self, k))
-                for k in ("bodies", "levers")
-            }
-            out.__dict__.update(own)
-        out._check_masses()
+        out.__dict__.update(parts)
         return out
 
     def with_table(self, name: str, force: Any) -> Network:
@@ -762,26 +712,15 @@ class Network:
         Args:
             name: Name of the element.
             force: Forces [N] in the shape of the table.
-
-        Returns:
-            The changed model.
         """
-        out = copy(self)
-        for key in ("parameters", "_assembly"):
-            out.__dict__.pop(key, None)
         elements = tuple(replace(e, force=force) if e.name == name else e for e in self.elements)  # type: ignore[call-arg]
-        out.__dict__.update(elements=elements)
-        return out
+        return self._with_values(elements=elements)
 
-    def with_element(self, element: el.Element | Mapping[str, Any], *, at: int | None = None) -> Network:
+    def with_element(self, element: el.Element | Mapping[str, Any]) -> Network:
         """Return a copy with an additional element.
 
         Args:
             element: The element, or its object in a model file.
-            at: Index in the list of elements; None for the end.
-
-        Returns:
-            The changed model.
 
         Raises:
             InputError: The element is invalid or not connected.
@@ -790,18 +729,13 @@ class Network:
             from ._format import read_element
 
             element = read_element(element, len(self.elements))
-        listed = list(self.elements)
-        listed.insert(len(listed) if at is None else at, element)
-        return replace(self, elements=tuple(listed))
+        return replace(self, elements=(*self.elements, element))
 
     def without_element(self, name: str) -> Network:
         """Return a copy without an element and the uncertainties of its parameters.
 
         Args:
             name: Name of the element.
-
-        Returns:
-            The changed model.
 
         Raises:
             InputError: No such element exists.
@@ -818,9 +752,6 @@ class Network:
 
         Args:
             names: Names of the outputs to keep.
-
-        Returns:
-            The changed model.
         """
         outputs = tuple(c for c in self.outputs if c.name in names)
         gone = {c.name for c in self.outputs} - {c.name for c in outputs}

@@ -12,23 +12,19 @@ of a logger's time stamps; an unknown delay is fitted. `sure` and `why` are for 
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping as Dict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..._common.errors import InputError, hint, plain, shown
-from ..._common.files import write_text
 from ..._common.inputs import read_json
 from ..._common.units import convert
 from ...physics.network import Channel, Network, without
 from ..data._columns import column_for, did_you_mean
 from ..schemas import check
 from .recording import EPOCH, Raster, Recording, Signal, continuous, mended, rasters, spans
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping as Dict
-    from collections.abc import Sequence
 
 SCHEMA = "isd-map/1"
 JOIN = "+"  # separator between the files of a run
@@ -45,17 +41,6 @@ class Column:
     sure: float | None = None  # probability of the match, from 0 to 1; None if unknown
     why: str = ""  # reasons for the match
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the column as an object of a map file."""
-        out: dict[str, Any] = {"logger": self.logger, "column": self.column}
-        if self.unit:
-            out["unit"] = self.unit
-        if self.sign != 1:
-            out["sign"] = self.sign
-        if self.sure is not None:
-            out["sure"] = round(self.sure, 3)
-        return out | ({"why": self.why} if self.why else {})
-
 
 @dataclass(frozen=True)
 class Logger:
@@ -68,14 +53,6 @@ class Logger:
     columns: tuple[str, ...] = ()  # names of the columns of a file without a header row
     #: sampling rate of a file without time stamps [Hz]; None for a file with time stamps
     rate: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the logger as an object of a map file."""
-        out: dict[str, Any] = {"file": self.file}
-        stamps = {k: v for k, v in (("column", self.stamp), ("unit", self.unit), ("rate", self.rate)) if v}
-        if self.columns:
-            out["columns"] = list(self.columns)
-        return out | ({"stamps": stamps} if stamps else {}) | ({} if self.lag is None else {"lag": self.lag})
 
 
 @dataclass(frozen=True)
@@ -120,26 +97,6 @@ class ChannelMap:
             number, sign = int(row.get("logger", 1)), int(row.get("sign", 1))
             channels[name] = Column(row["column"], number, unit, sign, row.get("sure"), row.get("why", ""))
         return cls(channels, tuple(loggers), data.get("model", ""), source)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content of the map file (`isd-map/1`)."""
-        return {
-            "schema": SCHEMA,
-            "model": self.model,
-            "loggers": [x.to_dict() for x in self.loggers],
-            "channels": {n: c.to_dict() for n, c in self.channels.items()},
-        }
-
-    def save(self, path: str | Path) -> None:
-        """Write the map file atomically, one channel per line."""
-        loggers = ",\n  ".join(json.dumps(x.to_dict(), ensure_ascii=False) for x in self.loggers)
-        channels = ",\n".join(
-            f"  {json.dumps(n, ensure_ascii=False)}: {json.dumps(c.to_dict(), ensure_ascii=False)}"
-            for n, c in self.channels.items()
-        )
-        head = f'{{"schema": "{SCHEMA}", "model": {json.dumps(self.model)}'
-        text = f'{head},\n "loggers": [\n  {loggers}],\n "channels": {{\n{channels}}}}}\n'
-        write_text(path, text)
 
     def check(self, network: Network) -> None:
         """Check that the model has all channels of the map."""

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..._common.errors import InputError, MissingColumn, hint, plain, shown
 from ..._common.units import convert
 from ...physics.network import Channel, Network, without
 from ...physics.road import Road, profiled
 from ..data import Table, read_table
-from ..data._columns import split_header
 from ..data._table import format_of
 from ..data._text import SideBySide
 from .mapping import ChannelMap, Column, files_of, runs
 from .recording import Raster, Recording, Signal, continuous, mended, rasters
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 
 def records_of(
@@ -85,25 +81,6 @@ def _check_used(
             raise InputError(
                 f"{option}: the model has no channel {shown(name)}, and none is read from such a column; {hint(name, sorted(known))}"
             )
-
-
-def outputs_of(
-    path: str | Path,
-    network: Network,
-    by: ChannelMap | None = None,
-    rename: Mapping[str, str] | None = None,
-    columns: Sequence[str] | None = None,
-    rate: float | None = None,
-) -> list[str]:
-    """Return the outputs of a model that the files or the map provide."""
-    names = dict(rename or {})
-    there = set(by.channels if by else ())
-    if by is None:
-        stamp = next((c for c, n in names.items() if n == "time"), None)
-        read = [r for f in files_of(path) for r in rasters(f, stamp=stamp, columns=columns, rate=rate)]
-        found = [n for r in read for n in r.columns]
-        there = {names.get(n, n) for full in found for n in (full, split_header(full)[0])}
-    return [c.name for c in network.outputs if c.name in there]
 
 
 def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:

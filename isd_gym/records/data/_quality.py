@@ -28,22 +28,14 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True)
 class Finding:
-    """A defect of a record, found by `check`.
+    """A defect of a record, found by `check`."""
 
-    Attributes:
-        level: 'error' (the record cannot be used as is), 'warning' (results from the record are doubtful) or
-            'note'.
-        channel: Channel; '' for the whole record.
-        message: One line.
-        where: Spans of time [s] of the defect, at most 20; empty for the whole record.
-        check: Name of the check, of `CHECKS`.
-    """
-
+    #: 'error' (the record cannot be used as is), 'warning' (results from the record are doubtful) or 'note'
     level: Level
-    channel: str
-    message: str
-    where: tuple[Span, ...] = ()
-    check: str = ""
+    channel: str  # channel; '' for the whole record
+    message: str  # one line
+    where: tuple[Span, ...] = ()  # spans of time [s] of the defect, at most 20; empty for the whole record
+    check: str = ""  # name of the check, of `CHECKS`
 
     def __str__(self) -> str:
         return f"{self.level}: {self.channel + ': ' if self.channel else ''}{self.message}"

@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import os
-import re
 import tempfile
-import warnings
 import zlib
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,7 +17,7 @@ import numpy as np
 from ..._common.errors import InputError, MissingColumn, how_to_install, shown
 from ..._common.files import whole
 from ..._common.inputs import memory_limit, plain_file, too_large
-from ..._common.plugins import READERS, plugins
+from ..._common.plugins import READERS, plugins, wing
 from ..._common.units import convert
 from ._columns import (
     TIME,
@@ -56,19 +54,14 @@ def _vector(values: Any) -> np.ndarray:
 class Table:
     """Channels over a common time. Arrays are copied and read-only.
 
-    Attributes:
-        time: Time stamps (n,) [s].
-        columns: Samples (n,) by channel, in the unit of `units`.
-        source: Origin, for messages.
-        units: Unit by channel; a channel without a unit has the SI unit of its quantity.
-
     Raises:
         InputError: Lengths differ.
     """
 
-    time: np.ndarray
-    columns: dict[str, np.ndarray]
-    source: str = "table"
+    time: np.ndarray  # time stamps (n,) [s]
+    columns: dict[str, np.ndarray]  # samples (n,) by channel, in the unit of `units`
+    source: str = "table"  # origin, for messages
+    #: unit by channel; a channel without a unit has the SI unit of its quantity
     units: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -108,11 +101,7 @@ class Table:
         return float(time[0]), float(time[-1])
 
     def uniform(self) -> Table:
-        """Return the same samples on exactly uniform stamps, without jitter and rounding.
-
-        Returns:
-            Table with the same columns.
-        """
+        """Return the same samples on exactly uniform stamps, without jitter and rounding."""
         time = self._ends[0] + self.step * np.arange(len(self))
         return Table(time, self.columns, self.source, self.units)
 
@@ -313,17 +302,14 @@ def _one_line(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class Format:
-    """How files of a format are read.
+    """How files of a format are read."""
 
-    Attributes:
-        read: Reader of wanted columns: path, wanted names, time column, whether to resample, names for a file without a header.
-        read_rasters: Reader of all rasters: path, names for a file without a header; None for a format with one raster.
-        has_own_stamps: Whether channels may have time stamps of their own.
-    """
-
+    #: reader of wanted columns: path, wanted names, time column, whether to resample, names for a file
+    #: without a header
     read: Reader
+    #: reader of all rasters: path, names for a file without a header; None for a format with one raster
     read_rasters: Callable[[Path, Sequence[str] | None], list[Columns]] | None = None
-    has_own_stamps: bool = False
+    has_own_stamps: bool = False  # whether channels may have time stamps of their own
 
 
 def binary_format(reader: str, has_own_stamps: bool = False) -> Format:
@@ -450,55 +436,21 @@ def write_table(path: str | Path, table: Table) -> None:
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    names, data = [TIME, *table.columns], [table.time, *table.columns.values()]
-    if suffix not in (".csv", ".txt", ".tsv", ".parquet", ".mat", ".mf4"):
+    is_text = suffix in (".csv", ".txt", ".tsv")
+    if not is_text and suffix not in (".parquet", ".mat", ".mf4"):
         raise InputError(
             f"{path}: cannot write suffix '{path.suffix}' (known: .csv .txt .tsv .parquet .mat .mf4)"
         )
     try:
         with whole(path) as temporary:
-            if suffix in (".csv", ".txt", ".tsv"):
-                with temporary.open("w", newline="", encoding="utf-8") as stream:
-                    writer = csv.writer(
-                        stream, delimiter="\t" if suffix == ".tsv" else ",", lineterminator="\n"
-                    )
-                    writer.writerow(names)
-                    writer.writerows(zip(*(column.tolist() for column in data), strict=True))
-            elif suffix == ".parquet":
-                import pyarrow
-                import pyarrow.parquet as parquet
-
-                units = {TIME: "s"} | table.units
-                fields = [
-                    pyarrow.field(n, pyarrow.float64(), metadata={"unit": units.get(n, "")}) for n in names
-                ]
-                parquet.write_table(pyarrow.Table.from_arrays(data, schema=pyarrow.schema(fields)), temporary)
-            elif suffix == ".mat":
-                from scipy.io import savemat
-
-                for name in names:
-                    if not re.fullmatch(r"[A-Za-z]\w{0,62}", name) or name == "units":
-                        raise InputError(f"{path}: '{name}' is no name for a MATLAB variable")
-                extra = {"units": table.units} if table.units else {}
-                savemat(
-                    temporary,
-                    dict(zip(names, data, strict=True)) | extra,
-                    long_field_names=True,
-                    oned_as="column",
-                )
-            else:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    from asammdf import MDF, Signal
-
-                    with MDF(version="4.10") as mdf:
-                        mdf.append(
-                            [
-                                Signal(v, table.time, name=n, unit=table.units.get(n, ""))
-                                for n, v in table.columns.items()
-                            ]
-                        )
-                        mdf.save(temporary, overwrite=True)
+            if not is_text:
+                wing("bench_files").write(table, temporary, path)
+                return
+            with temporary.open("w", newline="", encoding="utf-8") as stream:
+                writer = csv.writer(stream, delimiter="\t" if suffix == ".tsv" else ",", lineterminator="\n")
+                writer.writerow([TIME, *table.columns])
+                data = (table.time, *table.columns.values())
+                writer.writerows(zip(*(column.tolist() for column in data), strict=True))
     except ImportError as error:
         raise InputError(f"{path}: writing {suffix} needs {error.name}: {how_to_install('io')}") from None
     except OSError as error:

@@ -10,8 +10,9 @@ import math
 import re
 from array import array
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -32,10 +33,6 @@ from ._columns import (
     time_unit,
     unit_known,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 #: limits of a text table: characters of a line, number of columns, memory while reading as a multiple of the
 #: size
@@ -168,6 +165,25 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
         tried = "separators tried: comma, semicolon, tab, blank"
         raise InputError(f"{path}: no columns of numbers found ({tried})")
     return delimiter, comma, width
+
+
+def _empty_at_the_end(lines: Sequence[str], delimiter: str) -> int:
+    """Return the number of columns without a name or a number at the end of every line."""
+    if not delimiter.strip():
+        return 0
+
+    def count(line: str) -> int:
+        end = line[len(line.rstrip(delimiter + " ")) :]
+        return end.count(delimiter)
+
+    return min(map(count, lines))
+
+
+def _without_last(line: str, delimiter: str, count: int) -> str:
+    """Return a line without its last delimiters, at most `count`."""
+    for _ in range(count):
+        line = line.rstrip().removesuffix(delimiter)
+    return line
 
 
 def _is_numeric(cells: list[str], width: int, comma: bool) -> bool:
@@ -390,7 +406,12 @@ def _read(path: Path, columns: Sequence[str] | None, text: str | None = None) ->
             raise InputError(
                 f"{path}: line {number} has {len(line)} characters, at most {LINE_LIMIT} are read"
             )
-    like = _dialect(path, rows)
+    delimiter, comma, width = like = _dialect(path, rows)
+    empty = _empty_at_the_end([s for _, s in rows], delimiter)
+    if 0 < empty < width - 1:  # spreadsheets fill every line up to the longest one
+        rows = [(i, _without_last(s, delimiter, empty)) for i, s in rows]
+        comments = [(i, _without_last(s, delimiter, empty)) for i, s in comments]
+        like = delimiter, comma, width - empty
     if like[2] > COLUMN_LIMIT:
         raise InputError(f"{path}: has {like[2]} columns, at most {COLUMN_LIMIT} are read")
     names, units, first = _header(path, rows, like, columns, comments)

@@ -36,9 +36,6 @@ def load(name: str) -> dict[str, Any]:
     Args:
         name: Name of the format, such as 'isd-model/1' or 'isd-model-1'.
 
-    Returns:
-        The schema.
-
     Raises:
         InputError: No such schema exists.
     """
@@ -50,16 +47,8 @@ def load(name: str) -> dict[str, Any]:
 
 
 def check(data: Any, name: str, where: str) -> None:
-    """Check that plain data have the structure of a format.
-
-    Args:
-        data: Content of a JSON file.
-        name: Name of the format, such as 'isd-score/1'.
-        where: Source of the data; start of the error message.
-
-    Raises:
-        InputError: The data have another structure; the message names the place.
-    """
+    """Raise `InputError` with the place unless plain data have the structure of a format such as
+    'isd-score/1'; `where` begins the message."""
     from jsonschema.exceptions import best_match
 
     error = best_match(_validator(name).iter_errors(data))

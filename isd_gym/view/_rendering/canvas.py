@@ -20,15 +20,9 @@ Anchor = Literal["left", "center", "right"]
 
 
 class Canvas:
-    """A surface for shapes and text; coordinates are in pixels.
+    """A surface for shapes and text; coordinates are in pixels, `unit` is the unit of the layout [px].
 
     Shapes are drawn at twice the size and scaled down for smooth edges; text is drawn at its final size.
-
-    Args:
-        pg: The module pygame.
-        width: Width [px].
-        height: Height [px].
-        unit: Unit of the layout [px].
     """
 
     def __init__(self, pg: Any, width: int, height: int, unit: float) -> None:
@@ -135,21 +129,8 @@ class Canvas:
         face: str = "",
         room: float | None = None,
     ) -> float:
-        """Draw text, reduced or cut to the available width.
-
-        Args:
-            words: The text.
-            x: Horizontal position of the anchor [px].
-            y: Vertical position of the middle [px].
-            size: Font size [units of the layout].
-            colour: Colour.
-            anchor: 'left', 'center' or 'right'.
-            face: '' or the name of a font face, such as 'Bold'.
-            room: Available width [px]; None without a limit.
-
-        Returns:
-            Width of the text [px].
-        """
+        """Draw text with its anchor at x and its middle at y [px], reduced or cut to `room` [px]; return its
+        width [px]."""
         surface = self._typeset(words, size, colour, face)
         if room is not None:
             if surface.get_width() > room:

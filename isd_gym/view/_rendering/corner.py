@@ -41,17 +41,8 @@ def demands(corner: CornerSnapshot) -> list[tuple[float, float]]:
 
 
 class Suspension:
-    """The suspension of a corner in a picture.
-
-    Args:
-        canvas: Canvas.
-        corner: Corner.
-        x: Position of the wheel [px].
-        unit: Unit of the layout [px].
-        scale: Length of a metre of motion [px].
-        words: 'all' for names of elements and nodes, 'nodes' for nodes alone, '' for no names.
-        setting: Surroundings of the suspension.
-    """
+    """The suspension of a corner in a picture, over the wheel at x [px]; a metre of motion has the length
+    `scale` [px]."""
 
     def __init__(
         self,

@@ -68,15 +68,11 @@ def plot(
     data: Sequence[NDArray[np.float64]],
     column: int,
 ) -> None:
-    """Draw a live plot: its title with the RMS, and the curves below.
+    """Draw a live plot into a box (left, top, right, foot) [px]: its title with the RMS, and the curves
+    below.
 
-    Args:
-        c: Canvas.
-        box: Left edge, top, right edge and foot [px].
-        trace: Quantity.
-        scale: Range of the axis, which widens if necessary.
-        data: Time [s] and values in the units of the plots of each car (n, columns).
-        column: Column of the quantity.
+    `data` has time [s] and values in the units of the plots of each car (n, columns); the range of the
+    axis widens if necessary.
     """
     u = c.unit
     x0, y0, x1, y1 = box

@@ -20,15 +20,7 @@ CELL = 25.0  # height of a corner's current [units of the layout]
 
 
 class Panel:
-    """The panel of one car or of two, including the memory of the curves.
-
-    Args:
-        canvas: Canvas.
-        left: Left edge [px].
-        right: Right edge [px].
-        height: Height [px].
-        cars: Number of cars.
-    """
+    """The panel of one car or of two between two edges [px], including the memory of the curves."""
 
     def __init__(self, canvas: Canvas, left: float, right: float, height: float, cars: int) -> None:
         """Use the right part of the picture."""
@@ -95,7 +87,9 @@ class Panel:
                 width = c.text(words, x1, y, size=10, anchor="right")
             c.text(shot.label, x0 + 14 * u, y, size=11, face="Bold", room=x1 - x0 - 20 * u - width)
             if len(shot.corners) == 1:
-                _slim_bar(c, x0, x1, y + 16 * u, shot.corners[0])
+                corner = shot.corners[0]
+                _current_text(c, x1, y + 16 * u, corner, 10)
+                _bar(c, x0, x1 - 54 * u, y + 16 * u - 3.5 * u, 7 * u, corner)
                 y += 38 * u
             else:
                 y = _currents(c, x0, x1, y + 16 * u, shot.corners) + 6 * u
@@ -112,9 +106,7 @@ def _currents(c: Canvas, x0: float, x1: float, y: float, corners: Sequence[Corne
     for corner in corners:
         left = x0 + sides.index(corner.y) * (width + gap)
         top = y + axles.index(corner.x) * CELL * u
-        words = "no motor" if corner.current_limit is None else f"{number(corner.current, 2)} A"
-        colour = MUTED if corner.current_limit is None else INK
-        taken = c.text(words, left + width, top, size=9.5, anchor="right", colour=colour)
+        taken = _current_text(c, left + width, top, corner, 9.5)
         c.text(corner.name.replace("_", " "), left, top, size=9.5, room=width - taken - 4 * u)
         _bar(c, left, left + width, top + 7.5 * u, 6 * u, corner)
     return y + len(axles) * CELL * u
@@ -134,11 +126,11 @@ def _current_bar(c: Canvas, x0: float, x1: float, y: float, corner: CornerSnapsh
         c.text(f"pulls together  +{limit} A", x1, foot, size=9.5, colour=MUTED, anchor="right")
 
 
-def _slim_bar(c: Canvas, x0: float, x1: float, y: float, corner: CornerSnapshot) -> None:
-    u = c.unit
+def _current_text(c: Canvas, x: float, y: float, corner: CornerSnapshot, size: float) -> float:
+    """Write the current of a corner up to x, and return the width of the text [px]."""
     words = "no motor" if corner.current_limit is None else f"{number(corner.current, 2)} A"
-    c.text(words, x1, y, size=10, colour=MUTED if corner.current_limit is None else INK, anchor="right")
-    _bar(c, x0, x1 - 54 * u, y - 3.5 * u, 7 * u, corner)
+    colour = MUTED if corner.current_limit is None else INK
+    return c.text(words, x, y, size=size, anchor="right", colour=colour)
 
 
 def _bar(c: Canvas, x0: float, x1: float, top: float, height: float, corner: CornerSnapshot) -> None:

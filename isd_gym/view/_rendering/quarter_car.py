@@ -26,16 +26,8 @@ SCALE = wheel.RADIUS / wheel.METRES  # length of a metre of motion without exagg
 
 
 class QuarterCarScene:
-    """A quarter car on its road.
-
-    Args:
-        canvas: Canvas.
-        snapshot: Content of the picture.
-        left: Left edge [px].
-        width: Width [px].
-        colour: Colour of the body.
-        roomy: Whether the names of elements fit.
-    """
+    """A quarter car on its road, in a part of the picture [px]; names of elements are written where it is
+    `roomy`."""
 
     most = 6.0  # largest exaggeration of motions
 

@@ -23,28 +23,18 @@ if TYPE_CHECKING:
     from .snapshots import AnySnapshot
 
 EXAGGERATION = (10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
-SMALLEST = (640, 400)  # [px]
 
 
 class Renderer:
-    """Frames of one car, or of two cars of one kind side by side.
+    """Frames of one car, or of two cars of one kind side by side, as arrays ("rgb_array") or in a window
+    ("human").
 
-    In mode "human", `draw` shows the frame in a window at the pace of the simulated time. Calls that are
-    faster than `fps` per simulated second enter the curves without a new frame, so that a 5 ms control loop
-    may call `draw` at every step.
+    In a window, `draw` keeps the pace of the simulated time. Calls that are faster than `fps` per
+    simulated second, at most 60, enter the curves without a new frame, so that a 5 ms control loop may
+    call `draw` at every step.
 
-    Scales only widen over time, for larger motions. A snapshot that is earlier than the last one restarts the
-    curves.
-
-    Args:
-        mode: "rgb_array" for frames without a display, or "human" for a window.
-        width: Width [px], at least 640.
-        height: Height [px], at least 400.
-        cars: Number of cars, 1 or 2.
-        fps: Frames per simulated second, at most 60 in a window.
-
-    Attributes:
-        closed: Whether the viewer has closed the window (its button, Escape or q).
+    Scales only widen over time, for larger motions. A snapshot that is earlier than the last one restarts
+    the curves. `closed` tells whether the viewer has closed the window.
     """
 
     def __init__(
@@ -56,14 +46,6 @@ class Renderer:
         cars: int = 1,
         fps: float = 50.0,
     ) -> None:
-        if mode not in ("human", "rgb_array"):
-            raise InputError(f"render mode must be 'human' or 'rgb_array', got {mode!r}")
-        if cars not in (1, 2):
-            raise InputError(f"cars must be 1 or 2, got {cars}")
-        if width < SMALLEST[0] or height < SMALLEST[1]:
-            raise InputError(f"a picture of {width}x{height} is too small to read; the least is 640x400")
-        if not (math.isfinite(fps) and fps > 0):
-            raise InputError(f"fps must be positive, got {fps}")
         self.mode, self.width, self.height, self.cars, self.fps = mode, width, height, cars, fps
         self.closed = False
         self._now = self._painted = -math.inf  # simulated time [s]
@@ -79,17 +61,7 @@ class Renderer:
         self._restart()
 
     def draw(self, *snapshots: AnySnapshot) -> NDArray[np.uint8] | None:
-        """Paint the cars.
-
-        Returns:
-            The frame, uint8 of shape (height, width, 3), in mode "rgb_array"; None in mode "human".
-        """
-        if len(snapshots) != self.cars:
-            raise InputError(
-                f"this renderer draws {self.cars} car(s) and was given {len(snapshots)} snapshot(s)"
-            )
-        if len({tuple(trace.title for trace, _ in shot.traces) for shot in snapshots}) > 1:
-            raise InputError("cars side by side must be of one kind: two quarter, two half or two full cars")
+        """Paint the cars; return the frame (height, width, 3) uint8 in mode "rgb_array"."""
         now = snapshots[0].time
         if now < self._now:
             self._restart()

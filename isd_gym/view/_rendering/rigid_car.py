@@ -81,15 +81,7 @@ class View:
 
 
 class RigidCarScene:
-    """A car with a rigid body on its road.
-
-    Args:
-        canvas: Canvas.
-        snapshot: Content of the picture.
-        left: Left edge [px].
-        width: Width [px].
-        colour: Colour of the body.
-    """
+    """A car with a rigid body on its road, in a part of the picture [px]."""
 
     most = 10.0  # largest exaggeration of motions
 
@@ -103,8 +95,9 @@ class RigidCarScene:
         self._lay_out()
         self.contacts = {corner: self._road_under(corner) for corner in snapshot.corners}
         base = float(np.mean(list(self.contacts.values())))
-        window = self.views[0].window
-        self.roads = [self._along_track(profile, window) for profile in snapshot.road_profiles]
+        window, step = self.views[0].window, snapshot.road_step
+        behind = snapshot.road_behind - max(corner.x for corner in snapshot.corners)
+        self.roads = [window.heights(profile, step, behind) for profile in snapshot.road_profiles]
         self.reference = float(np.mean([reference_height(road, base) for road in self.roads]))
 
     def _lay_out(self) -> None:
@@ -135,11 +128,6 @@ class RigidCarScene:
             reach = 2 * suspension.RIGHT if len(set(x)) == 2 else suspension.LEFT + suspension.RIGHT
             size = min(size, float(apart.min()) * self.metre / (1.03 * reach * u))
         self.unit = max(size, SMALLEST_SUSPENSION) * u  # unit of the suspensions
-
-    def _along_track(self, profile: NDArray[np.float64], window: Window) -> NDArray[np.float64]:
-        shot = self.shot
-        behind = shot.road_behind - max(corner.x for corner in shot.corners)
-        return window.heights(profile, shot.road_step, behind)
 
     def _track(self, corner: CornerSnapshot) -> int:
         return int(self.shot.is_wide and corner.y < 0)
@@ -254,15 +242,11 @@ class RigidCarScene:
             # springs are inside
             is_mirrored = is_right != view.is_rear
             aside = drawn.spring_place * self.unit * (1 if is_mirrored else -1)
-            spring_seat = self._underside(view, x + aside)
+            along = np.array([(x + aside - view.window.origin) / self.metre])
+            spring_seat = self._down(float(view.body_heights(along)[0]), self._rest)
             with c.mirrored(x) if is_mirrored else nullcontext():
                 drawn.paint(seat, carrier, spring_seat)
         self._body(view)
-
-    def _underside(self, view: View, x: float) -> float:
-        """Return the height of the body's underside at a horizontal position in the picture [px]."""
-        along = np.array([(x - view.window.origin) / self.metre])
-        return self._down(float(view.body_heights(along)[0]), self._rest)
 
     def _edge(self, view: View, share: float, above: float, *, is_far: bool = False) -> Point:
         """Return a point of the body [px]: at a share of its length, `above` [px] its underside."""

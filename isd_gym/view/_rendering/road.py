@@ -33,32 +33,17 @@ class Window:
         return np.linspace(self.left, self.right, int((self.right - self.left) / 2) + 1)
 
     def heights(self, profile: NDArray[np.float64], step: float, behind: float) -> NDArray[np.float64]:
-        """Return the heights of the road at `columns`.
-
-        Args:
-            profile: Heights [m] (m,) from behind the origin to ahead.
-            step: Distance of two heights [m].
-            behind: Length of the profile behind the origin [m].
-
-        Returns:
-            Heights (n,) [m].
-        """
+        """Return the heights (n,) [m] at `columns` of a profile (m,) [m], one every `step` [m] from `behind`
+        [m] the origin."""
         place = np.arange(profile.size) * step - behind
         return np.interp((self.columns() - self.origin) / self.metre, place, profile)
 
 
 def reference_height(heights: NDArray[np.float64], contact: float) -> float:
-    """Return the mean height of the road, which the camera follows.
+    """Return the mean of heights (n,) [m] of the road, which the camera follows.
 
     The weights vanish towards the edges, for a smooth motion. Heights are relative to the height under the
     wheel, so that rounding does not depend on the altitude of the road.
-
-    Args:
-        heights: Heights over the width of the picture [m] (n,).
-        contact: Height under the wheel [m].
-
-    Returns:
-        Mean height [m].
     """
     weight = np.hanning(heights.size + 2)[1:-1]
     return contact + float((heights - contact) @ weight / weight.sum())
@@ -73,16 +58,9 @@ def ground(
     *,
     is_behind: bool = False,
 ) -> None:
-    """Draw the ground below a road, from the side with marks that show the speed.
-
-    Args:
-        c: Canvas.
-        window: Part of the picture.
-        y: Heights of the road at the columns of the window [px] (n,).
-        travelled: Driven distance [m]; None for a section across the road.
-        u: Unit of the layout [px].
-        is_behind: Whether another road is in front; the ground is then pale.
-    """
+    """Draw the ground below a road with heights y (n,) [px] at the columns of the window: from the side with
+    marks that show the driven distance [m], or a section across (None). It is pale if another road is in
+    front."""
     x = window.columns()
     surface = np.column_stack([x, y])
     below = np.vstack([surface, [[window.right, window.foot], [window.left, window.foot]]])

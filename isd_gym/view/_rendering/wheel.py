@@ -34,20 +34,8 @@ def tyre(
     colour: Colour = RUBBER,
     is_rear: bool = False,
 ) -> None:
-    """Draw a tyre, in contact with the road while the tyre carries load.
-
-    From the side, the road is painted over the compressed part.
-
-    Args:
-        c: Canvas.
-        x: Position of the hub [px].
-        hub: Height of the hub [px].
-        contact: Height of the road under the hub [px].
-        u: Unit of the layout [px].
-        lifted: Whether the tyre carries no load.
-        colour: Colour of the rubber.
-        is_rear: Whether the view is from behind, not from the side.
-    """
+    """Draw a tyre about its hub [px], in contact with the road [px] while it carries load; from the side, the
+    road is painted over the compressed part."""
     radius = RADIUS * u
     if is_rear:
         foot = hub + radius if lifted else contact + 1.5 * u

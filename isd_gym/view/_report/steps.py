@@ -15,7 +15,7 @@ from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule
 from .plots import BLUE, COLOURS, INK, MUTED, Look, caption, percent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from ..._common.arrays import Array
     from ...diagnosis import Diagnosis
@@ -43,8 +43,8 @@ def draw_steps(view: View) -> Chart | None:
         lines = list(_laws(view, cloud, kind))
         if lines:
             rule, _, curve = panels[-1].items
-            bare = replace(curve, band=None)
-            panels.append(replace(panels[-1], items=(rule, bare, *lines)))
+            bare = [replace(curve, band=None)] if isinstance(curve, Line) else []
+            panels.append(replace(panels[-1], items=(rule, *bare, *lines)))
     titles = ("1. Place", "2. Force", "3. Laws")
     panels = [replace(p, title=title) for p, title in zip(panels, titles, strict=False)]
     rows = len(panels[0].y.rows)
@@ -63,7 +63,7 @@ def draw_steps(view: View) -> Chart | None:
 def _places(view: View) -> Panel:
     """Return the panel of places, with the best law at each."""
     shown = view.d.places[:MOST_PLACES]
-    found = [set(e.between or ()) | ({e.channel} - {None}) for e in view.d.effects]
+    found = [{*(e.between or ()), *([e.channel] if e.channel else ())} for e in view.d.effects]
     items: list[Item] = []
     for is_found, look in ((True, Look(BLUE, "-", "o")), (False, Look(MUTED, "-", "o"))):
         own = [(k, p) for k, p in enumerate(shown) if (set(p.where) in found) == is_found]
@@ -80,7 +80,8 @@ def _places(view: View) -> Panel:
 
 def _axis_of(cloud: Cloud) -> str:
     """Return 'rate' or 'travel', over which the missing force has the narrower curve."""
-    return max(("rate", "travel"), key=lambda kind: _explained(getattr(cloud, kind), cloud.before))
+    by_rate, by_travel = (_explained(x, cloud.before) for x in (cloud.rate, cloud.travel))
+    return "rate" if by_rate >= by_travel else "travel"
 
 
 def _explained(x: Array, force: Array) -> float:
@@ -126,7 +127,7 @@ def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
             continue
         columns = np.concatenate([force, given], axis=1)
         size = np.linalg.norm(columns, axis=0)
-        columns = columns / np.where(size > 0, size, 1.0)
+        columns /= np.where(size > 0, size, 1.0)
         drawn = columns @ np.linalg.lstsq(columns, cloud.before, rcond=1e-9)[0]
         middle, (median,) = trend(factor * getattr(cloud, kind), drawn)
         share = 1.0 - float(np.mean((cloud.before - drawn) ** 2) / max(np.var(cloud.before), 1e-300))
@@ -137,14 +138,16 @@ def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
 
 def _candidates_at(d: Diagnosis, pair: tuple[str, str]) -> list[Laws]:
     """Return the laws of each candidate at a place, the named or best candidate first; laws in series are left out."""
-    every = [
+    every: list[list[tuple[str, Sequence[str], dict[str, float], dict[str, str]]]] = [
         [(e.effect, e.between or (), {k: q.value for k, q in e.parameters.items()}, {}) for e in d.effects]
     ]
-    rivals = [d.best_candidate] if d.best_candidate is not None else []
-    for c in (*rivals, *d.contenders):
-        options = getattr(c, "options", ()) or ({},) * len(c.effects)
-        # a candidate without values has no curve
-        every.append(list(zip(c.effects, c.where, c.values, options, strict=False)))
+    if d.best_candidate is not None:
+        c = d.best_candidate
+        every.append([(e, w, v, {}) for e, w, v in zip(c.effects, c.where, c.values, strict=False)])
+    for r in d.contenders:  # one without values has no curve
+        every.append(
+            list(zip(r.effects, r.where, r.values, r.options or ({},) * len(r.effects), strict=False))
+        )
     out: dict[tuple[str, ...], Laws] = {}
     for effects in every:
         laws = [

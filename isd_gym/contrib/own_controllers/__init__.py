@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._common.errors import InputError, hint, shown
-from .driving import Entry
+from isd_gym._common.errors import InputError, hint, shown
+from isd_gym.benchmark.driving import Entry
 
 if TYPE_CHECKING:
     from collections.abc import Callable

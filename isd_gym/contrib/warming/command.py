@@ -16,11 +16,11 @@ def command() -> None:
 
     import numpy as np
 
-    from ..benchmark.policies import find
-    from ..benchmark.scoring import drive
-    from ..env._sensors import Sensors
-    from ..physics.network import Network
-    from ..physics.simulate import simulate
+    from isd_gym.benchmark.policies import find
+    from isd_gym.benchmark.scoring import drive
+    from isd_gym.env._sensors import Sensors
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.simulate import simulate
 
     def ready(what: str, begin: float) -> None:
         typer.echo(f"{what}: ready after {time.perf_counter() - begin:.1f} s")

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from .._common.errors import InputError, plain, shown
-from ._options import (
+from isd_gym._commands._options import (
     ColumnsOption,
     FileRateOption,
     JsonOption,
@@ -22,12 +21,14 @@ from ._options import (
     check_records,
     option,
 )
-from .console import check_file, printer, tell, write_json
+from isd_gym._commands.console import check_file, printer, tell, write_json
+from isd_gym._common.errors import InputError, plain, shown
 
 if TYPE_CHECKING:
-    from ..diagnosis._prediction_errors import PredictionErrors
-    from ..physics.network import Network
-    from ..physics.simulate import Interpolation
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.simulate import Interpolation
+
+    from .prediction_errors import PredictionErrors
 
 
 def command(
@@ -93,7 +94,7 @@ def command(
 
     Example: isd-gym simulate found/model.json rig-b.csv --compare --against rig-b.json
     """
-    from ..physics.network import Network
+    from isd_gym.physics.network import Network
 
     check_file(json_file, model, *data)
     network = Network.load(model)
@@ -120,8 +121,9 @@ def _compare(
     network: Network, data: list[Path], named: dict[str, Any], json_file: Path | None, against: Network | None
 ) -> None:
     """Print the errors of a model, and of the model to compare with, on records; write them to the file of --json."""
-    from ..diagnosis._prediction_errors import prediction_errors, removed_share
-    from ..records._loggers.record_reading import records_of
+    from isd_gym.records._loggers.record_reading import records_of
+
+    from .prediction_errors import prediction_errors, removed_share
 
     check_records(data, [])
     if "by" in named:
@@ -203,13 +205,14 @@ def _write(
     """Simulate the inputs of a table and write the outputs."""
     import numpy as np
 
-    from .._common.units import convert
-    from ..physics.simulate import simulate as run
-    from ..records._loggers import files_of
-    from ..records._loggers.record_reading import outputs_of, records_of
-    from ..records._loggers.resampling import inputs_of
-    from ..records._loggers.start import motions_at, motions_of, state_of
-    from ..records.data import Table, write_table
+    from isd_gym._common.units import convert
+    from isd_gym.contrib.records import inputs_of, outputs_of
+    from isd_gym.physics.simulate import simulate as run
+    from isd_gym.records._loggers import files_of
+    from isd_gym.records._loggers.record_reading import records_of
+    from isd_gym.records.data import Table, write_table
+
+    from .motions import motions_at, motions_of, state_of
 
     check_file(out, model, *files_of(data))
     by = named.get("by")
@@ -228,7 +231,7 @@ def _write(
         )
     table, start = pieces[0], None
     if fitted:
-        from ..diagnosis._estimation.initial_state_fit import initial_state
+        from .initial_state_fit import initial_state
 
         begun = initial_state(table, network, outputs=measured)
         table, start = Table(begun.time, dict(begun.inputs), str(data)), begun.state

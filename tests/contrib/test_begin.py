@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from builders import QUARTER_CAR as CAR
 from builders import STRUT, drive_quarter_car, friction, spring
+from program import with_wings
 from typer.testing import CliRunner
 
-from isd_gym import _commands as cli
 from isd_gym._common.errors import InputError
-from isd_gym.diagnosis._estimation.initial_state_fit import initial_state
+from isd_gym.contrib.simulation import initial_state, state_of
+from isd_gym.contrib.simulation.command import command
+from isd_gym.contrib.simulation.motions import motions_at
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._loggers import Recording, Signal
-from isd_gym.records._loggers.start import motions_at, state_of
 from isd_gym.records.data import Table, read_table, write_table
 
 NETWORK = Network.load(CAR)
@@ -92,7 +93,7 @@ def files(tmp_path, moving):
 def simulated(folder, data, *more):
     out = folder / "out.csv"
     words = ["simulate", folder / "car.json", folder / data, "--out", out, "--initial", "fit", *more]
-    return CliRunner().invoke(cli.app, list(map(str, words))), out
+    return CliRunner().invoke(with_wings(simulate=command), list(map(str, words))), out
 
 
 def test_simulate_fits_the_initial_state_when_asked(files, moving):

@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..._common.errors import InputError
-from ..._common.units import convert
-from ...physics.network import Network, assemble
-from ...records.data import Table
-from .._records import read_record
-from .._simulation.node_motion import transfer_matrix
-from .._simulation.problem import Problem, bare
-from .clock_lag import Lag, align_clocks
-from .gauss_newton import Fitter
-from .noise import floors_of, white_filters
-from .structure import base_structure
+from isd_gym._common.errors import InputError
+from isd_gym._common.units import convert
+from isd_gym.diagnosis._estimation.clock_lag import Lag, align_clocks
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import floors_of, white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._records import read_record
+from isd_gym.diagnosis._simulation.node_motion import transfer_matrix
+from isd_gym.diagnosis._simulation.problem import Problem, bare
+from isd_gym.physics.network import Network, assemble
+from isd_gym.records.data import Table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ..._common.arrays import Array
-    from ...records._loggers.recording import Recording
+    from isd_gym._common.arrays import Array
+    from isd_gym.records._loggers.recording import Recording
 
 #: iterations of a fit to a whole record: the phase of a stiffening decay follows its amplitude over many periods
 ITERATIONS = 12

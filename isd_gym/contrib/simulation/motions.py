@@ -1,4 +1,4 @@
-"""Initial states from positions and velocities of nodes at the first sample."""
+"""Motions of nodes at the first sample: the values of ``--initial``, their state, and the motions in a state."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..._common.errors import InputError, shown
-from ..._common.inputs import number, read_json
-from ...physics.network import Network, assemble
+from isd_gym._common.errors import InputError, shown
+from isd_gym._common.inputs import number, read_json
+from isd_gym.physics.network import assemble
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from isd_gym.physics.network import Network
 
 MOTION = ("displacement", "velocity")
 LOOSE = 1e-6  # weight of "at rest" for nodes without a given motion
@@ -78,7 +80,7 @@ def state_of(
     Raises:
         InputError: A node does not exist or is moved by an input, or no state has these motions.
     """
-    free, rows, given = _motion(network, inputs, step)
+    free, rows, given = free_motions(network, inputs, step)
     for node in motions:
         if node not in free:
             why = "is moved by an input" if node in network.moved_nodes else "is no node of the model"
@@ -96,19 +98,7 @@ def state_of(
     return np.asarray(state, dtype=np.float64)
 
 
-def motions_at(
-    network: Network, state: np.ndarray, inputs: Mapping[str, Any], step: float
-) -> dict[str, dict[str, float]]:
-    """Return displacement [m] and velocity [m/s] of the nodes in a state (n,): the inverse of `state_of`."""
-    free, rows, given = _motion(network, inputs, step)
-    displacement, velocity = np.split(rows @ state + given, 2)
-    return {
-        n: dict(zip(MOTION, map(float, pair), strict=True))
-        for n, *pair in zip(free, displacement, velocity, strict=True)
-    }
-
-
-def _motion(
+def free_motions(
     network: Network, inputs: Mapping[str, Any], step: float
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Return the free nodes, their displacements and velocities as rows (2 nodes, n) over the state, and the
@@ -122,3 +112,15 @@ def _motion(
     if len(lead) == r.stop - r.start:
         given = rows[:, r] @ [u[0] for u in lead] + rows[:, v] @ [(u[1] - u[0]) / step for u in lead]
     return free, rows[:, x], np.asarray(given, dtype=np.float64)
+
+
+def motions_at(
+    network: Network, state: np.ndarray, inputs: Mapping[str, Any], step: float
+) -> dict[str, dict[str, float]]:
+    """Return displacement [m] and velocity [m/s] of the nodes in a state (n,): the inverse of `state_of`."""
+    free, rows, given = free_motions(network, inputs, step)
+    displacement, velocity = np.split(rows @ state + given, 2)
+    return {
+        n: dict(zip(MOTION, map(float, pair), strict=True))
+        for n, *pair in zip(free, displacement, velocity, strict=True)
+    }

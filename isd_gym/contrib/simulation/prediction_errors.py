@@ -7,23 +7,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._common.arrays import channel_rms
-from .._common.errors import InputError
-from ..physics.network import Network
-from ._estimation.clock_lag import align_clocks
-from ._estimation.gauss_newton import Fitter
-from ._estimation.initial_state_fit import ITERATIONS
-from ._estimation.noise import floors_of, white_filters
-from ._estimation.structure import base_structure
-from ._records import differentiate_inputs, read_record
-from ._simulation.problem import BROKEN, Problem, deviation_within
+from isd_gym._common.arrays import channel_rms
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._estimation.clock_lag import align_clocks
+from isd_gym.diagnosis._estimation.gauss_newton import Fitter
+from isd_gym.diagnosis._estimation.noise import floors_of, white_filters
+from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._records import differentiate_inputs, read_record
+from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, deviation_within
+from isd_gym.physics.network import Network
+
+from .initial_state_fit import ITERATIONS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from ..records._loggers.recording import Recording
-    from ..records.data import Table
+    from isd_gym.records._loggers.recording import Recording
+    from isd_gym.records.data import Table
 
 #: smallest noise that residuals are weighted with, as a share of the signal's deviation
 LEAST_NOISE = 1e-3
