@@ -57,9 +57,7 @@ def test_a_slip_of_the_unit_is_told_at_the_rigs_own_scale():
     assert "place" in note and "a thousand times what the model says" in note
     (note,) = told(network, Table(table.time, table.columns | {"place": 1e-3 * table["place"]}, "rig"))
     assert "a thousandth of" in note
-
-
-def test_a_slow_rig_in_milliseconds_is_refused_as_a_car_is():
+    # a slow rig in milliseconds is refused as a car is
     network, table = rig(40.0, 0.1)
     refused("another unit than s", read_record, Table(1e3 * table.time, table.columns, "rig"), network, [])
 
