@@ -60,6 +60,17 @@ def network(*given: Any, **more: Any) -> Network:
     return Network.load(model(*given, **more))
 
 
+def cart(
+    *elements: Any,
+    inputs: Any = ("push force cart",),
+    outputs: Any = ("speed velocity cart",),
+    mass: float = 2.0,
+    **more: Any,
+) -> Any:
+    """Return the JSON of a mass [kg] with these elements that a force pushes and whose speed is seen."""
+    return model("cart", elements, inputs, outputs, masses={"cart": mass}, **more)
+
+
 def oscillator(
     *outputs: Any, mass: float = 5.0, stiffness: float = 2000.0, damping: float = 30.0, base: str = "",
     beside: Any = (), name: str = "oscillator", **more: Any,
@@ -102,19 +113,13 @@ def decoupled_half_car() -> Network:
 
 
 #: a passive quarter car with the sensors of a test drive
+STRUT = [spring("body", "wheel", 22000.0), damper("body", "wheel", 1500.0)]
+SENSORS = [f"{n}_acceleration acceleration {n}" for n in ("body", "wheel")]
 QUARTER_CAR = model(
     "quarter",
-    [
-        spring("body", "wheel", 22000.0),
-        damper("body", "wheel", 1500.0),
-        spring("wheel", "road", 192000.0, "tyre"),
-    ],
+    [*STRUT, spring("wheel", "road", 192000.0, "tyre")],
     ["road displacement road"],
-    [
-        "body_acceleration acceleration body",
-        "wheel_acceleration acceleration wheel",
-        "travel displacement body wheel",
-    ],
+    [*SENSORS, "travel displacement body wheel"],
     masses={"body": 345.0, "wheel": 45.0},
 )
 
@@ -126,13 +131,10 @@ def drive_quarter_car(
     rng = np.random.default_rng(seed)
     time = step * np.arange(round(seconds / step))
     f = np.geomspace(0.3, 15, 50)
-    heights = sum(
-        2e-3 / k * np.sin(2 * np.pi * k * time + p) for k, p in zip(f, rng.uniform(0, 6.3, 50), strict=True)
-    )
+    heights = sines(time, f, rng.uniform(0, 6.3, 50), 2e-3 / f)
     said = simulate(car, time, {"road": heights})
-    return time, {"road": heights} | {
-        k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
-    }
+    noisy = {k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()}
+    return time, {"road": heights} | noisy
 
 
 def table(columns: Any, name: str) -> Table:

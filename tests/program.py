@@ -49,14 +49,8 @@ def run(*words: Any, cwd: Path | None = None, env: dict[str, str] | None = None)
 
 def python(code: str, *words: Any, cwd: Path | None = None, env: dict[str, str] | None = None) -> Done:
     """Return what a program of Python prints and ends with, in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, words)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=cwd,
-        env=env,
-    )
+    command = [sys.executable, "-c", code, *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=env)
     return Done(done.returncode, done.stdout, done.stderr)
 
 

@@ -16,13 +16,7 @@ from refusals import refused
 
 from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Memory
-from isd_gym.agents.policy import (
-    JSON_NAME,
-    SHIPPED,
-    WEIGHTS_NAME,
-    Head,
-    Policy,
-)
+from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.baselines import make
 from isd_gym.benchmark.policies import conventional
 from isd_gym.contrib.exports.archives import read_torch
@@ -35,9 +29,8 @@ from isd_gym.physics.network import Network
 def small_policy(rng, head=None, memory=MEMORY):
     sizes = [memory.width(6), 8, 1]
     layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
-    return Policy(
-        layers, memory=memory, head=head or Head("increment"), network=Network.load("quarter-car-isd")
-    )
+    car = Network.load("quarter-car-isd")
+    return Policy(layers, memory=memory, head=head or Head("increment"), network=car)
 
 
 @cache
@@ -124,13 +117,9 @@ def test_increment_and_target_are_currents_within_the_drive_s_limits(rng):
     np.testing.assert_allclose(two, [[5.0, -0.5]])
 
 
-def test_reset_forgets(rng):
+def test_reset_forgets_and_what_is_not_finite_is_taken_as_nothing(rng):
     policy = small_policy(rng)
     np.testing.assert_array_equal(drive(policy, 20), drive(policy, 20))
-
-
-def test_what_is_not_finite_is_taken_as_nothing(rng):
-    policy = small_policy(rng)
     obs = np.full(6, np.nan)
     obs[5] = 1.0
     assert np.isfinite(policy.act(obs)) and np.isfinite(policy.act(np.zeros(6)))
@@ -171,6 +160,8 @@ def test_a_spoilt_folder_is_one_clear_line(rng, tmp_path, spoil, says):
     folder = small_policy(rng).save(tmp_path / "p")
     spoil(folder)
     refused(says, Policy.load, folder)
+    (tmp_path / "x.zip").write_bytes(b"PK")
+    refused("pickle", Policy.load, tmp_path / "x.zip")
 
 
 def test_a_car_with_other_inputs_is_refused(rng):
@@ -213,16 +204,13 @@ def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path
         blob = (SHIPPED / name / WEIGHTS_NAME).read_bytes()
         assert hashlib.sha256(blob).hexdigest() == head["weights"]["sha256"] and len(blob) < 100_000
         assert head["training"]["curve"] and head["training"]["versions"]
-    code = (
-        "import sys\n"
-        "class Without:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name in ('torch', 'stable_baselines3'): raise ModuleNotFoundError(name)\n"
-        "sys.meta_path.insert(0, Without())\n"
-        "from isd_gym._commands import main\n"
-        "sys.argv = ['isd-gym', 'score', 'passive', 'lqg', 'ppo', 'sac', '--episodes', '2', '--json', 's.json']\n"
-        "main()"
-    )
+    words = ["isd-gym", "score", "passive", "lqg", "ppo", "sac", "--episodes", "2", "--json", "s.json"]
+    code = f"""import sys
+class Without:
+    def find_spec(self, name, path=None, target=None):
+        if name in ("torch", "stable_baselines3"): raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Without())
+sys.argv = {words}; from isd_gym._commands import main; main()"""
     assert python(code, cwd=tmp_path).returncode == 0
     rows = {r["policy"]: r for r in json.loads((tmp_path / "s.json").read_text())["policies"]}
     for name in ("ppo", "sac"):
@@ -267,11 +255,8 @@ def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
     from isd_gym.contrib.training.environment import Remember
     from isd_gym.sb3 import make_vec_env
 
-    env = Remember(
-        make_vec_env(2, env_id="ISDSuspension-v0", rescale=False, max_episode_steps=4, stagger=True),
-        MEMORY,
-        Head("increment"),
-    )
+    brief = dict(env_id="ISDSuspension-v0", rescale=False, max_episode_steps=4, stagger=True)
+    env = Remember(make_vec_env(2, **brief), MEMORY, Head("increment"))
     env.seed(0)
     start = env.reset()
     ends = {}
@@ -296,11 +281,6 @@ def test_weights_are_read_as_torch_reads_them(sb3, tmp_path):
     ours = read_torch(buffer.getvalue(), "here")
     for name, value in state.items():
         np.testing.assert_array_equal(ours[name], value.numpy())
-
-
-def test_a_zip_is_not_loaded_as_a_policy(tmp_path):
-    (tmp_path / "x.zip").write_bytes(b"PK")
-    refused("pickle", Policy.load, tmp_path / "x.zip")
 
 
 @pytest.mark.parametrize("mode", ["increment", "target", "residual"])

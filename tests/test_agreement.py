@@ -15,13 +15,10 @@ from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
 from isd_gym.records.data._quality import known_check
 
+STRUT = [spring("body", "wheel", 22e3), damper("body", "wheel", 1500.0)]
 CAR = builders.model(
     "four-poster",
-    [
-        spring("body", "wheel", 22e3),
-        damper("body", "wheel", 1500.0),
-        spring("wheel", "platen", 200e3, "tyre"),
-    ],
+    [*STRUT, spring("wheel", "platen", 200e3, "tyre")],
     [channel("platen", "displacement", "platen", unit="mm")],
     [
         channel("acc", "acceleration", "body", unit="g"),
@@ -37,10 +34,9 @@ TIME = STEP * np.arange(N)
 
 def road(seed=0):
     """Return a rough road [mm] from 0.5 to 15 Hz."""
-    rng = np.random.default_rng(seed)
     f = np.linspace(0.5, 15.0, 120)
-    phases = rng.uniform(0, 2 * np.pi, len(f))
-    return (np.sin(2 * np.pi * np.outer(TIME, f) + phases) / f).sum(axis=1) * np.minimum(TIME, 1.0)
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(f))
+    return builders.sines(TIME, f, phases, 1 / f) * np.minimum(TIME, 1.0)
 
 
 def true_rig(level=65.0):

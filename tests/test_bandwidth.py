@@ -3,7 +3,7 @@
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, friction, spring
+from builders import channel, damper, friction
 from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
@@ -18,22 +18,16 @@ OUTPUT_NOISE = 0.01  # RMS of a sensor's noise, relative to the deviation of its
 def shaken(natural, quantity="displacement", damping_ratio=0.03):
     """A mass of 1 kg on a spring and a damper whose base is moved."""
     stiffness = (2 * np.pi * natural) ** 2
-    return builders.network(
-        "shaken",
-        [spring("mass", "base", stiffness), damper("mass", "base", 2 * damping_ratio * np.sqrt(stiffness))],
-        [channel("base", "displacement", "base")],
-        [channel("y", quantity, "mass", unit={"displacement": "mm", "acceleration": "g"}[quantity])],
-        masses={"mass": 1.0},
-    )
+    y = channel("y", quantity, "mass", unit={"displacement": "mm", "acceleration": "g"}[quantity])
+    damping = 2 * damping_ratio * np.sqrt(stiffness)
+    return builders.oscillator(y, mass=1.0, stiffness=stiffness, damping=damping, base="base")
 
 
 def base_motion(kind, natural, rate, rng):
     """Displacement [m] of the base: mostly far below resonance, or a sine near it."""
     t = np.arange(SAMPLES) / rate
-    slow = sum(
-        a * np.sin(2 * np.pi * q * natural * t + p)
-        for a, q, p in zip((8e-3, 4e-3, 2e-3), (0.02, 0.053, 0.11), rng.uniform(0, 6, 3), strict=True)
-    )
+    slow = natural * np.array([0.02, 0.053, 0.11])
+    slow = builders.sines(t, slow, rng.uniform(0, 6, 3), (8e-3, 4e-3, 2e-3))
     if kind == "slow and broadband":
         return slow + band_limited(0.3 * natural, 2.5 * natural, rate, rng, 3e-5)
     if kind == "slow and steps":
@@ -109,12 +103,7 @@ def test_a_resonance_that_friction_holds_is_compared_too():
     assert share_kept(prepared, responds, 0.5 * natural, 2 * natural) > 0.98
 
 
-BENCH = builders.model(
-    "test bench",
-    [damper("rod", "ground", 1000.0)],
-    [channel("x", "displacement", "rod")],
-    [channel("F", "force", "rod")],
-)
+ROD = damper("rod", "ground", 1000.0)
 INERTER = builders.element("inerter", "inertance", "rod", "ground", inertance=90.0)
 FRICTION = friction("rod", "ground", 60.0, "seal")
 
@@ -122,7 +111,7 @@ FRICTION = friction("rod", "ground", 60.0, "seal")
 @pytest.mark.parametrize(("element", "highest", "unfiltered"), [(INERTER, 8.0, 1.0), (FRICTION, 2.0, 0.1)])
 def test_the_noise_that_a_force_makes_of_a_displacement_is_left_out(element, highest, unfiltered):
     """Inertance differentiates noise twice; friction takes the sign of a rate from it."""
-    network = Network.load({**BENCH, "elements": [*BENCH["elements"], element]})
+    network = builders.network("test bench", [ROD, element], ["x displacement rod"], ["F force rod"])
     rate, rng = 1000.0, np.random.default_rng(5)
     motion = band_limited(0.02, highest, rate, rng, 5e-3)
     record, clean = measured(network, motion, rate, rng, noise=1.5e-5)

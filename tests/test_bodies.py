@@ -29,13 +29,8 @@ def uneven(seed, samples=4001, step=1e-3):
 def drive():
     """Time, roads under front and rear axle, and two currents."""
     t = np.arange(4001) * 1e-3
-    return {
-        "time": t,
-        "road_front": uneven(1),
-        "road_rear": uneven(2),
-        "current_front": 4.0 * np.sin(8.1 * t),
-        "current_rear": 3.0 * np.sin(13.2 * t + 1.0),
-    }
+    roads = {"time": t, "road_front": uneven(1), "road_rear": uneven(2)}
+    return roads | {"current_front": 4.0 * np.sin(8.1 * t), "current_rear": 3.0 * np.sin(13.2 * t + 1.0)}
 
 
 def inputs(drive, *sides):
@@ -82,11 +77,8 @@ def test_the_kernel_agrees_with_an_integrator_that_shares_nothing_with_it(name, 
     network, t = Network.load(name), drive["time"]
     u = {c.name: 0.5 * uneven(10 + k) for k, c in enumerate(network.moving)}
     currents = [c.name for c in network.inputs if c.quantity == "current"]
-    # a current as a controller gives it, held for 5 ms
-    u |= {
-        c: np.repeat(np.random.default_rng(k).uniform(-5, 5, 801), 5)[: len(t)]
-        for k, c in enumerate(currents)
-    }
+    for k, c in enumerate(currents):  # as a controller gives it, held for 5 ms
+        u[c] = np.repeat(np.random.default_rng(k).uniform(-5, 5, 801), 5)[: len(t)]
     shipped, fine = simulate(network, t, u), simulate(network, t, u, step=1e-4)
     for channel, values in reference.simulate(network.to_dict(), t, u).items():
         # the place at which a device sticks hangs on the last sliding step
@@ -137,9 +129,8 @@ def test_a_body_without_inertia_does_not_turn(drive):
 def test_a_half_car_is_cut_at_one_wheel_and_at_both(drive):
     """What one wheel's sensor tells replaces its tyre and road; the other road stays until that wheel is cut, too."""
     data = Network.load("half-car-isd").to_dict()
-    data["outputs"] += [
-        builders.channel(f"hub_{end}", "displacement", f"wheel_{end}") for end in ("front", "rear")
-    ]
+    hubs = (builders.channel(f"hub_{end}", "displacement", f"wheel_{end}") for end in ("front", "rear"))
+    data["outputs"] += hubs
     whole = Network.from_dict(data)
     got = simulate(whole, drive["time"], inputs(drive))
     one = cut(whole, "wheel_front")
@@ -169,14 +160,12 @@ def _change(data, path, value):
         data[last] = value
 
 
+ABOUT = builders.channel("pitch", "acceleration", body="body", axis="pitch")
+ENDS = [builders.channel(n, "displacement", n) for n in ("body_front", "body_rear", "driver")]
 BAD = [
     ("bodies.body.mass", None, r"body 'body': 'mass' is missing"),
     ("bodies.body.mass", 0.0, r"body 'body': the mass must be a positive number of kg"),
-    (
-        "bodies.body.inertia.pitch",
-        0.0,
-        r"the inertia 'pitch' must be a positive number of kg m\^2.*leave it out",
-    ),
+    ("bodies.body.inertia.pitch", 0.0, r"inertia 'pitch' must be a positive number of kg m\^2.*leave it out"),
     ("bodies.body.inertia.yaw", 1.0, r"body 'body': \"inertia\": unknown key 'yaw'"),
     ("bodies.body.inertia", {"pitch": None}, r"not null; leave it out"),
     ("bodies.body.inertia.pitch", 10**400, r"must be a positive number of kg m\^2"),
@@ -184,16 +173,8 @@ BAD = [
     ("outputs.1.axis", "roll", r"body 'body' does not turn about its roll axis: give it an inertia"),
     ("outputs.1.axis", "yaw", r"\"axis\": pitch or roll"),
     ("outputs.1.at", "body", r"leave out \"at\""),
-    (
-        "bodies.body.points.wheel_front",
-        {"x": 1.0},
-        r"point 'wheel_front' of body 'body' has the name of a mass",
-    ),
-    (
-        "bodies.body.points.body",
-        {"x": 1.0},
-        r"point 'body' of body 'body' has the name of a node of body 'body'",
-    ),
+    ("bodies.body.points.wheel_front", {}, r"point 'wheel_front' of body 'body' has the name of a mass"),
+    ("bodies.body.points.body", {}, r"point 'body' of body 'body' has the name of a node of body 'body'"),
     ("bodies.body.points.ground", {}, r"has the name of the ground"),
     ("bodies.body.points.driver", {"z": 1.0}, r"body 'body': point 'driver': unknown key 'z'"),
     ("bodies.body.points.driver.x", "front", r"body 'body': x of point 'driver' must be a number of m"),
@@ -202,22 +183,10 @@ BAD = [
     ("masses.body", 690.0, r"bodies: body 'body' has the name of a mass: give it another"),
     ("bodies.body.weight", 1.0, r"body 'body': unknown key 'weight'"),
     ("uncertainty.body.inertia.roll", 0.1, r"uncertainty: no parameter 'body.inertia.roll'"),
-    (
-        "outputs.1",
-        builders.channel("pitch_acceleration", "acceleration", body="body", axis="pitch"),
-        r"output 'pitch_acceleration': \"acceleration\" is no motion about an axis.*\"at\": \"body\"",
-    ),
-    (
-        "inputs",
-        [builders.channel(n, "displacement", n) for n in ("body_front", "body_rear", "driver")],
-        r"body 'body': inputs move 'body_front', 'body_rear', 'driver', which it ties together: let one of them move",
-    ),
-    (
-        "inputs",
-        [builders.channel("spin", "angle", "driver")],
-        r"bodies: 'body' of body 'body' moves along a line, and is tied to what turns",
-    ),
-]
+    ("outputs.1", ABOUT, r"output 'pitch': \"acceleration\" is no motion about an axis.*\"at\": \"body\""),
+    ("inputs", ENDS, r"body 'body': inputs move 'body_front', 'body_rear', 'driver', which it ties together: let one of them"),
+    ("inputs", [builders.channel("spin", "angle", "driver")], r"'body' moves along a line, and is tied to what turns"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("path", "value", "message"), BAD)
@@ -247,14 +216,11 @@ def test_a_body_is_seen_from_the_frame_of_its_only_road():
     gone = {"tyre_rear", "damper_rear", "main_spring_rear"}
     data["elements"] = [e for e in data["elements"] if e["name"] not in gone]
     del data["masses"]["wheel_rear"]
-    data["elements"] += [
-        builders.spring("body_rear", "road_front", 1e5, "hitch"),
-        damper("body_rear", "road_front", 1e3, "rubber"),
-    ]
+    hitch = builders.spring("body_rear", "road_front", 1e5, "hitch")
+    data["elements"] += [hitch, damper("body_rear", "road_front", 1e3, "rubber")]
     data["inputs"] = data["inputs"][:1]
-    data["outputs"] = [
-        c for c in data["outputs"] if c["name"] in ("pitch_acceleration", "suspension_travel_front")
-    ]
+    seen = ("pitch_acceleration", "suspension_travel_front")
+    data["outputs"] = [c for c in data["outputs"] if c["name"] in seen]
     data["uncertainty"] = {}
     known = Network.from_dict(data)
     data["inputs"][0] |= {"quantity": "acceleration", "unit": "m/s^2"}

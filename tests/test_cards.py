@@ -70,15 +70,9 @@ def test_a_score_on_other_roads_or_without_episodes_is_refused(card, change, why
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (
-            lambda s: s["policies"][0]["cost"].pop("unit"),
-            r"policies\[0\].cost: 'unit' is a required property",
-        ),
+        (lambda s: s["policies"][0]["cost"].pop("unit"), r"policies\[0\].cost: 'unit' is a required"),
         (lambda s: s.pop("speed"), "has no 'speed'"),
-        (
-            lambda s: s["raw"]["add"].update(cost=[1e300] * 3),
-            r"raw.add.cost\[\d\]: 1e\+300 is greater than the maximum",
-        ),
+        (lambda s: s["raw"]["add"].update(cost=[1e300] * 3), r"raw.add.cost\[\d\]: 1e\+300 is greater than"),
     ],
 )
 def test_a_garbled_score_is_one_line(change, says, tmp_path):
@@ -157,9 +151,8 @@ def test_the_shipped_cards_are_whole():
         for track in card["tracks"]:
             rows = cards.ranking(card, track["track"])
             assert len(rows) == len(track["policies"]) >= 4
-            own = fingerprints(
-                track["road"], track["speed"]["value"], track["duration"]["value"], track["seed"], 2
-            )
+            speed, duration = (track[k]["value"] for k in ("speed", "duration"))
+            own = fingerprints(track["road"], speed, duration, track["seed"], 2)
             assert np.allclose(own, track["roads"][:2], rtol=1e-6, atol=1e-9)
 
 
@@ -170,9 +163,8 @@ def test_the_reward_threshold_is_the_best_classical_controller(name):
     card = cards.load(name)
     threshold = tracks.reward_threshold(card)
     assert threshold == REWARD_THRESHOLDS[name] == registry[name].reward_threshold, "run benchmarks/tracks.py"
-    returns = {
-        row["policy"]: -EPISODE_STEPS * row["cost"]["value"] for row in cards.ranking(card, "standard")
-    }
+    rows = cards.ranking(card, "standard")
+    returns = {row["policy"]: -EPISODE_STEPS * row["cost"]["value"] for row in rows}
     best = max(total for policy, total in returns.items() if policy not in tracks.LEARNED)
     assert threshold <= best < threshold + 5
     assert max(returns["passive"], returns["skyhook"], returns["mpc"]) < threshold

@@ -16,6 +16,13 @@ from isd_gym.physics.network import Network
 from isd_gym.records.data import read_table
 
 
+def test_the_module_is_the_program_and_tells_its_version():
+    done = python(
+        "import runpy, sys; sys.argv[1:] = ['--version']; runpy.run_module('isd_gym', run_name='__main__')"
+    )
+    assert done.stdout.startswith("isd-gym ") and "Python" in done.stdout
+
+
 def test_help_is_light_and_knows_the_commands_of_all_packages():
     """--help lists train, reproduce, ... with the first sentence of each, and imports none of their libraries."""
     code = (
@@ -64,9 +71,8 @@ def test_a_short_score_says_nothing_of_bounds(tmp_path):
     """Two roads of 4 s, where a policy may beat what the LQ bound has for the mean over roads."""
     done = run("score", "passive", "lqg", "--episodes", 2, "--duration", 4, "--json", tmp_path / "s.json")
     text = " ".join(done.stdout.split())
-    assert not re.search(
-        "at best|The paper's|ceiling is searched|Clairvoyant|of the gain|of the causal", text
-    )
+    bounds = "at best|The paper's|ceiling is searched|Clairvoyant|of the gain|of the causal"
+    assert not re.search(bounds, text)
     data = json.loads((tmp_path / "s.json").read_text())
     assert set(data["references"]) == {"left_out"}
     assert data["references"]["left_out"] in text and "2 x 4 s is too small a sample" in text
@@ -183,12 +189,6 @@ def test_a_diagnosis_is_not_begun_on_a_mistake(more, message, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["d.csv", "taken"]
 
 
-def test_the_version_is_told():
-    words = [sys.executable, "-m", "isd_gym", "--version"]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("isd-gym ") and "Python" in done.stdout
-
-
 @pytest.mark.parametrize(
     ("missing", "args", "extra"),
     [
@@ -263,9 +263,8 @@ def test_the_answer_into_a_pipe_a_full_disk_or_a_link(tmp_path):
         (f"{program} networks force-rig > /dev/full", 1, "isd-gym: No space left on device"),
         (f"{program} networks quarter-car-isd | true; exit ${{PIPESTATUS[0]}}", 1, ""),
     ):
-        done = subprocess.run(
-            ["bash", "-c", command], capture_output=True, text=True, check=False, cwd=tmp_path
-        )
+        shell = ["bash", "-c", command]
+        done = subprocess.run(shell, capture_output=True, text=True, check=False, cwd=tmp_path)
         assert done.stderr.strip() == error
         # a quick program is done before its reader goes
         assert done.returncode == code or "| true" in command
@@ -310,7 +309,6 @@ def test_policies_lists_what_can_be_scored(tmp_path):
      ("isd-gym train --rand", {"--randomize"})],
 )  # fmt: skip
 def test_the_shell_completes(typed, offered):
-    done = run(
-        env={"_ISD_GYM_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" "))}
-    )
+    asked = {"COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" "))}
+    done = run(env={"_ISD_GYM_COMPLETE": "complete_bash", **asked})
     assert offered <= set(done.stdout.split()), done.stdout + done.stderr

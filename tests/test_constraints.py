@@ -21,27 +21,19 @@ def drawn(rng):
     def between(low, high):
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
-    bodies = {
-        "car": {
-            "mass": between(10, 1000),
-            "inertia": {"pitch": between(10, 1000), "roll": between(5, 500)},
-            "points": {f"p{i}": {"x": float(rng.normal()), "y": float(rng.normal())} for i in range(4)},
-        },
-        "seat": {
-            "mass": between(5, 50),
-            "inertia": {"pitch": between(1, 10)},
-            "points": {f"s{i}": {"x": float(rng.normal())} for i in range(2)},
-        },
-    }
+    def points(name, count, axes):
+        return {f"{name}{i}": {axis: float(rng.normal()) for axis in axes} for i in range(count)}
+
+    car = {"mass": between(10, 1000), "inertia": {"pitch": between(10, 1000), "roll": between(5, 500)}}
+    seat = {"mass": between(5, 50), "inertia": {"pitch": between(1, 10)}, "points": points("s", 2, "x")}
+    bodies = {"car": car | {"points": points("p", 4, "xy")}, "seat": seat}
     masses = {f"m{i}": between(5, 100) for i in range(2)}
     lines = ["car", "p0", "p1", "p2", "p3", "seat", "s0", "s1", *masses, "road", "base", "ground"]
     elements = []
 
     def add(kind, a, b):
         key, low, high = LINEAR[kind]
-        elements.append(
-            {"name": f"e{len(elements)}", "type": kind, "between": [a, b], key: between(low, high)}
-        )
+        elements.append(builders.element(f"e{len(elements)}", kind, a, b, **{key: between(low, high)}))
 
     for node in ("p0", "p1", "p2", "s0", "s1", *masses):  # something holds every motion
         add("linear_stiffness", node, str(rng.choice(["road", "base", "ground"])))
@@ -67,25 +59,13 @@ def drawn(rng):
             unit = "/".join(unit.split("/")[::-1])
         listed.append({"name": f"l{k}", "between": [first, second], "ratio": ratio, "unit": unit})
     seen = [*lines[:-3], "arm"]
+    roll, pushed = {"body": "car", "axis": "roll"}, rng.choice(["p1", "m0", "car", "arm"])
+    moved = ["road displacement road", "base displacement base", f"push force {pushed}"]
+    places = [f"{n}_place displacement {n}" for n in seen]
+    outputs = [*places, channel("roll", "angle", **roll), "turn angle fast", "cell force road"]
+    parts = {"inertias": {"shaft": between(0.1, 5.0)}, "bodies": bodies, "levers": listed}
     return builders.model(
-        "",
-        elements,
-        [
-            channel("road", "displacement", "road"),
-            channel("base", "displacement", "base"),
-            channel("push", "force", str(rng.choice(["p1", "m0", "car", "arm"]))),
-            channel("gust", "torque", body="car", axis="roll"),
-        ],
-        [
-            *(channel(f"{n}_place", "displacement", n) for n in seen),
-            channel("roll", "angle", body="car", axis="roll"),
-            channel("turn", "angle", "fast"),
-            channel("cell", "force", "road"),
-        ],
-        masses=masses,
-        inertias={"shaft": between(0.1, 5.0)},
-        bodies=bodies,
-        levers=listed,
+        "", elements, [*moved, channel("gust", "torque", **roll)], outputs, masses=masses, **parts
     )
 
 

@@ -12,18 +12,12 @@ from isd_gym.diagnosis._selection.equivalent_laws import repeats
 from isd_gym.diagnosis._selection.free_force import FreeForce
 from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
-from isd_gym.diagnosis._verdict.gates import (
-    confidence,
-    decide,
-    gates_of,
-    table_gates,
-)
+from isd_gym.diagnosis._verdict.gates import confidence, decide, gates_of, table_gates
 from isd_gym.diagnosis._verdict.grades import MISTAKEN
 from isd_gym.physics.elements import TYPES, Motion
 
-FRICTION = EffectEvidence(
-    "coulomb_friction at mass-ground", share=0.4, spread=0.05, removed=0.995, width=0.3, beyond_small=True
-)
+SEEN = {"share": 0.4, "spread": 0.05, "removed": 0.995, "width": 0.3, "beyond_small": True}
+FRICTION = EffectEvidence("coulomb_friction at mass-ground", **SEEN)
 GAIN = EffectEvidence("sensor_gain at position", share=0.2, spread=0.05, sensor=True, fault=0.1)
 
 #: friction that explains a gap of 30 % down to noise of 2 %, with no rival in sight
@@ -81,9 +75,8 @@ def test_each_gate_can_fail_and_the_verdict_follows(gate, change, verdict):
 
 
 def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either():
-    d = decide(
-        replace(GOOD, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0, probability=0.4)
-    )
+    rival = {"indistinguishable": ("hysteresis at mass-ground",), "rival_loss": 1.0}
+    d = decide(replace(GOOD, **rival, probability=0.4))
     assert d.verdict == "ambiguous"
 
 
@@ -98,9 +91,8 @@ def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_i
     assert decide(harder).verdict == "unknown_effect"
     assert decide(replace(harder, training_explained=0.99)).verdict == "missing_effect"
     assert decide(replace(harder, training_explained=0.87)).verdict == "unknown_effect"
-    assert (
-        decide(replace(harder, training_explained=0.99, envelope_after=(0.03,))).verdict == "unknown_effect"
-    )
+    known = replace(harder, training_explained=0.99, envelope_after=(0.03,))
+    assert decide(known).verdict == "unknown_effect"
 
 
 def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_narrow_one_is_told():
@@ -110,9 +102,8 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
     more = (replace(FRICTION, share=0.03, width=0.08),)
     small = (replace(FRICTION, share=0.02, width=0.08),)
     assert decide(replace(GOOD, effects=more, refit=(0.08,), richest_share=0.03)).verdict == "missing_effect"
-    assert (
-        decide(replace(GOOD, effects=small, refit=(0.08,), richest_share=0.02)).verdict == "parameters_only"
-    )
+    told = replace(GOOD, effects=small, refit=(0.08,), richest_share=0.02)
+    assert decide(told).verdict == "parameters_only"
     small = (replace(small[0], beyond_small=False),)
     narrow = replace(GOOD, effects=small, refit=(0.08,), richest_share=0.02, envelope=(0.085,))
     d = decide(narrow)
@@ -123,9 +114,8 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
 
 def test_two_effects_must_explain_more_than_one():
     # each effect removes half of what is left by the inclusion test alone
-    part = replace(
-        GOOD, explained=0.8, after=(0.2,), richest=(0.2,), test_explained=0.8, test_excess_ratio=10.0
-    )
+    rest = {"after": (0.2,), "richest": (0.2,), "test_explained": 0.8, "test_excess_ratio": 10.0}
+    part = replace(GOOD, explained=0.8, **rest)
     assert decide(part).verdict == "missing_effect"
     several = replace(part, effects=(FRICTION, replace(FRICTION, label="series_compliance at mass-ground")))
     assert [g.name for g in decide(several).gates if not g.passed] == ["adequate", "confirmed"]
@@ -160,15 +150,13 @@ def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name():
 
 
 def test_what_noise_may_hide_is_no_finding():
-    clean = replace(
-        GOOD, before=(0.16,), refit=(0.051,), after=(0.051,), noise=(0.041,), envelope=(0.01,), effects=()
-    )
+    errors = {"before": (0.16,), "refit": (0.051,), "after": (0.051,), "noise": (0.041,)}
+    clean = replace(GOOD, envelope=(0.01,), effects=(), **errors)
     assert decide(replace(clean, richest=())).verdict == "parameters_only"
     assert decide(replace(clean, richest=(), refit=(0.071,), after=(0.071,))).verdict == "unknown_effect"
     # an effect with a gain is judged, however large the noise
-    small = replace(
-        clean, effects=(FRICTION,), after=(0.041,), elpd_diff=900.0, explained=0.6, lack_of_fit=0.7
-    )
+    rest = {"elpd_diff": 900.0, "explained": 0.6, "lack_of_fit": 0.7}
+    small = replace(clean, effects=(FRICTION,), after=(0.041,), **rest)
     assert decide(small).verdict == "unknown_effect"
 
 
@@ -221,14 +209,11 @@ REFITTED, LAW, TABLE = (SimpleNamespace(name=n, hypotheses=(n,), well_formed=lam
 
 def completes(validation, refit, after, table=None, law=LAW):
     """Whether a law completes a model, by mean squares on validation records and errors on test records."""
-    scores = SimpleNamespace(
-        refitted=REFITTED, foremost=law, score=lambda c: SimpleNamespace(mean_square=validation[c.name])
-    )
-    builder = SimpleNamespace(
-        scores=scores,
-        search=SimpleNamespace(criteria=CRITERIA),
-        _errors=lambda c: {"refit": np.array([refit]), "after": np.array([after])},
-    )
+    score = lambda c: SimpleNamespace(mean_square=validation[c.name])  # noqa: E731
+    scores = SimpleNamespace(refitted=REFITTED, foremost=law, score=score)
+    errors = {"refit": np.array([refit]), "after": np.array([after])}
+    search = SimpleNamespace(criteria=CRITERIA)
+    builder = SimpleNamespace(scores=scores, search=search, _errors=lambda c: errors)
     return ResultBuilder._is_supported(builder, FreeForce(candidate=table))
 
 
@@ -249,9 +234,7 @@ def test_a_law_completes_a_model_that_it_improves_on_validation_and_on_test_reco
 def test_the_table_of_a_free_force_and_the_law_compete_on_validation_records():
     assert completes({"r": 4.0, "l": 2.0, "t": 2.5}, 0.3, 0.2, TABLE)
     assert not completes({"r": 4.0, "l": 2.0, "t": 1.5}, 0.3, 0.2, TABLE)
-
-
-def test_nothing_completes_a_model_without_a_candidate_or_with_values_that_contradict_its_law():
+    # nor does anything without a candidate, or with values that contradict its law
     nobody = SimpleNamespace(name="l", hypotheses=(), well_formed=lambda: True)
     odd = SimpleNamespace(name="l", hypotheses=("l",), well_formed=lambda: False)
     assert not completes({"r": 4.0, "l": 2.0}, 0.3, 0.2, law=nobody)

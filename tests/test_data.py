@@ -1,5 +1,7 @@
 """Tables in and out, and the data gate, on records whose truth is known."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,12 +10,7 @@ from refusals import refused
 from scipy import io, signal
 
 from isd_gym._common.errors import InputError
-from isd_gym.records.data import (
-    Table,
-    check,
-    read_table,
-    write_table,
-)
+from isd_gym.records.data import Table, check, read_table, write_table
 from isd_gym.records.data._quality import held_samples
 from isd_gym.records.data._signals import stamp_rounding, unwrapped
 from isd_gym.records.data._table import read_columns, read_rasters
@@ -40,9 +37,8 @@ def car(seed=0, seconds=12.0, snr_db=32.0, step=STEP):
     b = np.array([[0], [0], [0], [kt / mu]])
     measured = np.array([a[1], [1, 0, -1, 0], [0, 0, kt, 0]])
     time = step * np.arange(round(seconds / step))
-    road = signal.lfilter(
-        [1], [1, -np.exp(-0.3 * step)], rng.standard_normal(len(time)) * np.sqrt(step) * 0.02
-    )
+    white = rng.standard_normal(len(time)) * np.sqrt(step) * 0.02
+    road = signal.lfilter([1], [1, -np.exp(-0.3 * step)], white)
     road = signal.sosfiltfilt(signal.butter(2, 40 * 2 * step, output="sos"), road)
     _, y, _ = signal.lsim((a, b, measured, np.array([[0], [0], [-kt]])), road, time)
     y = y + np.column_stack([ar1(rng, len(time), 0.4) for _ in range(3)]) * y.std(0) * 10 ** (-snr_db / 20)
@@ -84,8 +80,8 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path, suffix):
     assert np.array_equal(again.time, table.time)
     assert all(np.array_equal(again[n], table[n]) for n in table.columns)
     assert [p.name for p in tmp_path.iterdir()] == [f"record{suffix}"]
-    # a free decay
-    assert np.array_equal(read_table(tmp_path / f"record{suffix}", expected={}).time, table.time)
+    decay = read_table(tmp_path / f"record{suffix}", expected={})  # no channels
+    assert np.array_equal(decay.time, table.time)
     if suffix in (".parquet", ".mat", ".mf4"):
         assert again.units == {"tyre": "N"}
 
@@ -101,9 +97,7 @@ def test_any_dialect_of_csv_gives_the_same_numbers(tmp_path_factory, values, dia
     delimiter, decimal = dialect
     head = {"plain": ["time", "f"], "brackets": ["time[s]", "f[kN]"], "row": ["time", "f"]}[units]
     rows = [head] + ([["s", "kN"]] if units == "row" else [])
-    rows += [
-        [repr(0.001 * i).replace(".", decimal), repr(v).replace(".", decimal)] for i, v in enumerate(values)
-    ]
+    rows += [[repr(x).replace(".", decimal) for x in (0.001 * i, v)] for i, v in enumerate(values)]
     path = tmp_path_factory.mktemp("csv") / "x.csv"
     path.write_text(preamble + "\n".join(delimiter.join(r) for r in rows), encoding="utf-8")
     table = read_table(path, expected={"f": "kN"}, units={"f": "kN"})
@@ -114,15 +108,10 @@ def test_any_dialect_of_csv_gives_the_same_numbers(tmp_path_factory, values, dia
 
 def test_channels_are_renamed_and_converted(tmp_path):
     path = tmp_path / "bench.csv"
-    path.write_text(
-        "Time [ms];Weg (mm);Kraft [kN];a [g];remark\n0;1,5;2,5;1;start\n2;-3;0;-0,5;\n4;0;1;0;end\n",
-        encoding="utf-8",
-    )
-    table = read_table(
-        path,
-        rename={"Time": "time", "Weg": "travel", "Kraft": "force", "a": "acceleration"},
-        expected={"travel": "m", "force": "N", "acceleration": "m/s^2"},
-    )
+    rows = "0;1,5;2,5;1;start\n2;-3;0;-0,5;\n4;0;1;0;end\n"
+    path.write_text("Time [ms];Weg (mm);Kraft [kN];a [g];remark\n" + rows)
+    names = {"Time": "time", "Weg": "travel", "Kraft": "force", "a": "acceleration"}
+    table = read_table(path, rename=names, expected={"travel": "m", "force": "N", "acceleration": "m/s^2"})
     assert table.time == pytest.approx([0, 0.002, 0.004])
     assert table["travel"] == pytest.approx([0.0015, -0.003, 0])
     assert table["force"] == pytest.approx([2500, 0, 1000])
@@ -132,10 +121,8 @@ def test_channels_are_renamed_and_converted(tmp_path):
     # the model's own unit may be another than SI, and what the user says goes before what the file says
     assert read_table(path, rename={"Weg": "x"}, expected={"x": "mm"})["x"] == pytest.approx([1.5, -3, 0])
     assert read_table(path, units={"Weg": "cm"}, expected={"Weg": "m"})["Weg"][1] == pytest.approx(-0.03)
-    assert (
-        check(read_table(path, rename={"Weg": "x"}), inputs={}, outputs={"x": "displacement"})[0].level
-        == "error"
-    )
+    short = check(read_table(path, rename={"Weg": "x"}), inputs={}, outputs={"x": "displacement"})
+    assert short[0].level == "error"
 
 
 BAD_FILES = {
@@ -165,9 +152,7 @@ def test_a_bad_file_is_answered_in_one_line(tmp_path, name):
     content, answer = BAD_FILES[name]
     path = tmp_path / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    with pytest.raises(InputError, match=answer) as caught:
-        read_table(path, expected={"travel": "m"})
-    assert str(path) in str(caught.value)
+    assert str(path) in refused(answer, read_table, path, expected={"travel": "m"})
 
 
 HEADERS = {
@@ -232,12 +217,8 @@ def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path, form):
     # each by its whole name
     assert list(read_table(path, rename={first: "u"}, expected={"u": "V"})["u"]) == [1, 2]
     assert list(read_table(path, rename={second: "load"})["load"]) == [10, 20]
-    refused(
-        r"called 'Force': .* and .*; choose one with --rename COLUMN=CHANNEL",
-        read_table,
-        path,
-        expected={"Force": "m"},
-    )
+    words = r"called 'Force': .* and .*; choose one with --rename COLUMN=CHANNEL"
+    refused(words, read_table, path, expected={"Force": "m"})
 
 
 def lvm(columns="One", separator="Tab", comma=False, segments=1, extra=""):
@@ -252,10 +233,7 @@ def lvm(columns="One", separator="Tab", comma=False, segments=1, extra=""):
     out = head
     for s in range(segments):
         rows = [["Channels", "2"], ["Samples", "17", "17"]]  # some writers tell a wrong number
-        rows += [
-            ["Date", "2024/05/01", "2024/05/01"],
-            ["Time", f"12:00:{10 * s:02d}.5", f"12:00:{10 * s:02d}.5"],
-        ]
+        rows += [["Date", *["2024/05/01"] * 2], ["Time", *[f"12:00:{10 * s:02d}.5"] * 2]]
         rows += [["Y_Unit_Label", "N", "mm"], ["X_Dimension", "Time", "Time"], ["X0", "0.0E+0", "0.0E+0"]]
         rows += [["Delta_X", "0.010000", "0.010000"], ["***End_of_Header***"]]
         x = {"One": [["X_Value"], []], "Multi": [["X_Value"], ["X_Value"]], "No": [["X_Value"], []]}[columns]
@@ -337,20 +315,18 @@ def test_lost_samples_and_jitter_are_not_rounding():
     assert stamp_rounding(jitter) == 0 and stamp_rounding(np.round(jitter, 4)) == 0
 
 
-TURNS = {"deg": 360.0, "rad": 2 * np.pi, "rev": 1.0}
+MANY, TO_AND_FRO, BACK = (
+    lambda t: 5 * t + 0.3 * np.sin(9 * t),
+    lambda t: 0.7 * np.sin(2 * t),
+    lambda t: -3 * t,
+)
 
 
-@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+@pytest.mark.parametrize("turn", [360.0, 2 * np.pi, 1.0], ids=["deg", "rad", "rev"])
 @pytest.mark.parametrize("centred", [True, False])
-@pytest.mark.parametrize("motion", ["many turns", "to and fro", "backwards"])
+@pytest.mark.parametrize("motion", [MANY, TO_AND_FRO, BACK], ids=["many turns", "to and fro", "backwards"])
 def test_an_angle_that_begins_anew_each_turn_goes_on(turn, centred, motion):
-    time = STEP * np.arange(5000)
-    turns = {
-        "many turns": 5 * time + 0.3 * np.sin(9 * time),
-        "to and fro": 0.7 * np.sin(2 * time),
-        "backwards": -3 * time,
-    }
-    x = turn * (turns[motion] + 1e-3 * np.random.default_rng(0).standard_normal(5000))
+    x = turn * (motion(STEP * np.arange(5000)) + 1e-3 * np.random.default_rng(0).standard_normal(5000))
     low = -0.5 * turn if centred else 0.0
     found, wraps = unwrapped((x - low) % turn + low, turn)
     assert wraps > 2 and np.ptp(found - x) < 1e-9 * turn
@@ -395,9 +371,8 @@ def test_empty_cells_are_missing_samples(tmp_path):
 def test_mat_structs_are_read_and_objects_refused(tmp_path):
     path = tmp_path / "x.mat"
     time = np.arange(5.0)
-    io.savemat(
-        path, {"log": {"time": time, "x": time**2, "rate": 1000.0}, "note": "bench", "long": np.zeros(9)}
-    )
+    log = {"time": time, "x": time**2, "rate": 1000.0}
+    io.savemat(path, {"log": log, "note": "bench", "long": np.zeros(9)})
     assert list(read_table(path).columns) == ["x"]
     assert np.array_equal(read_table(path, expected={"x": "m"})["x"], time**2)
     refused("has shape", read_table, path, expected={"x": "m", "long": "N"})
@@ -462,10 +437,8 @@ def test_friction_rests_and_rig_tests_pass():
         np.zeros_like(time),
     ):
         speed = np.gradient(command, STEP)
-        force = (
-            700 * np.sign(np.round(speed, 9)) + 2e4 * command + 1000 * speed + 15 * ar1(rng, len(time), 0.5)
-        )
-        force += 500 * np.exp(-time) * np.cos(12 * time)
+        force = 700 * np.sign(np.round(speed, 9)) + 2e4 * command + 1000 * speed
+        force += 15 * ar1(rng, len(time), 0.5) + 500 * np.exp(-time) * np.cos(12 * time)
         table = Table(time, {"x": command, "force": force})
         found = check(table, inputs={"x": "displacement"}, outputs={"force": "force"})
         idle = ["warning: no input changes (x): the outputs are compared with free motion"]
@@ -521,8 +494,7 @@ def test_a_spoilt_channel_is_found_and_named(channel, how, seed):
     found = [f for f in judged(replaced(table, **{channel: change(table[channel])})) if f.level != "note"]
     assert {f.channel for f in found} == {channel}
     assert found[0].level == level
-    with pytest.raises(InputError, match=message):
-        raise InputError(found[0].message)
+    assert re.search(message, found[0].message)
     spans = np.array(found[0].where).reshape(-1, 2)
     assert np.all((spans >= table.time[0]) & (spans <= table.time[-1] + STEP))
 
@@ -552,15 +524,13 @@ def test_a_speed_of_one_direction_alone_is_told():
     table = car(snr_db=40)
     speed = np.gradient(table["travel"], STEP)
     one = np.where(speed > 0, speed, -0.0)
-    found = check(
-        Table(table.time, {"travel": table["travel"], "speed": one}),
-        inputs={},
-        outputs={"travel": "displacement", "speed": "velocity"},
+    kinds, columns = (
+        {"travel": "displacement", "speed": "velocity"},
+        {"travel": table["travel"], "speed": one},
     )
-    (text,) = serious(found)
-    assert (
-        text.startswith("warning: speed: ") and "exactly 0, its smallest value" in text and "-0" not in text
-    )
+    (text,) = serious(check(Table(table.time, columns), inputs={}, outputs=kinds))
+    assert text.startswith("warning: speed: ")
+    assert "exactly 0, its smallest value" in text and "-0" not in text
 
 
 def test_short_equal_runs_do_not_refuse_a_record():
@@ -630,20 +600,14 @@ def jittered(time, share):
 
 
 TIMES = {
-    "repeats": (
-        lambda t: np.where(np.arange(len(t)) == 500, t[499], t),
-        r"repeats after t = 0.998 s \(1 times\)",
-    ),
+    "repeats": (lambda t: put(t, 500, t[499]), r"repeats after t = 0.998 s \(1 times\)"),
     "backwards": (lambda t: np.r_[t[:900], t[:-900]], "runs backwards"),
     "gap": (
         lambda t: np.r_[t[:700], t[700:] + 0.5],
-        r"1 gaps in time, the first of 0.502 s after t = 1.398 s",
+        "1 gaps in time, the first of 0.502 s after t = 1.398 s",
     ),
-    "missing": (
-        lambda t: np.r_[t, t[-1] + STEP * np.arange(1, 9)][np.arange(len(t)) * 1001 // 1000],
-        "gaps in time",
-    ),
-    "not finite": (lambda t: np.where(np.arange(len(t)) == 5, np.nan, t), "not finite"),
+    "missing": (lambda t: STEP * (np.arange(len(t)) * 1001 // 1000), "gaps in time"),
+    "not finite": (lambda t: put(t, 5, np.nan), "not finite"),
     "jitter": (lambda t: np.sort(jittered(t, 0.4)), "not uniform"),
     "drift": (lambda t: t * (1 + 0.05 * t / t[-1]), "not uniform"),
     "milliseconds": (lambda t: 1e3 * t, "another unit"),
@@ -657,8 +621,7 @@ def test_a_bad_time_base_is_an_error(how):
     change, message = TIMES[how]
     found = judged(Table(change(table.time), table.columns))
     assert found[0].level == "error" and found[0].channel == "time"
-    with pytest.raises(InputError, match=message):
-        raise InputError(found[0].message)
+    assert re.search(message, found[0].message)
 
 
 def test_small_jitter_and_rounded_stamps_pass_and_become_uniform():
@@ -675,8 +638,8 @@ def test_small_jitter_and_rounded_stamps_pass_and_become_uniform():
 
 def test_records_without_content_are_refused():
     table = car()
-    short = Table(table.time[:150], {n: x[:150] for n, x in table.columns.items()})
-    assert "too short: 150 samples" in judged(short)[0].message
+    short = Table(table.time[:60], {n: x[:60] for n, x in table.columns.items()})
+    assert "too short: 60 samples" in judged(short)[0].message
     noise = {n: noise_alone(table[n]) for n in OUTPUTS}
     found = judged(replaced(table, **noise))
     assert {f.channel for f in found if f.level == "error"} == set(OUTPUTS)
@@ -716,6 +679,5 @@ def test_lost_and_repeated_samples_are_seen_though_time_runs_on():
     doubled = judged(rows(np.sort(np.r_[:n, 500:5500:50])))
     assert any("100 samples, first at" in f.message and f.level == "error" for f in doubled)
     same = judged(replaced(table, tyre=table["acceleration"]))
-    assert ("error", "tyre", "is the same column as 'acceleration'") in [
-        (f.level, f.channel, f.message) for f in same
-    ]
+    told = [(f.level, f.channel, f.message) for f in same]
+    assert ("error", "tyre", "is the same column as 'acceleration'") in told

@@ -261,9 +261,8 @@ def test_unknown_effect_with_its_table(files, library, tmp_path):
     assert np.abs(d["tabulated"]["force"] - true)[inside].max() < 0.2 * np.abs(true).max()
     assert f"removes {100 * d['tabulated']['explained']:.0f} %" in d["summary"]
     rejected = d["best_candidate"]
-    assert rejected is None or [g["gate"] for g in rejected["failed_gates"]] == [
-        g["gate"] for g in d["gates"] if not g["passed"]
-    ]
+    failed = [g["gate"] for g in d["gates"] if not g["passed"]]
+    assert rejected is None or [g["gate"] for g in rejected["failed_gates"]] == failed
 
 
 def test_unknown_effect_that_no_force_between_nodes_explains(files, library, tmp_path):

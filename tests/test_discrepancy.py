@@ -6,7 +6,7 @@ from dataclasses import replace
 import builders
 import numpy as np
 import pytest
-from builders import damper, element, named, network, table
+from builders import damper, element, named, table
 from refusals import refused
 from rigs import families
 from rigs.hidden import make_case
@@ -131,31 +131,21 @@ def test_an_effect_whose_sign_the_score_test_misses_is_begun_either_way():
 
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins():
     def resonator(stiffness):
-        k = builders.spring("m", "ground", stiffness, "k")
-        c = damper("m", "ground", 0.006, "c")
-        model = builders.model("resonator", [k, c], [builders.channel("push", "force", "m")], [builders.channel("x", "displacement", "m")], masses={"m": 1.0}, uncertainty={"k.stiffness": 0.1})  # fmt: skip
-        return Network.load(model)
+        parts = {"mass": 1.0, "stiffness": stiffness, "damping": 0.006}
+        return builders.oscillator("x displacement mass", uncertainty={"spring.stiffness": 0.1}, **parts)
 
-    t = 0.1 * np.arange(6000)
-    push = 0.1 * np.convolve(np.random.default_rng(0).standard_normal(len(t)), np.ones(5) / 5, mode="same")
-    record = Record("hum", 0.1, {"push": push}, np.zeros((len(t), 1)))
-    truth = resonator(1.0)
-    record = Record(
-        "hum", 0.1, {"push": push}, Problem(truth, [record], ["fit"]).simulate([truth], 0)[:, :, 0]
-    )
+    push = 0.1 * np.convolve(np.random.default_rng(0).standard_normal(6000), np.ones(5) / 5, mode="same")
+    record = builders.recorded(resonator(1.0), 0.1, {"push": push})
     owner = resonator(1.12)
-    problem = Problem(owner, [record], ["fit"])
-    structure, fitter = (
-        base_structure(owner),
-        Fitter(problem, white_filters(0.01 * record.measured.std(axis=0))),
-    )
+    problem, structure = Problem(owner, [record], ["fit"]), base_structure(owner)
+    fitter = Fitter(problem, white_filters(0.01 * record.measured.std(axis=0)))
     lost = fitter.fit(structure, iterations=20)
     there = fit_segments(problem, structure, structure.start, fitter)
     assert there is not None and is_lightly_damped(owner)
     found = fitter.fit(structure, there, iterations=20)
     assert found.cost < 1e-3 * lost.cost
-    assert found.network.parameters["k.stiffness"] == pytest.approx(1.0, rel=1e-4)
-    assert abs(lost.network.parameters["k.stiffness"] - 1.0) > 0.01
+    assert found.network.parameters["spring.stiffness"] == pytest.approx(1.0, rel=1e-4)
+    assert abs(lost.network.parameters["spring.stiffness"] - 1.0) > 0.01
     assert not is_lightly_damped(Network.load("quarter-car-isd"))
 
 
@@ -195,9 +185,8 @@ def test_what_noise_leaves_behind_a_filter_is_predicted():
     rng = np.random.default_rng(2)
     x = rng.standard_normal((50000, 1))
     W = whitener([x], np.array([1e-3]))
-    assert noise_after_filters(W, [Noise(1.0, 0.0, 0.0)])[0] == pytest.approx(
-        float(np.mean(W(x) ** 2)), rel=0.03
-    )
+    left = float(np.mean(W(x) ** 2))
+    assert noise_after_filters(W, [Noise(1.0, 0.0, 0.0)])[0] == pytest.approx(left, rel=0.03)
 
 
 def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was():
@@ -206,9 +195,8 @@ def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was():
     time = np.arange(0.0, 4.0, 2e-3)
     road = 0.01 * np.sin(9.0 * time) + 0.003 * np.sin(40.0 * time)
     current = np.repeat(rng.uniform(-4, 4, len(time) // 50), 50)
-    record = Record(
-        "drive", 2e-3, {"road": road, "current": current}, np.zeros((len(time), len(net.outputs)))
-    )
+    blank = np.zeros((len(time), len(net.outputs)))
+    record = Record("drive", 2e-3, {"road": road, "current": current}, blank)
     structure = base_structure(net)
     problem = Problem(net, [record, record.part(1000, 2000, "drive")], ["fit", "fit"])
     assert problem.records[1].follows(record.part(0, 1000, "drive"))
@@ -245,13 +233,9 @@ def test_what_a_filter_had_to_guess_is_not_compared():
 def test_a_special_case_takes_the_place_of_what_is_not_needed():
     rig = Network.load("force-rig-eq6").without_element("seal")
     top = rig.moved_nodes[0]
-    effects = [
-        (
-            Hypothesis("stribeck_friction", (top, "ground")),
-            {"level": 300.0, "static_level": 500.0, "stribeck_velocity": 0.1},
-        ),
-        (Hypothesis("series_compliance", (top, "ground")), {"stiffness": 7e5}),
-    ]
+    curve = {"level": 300.0, "static_level": 500.0, "stribeck_velocity": 0.1}
+    effects = [(Hypothesis("stribeck_friction", (top, "ground")), curve)]
+    effects.append((Hypothesis("series_compliance", (top, "ground")), {"stiffness": 7e5}))
     inner = rebuilt(rig, effects).network.element("stribeck_friction").where[0]
     assert inner != top
     last = (Hypothesis("quadratic_damping", (inner, "ground")), {"damping": 100.0})
@@ -273,9 +257,8 @@ def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before():
 
 def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends():
     # friction gives the piston many rests: from a guess the first stretch held out ended in another (0.063 of the deviation)
-    net = Network.load("force-rig").with_element(
-        element("drag", "quadratic_damping", "piston", "ground", damping=1381.0)
-    )
+    drag = element("drag", "quadratic_damping", "piston", "ground", damping=1381.0)
+    net = Network.load("force-rig").with_element(drag)
     rig = infer_rig(net)
     record = make_record(net, rig, make_excitation(net, rig))
     clean = simulate(net, record.time, record.inputs)["force"]
@@ -295,9 +278,8 @@ def test_a_score_is_a_function_of_its_arguments():
     """Initial states of held-out records come from the scores that are given, whatever was scored before."""
     case = families.make_case("shaken.cubic", 306)
     net = Network.load(case.model)
-    fit, held = (
-        read_record(table(c, n), net, [], ()) for c, n in ((case.estimation, "e"), (case.validation, "v"))
-    )
+    tables = table(case.estimation, "e"), table(case.validation, "v")
+    fit, held = (read_record(t, net, [], ()) for t in tables)
     problem = Problem(net, *split_records([fit], [held], [], fit.pace))
     evaluator = HeldOutEvaluator(problem)
     search = Search(evaluator, SearchSettings(depth=1), CRITERIA, lambda line: None)
@@ -333,9 +315,8 @@ def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side():
         "backlash at mass-base (of damper)",
     }
     gap = 0.02
-    built = add(
-        base_structure(net), series["backlash at mass-base (of spring)"], {"gap": gap, "stiffness": 1e4 * k}
-    )
+    faces = {"gap": gap, "stiffness": 1e4 * k}
+    built = add(base_structure(net), series["backlash at mass-base (of spring)"], faces)
     time = np.arange(0.0, 3.0, 0.002)
     base = 0.05 * np.sin(2.0 * math.pi * time)
     name = net.moving[0].name
@@ -372,15 +353,12 @@ def test_one_law_replaces_two_laws_at_one_place_and_begins_near_their_sum():
     problem = Problem(net, *split_records([record], [], [], record.pace))
     fastest = np.abs(np.gradient(case.estimation["mass_displacement"], case.estimation["time"])).max()
     pair = frozenset({"mass", "base"})
-    friction, drag = (
-        next(h for h in hypotheses(net) if h.effect == effect and frozenset(h.where) == pair)
-        for effect in ("coulomb_friction", "asymmetric_damping")
-    )
+    here = {h.effect: h for h in hypotheses(net) if frozenset(h.where) == pair and not h.options}
+    friction, drag = here["coulomb_friction"], here["asymmetric_damping"]
     # at the largest rate of the records, the second law takes half of the first
     falling = -40.0 / fastest
-    structure = rebuilt(
-        net, [(friction, {"level": 80.0}), (drag, {"extension": falling, "compression": falling})]
-    )
+    parts = [(friction, {"level": 80.0}), (drag, {"extension": falling, "compression": falling})]
+    structure = rebuilt(net, parts)
     filters = white_filters(HeldOutEvaluator(problem).least_noise)
     fit = Fitter(problem, filters).fit(structure, structure.start, iterations=0)
     parts = [fit.network.element(name) for name in structure.names]
@@ -396,17 +374,12 @@ def test_one_law_replaces_two_laws_at_one_place_and_begins_near_their_sum():
 
 def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples():
     # along lines every sample of the base was a knock: an inertance came out with twice the acceleration, and a compliance beside it
-    net = network(
-        "shaken",
-        [
-            builders.spring("mass", "base", 2000.0, "k"),
-            damper("mass", "base", 40.0, "c"),
-            element("b", "inertance", "mass", "base", inertance=6.0),
-        ],
-        [builders.channel("base", "displacement", "base")],
-        [builders.channel("a", "acceleration", "mass")],
-        masses={"mass": 20.0},
-    )
+    parts = {
+        "mass": 20.0,
+        "damping": 40.0,
+        "beside": [element("b", "inertance", "mass", "base", inertance=6.0)],
+    }
+    net = builders.oscillator("a acceleration mass", base="base", **parts)
     time = np.arange(0.0, 25.0, 0.016)  # what it began with has died out by the thousandth sample
     w = 2.0 * math.pi * 4.5
     base = 1e-4 * np.sin(w * time)
@@ -431,9 +404,8 @@ def test_noise_of_a_moved_node_does_not_rule_its_acceleration():
         time = step * np.arange(samples)
         x = 0.01 * np.sin(2.0 * math.pi * time)
         for every in (1, 4):
-            seen = splined_input(x + noise * rng.standard_normal(samples), None, step, every, sparse=False)[
-                2
-            ][::every]
+            noisy = x + noise * rng.standard_normal(samples)
+            seen = splined_input(noisy, None, step, every, sparse=False)[2][::every]
             wrong = (seen + (2.0 * math.pi) ** 2 * x)[5:-5]  # a spline's ends are free
             allowed = most * noise / step**2 + 0.01 * 0.01 * (2.0 * math.pi) ** 2
             assert np.sqrt(np.mean(wrong**2)) < allowed, (step, noise, every)
@@ -504,9 +476,8 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is():
     records, _ = split_records([steep], [], notes, steep.pace)
     assert len(records[0]) < 0.15 * len(steep) < 0.15 * 1.01 * sum(map(len, records))
     # at rest after a third: noise is no motion, and most of the rest is left out
-    still = np.where(t < 10.0, decay.measured[:, 0], 0.0) + 1e-3 * np.random.default_rng(0).standard_normal(
-        len(t)
-    )
+    still = np.where(t < 10.0, decay.measured[:, 0], 0.0)
+    still += 1e-3 * np.random.default_rng(0).standard_normal(len(t))
     rested = Record("rested", 1e-2, {}, still[:, None])
     records, roles = split_records([rested], [], notes, rested.pace)
     assert len(records[0]) < 0.2 * len(rested)

@@ -53,11 +53,11 @@ def blocks(page, language):
 
 
 def cases(paths, wanted=lambda path: True, slow=()):
-    names = {path: path.relative_to(ROOT).as_posix() for path in paths if wanted(path)}
-    return [
-        pytest.param(path, id=name, marks=[pytest.mark.slow] if name in slow else [])
-        for path, name in names.items()
-    ]
+    def case(path):
+        name = path.relative_to(ROOT).as_posix()
+        return pytest.param(path, id=name, marks=[pytest.mark.slow] if name in slow else [])
+
+    return [case(path) for path in paths if wanted(path)]
 
 
 @pytest.fixture
@@ -93,10 +93,8 @@ def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch, types_as_they_were
     monkeypatch.chdir(tmp_path)
     space = {"__name__": "__page__"}
     for library in ("skrl", "stable_baselines3", "torch"):  # what a page of a guide may need
-        if any(
-            re.search(rf"^(from|import) {library}\b", code, re.MULTILINE)
-            for _, code in blocks(page, "python")
-        ):
+        codes = "\n".join(code for _, code in blocks(page, "python"))
+        if re.search(rf"^(from|import) {library}\b", codes, re.MULTILINE):
             pytest.importorskip(library)
     for line, code in blocks(page, "python"):
         # so that an error names the line of the page
@@ -125,9 +123,8 @@ def app():
     plugged = plugins(COMMANDS)
     names = {point.name for point in plugged}
     whole = typer.Typer()
-    whole.registered_commands = [
-        c for c in cli.app.registered_commands if (c.name or c.callback.__name__) not in names
-    ]
+    own = cli.app.registered_commands
+    whole.registered_commands = [c for c in own if (c.name or c.callback.__name__) not in names]
     for point in plugged:
         whole.command(name=point.name)(point.load())
     return whole
@@ -228,9 +225,8 @@ def test_shares_of_the_ceiling_follow_from_card_and_ceiling(results):
 def test_citation_and_recipe_follow_the_package():
     yaml = pytest.importorskip("yaml")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    citation, recipe = (
-        yaml.safe_load((ROOT / name).read_text(encoding="utf-8")) for name in ("CITATION.cff", "recipe.yaml")
-    )
+    files = (ROOT / "CITATION.cff", ROOT / "recipe.yaml")
+    citation, recipe = (yaml.safe_load(file.read_text(encoding="utf-8")) for file in files)
     assert citation["version"] == recipe["context"]["version"] == project["version"]
     assert citation["license"] == recipe["about"]["license"] == project["license"]
     needs = {need.replace(" ", "") for need in recipe["requirements"]["run"]}
@@ -248,19 +244,12 @@ def test_pages_name_no_machine(page):
 
 def test_the_site_builds_without_a_warning(tmp_path):
     pytest.importorskip("material")
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        check=False,
-        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
-    )
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"]
+    quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, check=False, env=quiet)
     assert done.returncode == 0, done.stderr[-3000:]
     home = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
-    assert not re.search(r'<(script|link|img)[^>]+(src|href)="https?://', home), (
-        "a page fetches from elsewhere"
-    )
+    assert not re.search(r'<(script|link|img)[^>]+(src|href)="https?://', home)  # fetched from elsewhere
     physics = (tmp_path / "site" / "explanation" / "network" / "index.html").read_text(encoding="utf-8")
     assert physics.count("<math") > 20 and "arithmatex" not in physics
     assert "coulomb_friction" in (tmp_path / "site" / "reference" / "elements" / "index.html").read_text()
@@ -275,6 +264,5 @@ def test_a_notebook_runs(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     shipped = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     assert not any(output["output_type"] == "error" or output.get("name") == "stderr" for output in shipped)
-    client.NotebookClient(
-        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
-    ).execute()
+    place = {"metadata": {"path": str(tmp_path)}}
+    client.NotebookClient(notebook, timeout=600, kernel_name="python3", resources=place).execute()

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import builders
 import numpy as np
 import pytest
-from builders import damper, element
+from builders import cart, channel, damper, element, network
 from refusals import refused
 from scipy.integrate import solve_ivp
 
@@ -46,15 +45,12 @@ def test_a_kind_that_is_none_of_the_list_is_refused():
     assert "test_odd" not in el.TYPES
 
 
-MOTOR = builders.model(
-    "",
-    [
-        element("drive", "motor", "cart", "ground", thrust_constant=5.0),
-        damper("cart", "ground", 3.0, "guide"),
-    ],
-    [builders.channel("current", "current", element="drive")],
-    [builders.channel("speed", "velocity", "cart"), builders.channel("thrust", "force", element="drive")],
-    masses={"cart": 2.0},
+GUIDE = damper("cart", "ground", 3.0, "guide")
+MOTOR = cart(
+    element("drive", "motor", "cart", "ground", thrust_constant=5.0),
+    GUIDE,
+    inputs=[channel("current", "current", element="drive")],
+    outputs=["speed velocity cart", channel("thrust", "force", element="drive")],
     uncertainty={"cart.mass": 0.05, "guide.damping": 0.3},
 )
 
@@ -169,9 +165,8 @@ def test_faults_stay_within_what_is_plausible(effect, where, values, limits):
     # a start beyond the range is moved into it
     assert free.low <= built.start[-1] <= free.high
     # a model file may hold any value
-    assert with_effects(
-        {"type": effect, "channel" if effect.startswith("sensor") else "element": where, **values}
-    )
+    key = "channel" if effect.startswith("sensor") else "element"
+    assert with_effects({"type": effect, key: where, **values})
 
 
 def test_a_parameter_without_a_plausible_range_keeps_its_wide_prior():
@@ -235,11 +230,8 @@ def test_cogging_of_a_turn_has_a_whole_number_of_periods():
     # a pitch of more than a turn is a turn
     assert cogging(pitch=50.0, turn="whole").curve(angle) == pytest.approx(2.0 * np.sin(angle))
     assert el.CoggingForce.held({"turn": "whole"}) == ("pitch",) and not el.CoggingForce.held({"turn": "any"})
-    built = add(
-        base_structure(with_effects()),
-        Hypothesis("cogging_force", ("cart", "ground"), (("turn", "whole"),)),
-        {"amplitude": 1.0, "pitch": 0.5, "phase": 0.0},
-    )
+    turning = Hypothesis("cogging_force", ("cart", "ground"), (("turn", "whole"),))
+    built = add(base_structure(with_effects()), turning, {"amplitude": 1.0, "pitch": 0.5, "phase": 0.0})
     pitch = next(f for f in built.free if f.path == "cogging_force.pitch")
     assert pitch.low == pitch.mean == pitch.high == np.log(0.5)  # reported, not moved
 
@@ -248,49 +240,31 @@ def test_pitches_that_are_tried():
     d = 0.1 * np.sin(np.arange(20_000) * 1e-3)
     span = float(np.ptp(d))
     v = np.gradient(d, 1e-3)
-    at = el.Setting(
-        with_effects(), ("cart", "ground"), el.Motion(d, v, v), 1.0, options={"turn": "any"}, pitches=(1e-4,)
-    )
-    pitches = np.array([s.values["pitch"] for s in el.CoggingForce.starts(at)])
+
+    def pitches_of(d, turn, *pitches):
+        place, motion = ("cart", "ground"), el.Motion(d, v, v)
+        at = el.Setting(with_effects(), place, motion, 1.0, options={"turn": turn}, pitches=pitches)
+        return np.array([s.values["pitch"] for s in el.CoggingForce.starts(at)])
+
+    pitches = pitches_of(d, "any", 1e-4)
     assert pitches.max() == pytest.approx(span) and pitches.min() == 1e-4
     assert np.sum(pitches > 1.001 * span / el.PERIODS) == 236
-    turning = el.Setting(
-        with_effects(), ("cart", "ground"), el.Motion(30 * d, v, v), 1.0, options={"turn": "whole"}
-    )
-    periods = [2 * np.pi / s.values["pitch"] for s in el.CoggingForce.starts(turning)]
     # at least one over the 6 rad of travel, and no more than the samples resolve
-    assert periods == pytest.approx(np.arange(2, 121))
-    fast = el.Setting(
-        with_effects(), ("cart", "ground"), el.Motion(600 * d[::20], v, v), 1.0, options={"turn": "whole"}
-    )
-    (most, *_) = sorted((2 * np.pi / s.values["pitch"] for s in el.CoggingForce.starts(fast)), reverse=True)
+    assert 2 * np.pi / pitches_of(30 * d, "whole") == pytest.approx(np.arange(2, 121))
+    most = 2 * np.pi / pitches_of(600 * d[::20], "whole").min()
     assert most * np.median(np.abs(np.diff(600 * d[::20]))) < 2 * np.pi / 2.5 + 1e-9
 
 
 def test_whole_turns_are_tried_where_the_nodes_turn():
-    arm = {
-        **MOTOR,
-        "masses": {},
-        "inertias": {"cart": 0.1},
-        "outputs": [builders.channel("speed", "angular_velocity", "cart")],
-        "uncertainty": {},
-    }
-    assert el.CoggingForce.variants(Network.load(arm), ("cart", "ground")) == [
-        {"turn": "any"},
-        {"turn": "whole"},
-    ]
+    bearing = damper("arm", "ground", 3.0)
+    arm = network("arm", [bearing], [], ["speed angular_velocity arm"], inertias={"arm": 0.1})
+    assert el.CoggingForce.variants(arm, ("arm", "ground")) == [{"turn": "any"}, {"turn": "whole"}]
     assert el.CoggingForce.variants(with_effects(), ("cart", "ground")) == [{"turn": "any"}]
 
 
 def test_a_mass_behind_a_degressive_damper_loses_speed_as_its_equation_says():
     mass, c, knee = 2.0, 30.0, 0.1
-    model = builders.model(
-        "",
-        [element("x", "degressive_damping", "cart", "ground", damping=c, knee=knee)],
-        [builders.channel("push", "force", "cart")],
-        [builders.channel("speed", "velocity", "cart")],
-        masses={"cart": mass},
-    )
+    model = cart(element("x", "degressive_damping", "cart", "ground", damping=c, knee=knee), mass=mass)
     time = np.arange(0, 1.5, 1e-3)
     push = np.where(time < 0.5, 8.0, 0.0)
     # linear between samples, as the input is read
@@ -323,44 +297,28 @@ def test_a_degressive_damper_takes_the_place_of_the_linear_one():
     built = add(base_structure(net), Hypothesis("degressive_damping", ("cart", "ground")), start.values)
     # a knee far below the typical rate would be dry friction with round corners
     (knee,) = (f for f in built.free if f.path == "degressive_damping.knee")
-    assert knee.back(knee.low) == pytest.approx(el.rms(v)) and knee.back(knee.high) == pytest.approx(
-        9 * el.rms(v)
-    )
+    assert knee.back(knee.low) == pytest.approx(el.rms(v))
+    assert knee.back(knee.high) == pytest.approx(9 * el.rms(v))
     assert "guide" not in {e.name for e in built.network.elements}
     # the only element of a rig may be replaced, too, and a force cell then reads what stands there
-    alone = builders.model(
-        "",
-        [damper("rod", "ground", 3.0, "guide")],
-        [builders.channel("stroke", "displacement", "rod")],
-        [builders.channel("force", "force", element="guide")],
-        uncertainty={"guide.damping": 0.1},
-    )
-    built = add(
-        base_structure(Network.load(alone)), Hypothesis("degressive_damping", ("rod", "ground")), start.values
-    )
+    parts, force = [damper("rod", "ground", 3.0, "guide")], channel("force", "force", element="guide")
+    alone = network("", parts, ["stroke displacement rod"], [force], uncertainty={"guide.damping": 0.1})
+    built = add(base_structure(alone), Hypothesis("degressive_damping", ("rod", "ground")), start.values)
     assert [e.name for e in built.network.elements] == ["degressive_damping"]
     assert built.network.outputs[0].elements == ("degressive_damping",)
     assert [f.path for f in built.free] == ["degressive_damping.damping", "degressive_damping.knee"]
 
 
-OIL = builders.channel("oil", "temperature", unit="degC")
+OIL = channel("oil", "temperature", unit="degC")
 
 
 def logged(*effects, inputs=(OIL,)):
-    return builders.model(
-        "",
-        [
-            damper("cart", "ground", 3.0, "guide"),
-            *({"name": f"x{k}", "between": ["cart", "ground"], **e} for k, e in enumerate(effects)),
-        ],
-        [builders.channel("push", "force", "cart"), *inputs],
-        [builders.channel("speed", "velocity", "cart")],
-        masses={"cart": 2.0},
-        uncertainty={"guide.damping": 0.3},
-    )
+    more = ({"name": f"x{k}", "between": ["cart", "ground"], **e} for k, e in enumerate(effects))
+    return cart(GUIDE, *more, inputs=["push force cart", *inputs], uncertainty={"guide.damping": 0.3})
 
 
 THINS = {"type": "scheduled_damping", "channel": "oil", "slope": -0.05, "reference": 20.0}
+UNTOLD = {k: v for k, v in THINS.items() if k != "channel"}
 RUBS = {"type": "scheduled_friction", "channel": "oil", "level": 2.0, "slope": -0.03, "reference": 20.0}
 
 
@@ -399,9 +357,8 @@ def test_a_logged_channel_beside_a_current_and_a_record_without_it_is_the_same_t
     time = np.arange(0, 2, 2e-3)
     current = np.sin(5 * time)
     plain = simulate(MOTOR, time, {"current": current})
-    oil = builders.channel("oil", "temperature", unit="degC")
     # before and after the current in the list of inputs
-    for inputs in ([*MOTOR["inputs"], oil], [oil, *MOTOR["inputs"]]):
+    for inputs in ([*MOTOR["inputs"], OIL], [OIL, *MOTOR["inputs"]]):
         thins = {"name": "thins", "between": ["cart", "ground"], **THINS}
         model = {**MOTOR, "inputs": inputs}
         seen = simulate(model, time, {"current": current, "oil": 20.0 + time})
@@ -434,26 +391,14 @@ def test_a_logged_channel_in_a_model_file():
     [
         (
             logged({**THINS, "channel": "oi"}),
-            "'x0': \"channel\" must name an input that acts on no node \\(oil\\)",
+            r"'x0': \"channel\" must name an input that acts on no node \(oil\)",
         ),
-        (
-            logged({k: v for k, v in THINS.items() if k != "channel"}),
-            "must name an input that acts on no node",
-        ),
+        (logged(UNTOLD), "must name an input that acts on no node"),
         (logged(THINS, inputs=()), "there is none\\); add one, such as"),
         (logged({**THINS, "channel": "push"}), "must name an input that acts on no node"),
-        (
-            logged(inputs=(builders.channel("oil", "temperature", "cart", unit="degC"),)),
-            "'oil': a temperature acts on no node",
-        ),
-        (
-            logged(inputs=(builders.channel("oil", "temperature", unit="bar"),)),
-            "unit 'bar' cannot be converted",
-        ),
-        (
-            {**logged(), "outputs": [builders.channel("t", "temperature", "cart", unit="degC")]},
-            "a temperature cannot be an output",
-        ),
+        (logged(inputs=[OIL | {"at": "cart"}]), "'oil': a temperature acts on no node"),
+        (logged(inputs=[OIL | {"unit": "bar"}]), "unit 'bar' cannot be converted"),
+        ({**logged(), "outputs": [OIL | {"name": "t", "at": "cart"}]}, "a temperature cannot be an output"),
     ],
 )
 def test_bad_use_of_a_logged_channel_is_one_line(model, says):

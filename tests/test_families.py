@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from builders import damper, spring
+from builders import damper, element, model, spring
 from rigs.families import FAMILIES, make_case
 from rigs.families.plant import Signal, integrate
 from rigs.reference import simulate
@@ -28,24 +28,17 @@ pytestmark = pytest.mark.tools
     ],
 )
 def test_every_law_moves_a_mass_as_the_other_integrator_says(kind, parameters):
-    elements = [
-        spring("mass", "base", 800.0),
-        damper("mass", "base", 8.0),
-        {"name": "extra", "type": kind, "between": ["mass", "base"], **parameters},
-    ]
-    model = {
-        "masses": {"mass": 2.0},
-        "elements": elements,
-        "inputs": [{"name": "base", "quantity": "displacement", "at": "base"}],
-        "outputs": [{"name": "x", "quantity": "displacement", "at": "mass"}],
-    }
+    elements = [spring("mass", "base", 800.0), damper("mass", "base", 8.0)]
+    extra = element("extra", kind, "mass", "base", **parameters)
+    moved, seen = ["base displacement base"], ["x displacement mass"]
+    without = model("rig", elements, moved, seen, masses={"mass": 2.0})
+    rig = {**without, "elements": [*elements, extra]}
     T = 0.002
     t = np.arange(1001) * T
     w = np.array([9.0, 17.0, 26.0])
     x, v, a = (0.004 * np.sum(w**p * np.sin(np.outer(t, w) + p * np.pi / 2), axis=1) for p in (0, 1, 2))
-    ran = integrate(model, {"base": Signal(x, v, a)}, len(t), T, speed=0.1)
-    other = simulate(model, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})["x"]
-    without = {**model, "elements": elements[:2]}
+    ran = integrate(rig, {"base": Signal(x, v, a)}, len(t), T, speed=0.1)
+    other = simulate(rig, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})["x"]
     plain = simulate(without, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})["x"]
     error = np.sqrt(np.mean((ran.position["mass"] - other) ** 2))
     assert error < 0.002 * np.std(other)

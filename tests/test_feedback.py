@@ -7,12 +7,10 @@ from builders import channel, damper, element
 from scipy.signal import cont2discrete, lfilter
 
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import white_filters
-from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._records import find_feedback
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.closed_loop import imitated_share
+from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 
 STEP, SAMPLES = 0.01, 4000
@@ -22,16 +20,12 @@ def cart(stiffness=0.0):
     """A mass on a guide with viscous damping, pushed by a known force; with a spring to the ground where asked."""
     elements = [damper("cart", "ground", 2.0, "guide")]
     if stiffness:
-        spring = element("spring", "linear_stiffness", "cart", "ground")
-        elements.append({**spring, "stiffness": stiffness})
-    return builders.network(
-        "cart",
-        elements,
-        [channel("push", "force", "cart")],
-        [channel("position", "displacement", "cart", offset="free")],
-        masses={"cart": 1.0},
-        uncertainty={"cart.mass": 0.1, "guide.damping": 1.0},
+        elements.append(builders.spring("cart", "ground", stiffness))
+    seen, known = (
+        channel("position", "displacement", "cart", offset="free"),
+        {"cart.mass": 0.1, "guide.damping": 1.0},
     )
+    return Network.load(builders.cart(*elements, outputs=[seen], mass=1.0, uncertainty=known))
 
 
 def march(push, stiffness, seed):
@@ -76,11 +70,6 @@ def as_record(push, position, name="run"):
     return Record(name, STEP, {"push": push}, position[:, None])
 
 
-def sines(t, rng):
-    phases = zip(np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16), strict=True)
-    return sum(np.sin(2 * np.pi * f * t + p) for f, p in phases)
-
-
 #: inputs of open-loop tests
 KINDS = {
     "square": lambda t, rng: np.sign(np.sin(2 * np.pi * 1.0 * t + 0.1)),
@@ -92,7 +81,7 @@ KINDS = {
     "sweep": lambda t, rng: np.round(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)), 6),
     "white": lambda t, rng: rng.standard_normal(SAMPLES),
     "coloured, measured": lambda t, rng: lfilter([0.1], [1.0, -0.9], rng.standard_normal(SAMPLES)),
-    "sines, measured": sines,
+    "sines, measured": lambda t, rng: builders.sines(t, np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16)),
     "step": lambda t, rng: np.where(t > 10.0, 1.0, 0.0),
 }
 
@@ -125,12 +114,8 @@ def test_feedback_is_found(law, stiffness):
 
 def test_a_measured_motion_is_no_feedback():
     """The displacement of a shaken node is measured where it acts, whatever its controller does."""
-    network = builders.network(
-        "slide",
-        [element("b", "inertance", "rod", "ground", inertance=3.0)],
-        [channel("x", "displacement", "rod")],
-        [channel("force", "force", "rod")],
-    )
+    slide = element("b", "inertance", "rod", "ground", inertance=3.0)
+    network = builders.network("slide", [slide], ["x displacement rod"], ["force force rod"])
     rng = np.random.default_rng(1)
     force = lfilter([1.0], [1.0, -0.7], rng.standard_normal(SAMPLES))
     motion = lfilter([1.0], [1.0, -1.99, 0.991], force)
@@ -150,7 +135,7 @@ def test_a_spring_imitates_a_controller_and_friction_does_not():
     assert np.corrcoef(push, np.sign(rate))[0, 1] ** 2 < 0.5
     network = cart(stiffness=4.0)
     problem = Problem(network, [as_record(push, position)], ["fit"])
-    fit = Fitter(problem, white_filters(np.array([0.01]))).fit(base_structure(network), frozen=True)
+    fit = builders.fitted(problem, 0.01, frozen=True)
     here = imitated_share(problem, fit, network.element("spring"), "push")
     moved = fit.outputs[0][:, 0]
     assert here == pytest.approx(np.corrcoef(push, moved)[0, 1] ** 2, abs=0.02)

@@ -7,7 +7,6 @@ import zipfile
 import builders
 import numpy as np
 import pytest
-from builders import channel, model
 from refusals import refused
 
 from isd_gym._common.errors import InputError
@@ -168,9 +167,7 @@ def test_channels_of_a_tdms_file_have_their_stamps_and_units(tmp_path):
 def test_a_tdms_file_without_waveforms_is_a_table(tmp_path):
     tdms(tmp_path / "a.tdms", [("log", "time", TIME, {}), ("log", "force", FORCE, {"unit_string": "kN"})])
     assert np.allclose(read_table(tmp_path / "a.tdms", expected={"force": "N"})["force"], 1000 * FORCE)
-    spring = builders.spring("mass", "ground", 1.0)
-    data = model("m", [spring], [channel("force", "force", "mass")], [channel("a", "acceleration", "mass")], masses={"mass": 1.0})  # fmt: skip
-    network = Network.load(data)
+    network = Network.load(builders.cart(builders.spring("cart", "ground", 1.0), inputs=["force force cart"]))
     (record,) = records_of(tmp_path / "a.tdms", network, network.inputs)
     assert isinstance(record, Table) and np.allclose(record["force"], 1000 * FORCE)
 
@@ -208,9 +205,8 @@ def test_a_packed_file_is_read_like_its_content(tmp_path, suffix):
     plain = tmp_path / f"a{suffix}"
     if suffix == ".lvm":
         head = "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\nChannels\t1\n***End_of_Header***\n"
-        plain.write_text(
-            head + "X_Value\tforce\n" + "".join(f"{t}\t{f}\n" for t, f in zip(TIME, FORCE, strict=True))
-        )
+        rows = (f"{t}\t{f}\n" for t, f in zip(TIME, FORCE, strict=True))
+        plain.write_text(head + "X_Value\tforce\n" + "".join(rows))
     else:
         write_table(plain, Table(TIME, {"force": FORCE}))
     packed = tmp_path / f"b{suffix}.gz"

@@ -45,12 +45,10 @@ def python(code, place):
 def place(request, tmp_path_factory):
     """The packages outside any installation: as folders, and as a zip."""
     base = tmp_path_factory.mktemp("found")
-    files = {
-        home / f.relative_to(ROOT / folder): f
-        for folder, home in HOMES.items()
-        for f in (ROOT / folder).rglob("*")
-        if f.is_file() and "__pycache__" not in f.parts
-    }
+    files = {}
+    for folder, home in HOMES.items():
+        own = (f for f in (ROOT / folder).rglob("*") if f.is_file() and "__pycache__" not in f.parts)
+        files |= {home / f.relative_to(ROOT / folder): f for f in own}
     if request.param == "zip":
         with zipfile.ZipFile(base / "isd.zip", "w") as archive:
             for path, f in files.items():
@@ -108,9 +106,8 @@ def test_public_names():
         isd_gym.suspension  # noqa: B018
     tree = ast.parse((ROOT / "isd_gym/__init__.py").read_text())
     (block,) = (n for n in tree.body if isinstance(n, ast.If))
-    typed = {
-        a.name: n.module for n in block.body if isinstance(n, ast.ImportFrom) and n.level for a in n.names
-    }
+    relative = [n for n in block.body if isinstance(n, ast.ImportFrom) and n.level]
+    typed = {a.name: n.module for n in relative for a in n.names}
     assert typed == isd_gym._HOME  # type checkers and Python know the same names
 
 
@@ -121,9 +118,8 @@ def test_simulate_is_a_module_and_a_function():
     from isd_gym.physics.simulate import simulate
 
     assert isd_gym.physics.simulate is module and inspect.ismodule(module)
-    np.testing.assert_array_equal(
-        isd_gym.simulate("force-rig", time, inputs)["force"], simulate("force-rig", time, inputs)["force"]
-    )
+    one, other = (f("force-rig", time, inputs)["force"] for f in (isd_gym.simulate, simulate))
+    np.testing.assert_array_equal(one, other)
 
 
 def test_own_plugins_are_those_of_pyproject():

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import builders
 import numpy as np
 import pytest
 from builders import channel, element, oscillator
@@ -49,15 +48,14 @@ def test_the_error_of_the_true_model_is_the_noise_and_that_of_another_one_is_not
     assert [(r.record, r.channel) for r in own] == [(n, "travel") for n in ("a", "b", "all records")]
     assert all(r.rms == pytest.approx(0.05, rel=0.1) and r.nrmse < 0.02 and r.unit == "mm" for r in own)
     assert all(r.nrmse > 0.15 for r in other)
+    refused("no outputs", prediction_errors, records, replace(RIG, outputs=()))
 
 
 def test_the_true_model_of_a_long_stiffening_decay_errs_by_noise(tmp_path):
     """The frequency follows the amplitude, so that a poor initial state loses the phase over thirty periods."""
-    spring = element("spring", "linear_stiffness", "mass", "ground", stiffness=7.3e5)
-    loss = element("loss", "linear_damping", "mass", "ground", damping=3.0)
     hard = element("hard", "cubic_stiffness", "mass", "ground", stiffness=7.5e11)
-    told = [channel("velocity", "velocity", "mass", unit="m/s")]
-    rig = builders.network("decay", [spring, loss, hard], [], told, masses={"mass": 1.0})
+    parts = {"mass": 1.0, "stiffness": 7.3e5, "damping": 3.0, "beside": [hard]}
+    rig = replace(oscillator("velocity velocity mass", **parts), inputs=())
     time = np.arange(1100) / 5000.0
     velocity = simulate(rig, time, {}, initial=np.array([-2.8e-4, 0.16]))["velocity"]
     noise = 1e-3 * np.random.default_rng(3).standard_normal(len(time))
@@ -68,9 +66,8 @@ def test_the_true_model_of_a_long_stiffening_decay_errs_by_noise(tmp_path):
 
 def test_the_command_prints_the_table_and_writes_it(files):
     made = files / "errors.json"
-    done = invoke(
-        "simulate", files / "rig.json", files / "a.csv", files / "b.csv", "--compare", "--json", made
-    )
+    words = [files / "rig.json", files / "a.csv", files / "b.csv", "--compare", "--json", made]
+    done = invoke("simulate", *words)
     assert done.exit_code == 0, done.output
     assert "all records" in done.output and "RMS error" in done.output and "own parameters" in done.output
     rows = json.loads(made.read_text())["errors"]
@@ -93,10 +90,6 @@ def test_other_wishes_are_one_line(files, monkeypatch, words, told):
     write_table("push.csv", Table(TIME, {"push": PUSH}, "push"))
     done = invoke("simulate", "rig.json", *words)
     assert isinstance(done.exception, InputError) and told in str(done.exception)
-
-
-def test_a_model_without_outputs_has_no_errors(files):
-    refused("no outputs", prediction_errors, [files / "a.csv"], replace(RIG, outputs=()))
 
 
 def test_the_share_that_transfers_is_one_for_the_true_model_and_negative_for_a_worse_one(files):

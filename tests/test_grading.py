@@ -11,15 +11,9 @@ GROUND = ["mass", "ground"]
 
 
 def said(verdict, *effects, confidence=0.999, **more):
-    names = [
-        {
-            "effect": e,
-            ("channel" if isinstance(p, str) else "between"): p,
-            "confidence": confidence,
-            "parameters": {},
-        }
-        for e, p in effects
-    ]
+    shared = {"confidence": confidence, "parameters": {}}
+    places = ({("channel" if isinstance(p, str) else "between"): p} for _, p in effects)
+    names = [{"effect": e} | p | shared for (e, _), p in zip(effects, places, strict=True)]
     d = {"verdict": verdict, "effects": names, "alternatives": [], "parameters": {}, "gap": {"closed": None}}
     return {"suite": "s", "name": "n", "family": "f", "kind": "k", "seconds": 1.0, "diagnosis": d, **more}
 
@@ -42,20 +36,12 @@ FRICTION = [["coulomb_friction", GROUND]]
         ("unknown", said("unknown_effect"), "right"),
         ("unknown", said("parameters_only"), "missed"),
         ("unknown", said("missing_effect", ("gas_spring", GROUND)), "wrong"),
-        (
-            {"needs": [["coulomb_friction", "stribeck_friction"]]},
-            said("x", ("stribeck_friction", GROUND)),
-            "right",
-        ),
+        ({"needs": [["coulomb_friction", "stribeck_friction"]]}, said("x", ("stribeck_friction", GROUND)), "right"),
         ({"needs": ["hysteresis"], "allows": ["backlash"]}, said("x", ("backlash", GROUND)), "wrong"),
         ({"needs": ["hysteresis"], "allows": ["backlash"]}, said("x"), "missed"),
-        (
-            {"needs": ["cubic_stiffness"]},
-            said("x", ("cubic_stiffness", GROUND), ("cogging_force", GROUND)),
-            "wrong",
-        ),
+        ({"needs": ["cubic_stiffness"]}, said("x", ("cubic_stiffness", GROUND), ("cogging_force", GROUND)), "wrong"),
     ],
-)
+)  # fmt: skip
 def test_what_is_right_wrong_and_missed(answer, row, grade):
     assert grading.graded({**row, "answer": answer}) == grade
 
@@ -70,18 +56,11 @@ def test_a_nuisance_that_is_really_there_may_be_named_but_not_instead():
 
 
 def test_stated_confidence_is_held_against_what_was_right():
-    rows = [
-        {
-            **said("m", ("coulomb_friction", GROUND if i < 8 else ["x", "y"]), confidence=0.93),
-            "answer": FRICTION,
-        }
-        for i in range(10)
-    ]
+    places = [GROUND] * 8 + [["x", "y"]] * 2
+    rows = [said("m", ("coulomb_friction", p), confidence=0.93, answer=FRICTION) for p in places]
     (curve,) = grading.reliability(rows)
     assert (curve["names"], curve["right"], curve["stated"]) == (10, 0.8, pytest.approx(0.93))
-    assert curve["least"] == pytest.approx(0.490, abs=0.001) and curve["most"] == pytest.approx(
-        0.943, abs=0.001
-    )
+    assert (curve["least"], curve["most"]) == pytest.approx((0.490, 0.943), abs=0.001)
 
 
 def test_a_golden_tells_a_verdict_a_place_and_a_value_that_moved():
@@ -89,9 +68,8 @@ def test_a_golden_tells_a_verdict_a_place_and_a_value_that_moved():
     row["answer"] = FRICTION
     row["diagnosis"]["effects"][0]["parameters"] = {"level": {"value": 1.1234, "low": 1.0, "high": 1.2}}
     frozen = json.loads(grading.freeze([row]))
-    assert frozen["s/n"]["effects"] == [
-        {"effect": "coulomb_friction", "place": ["ground", "mass"], "values": {"level": 1.12}}
-    ]
+    (kept,) = frozen["s/n"]["effects"]
+    assert kept == {"effect": "coulomb_friction", "place": ["ground", "mass"], "values": {"level": 1.12}}
     assert grading.differences([row], frozen) == []
     row["diagnosis"]["effects"][0]["parameters"]["level"]["value"] = 1.2
     assert len(grading.differences([row], frozen)) == 1

@@ -8,7 +8,6 @@ import json
 import os
 import pickle
 import struct
-import subprocess
 import sys
 import zipfile
 import zlib
@@ -166,16 +165,10 @@ def torch_file(state):
     for name, (size, stride, offset) in state.items():
         out += text(name) + b"ctorch._utils\n_rebuild_tensor_v2\n("
         out += b"(" + text("storage") + b"ctorch\nFloatStorage\n" + text("0") + text("cpu") + whole_number(24)
-        out += (
-            b"tQ"
-            + whole_number(offset)
-            + tuple_of(size)
-            + tuple_of(stride)
-            + b"\x89ccollections\nOrderedDict\n)RtR"
-        )
-    return zipped(
-        {"w/data.pkl": out + b"u.", "w/version": b"3\n", "w/data/0": np.arange(24, dtype="<f4").tobytes()}
-    )
+        out += b"tQ" + whole_number(offset) + tuple_of(size) + tuple_of(stride)
+        out += b"\x89ccollections\nOrderedDict\n)RtR"
+    numbers = np.arange(24, dtype="<f4").tobytes()
+    return zipped({"w/data.pkl": out + b"u.", "w/version": b"3\n", "w/data/0": numbers})
 
 
 def zipped(parts):
@@ -252,13 +245,8 @@ def test_no_array_is_made_of_a_pickle_s_own_constructors(how, tmp_path):
 
 
 def test_arrays_that_numpy_pickles_are_read_in_every_protocol():
-    values = [
-        np.arange(6.0).reshape(2, 3),
-        np.asfortranarray(np.arange(6.0).reshape(2, 3)),
-        np.float64(2.5),
-        np.zeros(0),
-        np.arange(3),
-    ]
+    table = np.arange(6.0).reshape(2, 3)
+    values = [table, np.asfortranarray(table), np.float64(2.5), np.zeros(0), np.arange(3)]
     for protocol in range(3, 6):
         for value in values:
             np.testing.assert_array_equal(array(read_pickle(pickle.dumps(value, protocol))), value)
@@ -400,15 +388,11 @@ def test_a_policy_folder_with_a_strange_value_is_one_line(path, value, says, tmp
 
 def test_a_policy_commands_no_more_than_the_limits_and_always_a_number():
     rng = np.random.default_rng(0)
-    big = [
-        (1e11 * rng.standard_normal((64, 6)), np.zeros(64)),
-        (1e12 * np.sign(rng.standard_normal((64, 64))), np.zeros(64)),
-    ]
-    big += [(w, b) for w, b in big[1:] * 6] + [(rng.standard_normal((1, 64)), np.zeros(1))]
+    first, inner = 1e11 * rng.standard_normal((64, 6)), 1e12 * np.sign(rng.standard_normal((64, 64)))
+    weights = [first, *[inner] * 7, rng.standard_normal((1, 64))]
+    big = [(np.clip(w, -1e12, 1e12), np.zeros(len(w))) for w in weights]
     for mode in ("target", "increment"):
-        policy = Policy(
-            [(np.clip(w, -1e12, 1e12), b) for w, b in big], activation="relu", head=Head(mode=mode)
-        )
+        policy = Policy(big, activation="relu", head=Head(mode=mode))
         for _ in range(20):
             current = policy.act(10.0 ** rng.uniform(-3, 30, 6) * rng.choice([-1, 1], 6))
             assert np.isfinite(current) and abs(current) <= 5.0
@@ -487,11 +471,8 @@ def test_a_model_may_hold_anything(data, says):
 def test_every_number_of_every_element_has_a_hard_limit():
     for kind, cls in el.TYPES.items():
         where = ("a", "b") if cls.place == "between" else ("a",)
-        usual = {
-            f.name: max(f.metadata["range"][0], 1e-3) if np.isfinite(f.metadata["range"][0]) else 1.0
-            for f in fields(cls)
-            if "unit" in f.metadata
-        }
+        lowest = {f.name: f.metadata["range"][0] for f in fields(cls) if "unit" in f.metadata}
+        usual = {name: max(low, 1e-3) if np.isfinite(low) else 1.0 for name, low in lowest.items()}
         table = {"elongation": [0.0, 1.0], "force": [0.0, 1.0]} if kind == "tabulated_force" else {}
         cls(name="x", where=where, **usual, **table)
         for name in usual:
@@ -638,9 +619,8 @@ def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, mo
     isolated._stop()  # a helper that has read many files ends with the next one
     read_table(path)
     assert isolated._helper is not None
-    monkeypatch.setattr(
-        isolated, "PROGRAM", OTHER + "m.read = lambda *a: os.kill(os.getpid(), 11)" + isolated.PROGRAM
-    )
+    dies = "m.read = lambda *a: os.kill(os.getpid(), 11)"
+    monkeypatch.setattr(isolated, "PROGRAM", OTHER + dies + isolated.PROGRAM)
     isolated._stop()
     refused("library that reads it crashed", read_table, path)
     monkeypatch.undo()
@@ -701,15 +681,13 @@ def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):
     """Destructors of the libraries complain about broken files."""
     path = table(tmp_path, ".mf4")
     path.write_bytes(path.read_bytes()[:700] + bytes(4000))
-    code = (
-        "import sys, os; from isd_gym.records.data import read_table; from isd_gym.records.data import _isolated as isolated\n"
-        "from isd_gym._common.errors import InputError\n"
-        "for _ in range(3):\n try: read_table(sys.argv[1])\n except InputError as e: pass\n"
-        "print(isolated._helper.process.pid)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code, str(path)], capture_output=True, text=True, check=False
-    )
+    code = """import sys, os, warnings; warnings.simplefilter("error")
+from isd_gym.records.data import _isolated as isolated, read_table
+for _ in range(3):
+    try: read_table(sys.argv[1])
+    except Exception as error: assert type(error).__name__ == "InputError"
+print(isolated._helper.process.pid)"""
+    done = python(code, path)
     assert (done.returncode, done.stderr) == (0, "")
     with pytest.raises(OSError):
         os.kill(int(done.stdout), 0)
@@ -718,13 +696,10 @@ def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 def test_a_forked_process_has_a_reader_of_its_own(tmp_path):
     path = table(tmp_path, ".mat")
-    code = (
-        "import os, sys; from isd_gym.records.data import read_table\n"
-        "read_table(sys.argv[1]); pid = os.fork()\n"
-        "n = len(read_table(sys.argv[1]))\n"
-        "if pid == 0: os._exit(0 if n == 100 else 1)\n"
-        "status = os.waitpid(pid, 0)[1]; n += len(read_table(sys.argv[1])); print(n, status)"
-    )
+    code = """import os, sys; from isd_gym.records.data import read_table
+read_table(sys.argv[1]); pid = os.fork(); n = len(read_table(sys.argv[1]))
+if pid == 0: os._exit(0 if n == 100 else 1)
+status = os.waitpid(pid, 0)[1]; n += len(read_table(sys.argv[1])); print(n, status)"""
     done = python(code, path)
     assert (done.stdout, done.stderr) == ("200 0\n", "")
 

@@ -1,8 +1,8 @@
 """Which laws are tried, at which places, and where their fits begin."""
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
-from typing import cast
 
 import builders
 import numpy as np
@@ -59,10 +59,8 @@ def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure():
     assert [dict(h.options)["side"] for h in stops(car)] == ["both", "extension", "compression"]
     assert not stops(replace(car, uncertainty={**car.uncertainty, "end_stop.clearance": 0.1}))
     found = add(base_structure(car), stops(car)[0], {"clearance": 0.01, "stiffness": 2e5})
-    stage = cast(
-        "Screening",
-        SimpleNamespace(current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car)),
-    )
+    current, problem = SimpleNamespace(structure=found), SimpleNamespace(network=car)
+    stage = SimpleNamespace(current=current, problem=problem)
     assert not any(Screening.is_sensible(stage, h) for h in stops(found.network))
     # two springs are one spring
     assert not any(h.effect == "linear_stiffness" and h.where == ("body", "wheel") for h in hypotheses(car))
@@ -73,9 +71,8 @@ def car():
 
 
 def law(effect, *where):
-    return next(
-        h for h in hypotheses(car()) if h.effect == effect and set(h.where) == set(where) and not h.behind
-    )
+    here = (h for h in hypotheses(car()) if set(h.where) == set(where) and not h.behind)
+    return next(h for h in here if h.effect == effect)
 
 
 def test_two_series_laws_give_way_to_one_at_every_link_of_their_line():
@@ -83,19 +80,14 @@ def test_two_series_laws_give_way_to_one_at_every_link_of_their_line():
     play = law("backlash", "piston", "joint"), {"gap": 0.002}
     friction = law("coulomb_friction", "wheel", "ground"), {"level": 10.0}
     found = list(_series_alone(car(), [compliance, friction, play]))
-    oil, device, damper = (
-        frozenset(x) for x in (("body", "piston"), ("piston", "joint"), ("joint", "wheel"))
-    )
-    for effect, values, links in (
-        # beside the oil's spring it is only a spring
-        ("series_compliance", {"stiffness": 5e6}, {device, damper}),
-        ("backlash", {"gap": 0.002}, {oil, device, damper}),
-    ):
+    nodes = ("body", "piston", "joint", "wheel")
+    oil, device, damper = (frozenset(pair) for pair in pairwise(nodes))
+    # beside the oil's spring a compliance is only a spring
+    for (law_, values), links in ((compliance, {device, damper}), (play, {oil, device, damper})):
+        effect = law_.effect
         own = [effects for effects in found if effects[-1][0].effect == effect]
         assert {frozenset(effects[-1][0].where) for effects in own} == links
-        assert all(
-            effects[0] is friction and effects[-1][1] == values and len(effects) == 2 for effects in own
-        )
+        assert all(first is friction and last[1] == values for first, last in own)
 
 
 def test_a_series_law_by_itself_stays():
@@ -105,13 +97,9 @@ def test_a_series_law_by_itself_stays():
     assert not list(_series_alone(car(), [play, elsewhere]))
 
 
-SHAFT = network(
-    "shaft",
-    [spring("rim", "hub", 6e6)],
-    [channel("push", "force", "hub")],
-    [channel("speed", "velocity", "rim")],
-    masses={"hub": 340.0, "rim": 20.0},
-)
+MASSES = {"hub": 340.0, "rim": 20.0}
+STIFF = spring("rim", "hub", 6e6)
+SHAFT = network("shaft", [STIFF], ["push force hub"], ["speed velocity rim"], masses=MASSES)
 TIME = np.linspace(0.0, 10.0, 2000)
 SPEED = 20.0 * np.exp(-0.2 * TIME)
 
@@ -122,11 +110,8 @@ def moving(ripple):
     travel = np.cumsum(SPEED) * (TIME[1] - TIME[0])
     still = np.zeros_like(TIME)
     hub, rim = Motion(travel, SPEED, still), Motion(travel + swing / 40.0, SPEED + swing, still)
-    return {
-        ("hub", "ground"): hub,
-        ("rim", "ground"): rim,
-        ("rim", "hub"): Motion(swing / 40.0, swing, still),
-    }
+    between = Motion(swing / 40.0, swing, still)
+    return {("hub", "ground"): hub, ("rim", "ground"): rim, ("rim", "hub"): between}
 
 
 def test_drag_at_one_end_of_a_stiff_shaft_is_tried_at_the_other_end_too():
@@ -138,14 +123,8 @@ def test_drag_at_one_end_of_a_stiff_shaft_is_tried_at_the_other_end_too():
     assert _places_alike(problem, Hypothesis("quadratic_damping", ("rim", "hub")), moving(ripple=3.0)) == []
 
 
-DRUM = model(
-    "drum",
-    [damper("drum", "ground", 0.1, "bearing")],
-    [],
-    [channel("speed", "angular_velocity", "drum")],
-    inertias={"drum": 14.0},
-    uncertainty={"bearing.damping": 2.0},
-)
+KNOWN = {"inertias": {"drum": 14.0}, "uncertainty": {"bearing.damping": 2.0}}
+DRUM = model("drum", [damper("drum", "ground", 0.1, "bearing")], [], ["speed angular_velocity drum"], **KNOWN)
 
 
 def coast_down(speed, seed, friction, drag):

@@ -22,20 +22,11 @@ LIMITS = SearchSettings().input_noise, SearchSettings().swapped_error
 
 def rig(stiffness=STIFFNESS):
     """A carriage whose measured motion is the input, with the force at it as output."""
-    ground = ["carriage", "ground"]
-    elements = [
-        element("inertia", "inertance", *ground, inertance=MASS),
-        damper(*ground, damping=DAMPING, name="guide"),
-    ]
-    if stiffness:
-        elements.append(spring(*ground, stiffness=stiffness))
-    return builders.network(
-        "carriage",
-        elements,
-        [channel("position", "displacement", "carriage", unit="mm")],
-        [channel("force", "force", "carriage")],
-        uncertainty={"inertia.inertance": 0.1, "guide.damping": 0.5},
-    )
+    ground, known = ("carriage", "ground"), {"inertia.inertance": 0.1, "guide.damping": 0.5}
+    elements = [element("inertia", "inertance", *ground, inertance=MASS), damper(*ground, DAMPING, "guide")]
+    elements += [spring(*ground, stiffness)] if stiffness else []
+    position = channel("position", "displacement", "carriage", unit="mm")
+    return builders.network("carriage", elements, [position], ["force force carriage"], uncertainty=known)
 
 
 def moved(seed, friction=0.0):
@@ -53,7 +44,7 @@ def pushed(seed, stiffness=STIFFNESS, friction=0.0):
     """(position, force) of the carriage under a known random force, in fine Euler steps with projected friction."""
     rng = np.random.default_rng(seed)
     t, fine = np.arange(SAMPLES) * STEP, 20
-    force = sum(2.0 * np.sin(2 * np.pi * f * t + p) for f, p in zip(np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16), strict=True))  # fmt: skip
+    force = builders.sines(t, np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16), 2.0)
     x, v, out = 0.0, 0.0, np.empty(SAMPLES)
     for k in range(SAMPLES):
         out[k] = x
@@ -137,11 +128,8 @@ def test_the_direct_problem_is_preferred_where_noise_rules_the_inverse_one():
     assert turned[0].measured[:, 0] == pytest.approx(1e3 * records[0].inputs["position"])
     assert turned[2].inputs["force"] == pytest.approx(records[2].measured[:, 0])
     assert note.startswith("force is taken as input and position as output: noise of position, differentiated twice, would be ")  # fmt: skip
-
-
-def test_a_quiet_encoder_is_no_reason_to_swap():
-    records = [as_record(*pushed(k), 1e-7, k) for k in range(3)]
-    assert prefer_direct_problem(records, rig(), 2, *LIMITS) is None
+    quiet = [as_record(*pushed(k), 1e-7, k) for k in range(3)]
+    assert prefer_direct_problem(quiet, rig(), 2, *LIMITS) is None
 
 
 def as_table(r):
@@ -169,10 +157,7 @@ def test_a_motion_that_the_force_does_not_determine_is_no_direct_problem():
 
 @pytest.mark.slow
 def test_the_direct_problem_names_what_the_inverse_one_cannot():
-    tables = []
-    for k in range(4):
-        r = as_record(*pushed(k, friction=3.0), 3e-4, k)
-        tables.append(as_table(r))
+    tables = [as_table(as_record(*pushed(k, friction=3.0), 3e-4, k)) for k in range(4)]
     found = diagnose(tables[:2], rig(), validate=tables[2:])
     assert [e.effect for e in found.effects] == ["coulomb_friction"]
     assert found.effects[0].parameters["level"].value == pytest.approx(3.0, rel=0.1)

@@ -20,9 +20,8 @@ from isd_gym.records.data import Table
 def test_an_interval_is_about_its_value_for_either_sign(stiffness):
     """A softening spring has a negative cubic stiffness: mean -/+ 1.96 deviations, however large the value."""
     rig = oscillator("travel displacement mass")
-    structure = add(
-        base_structure(rig), Hypothesis("cubic_stiffness", ("mass", "ground")), {"stiffness": stiffness}
-    )
+    cubic = Hypothesis("cubic_stiffness", ("mass", "ground"))
+    structure = add(base_structure(rig), cubic, {"stiffness": stiffness})
     free, x = structure.free, structure.start
     assert [f.log for f in free] == [False]
     deviation = 0.01 * abs(stiffness)
@@ -40,9 +39,8 @@ def test_steps_of_differences_make_up_the_covariance_whatever_the_units():
     rig = oscillator("travel displacement mass", uncertainty=known)
     hypothesis = Hypothesis("cubic_stiffness", ("mass", "ground"))
     structure = add(base_structure(rig), hypothesis, {"stiffness": 1e15})
-    deviation = np.array(
-        [1e13 if f.path.endswith("cubic_stiffness.stiffness") else 1e-2 for f in structure.free]
-    )
+    cubic = [f.path.endswith("cubic_stiffness.stiffness") for f in structure.free]
+    deviation = np.where(cubic, 1e13, 1e-2)
     correlation = 0.3 * np.eye(len(deviation)) + 0.7
     wanted = correlation * np.outer(deviation, deviation)
     steps = deviations(structure, structure.start, wanted)
@@ -74,9 +72,7 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
             state = update @ (state + 0.5 * h * a @ state + h * force)
         travel = np.array(x)[::fine]
         travel = travel + 0.003 * travel.std() * rng.standard_normal(len(travel))
-        tables.append(
-            Table(time=t[::fine], columns={"push": push[::fine], "travel": travel}, source=f"run{run}")
-        )
+        tables.append(Table(t[::fine], {"push": push[::fine], "travel": travel}, f"run{run}"))
     known = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 1.0}
     rig = oscillator("travel displacement mass", uncertainty=known)
     found = diagnose(tables, rig, settings=SearchSettings(depth=0, jobs=1)).parameters
@@ -87,6 +83,7 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
         assert q.high - q.low < 0.03 * truth  # not the stated uncertainty
 
 
+@pytest.mark.slow
 def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
     """The motion of a shaken mass depends on ratios of mass, stiffness, damping and friction alone."""
     spread = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3, "rub.level": 0.3}
@@ -108,9 +105,8 @@ def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
 
 def test_a_law_is_determined_by_its_size_and_not_by_its_shape():
     """The Stribeck velocity of a friction whose levels are known to 10 % may be open: Coulomb friction is the simpler law."""
-    stribeck = el.StribeckFriction(
-        "law", ("mass", "ground"), level=5.0, static_level=8.0, stribeck_velocity=0.1
-    )
+    curve = {"level": 5.0, "static_level": 8.0, "stribeck_velocity": 0.1}
+    stribeck = el.StribeckFriction("law", ("mass", "ground"), **curve)
     known = {
         f"law.{k}": Quantity(v, 0.9 * v, 1.1 * v, "N", None)
         for k, v in (("level", 5.0), ("static_level", 8.0))

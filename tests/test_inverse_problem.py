@@ -21,13 +21,10 @@ STEP = 1e-3  # [s]
 
 def axis(between=("ground", "carriage"), *more, **changes):
     """Return a carriage that the current of a motor pushes."""
+    motor = element("motor", "motor", *between, thrust_constant=THRUST)
     model = builders.model(
         "axis",
-        [
-            damper("carriage", "ground", DAMPING, "bearing"),
-            element("motor", "motor", *between, thrust_constant=THRUST),
-            *more,
-        ],
+        [damper("carriage", "ground", DAMPING, "bearing"), motor, *more],
         [channel("current", "current", element="motor")],
         [channel("position", "displacement", "carriage", unit="mm")],
         masses={"carriage": MASS},
@@ -51,6 +48,7 @@ def test_the_computed_force_is_that_of_the_drive(between):
     assert np.abs(turned[0].measured[:, 0]).max() == pytest.approx(THRUST * np.abs(current).max())
 
 
+LAG = {"name": "lag", "type": "actuator_lag", "element": "motor", "time_constant": 0.01}
 SPRING = spring("carriage", "ground", 100.0)
 
 
@@ -58,10 +56,7 @@ SPRING = spring("carriage", "ground", 100.0)
     "network",
     [
         axis(("ground", "carriage"), SPRING),
-        axis(
-            ("ground", "carriage"),
-            {"name": "lag", "type": "actuator_lag", "element": "motor", "time_constant": 0.01},
-        ),
+        axis(("ground", "carriage"), LAG),
         axis(outputs=[channel("speed", "velocity", "carriage")]),
         Network.load("quarter-car-isd"),
     ],
@@ -76,26 +71,15 @@ def test_the_completed_model_has_the_drive_as_input():
     inverse = invert(network)
     assert inverse is not None
     found = inverse.network.with_parameters({"carriage.mass": 4.4})
-    cogging = {
-        "type": "cogging_force",
-        "between": ["carriage", "ground"],
-        "amplitude": COGGING,
-        "pitch": PITCH,
-        "phase": 0.0,
-    }
-    completed = axis(("ground", "carriage"), {"name": "cogging_force", **cogging})
-    added = next(e for e in completed.elements if e.name == "cogging_force")
-    restored = inverse.restore(found.with_element(added))
+    law = {"amplitude": COGGING, "pitch": PITCH, "phase": 0.0}
+    cogging = element("cogging_force", "cogging_force", "carriage", "ground", **law)
+    restored = inverse.restore(found.with_element(cogging))
     assert restored is not None
     assert restored.masses == {"carriage": 4.4}
     assert [e.name for e in restored.elements] == ["bearing", "motor", "cogging_force"]
     assert (restored.inputs, restored.outputs) == (network.inputs, network.outputs)
-    gain = {"type": "sensor_gain", "channel": "motor_force", "gain": 1.1}
-    faulty = Network.load(
-        inverse.network.to_dict()
-        | {"elements": [*inverse.network.to_dict()["elements"], {"name": "fault", **gain}]}
-    )
-    assert inverse.restore(faulty) is None
+    fault = {"name": "fault", "type": "sensor_gain", "channel": "motor_force", "gain": 1.1}
+    assert inverse.restore(inverse.network.with_element(fault)) is None
 
 
 def servo(seed, samples=10_000):
@@ -114,12 +98,8 @@ def servo(seed, samples=10_000):
             force = THRUST * current - DAMPING * v - COGGING * math.sin(2 * math.pi * x / PITCH)
             v += 0.1 * STEP * force / MASS
             x += 0.1 * STEP * v
-    return Table(
-        np.arange(samples) * STEP,
-        {"current": out[:, 0], "position": out[:, 1]},
-        f"run {seed}",
-        units={"position": "mm"},
-    )
+    columns = {"current": out[:, 0], "position": out[:, 1]}
+    return Table(np.arange(samples) * STEP, columns, f"run {seed}", units={"position": "mm"})
 
 
 @pytest.mark.slow

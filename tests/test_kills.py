@@ -30,9 +30,8 @@ def tried(way, case, tmp_path, tries=1):
 def test_a_sweep_may_be_killed_whenever_it_changes_the_disk(tmp_path):
     tally = tried(kills.moments, kills.CASES["sweep"], tmp_path)
     assert not tally.wrong, tally.wrong
-    assert (
-        tally.seen["it: at a moment: nothing"] > 10 and tally.seen["it: from a moment: again, and right"] == 1
-    )
+    seen = tally.seen
+    assert seen["it: at a moment: nothing"] > 10 and seen["it: from a moment: again, and right"] == 1
 
 
 @pytest.mark.slow

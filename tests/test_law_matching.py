@@ -66,9 +66,8 @@ def test_the_law_that_is_missing_is_among_the_first_matches(effect, place, value
 
 def test_a_match_has_the_value_of_the_law():
     found = matches(*stage("coulomb_friction", level=1.0))
-    friction = next(
-        m for m in found if m.hypothesis.effect == "coulomb_friction" and m.hypothesis.where == PLACE
-    )
+    here = (m for m in found if m.hypothesis.where == PLACE)
+    friction = next(m for m in here if m.hypothesis.effect == "coulomb_friction")
     assert friction.values["level"] == pytest.approx(1.0, rel=0.3)
     assert set(friction.moved) == {"spring.stiffness", "damper.damping"}
 

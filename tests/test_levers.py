@@ -5,7 +5,7 @@ import json
 import builders
 import numpy as np
 import pytest
-from builders import channel, element
+from builders import channel, damper, friction, spring
 from refusals import refused
 from rigs import reference
 
@@ -25,31 +25,23 @@ def model(masses, elements, inputs, outputs, levers=(), **more):
     return Network.from_dict(out | {"levers": list(levers)} | more)
 
 
-PUSH = channel("push", "force", "mass")
-MOTION = [channel("place", "displacement", "mass"), channel("shock", "acceleration", "mass")]
+PUSH, SPRING = channel("push", "force", "mass"), spring("mass", "ground", 5e3)
+MOTION = ["place displacement mass", "shock acceleration mass"]
 
 
 def rack(mass=2.0, inertia=0.003, ratio=0.012):
     """An inerter as built: rod and pinion, a flywheel on the shaft."""
-    return model(
-        {"mass": mass},
-        [element("spring", "linear_stiffness", "mass", "ground", stiffness=5e3)],
-        [PUSH],
-        [*MOTION, channel("turn", "angle", "shaft")],
-        [lever("pinion", "mass", "shaft", ratio, "m/rad")],
-        inertias={"shaft": inertia},
-        uncertainty={"pinion.ratio": 0.01, "shaft.inertia": 0.1},
+    pinion, known = (
+        lever("pinion", "mass", "shaft", ratio, "m/rad"),
+        {"pinion.ratio": 0.01, "shaft.inertia": 0.1},
     )
+    more = {"inertias": {"shaft": inertia}, "uncertainty": known}
+    return model({"mass": mass}, [SPRING], [PUSH], [*MOTION, "turn angle shaft"], [pinion], **more)
 
 
 def test_a_flywheel_on_a_rack_is_a_mass_of_its_inertia_over_the_ratio_squared():
     built = rack()
-    heavy = model(
-        {"mass": 2.0 + 0.003 / 0.012**2},
-        [element("spring", "linear_stiffness", "mass", "ground", stiffness=5e3)],
-        [PUSH],
-        MOTION,
-    )
+    heavy = model({"mass": 2.0 + 0.003 / 0.012**2}, [SPRING], [PUSH], MOTION)
     a, b = transfer(built, FREQUENCY), transfer(heavy, FREQUENCY)
     assert np.abs(a[:, :2] / b - 1.0).max() < 1e-9
     assert np.abs(0.012 * a[:, 2] / a[:, 0] - 1.0).max() < 1e-9  # x_rod = ratio times angle
@@ -61,11 +53,8 @@ def test_friction_at_a_shaft_is_a_friction_force_at_the_rack():
     """A torque of 6 N m at 0.012 m/rad holds 500 N, sticking and slipping."""
 
     def rubbing(levers, name, **more):
-        elements = [
-            element("spring", "linear_stiffness", "mass", "ground", stiffness=5e3),
-            element("seal", "coulomb_friction", name, "ground", level=6.0 if levers else 500.0),
-        ]
-        return model({"mass": 20.0}, elements, [PUSH], MOTION, levers, **more)
+        seal = friction(name, "ground", 6.0 if levers else 500.0)
+        return model({"mass": 20.0}, [SPRING, seal], [PUSH], MOTION, levers, **more)
 
     t = np.arange(0.0, 3.0, 1e-3)
     push = {"push": 900.0 * np.sin(6.0 * t)}
@@ -78,7 +67,7 @@ def test_friction_at_a_shaft_is_a_friction_force_at_the_rack():
 def test_the_kernel_agrees_with_another_integrator_on_an_inerter_as_built():
     """Rack, pinion and flywheel with friction at the shaft: 0.1 % of the motion's deviation."""
     data = rack().to_dict()
-    data["elements"].append(element("seal", "coulomb_friction", "shaft", "ground", level=6.0))
+    data["elements"].append(friction("shaft", "ground", 6.0))
     t = np.arange(0.0, 2.0, 1e-3)
     push = {"push": 900.0 * np.sin(6.0 * t) + 300.0 * np.sin(17.0 * t)}
     got, wanted = simulate(data, t, push, step=2.5e-4), reference.simulate(data, t, push)
@@ -100,31 +89,22 @@ def test_a_lever_is_kept_by_file_copy_and_parameters():
 
 
 def test_a_cut_keeps_the_levers_on_its_side():
-    data = Network.load("quarter-car-passive").to_dict()
-    for e in data["elements"]:
-        if e["name"] == "damper":
-            e["between"] = ["arm_end", "wheel_end"]
-        if e["name"] == "tyre":
-            e["between"] = ["wheel", "patch"]
-    data["levers"] = [
-        lever("arm", "arm_end", "body", 0.8),
-        lever("hub", "wheel_end", "wheel", 0.8),
-        lever("belt", "patch", "road", 1.0),
-    ]
-    data["outputs"].append(channel("hub", "displacement", "wheel"))
-    data["uncertainty"] = {"arm.ratio": 0.02, "belt.ratio": 0.02, "body.mass": 0.05}
-    part = cut(Network.from_dict(data), "wheel")
-    assert [v.name for v in part.levers] == ["arm", "hub"] and set(part.uncertainty) == {
-        "arm.ratio",
-        "body.mass",
-    }
-    t = np.arange(0.0, 3.0, 1e-3)
-    road = {"road": 0.01 * np.sin(9.0 * t) ** 3}
-    whole = simulate(Network.from_dict(data), t, road)
-    alone = simulate(part, t, {"hub": whole["hub"]})
-    assert np.std(alone["body_acceleration"] - whole["body_acceleration"]) < 1e-3 * np.std(
-        whole["body_acceleration"]
+    strut = [spring("body", "wheel", 22e3), damper("arm_end", "wheel_end", 1500.0)]
+    parts, seen = (
+        [*strut, spring("wheel", "patch", 192e3, "tyre")],
+        ["acc acceleration body", "hub displacement wheel"],
     )
+    levers = [lever("arm", "arm_end", "body", 0.8), lever("hub", "wheel_end", "wheel", 0.8)]
+    levers.append(lever("belt", "patch", "road", 1.0))
+    known = {"arm.ratio": 0.02, "belt.ratio": 0.02, "body.mass": 0.05}
+    masses, road = {"body": 345.0, "wheel": 45.0}, ["road displacement road"]
+    car = model(masses, parts, road, seen, levers, uncertainty=known)
+    part, t = cut(car, "wheel"), np.arange(0.0, 3.0, 1e-3)
+    assert [v.name for v in part.levers] == ["arm", "hub"]
+    assert set(part.uncertainty) == {"arm.ratio", "body.mass"}
+    whole = simulate(car, t, {"road": 0.01 * np.sin(9.0 * t) ** 3})
+    alone = simulate(part, t, {"hub": whole["hub"]})
+    assert np.std(alone["acc"] - whole["acc"]) < 1e-3 * np.std(whole["acc"])
 
 
 def test_a_lever_is_drawn_between_its_nodes():

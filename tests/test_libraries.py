@@ -96,11 +96,8 @@ def test_handed_out_speeds_are_those_of_the_step():
         *_, info = env.step(a)
     np.testing.assert_array_equal(before, kept)
     np.testing.assert_array_equal(info["final_info"]["speed"], kept)
-    assert (
-        not (info["speed"] == kept).any()
-        and not info["tyre_load"].any()
-        and info["final_info"]["tyre_load"].all()
-    )
+    assert not (info["speed"] == kept).any() and not info["tyre_load"].any()
+    assert info["final_info"]["tyre_load"].all()
 
 
 @theirs
@@ -113,15 +110,11 @@ def test_videos(own, rate, steps, tmp_path):
     pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
     import imageio.v3 as iio
 
-    record, record_many = (
-        (films.RecordVideo, films.RecordVectorVideo) if own else (single.RecordVideo, vector.RecordVideo)
-    )
+    theirs_, ours = (single.RecordVideo, vector.RecordVideo), (films.RecordVideo, films.RecordVectorVideo)
+    (record, record_many), length = (ours, 8) if own else (theirs_, steps)
     one, twin = (gym.make(NAME, render_mode="rgb_array", max_episode_steps=steps) for _ in range(2))
     env = record(one, str(tmp_path / "one"))
-    length = 8 if own else steps
-    many = record_many(
-        cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=8 if own else length
-    )
+    many = record_many(cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=length)
     env.reset(seed=0), many.reset(seed=0), twin.reset(seed=0)
     drawn = [twin.render()]
     for k, a in enumerate(currents(steps), 1):
@@ -176,9 +169,8 @@ def test_sb3_contrib_learns():
     contrib = pytest.importorskip("sb3_contrib", reason="SB3-contrib is of isd-gym[libraries]")
     from isd_gym.sb3 import make_vec_env
 
-    model = contrib.RecurrentPPO(
-        "MlpLstmPolicy", make_vec_env(4), n_steps=16, batch_size=32, n_epochs=1, seed=0
-    ).learn(128)
+    small = {"n_steps": 16, "batch_size": 32, "n_epochs": 1, "seed": 0}
+    model = contrib.RecurrentPPO("MlpLstmPolicy", make_vec_env(4), **small).learn(128)
     assert model.num_timesteps == 128 and all(p.isfinite().all() for p in model.policy.parameters())
 
 

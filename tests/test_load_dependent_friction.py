@@ -6,7 +6,6 @@ import pytest
 from builders import channel, damper, element
 from refusals import refused
 
-from isd_gym._common.errors import InputError
 from isd_gym.contrib.forecast import plan
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._selection.settings import SearchSettings
@@ -18,25 +17,21 @@ from isd_gym.records.data import Table
 LEVEL, GAIN = 2.0, 0.15
 
 
+def under(load):
+    """Return friction whose level grows with the force of an element."""
+    return {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": load}
+
+
 def joint(*more, friction=None, **changes):
     """Return a drive: a rotor, a gear as a spring, and a link that a weight pulls."""
-    friction = friction or {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "gear"}
+    gear = [builders.spring("rotor", "link", 4000.0, "gear"), damper("rotor", "link", 8.0, "oil")]
+    rub = {"name": "rub", "between": ["rotor", "ground"], **(friction or under("gear"))}
+    forces = [channel("load", "force", element="gear"), channel("friction", "force", element="rub")]
     model = builders.model(
         "joint",
-        [
-            builders.spring("rotor", "link", 4000.0, "gear"),
-            damper("rotor", "link", 8.0, "oil"),
-            damper("link", "ground", 6.0, "bearing"),
-            {"name": "rub", "between": ["rotor", "ground"], **friction},
-            *more,
-        ],
-        [channel("drive", "force", "rotor"), channel("weight", "force", "link")],
-        [
-            channel("speed", "velocity", "rotor"),
-            channel("place", "displacement", "link"),
-            channel("load", "force", element="gear"),
-            channel("friction", "force", element="rub"),
-        ],
+        [*gear, damper("link", "ground", 6.0, "bearing"), rub, *more],
+        ["drive force rotor", "weight force link"],
+        ["speed velocity rotor", "place displacement link", *forces],
         masses={"rotor": 1.0, "link": 3.0},
     )
     return Network.load(model | changes)
@@ -58,24 +53,15 @@ def constant(level):
 def test_under_a_constant_load_it_is_coulomb_friction_of_that_level(squeeze):
     """A brake whose pad a moved node presses with a known force."""
 
-    def cart(rub):
-        return builders.network(
-            "brake",
-            [
-                damper("cart", "ground", 3.0, "guide"),
-                builders.spring("screw", "ground", 500.0, "clip"),
-                {"name": "rub", "between": ["cart", "ground"], **rub},
-            ],
-            [channel("push", "force", "cart"), channel("screw", "displacement", "screw")],
-            [channel("speed", "velocity", "cart")],
-            masses={"cart": 2.0},
-        )
+    def brake(rub):
+        parts = [damper("cart", "ground", 3.0, "guide"), builders.spring("screw", "ground", 500.0, "clip")]
+        rub = {"name": "rub", "between": ["cart", "ground"], **rub}
+        return builders.cart(*parts, rub, inputs=["push force cart", "screw displacement screw"])
 
     time = np.arange(0.0, 4.0, 1e-3)
     inputs = {"push": 12.0 * np.sin(5.0 * time), "screw": np.full(len(time), squeeze)}
     level = LEVEL + GAIN * abs(500.0 * squeeze)
-    seen = simulate(cart({"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "clip"}), time, inputs)["speed"]  # fmt: skip
-    plain = simulate(cart(constant(level)), time, inputs)["speed"]
+    seen, plain = (simulate(brake(r), time, inputs)["speed"] for r in (under("clip"), constant(level)))
     assert np.abs(seen - plain).max() < 1e-9
     assert np.ptp(plain) > 0.1
 
@@ -137,24 +123,13 @@ def test_friction_only_takes_energy():
 
 
 def test_the_force_of_a_motor_is_a_load():
-    def net(rub):
-        return builders.network(
-            "spindle",
-            [
-                element("motor", "motor", "nut", "ground", thrust_constant=5.0),
-                damper("nut", "ground", 4.0, "guide"),
-                {"name": "rub", "between": ["nut", "ground"], **rub},
-            ],
-            [channel("current", "current", element="motor")],
-            [channel("speed", "velocity", "nut")],
-            masses={"nut": 2.0},
-        )
-
-    time = np.arange(0.0, 8.0, 1e-3)
+    time, place = np.arange(0.0, 8.0, 1e-3), ("cart", "ground")
+    parts = [element("motor", "motor", *place, thrust_constant=5.0), damper(*place, 4.0, "guide")]
+    rub = {"name": "rub", "between": [*place], **under("motor")}
+    spindle = builders.cart(*parts, rub, inputs=[channel("current", "current", element="motor")])
     for current in (-4.0, 2.0, 4.0):
         inputs = {"current": np.full(len(time), current)}
-        rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "motor"}
-        speed = simulate(net(rub), time, inputs)["speed"][-1]
+        speed = simulate(spindle, time, inputs)["speed"][-1]
         thrust = 5.0 * abs(current)
         assert abs(speed) == pytest.approx((thrust - LEVEL - GAIN * thrust) / 4.0, rel=1e-4)
 
@@ -163,13 +138,9 @@ def test_the_load_of_a_law_that_is_not_linear():
     """Behind a hardening gear the level follows the force of the law."""
     time, inputs = driven(size=60.0, weight=30.0)
     hard = element("stop", "cubic_stiffness", "rotor", "link", stiffness=4e7)
-    rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "stop"}
-    seen = simulate(
-        joint(hard, friction=rub, outputs=[
-            channel("speed", "velocity", "rotor"),
-            channel("load", "force", element="stop"),
-            channel("friction", "force", element="rub"),
-        ]), time, inputs)  # fmt: skip
+    forces = [channel("load", "force", element="stop"), channel("friction", "force", element="rub")]
+    outputs = [channel("speed", "velocity", "rotor"), *forces]
+    seen = simulate(joint(hard, friction=under("stop"), outputs=outputs), time, inputs)
     sliding = np.abs(seen["speed"]) > 1e-2
     level = np.abs(seen["friction"])
     assert np.ptp(seen["load"]) > 10.0
@@ -187,15 +158,14 @@ def test_the_load_of_a_law_that_is_not_linear():
     ],
 )  # fmt: skip
 def test_a_load_is_a_spring_a_damper_a_motor_or_a_smooth_law(load, extra):
-    rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": load}
-    refused('"load" must name a spring, a damper, a motor or a smooth law', joint, *extra, friction=rub)
+    words = '"load" must name a spring, a damper, a motor or a smooth law'
+    refused(words, joint, *extra, friction=under(load))
 
 
 def test_a_torque_under_a_force_is_refused():
     shaft = builders.spring("wheel", "ground", 10.0, "shaft")
-    rub = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "shaft"}
-    with pytest.raises(InputError, match='"load" must name a force, as the friction is'):
-        joint(shaft, friction=rub, inertias={"wheel": 1.0})
+    options = {"friction": under("shaft"), "inertias": {"wheel": 1.0}}
+    refused('"load" must name a force, as the friction is', joint, shaft, **options)
 
 
 def test_a_model_file_keeps_the_load():
@@ -215,33 +185,26 @@ def test_loads_of_a_place():
     assert el.LoadDependentFriction.variants(network, ("rotor", "link")) == [{"load": "hang"}]
 
 
-SENSORS = (("speed", "velocity", "rotor", "m/s", 2e-3), ("place", "displacement", "link", "m", 2e-4))
+SENSORS = [channel("speed", "velocity", "rotor"), channel("place", "displacement", "link")]
 
 
 def measured(name, weight, seed, friction):
     """Return a record of a drive that carries a weight [N] and moves by a multisine about it."""
     rng, time = np.random.default_rng(seed), np.arange(0.0, 12.0, 4e-3)
     lines = np.arange(0.15, 4.0, 0.35)
-    phases = rng.uniform(0.0, 2.0 * np.pi, len(lines))
-    drive = 10.0 * np.sum(np.sin(2.0 * np.pi * lines[:, None] * time + phases[:, None]), axis=0)
+    drive = builders.sines(time, lines, rng.uniform(0.0, 2.0 * np.pi, len(lines)), 10.0)
     inputs = {"drive": drive - weight, "weight": np.full(len(time), weight)}
-    seen = simulate(joint(friction=friction, outputs=outputs_of()), time, inputs, step=5e-4)
-    noisy = {n: seen[n] + s * rng.standard_normal(len(time)) for n, _, _, _, s in SENSORS}
+    seen = simulate(joint(friction=friction, outputs=SENSORS), time, inputs, step=5e-4)
+    noise = {"speed": 2e-3, "place": 2e-4}
+    noisy = {n: seen[n] + s * rng.standard_normal(len(time)) for n, s in noise.items()}
     return Table(time, inputs | noisy, name)
 
 
-def outputs_of():
-    return [channel(n, q, at, unit=u) for n, q, at, u, _ in SENSORS]
-
-
 def nominal():
-    model = joint(outputs=outputs_of()).to_dict()
+    model = joint(outputs=SENSORS).to_dict()
     model["elements"] = [e for e in model["elements"] if e["name"] != "rub"]
     model["uncertainty"] = {"gear.stiffness": 0.1, "oil.damping": 0.3, "bearing.damping": 0.3}
     return model
-
-
-UNDER_LOAD = {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": "gear"}
 
 
 def diagnosed(friction, loads):
@@ -252,7 +215,7 @@ def diagnosed(friction, loads):
 
 @pytest.mark.slow
 def test_two_loads_name_the_friction_with_its_gain():
-    found = diagnosed(UNDER_LOAD, (5.0, 60.0, 30.0, 60.0))
+    found = diagnosed(under("gear"), (5.0, 60.0, 30.0, 60.0))
     (effect,) = found.effects
     assert (effect.effect, set(effect.between)) == ("load_dependent_friction", {"rotor", "ground"})
     assert effect.parameters["gain"].value == pytest.approx(GAIN, rel=0.1)
@@ -263,7 +226,7 @@ def test_two_loads_name_the_friction_with_its_gain():
 
 def test_a_plan_asks_for_a_second_load():
     def planned(*loads):
-        records = [measured(f"r{k}", w, k, UNDER_LOAD) for k, w in enumerate(loads)]
+        records = [measured(f"r{k}", w, k, under("gear")) for k, w in enumerate(loads)]
         return plan(nominal(), records, only=["load_dependent_friction", "rotor"], add_sensors=False)
 
     one = planned(30.0, 30.0, 30.0)

@@ -101,10 +101,9 @@ def test_a_record_is_cut_where_its_samples_are(truth):
 
 @pytest.mark.parametrize("lag", [0.02, -0.02, 0.137])
 def test_the_lag_of_another_clock_is_found_early_and_late(truth, lag):
-    owner = replace(
-        NETWORK.with_parameters({"body.mass": 362.0, "damper.damping": 1400.0}),
-        uncertainty={"body.mass": 0.05, "damper.damping": 0.1, "spring.stiffness": 0.05},
-    )
+    known = {"body.mass": 0.05, "damper.damping": 0.1, "spring.stiffness": 0.05}
+    heavier = NETWORK.with_parameters({"body.mass": 362.0, "damper.damping": 1400.0})
+    owner = replace(heavier, uncertainty=known)
     stamps = {c.name: even(2.5e-3) for c in CHANNELS} | {"road": even(2e-3)}
     run = recording(truth, stamps, lag, noise=0.03)
     record = build_record(run, owner)
@@ -126,22 +125,15 @@ def test_a_lag_that_is_known_is_taken(truth):
 def test_inputs_on_two_clocks_ask_for_the_lag():
     model = {**CAR, "inputs": [*CAR["inputs"], channel("push", "force", "body")]}
     network, t = Network.load(model), even(2.5e-3)
-    signals = {
-        c.name: Signal(t, np.sin(t), c.si, "b" if c.name == "push" else "a", c.name)
-        for c in (*network.inputs, *network.outputs)
-    }
+    channels = (*network.inputs, *network.outputs)
+    signals = {c.name: Signal(t, np.sin(t), c.si, "ba"[c.name != "push"], c.name) for c in channels}
     refused(r'road on a, push on b.*"lag" in the map', build_record, Recording("run", signals), network)
 
 
 def test_a_rate_below_twice_the_motion_is_refused(truth):
     stamps = {c.name: even(2.5e-3) for c in CHANNELS} | {"wheel_acceleration": even(0.05)}
-    refused(
-        r"wheel_acceleration is logged at 20 Hz, below twice the motion.*--map",
-        diagnose,
-        [recording(truth, stamps)],
-        NETWORK,
-        accept=["all"],
-    )
+    words = "wheel_acceleration is logged at 20 Hz, below twice the motion.*--map"
+    refused(words, diagnose, [recording(truth, stamps)], NETWORK, accept=["all"])
 
 
 def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
@@ -149,12 +141,8 @@ def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
     for name in ("a", "b"):
         write_table(tmp_path / f"{name}.csv", Table(t, {c.name: np.sin(t) for c in CHANNELS}))
     refused(r"choose one with --map FILE", runs, f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS)
-    by = ChannelMap.from_dict(
-        {
-            "schema": "isd-map/1",
-            "channels": {c.name: {"column": c.name, "logger": 1 + (c.name == "travel")} for c in CHANNELS},
-        }
-    )
+    channels = {c.name: {"column": c.name, "logger": 1 + (c.name == "travel")} for c in CHANNELS}
+    by = ChannelMap.from_dict({"schema": "isd-map/1", "channels": channels})
     (run,) = runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS, by=by)
     assert run.clocks == ["1 a.csv", "2 b.csv"]
 
@@ -164,9 +152,8 @@ def test_absolute_stamps_of_two_loggers_share_their_origin(tmp_path):
         rows = [",".join(["stamp", *(c.name for c in columns)])]
         for k in range(600):
             seconds = first + 0.01 * k
-            rows.append(
-                ",".join([f"2024-05-01T12:00:{seconds:09.6f}Z", *(f"{np.sin(seconds):.6f}" for _ in columns)])
-            )
+            values = [f"{np.sin(seconds):.6f}"] * len(columns)
+            rows.append(",".join([f"2024-05-01T12:00:{seconds:09.6f}Z", *values]))
         (tmp_path / f"{name}.csv").write_text("\n".join(rows))
     (run,) = runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS)
     start, stop = run.together()

@@ -6,7 +6,7 @@ from typing import Any
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, spring
+from builders import damper, element, spring
 from scipy.signal import butter, sosfiltfilt
 
 from isd_gym.diagnosis import SearchSettings, diagnose
@@ -19,16 +19,12 @@ from isd_gym.records.data import Table
 STEP, SAMPLES = 1e-2, 600
 
 #: two masses on a shaken base, as their owner knows them
+FOOT = [spring("lower", "base", 4000.0), damper("lower", "base", 20.0)]
 MODEL = builders.model(
     "two masses",
-    [
-        spring("lower", "base", 4000.0),
-        damper("lower", "base", 20.0),
-        spring("upper", "lower", 2500.0, "link"),
-        damper("upper", "lower", 8.0, "oil"),
-    ],
-    [channel("base", "displacement", "base")],
-    [channel("stroke", "displacement", "upper", "lower"), channel("shake", "acceleration", "lower")],
+    [*FOOT, spring("upper", "lower", 2500.0, "link"), damper("upper", "lower", 8.0, "oil")],
+    ["base displacement base"],
+    ["stroke displacement upper lower", "shake acceleration lower"],
     masses={"lower": 1.0, "upper": 2.0},
     uncertainty={"spring.stiffness": 0.1, "oil.damping": 0.3},
 )
@@ -44,17 +40,12 @@ class Rig:
     validation: tuple[Table, ...]
 
     def diagnose(self, jobs=2):
-        return diagnose(
-            self.training,
-            self.model,
-            validate=self.validation,
-            settings=SearchSettings(matches=4, finals=2, turns=0, jobs=jobs),
-        )
+        settings = SearchSettings(matches=4, finals=2, turns=0, jobs=jobs)
+        return diagnose(self.training, self.model, validate=self.validation, settings=settings)
 
     def with_tables(self, change):
-        return replace(
-            self, training=tuple(map(change, self.training)), validation=tuple(map(change, self.validation))
-        )
+        training, validation = (tuple(map(change, side)) for side in (self.training, self.validation))
+        return replace(self, training=training, validation=validation)
 
 
 def measured(hidden):
@@ -66,9 +57,7 @@ def measured(hidden):
     def table(name):
         base = 0.004 * sosfiltfilt(band, rng.standard_normal(SAMPLES))
         out = simulate(true, STEP * np.arange(SAMPLES), {"base": base})
-        noisy = {
-            k: out[k] + 0.01 * np.std(out[k]) * rng.standard_normal(SAMPLES) for k in ("stroke", "shake")
-        }
+        noisy = {k: y + 0.01 * np.std(y) * rng.standard_normal(SAMPLES) for k, y in out.items()}
         return Table(STEP * np.arange(SAMPLES), {"base": base, **noisy}, name)
 
     return Rig(MODEL, (table("first"), table("second")), (table("third"),))
@@ -107,10 +96,11 @@ def mirrored(rig):
 def first_record_in_halves(rig):
     first, *others = rig.training
     half = len(first) // 2
-    parts = [
-        Table(first.time[s] - first.time[s][0], {k: v[s] for k, v in first.columns.items()}, name)
-        for name, s in (("first, one", slice(None, half)), ("first, two", slice(half, None)))
-    ]
+
+    def part(name, s):
+        return Table(first.time[s] - first.time[s][0], {k: v[s] for k, v in first.columns.items()}, name)
+
+    parts = part("first, one", slice(None, half)), part("first, two", slice(half, None))
     return replace(rig, training=(*parts, *others))
 
 

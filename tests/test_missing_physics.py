@@ -132,19 +132,10 @@ def test_the_force_of_the_controller_moves_the_open_rig_as_the_closed_loop_did(b
     files, test, truth = rigs.make_case("loop.friction", 1, 40, bench.SAMPLES)
     assert not any(e["name"].startswith("loop_") for e in files["model"]["elements"])
     true = {**files["model"], "masses": {"mass": truth["parameters"]["mass.mass"]}}
-    true["elements"] = [
-        {
-            **e,
-            **{
-                k: truth["parameters"][f"{e['name']}.{k}"]
-                for k in e
-                if f"{e['name']}.{k}" in truth["parameters"]
-            },
-        }
-        for e in true["elements"]
-    ]
+    known = truth["parameters"]
+    own = [{k: known.get(f"{e['name']}.{k}", v) for k, v in e.items()} for e in true["elements"]]
     small = [{k: v for k, v in e.items() if k not in ("law", "place")} for e in truth["nuisances"]]
-    true["elements"] += [{**e, "name": f"true_{k}"} for k, e in enumerate([*truth["hidden"], *small])]
+    true["elements"] = own + [{**e, "name": f"true_{k}"} for k, e in enumerate([*truth["hidden"], *small])]
     name = true["inputs"][0]["name"]
     network = Network.load({k: v for k, v in true.items() if k != "uncertainty"})
     y = simulate(network, test["time"], {name: files["test_input"][name]}, interpolation="spline")

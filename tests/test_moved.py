@@ -11,9 +11,6 @@ from refusals import refused
 
 from isd_gym import simulate
 from isd_gym._common.errors import InputError
-from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import white_filters
-from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
 from isd_gym.diagnosis._hypotheses.missing_force import Deconvolution
 from isd_gym.diagnosis._hypotheses.motion import motions
@@ -21,17 +18,9 @@ from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network, assemble, cut, linearise, rejoin
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98
-TABLE = builders.model(
-    "table",
-    [spring("m", "table", K, "k"), damper("m", "table", C, "c")],
-    [channel("u", "acceleration", "table")],
-    [
-        channel("a", "acceleration", "m"),
-        channel("d", "displacement", "m", "table"),
-        channel("F", "force", "table"),
-    ],
-    masses={"m": M},
-)
+STRUT = [spring("m", "table", K, "k"), damper("m", "table", C, "c")]
+SEEN = ["a acceleration m", "d displacement m table", "F force table"]
+TABLE = builders.model("table", STRUT, ["u acceleration table"], SEEN, masses={"m": M})
 MOVES = {  # of the table, from rest: acceleration A sin(W t) and its integrals
     "acceleration": ("m/s^2", lambda t: A * np.sin(W * t)),
     "velocity": ("m/s", lambda t: A / W * (1 - np.cos(W * t))),
@@ -65,9 +54,7 @@ def test_a_table_that_is_told_by_its_rate_moves_the_mass_as_the_closed_solution_
         t = np.arange(0, 3, h)
         out = simulate(shaken(quantity), t, {"u": MOVES[quantity][1](t)}, step=h)
         d, a = solution(t)
-        errors.append(
-            [np.abs(out["d"] - d).max() / np.abs(d).max(), np.abs(out["a"] - a).max() / np.abs(a).max()]
-        )
+        errors.append([np.abs(out[k] - y).max() / np.abs(y).max() for k, y in (("d", d), ("a", a))])
         assert np.allclose(out["F"], M * out["a"], rtol=1e-9, atol=1e-9)  # nothing else is there to push
     errors = np.array(errors)
     assert np.all(errors[0] < 1e-3)
@@ -77,10 +64,8 @@ def test_a_table_that_is_told_by_its_rate_moves_the_mass_as_the_closed_solution_
 def test_the_three_inputs_of_one_motion_agree_and_a_velocity_tells_absolute_velocities():
     t = np.arange(0, 3, 1e-3)
     speed = {"outputs": [channel("v", "velocity", "m")]}
-    by = {
-        q: simulate(shaken(q, **(speed if q != "acceleration" else {})), t, {"u": MOVES[q][1](t)})
-        for q in MOVES
-    }
+    more = {"acceleration": {}, "velocity": speed, "displacement": speed}
+    by = {q: simulate(shaken(q, **more[q]), t, {"u": MOVES[q][1](t)}) for q in MOVES}
     for name in ("a", "d", "F"):
         for q in ("acceleration", "velocity"):
             assert np.allclose(by[q][name], by["displacement"][name], atol=2e-4 * np.abs(by[q][name]).max())
@@ -147,11 +132,8 @@ def fitted(network, inputs, step=1e-3):
     size = len(next(iter(inputs.values())))
     rest = np.zeros(assemble(network).size[0])
     record = Record("run", step, inputs, np.zeros((size, len(network.outputs))))
-    problem = Problem(network, [record], ["fit"])
-    fitter = Fitter(problem, white_filters(np.ones(len(network.outputs))))
-    return problem, fitter.fit(
-        base_structure(replace(network, uncertainty={})), initial={0: rest}, iterations=0
-    )
+    problem = Problem(replace(network, uncertainty={}), [record], ["fit"])
+    return problem, builders.fitted(problem, *np.ones(len(network.outputs)), initial={0: rest}, iterations=0)
 
 
 def test_the_motion_against_the_ground_is_that_of_the_displacement_from_the_start_of_the_record():
@@ -167,16 +149,9 @@ def test_the_motion_against_the_ground_is_that_of_the_displacement_from_the_star
         assert np.allclose(one, other, atol=2e-3 * np.abs(other).max())
 
 
-INERTER = builders.model(
-    "rack and pinion",
-    [
-        element("flywheel", "inertance", "rod", "ground", inertance=25.0),
-        damper("rod", "ground", 30.0, "bearing"),
-    ],
-    [channel("speed", "velocity", "rod")],
-    [channel("force", "force", "rod")],
-    uncertainty={"flywheel.inertance": 0.05, "bearing.damping": 1.0},
-)
+FLYWHEEL = element("flywheel", "inertance", "rod", "ground", inertance=25.0)
+RACK = [FLYWHEEL, damper("rod", "ground", 30.0, "bearing")]
+INERTER = builders.model("rack and pinion", RACK, ["speed velocity rod"], ["force force rod"])
 
 
 def test_a_table_over_rate_stands_between_a_node_moved_by_its_speed_and_the_ground():
@@ -204,12 +179,8 @@ def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_kno
 def car():
     data = Network.load("quarter-car-isd").to_dict()
     data["outputs"].append(channel("wheel_acceleration", "acceleration", "wheel"))
-    data["uncertainty"] = {
-        "body.mass": 0.05,
-        "wheel.mass": 0.05,
-        "tyre.stiffness": 0.05,
-        "damper.damping": 0.05,
-    }
+    paths = ("body.mass", "wheel.mass", "tyre.stiffness", "damper.damping")
+    data["uncertainty"] = dict.fromkeys(paths, 0.05)
     return Network.load(data)
 
 

@@ -14,9 +14,8 @@ from isd_gym.physics import elements as el
 from isd_gym.records.data import Table
 
 KNOWN = {"spring.stiffness": 0.05, "damper.damping": 0.1}
-RIG = oscillator(
-    "position displacement mass", mass=2.0, stiffness=800.0, damping=8.0, base="base", uncertainty=KNOWN
-)
+PARTS = {"mass": 2.0, "stiffness": 800.0, "damping": 8.0}
+RIG = oscillator("position displacement mass", base="base", uncertainty=KNOWN, **PARTS)
 
 
 def _softening(p, d, v, d_last, z, h):
@@ -116,9 +115,8 @@ def test_a_package_offers_elements_through_its_entry_point(monkeypatch):
     class Entry:
         def load(self):
             def offer():
-                el.register(
-                    type("Offered", (el.LinearDamping,), {"type": "offered_damper", "__module__": __name__})
-                )
+                own = {"type": "offered_damper", "__module__": __name__}
+                el.register(type("Offered", (el.LinearDamping,), own))
 
             return offer
 

@@ -15,6 +15,9 @@ from isd_gym.physics.simulate import Plant, simulate
 STEP = 2.5e-5  # a Stribeck bound is that at the start of a step: energy closes with the first power of it
 
 
+LOSSY = ("linear_damping", "quadratic_damping", "asymmetric_damping")
+
+
 def elongations(net):
     """Displacement, velocity and force of every element, as far as the network defines them."""
     out = []
@@ -53,16 +56,8 @@ def test_a_result_is_finite_or_there_is_one_line(block):
 
 def test_what_breaks_down_says_when():
     """A damper that drives: the motion grows beyond all numbers, and the line has the time."""
-    model = builders.model(
-        "driven",
-        [
-            spring("m", "ground", 1e4, "k"),
-            element("c", "asymmetric_damping", "m", "ground", extension=-3000.0, compression=-3000.0),
-        ],
-        [builders.channel("push", "force", "m")],
-        [builders.channel("x", "displacement", "m")],
-        masses={"m": 1.0},
-    )
+    drives = element("c", "asymmetric_damping", "cart", "ground", extension=-3000.0, compression=-3000.0)
+    model = builders.cart(spring("cart", "ground", 1e4, "k"), drives, mass=1.0)
     time = np.arange(2001) * 1e-3
     refused(r"fails at t = 0\.\d+ s", simulate, model, time, {"push": np.ones_like(time)})
 
@@ -92,17 +87,12 @@ def test_what_goes_in_is_stored_or_dissipated(seed):
 
     rate = np.gradient(inputs["road"], STEP)
     given = work(out["load"], rate)
-    moved = sum(
-        0.5 * m * (out[f"{n} speed"][-1] ** 2 - out[f"{n} speed"][0] ** 2) for n, m in net.masses.items()
-    )
+    squares = {n: out[f"{n} speed"] ** 2 for n in net.masses}
+    moved = sum(0.5 * m * (squares[n][-1] - squares[n][0]) for n, m in net.masses.items())
     taken = sum(work(out[f"{e.name} force"], out[f"{e.name} velocity"]) for e in net.elements)
     scale = float(np.sum(np.abs(out["load"] * rate)) * STEP) + abs(moved)
     for e in net.elements:
-        if type(e).bound is not None or e.type in (
-            "linear_damping",
-            "quadratic_damping",
-            "asymmetric_damping",
-        ):
+        if type(e).bound is not None or e.type in LOSSY:
             assert work(out[f"{e.name} force"], out[f"{e.name} velocity"]) > -1e-3 * scale
     assert abs(given - moved - taken) < 1e-3 * scale
 
@@ -111,10 +101,8 @@ def test_what_goes_in_is_stored_or_dissipated(seed):
 def test_outputs_obey_the_laws(seed):
     """Force, elongation and rate that come out satisfy each law: a smooth one exactly, friction within its bound and against the sliding."""
     rng = np.random.default_rng([11, seed])
-    kinds = [
-        *rng.choice(["cubic_stiffness", "quadratic_damping", "gas_spring", "tyre_lift_off"], 2),
-        "coulomb_friction",
-    ]
+    smooth = ["cubic_stiffness", "quadratic_damping", "gas_spring", "tyre_lift_off"]
+    kinds = [*rng.choice(smooth, 2), "coulomb_friction"]
     net = Network.from_dict(random_networks.draw(rng, passive=True, kinds=kinds))
     channels = elongations(net)
     time = np.arange(2001) * 1e-3
@@ -141,21 +129,14 @@ def test_outputs_obey_the_laws(seed):
 def test_a_motor_on_a_terminal_without_mass(law):
     """A motor pulls a damper with friction, nothing has mass there: current, rate and forces are of one instant at every sample."""
     thrust, damping, level = 200.0, 1500.0, 300.0
+    motor = element("motor", "motor", "m", "n", thrust_constant=thrust)
+    parts = [damper("n", "ground", damping, "c"), friction("n", "ground", level, "f"), motor]
+    forces = [builders.channel(k, "force", element=e) for k, e in (("damper", "c"), ("friction", "f"))]
     model = builders.model(
         "driven",
-        [
-            spring("m", "ground", 2e5, "k"),
-            damper("n", "ground", damping, "c"),
-            friction("n", "ground", level, "f"),
-            element("motor", "motor", "m", "n", thrust_constant=thrust),
-        ],
+        [spring("m", "ground", 2e5, "k"), *parts],
         [builders.channel("current", "current", element="motor")],
-        [
-            builders.channel("v", "velocity", "n"),
-            builders.channel("x", "displacement", "n"),
-            builders.channel("damper", "force", element="c"),
-            builders.channel("friction", "force", element="f"),
-        ],
+        ["v velocity n", "x displacement n", *forces],
         masses={"m": 300.0},
     )
     if law == "quadratic_damping":

@@ -21,13 +21,12 @@ from isd_gym.records.data import Table, read_table
 from isd_gym.records.data._table import read_rasters
 from isd_gym.records.schemas import check as of_schema
 
-RIG = network(
-    "shaker",
-    [spring("mass", "table", 9e3), damper("mass", "table", 45.0)],
-    [channel("table", "displacement", "table", unit="mm")],
-    [channel("acc", "acceleration", "mass", unit="g")],
-    masses={"mass": 12.0},
+PARTS = [spring("mass", "table", 9e3), damper("mass", "table", 45.0)]
+MOVED, SEEN = (
+    channel("table", "displacement", "table", unit="mm"),
+    channel("acc", "acceleration", "mass", unit="g"),
 )
+RIG = network("shaker", PARTS, [MOVED], [SEEN], masses={"mass": 12.0})
 WANTED = (*RIG.inputs, *RIG.outputs)
 HEAD = "time [s],table [mm],acc [g]"
 N = 1200
@@ -41,13 +40,9 @@ def text(data=DATA, separator=",", form="{:.9g}".format):
 
 def values(record):
     """Return the channels of a record in the units of the model."""
-    out = {}
-    for c in WANTED:
-        if isinstance(record, Table):
-            out[c.name] = convert(record[c.name], record.units.get(c.name) or c.unit, c.unit)
-        else:
-            out[c.name] = convert(record.signals[c.name].values, c.si, c.unit)
-    return out
+    if isinstance(record, Table):
+        return {c.name: convert(record[c.name], record.units.get(c.name) or c.unit, c.unit) for c in WANTED}
+    return {c.name: convert(record.signals[c.name].values, c.si, c.unit) for c in WANTED}
 
 
 def check(record, data=DATA, atol=2e-3):
@@ -232,13 +227,8 @@ def test_channels_beside_one_another_keep_their_own_stamps(tmp_path):
 
 @pytest.mark.parametrize("heads", ["T1,table,T2,acc", "time,T1,T2,table,acc", "time,table,acc,t0"])
 def test_temperatures_and_constants_are_no_time(heads, tmp_path):
-    data = np.c_[np.sin(TIME), DATA[:, 1], np.cos(TIME), DATA[:, 2]]
-    if heads[0] == "t":
-        data = (
-            np.c_[DATA, TIME * 0]
-            if heads.endswith("t0")
-            else np.c_[TIME, np.sin(TIME), np.cos(TIME), DATA[:, 1:]]
-        )
+    known = {"time": TIME, "table": DATA[:, 1], "acc": DATA[:, 2], "T1": np.sin(TIME), "T2": np.cos(TIME)}
+    data = np.stack([known.get(head, 0 * TIME) for head in heads.split(",")], axis=1)
     (tmp_path / "a.csv").write_text(heads + "\n" + text(data))
     assert len(read_rasters(tmp_path / "a.csv")) == 1
 

@@ -51,9 +51,8 @@ def search(records, laws=()):
     """Return the differences between records for the nominal model."""
     network = rig()
     structure = base_structure(network)
-    return find_record_differences(
-        Problem(network, records), structure, structure.start, np.array([NOISE]), laws
-    )
+    problem, noise = Problem(network, records), np.array([NOISE])
+    return find_record_differences(problem, structure, structure.start, noise, laws)
 
 
 @pytest.fixture(scope="module")

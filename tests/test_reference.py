@@ -10,6 +10,8 @@ from builders import element
 from rigs import reference
 from rigs.reference import simulate, simulate_events
 
+from isd_gym.physics.network import Network
+
 
 def model(masses, *elements, inputs=(), outputs=()):
     return {"masses": masses, "elements": list(elements), "inputs": list(inputs), "outputs": list(outputs)}
@@ -19,35 +21,14 @@ def moved(node, name="motion"):
     return builders.channel(name, "displacement", node)
 
 
-def out(quantity, **where):
-    return {"name": quantity, "quantity": quantity, **where}
-
-
 def gap(measured, true):
     return float(np.sqrt(np.mean((measured - true) ** 2)) / np.std(true))
 
 
-def car(*extra, seal=500.0):
-    return model(
-        {"body": 345.0, "wheel": 45.0},
-        element("main_spring", "linear_stiffness", "body", "wheel", stiffness=22000.0),
-        element("tyre", "linear_stiffness", "wheel", "road", stiffness=192000.0),
-        element("oil", "linear_stiffness", "body", "piston", stiffness=709000.0),
-        element("inerter", "inertance", "piston", "joint", inertance=95.0),
-        element("leak", "linear_damping", "piston", "joint", damping=1293.0),
-        element("seal", "coulomb_friction", "piston", "joint", level=seal),
-        element("motor", "motor", "piston", "joint", thrust_constant=60.0, ratio=4.056),
-        element("damper", "linear_damping", "joint", "wheel", damping=1500.0),
-        *extra,
-        inputs=[moved("road", "road"), builders.channel("current", "current", element="motor")],
-        outputs=[
-            out("acceleration", at="body"),
-            {"name": "travel", "quantity": "displacement", "between": ["body", "wheel"]},
-            {"name": "tyre_force", "quantity": "force", "element": "tyre"},
-            {"name": "device_speed", "quantity": "velocity", "between": ["piston", "joint"]},
-            {"name": "device_travel", "quantity": "displacement", "between": ["piston", "joint"]},
-        ],
-    )
+def car(*extra):
+    net = Network.load("quarter-car-isd").without_element("end_stop").to_dict()
+    speed = builders.channel("device_speed", "velocity", "piston", "joint")
+    return net | {"elements": [*net["elements"], *extra], "outputs": [*net["outputs"], speed]}
 
 
 def drive(duration, interval, size=1.0):
@@ -73,13 +54,9 @@ def test_shares_nothing_with_the_package():
 
 def test_free_decay_of_one_mass_is_the_damped_oscillation():
     m, c, k = 3.0, 2.0, 500.0
-    rig = model(
-        {"m": m},
-        element("k", "linear_stiffness", "m", "ground", stiffness=k),
-        element("c", "linear_damping", "m", "ground", damping=c),
-        outputs=[out("displacement", at="m"), out("velocity", at="m"), out("acceleration", at="m")],
-    )
-    t = np.arange(2001) * 1e-3
+    parts = [builders.spring("m", "ground", k), builders.damper("m", "ground", c)]
+    seen = [builders.channel(q, q, "m") for q in ("displacement", "velocity", "acceleration")]
+    rig, t = model({"m": m}, *parts, outputs=seen), np.arange(2001) * 1e-3
     y = simulate(rig, t, {}, initial={"m": (0.02, 0.3)})
     decay, w = c / (2 * m), np.sqrt(k / m - (c / (2 * m)) ** 2)
     b = (0.3 + decay * 0.02) / w
@@ -109,15 +86,13 @@ def test_load_cell_of_a_fully_prescribed_rig_reads_equation_6():
     assert np.abs(y - expected)[inner].max() < 2e-4 * np.abs(expected).max()
 
 
+STRIBECK = {"level": 80.0, "static_level": 150.0, "stribeck_velocity": 0.03}
+DAMPED = {"damping": 100.0, "side": "compression"}
 EXTRAS = [
     None,
     element("x", "coulomb_friction", "joint", "wheel", level=80.0),
-    element(
-        "x", "stribeck_friction", "body", "wheel", level=80.0, static_level=150.0, stribeck_velocity=0.03
-    ),
-    element(
-        "x", "bump_stop", "body", "wheel", clearance=0.005, stiffness=1e5, damping=100.0, side="compression"
-    ),
+    element("x", "stribeck_friction", "body", "wheel", **STRIBECK),
+    element("x", "bump_stop", "body", "wheel", clearance=0.005, stiffness=1e5, **DAMPED),
     element("x", "tyre_lift_off", "wheel", "road", stiffness=192e3, load=500.0),
 ]
 
@@ -135,16 +110,14 @@ def test_two_integrators_agree_sticking_and_sliding(extra):
 
 
 def test_backlash_in_series_is_a_dead_zone_then_a_spring():
-    rig = model(
-        {},
+    play, force = (
         element("play", "backlash", "top", "mid", gap=0.004, stiffness=1e6),
-        element("spring", "linear_stiffness", "mid", "ground", stiffness=2e4),
-        inputs=[moved("top")],
-        outputs=[{"name": "force", "quantity": "force", "at": "top"}],
+        builders.channel("force", "force", "top"),
     )
+    rig = model({}, play, builders.spring("mid", "ground", 2e4), inputs=[moved("top")], outputs=[force])
     t = np.arange(400) * 1e-3
     x = 0.01 * np.sin(12 * t)
-    force = simulate(rig, t, {"motion": x}, step=1e-4)["force"]
+    seen = simulate(rig, t, {"motion": x}, step=1e-4)["force"]
     stiffness = 1 / (1 / 1e6 + 1 / 2e4)
     expected = stiffness * (x - np.clip(x, -0.002, 0.002))
-    np.testing.assert_allclose(force, expected, atol=1e-6)
+    np.testing.assert_allclose(seen, expected, atol=1e-6)

@@ -167,9 +167,8 @@ def test_a_snapshot_is_the_state_of_the_car(name):
             travel = obs[names.index(f"suspension_travel_{each.name}")]
             assert each.body - each.wheel == pytest.approx(travel, abs=1e-6)
             assert each.body == pytest.approx(shot.height(each.x, each.y), abs=1e-12)
-            assert each.device_travel == pytest.approx(
-                obs[names.index(f"device_travel_{each.name}")], abs=1e-6
-            )
+            device = obs[names.index(f"device_travel_{each.name}")]
+            assert each.device_travel == pytest.approx(device, abs=1e-6)
             assert each.current == obs[names.index(f"current_{each.name}")]
             profile = shot.road_profiles[int(each.y < 0)]
             place = shot.road_behind + each.x - 1.35

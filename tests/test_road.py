@@ -5,16 +5,7 @@ import pytest
 from refusals import refused
 from scipy.signal import welch
 
-from isd_gym.physics.road import (
-    ISO_CLASSES,
-    PAPER_KAPPA,
-    bump,
-    iso_road,
-    paper_road,
-    pothole,
-    road,
-    sweep,
-)
+from isd_gym.physics.road import ISO_CLASSES, PAPER_KAPPA, bump, iso_road, paper_road, pothole, road, sweep
 
 
 def spatial_psd(ground, speed, step, roads=40, length=4000.0):

@@ -44,9 +44,8 @@ def test_weighting_matches_the_table_of_iso_2631():
 
 def test_weighted_rms_of_a_sine():
     t = np.arange(4000) * 5e-3
-    assert weighted_rms(2 * np.sin(2 * np.pi * 5.0 * t), 5e-3) == pytest.approx(
-        np.sqrt(2) * frequency_weighting(np.array([5.0]))[0], rel=1e-6
-    )
+    expected = np.sqrt(2) * frequency_weighting(np.array([5.0]))[0]
+    assert weighted_rms(2 * np.sin(2 * np.pi * 5.0 * t), 5e-3) == pytest.approx(expected, rel=1e-6)
 
 
 def test_same_roads_for_all_and_the_cost_is_the_reward():
@@ -70,10 +69,8 @@ def test_batched_and_single_controllers_score_alike():
         def act_batch(self, observations):
             return np.full(self.n, self.current)
 
-    a, b = (
-        drive(Entry("c", lambda kind=kind: kind(1.5)), CAR, episodes=2, duration=1.0)
-        for kind in (Single, Batched)
-    )
+    entries = (Entry("c", lambda: Single(1.5)), Entry("c", lambda: Batched(1.5)))
+    a, b = (drive(entry, CAR, episodes=2, duration=1.0) for entry in entries)
     np.testing.assert_array_equal(a.body_acceleration, b.body_acceleration)
 
 
@@ -96,11 +93,9 @@ def test_table_holds_what_the_contract_asks():
 
 def test_share_of_the_reachable_gain():
     entries = [passive(CAR), Entry("isd-passive", lambda: Idle("isd-passive"))]
-    plain = score(entries, CAR, reference=entries[0], episodes=2, duration=2.0)
-    costs = [r["cost"]["value"] for r in plain.policies]
-    known = score(
-        entries, CAR, reference=entries[0], episodes=2, duration=2.0, clairvoyant=np.full(2, costs[0] - 0.2)
-    )
+    brief = {"reference": entries[0], "episodes": 2, "duration": 2.0}
+    costs = [r["cost"]["value"] for r in score(entries, CAR, **brief).policies]
+    known = score(entries, CAR, **brief, clairvoyant=np.full(2, costs[0] - 0.2))
     assert known.policies[0]["share_of_reachable_gain"] == 0.0
     assert known.policies[1]["share_of_reachable_gain"] == pytest.approx((costs[0] - costs[1]) / 0.2)
 
@@ -128,13 +123,10 @@ def test_policies_of_the_same_name_are_called_by_their_paths(tmp_path):
     found = score(["ppo", *paths], CAR, episodes=1, duration=0.5)
     assert [r["policy"] for r in found.policies] == ["passive", "ppo", *paths]
     assert len({json.dumps(r["cost"]) for r in found.policies[1:]}) == 1
-    assert [r["policy"] for r in score(paths[:1], CAR, episodes=1, duration=0.5).policies] == [
-        "passive",
-        "ppo",
-    ]
-    (copies[0] / "policy.json").write_text(
-        (shipped / "policy.json").read_text().replace('"name": "ppo"', '"name": "passive"')
-    )
+    alone = score(paths[:1], CAR, episodes=1, duration=0.5)
+    assert [r["policy"] for r in alone.policies] == ["passive", "ppo"]
+    text = (shipped / "policy.json").read_text()
+    (copies[0] / "policy.json").write_text(text.replace('"name": "ppo"', '"name": "passive"'))
     found = score(paths[:1], CAR, episodes=1, duration=0.5)
     assert [r["policy"] for r in found.policies] == ["passive", paths[0]]
     assert found.policies[0]["cost"]["value"] != found.policies[1]["cost"]["value"]

@@ -69,9 +69,7 @@ def test_a_model_holds_the_offset_of_its_sensor():
     assert still == pytest.approx(np.full(100, OFFSET))
     assert Network.load(network.to_dict()) == network
     assert network.outputs[0].offset == "free"  # a later diagnosis estimates what is left
-
-
-def test_a_further_offset_adds_to_the_first():
+    # a further offset adds to the first
     network = with_sensor_offsets(complete(), (0.001,))
     assert len([e for e in network.elements if e.type == "sensor_bias"]) == 1
     assert network.parameters["position_offset.bias"] == pytest.approx(OFFSET + 0.001)

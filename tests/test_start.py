@@ -1,9 +1,8 @@
 """Start of a simulation in mid-motion: every law behind a massless node is in balance with the spring or damper in line with it."""
 
-import builders
 import numpy as np
 import pytest
-from builders import channel, damper, spring
+from builders import channel, damper, element, network, spring
 
 from isd_gym.physics import elements as el
 from isd_gym.physics.network import assemble
@@ -37,30 +36,21 @@ RATE = {"quadratic_damping", "degressive_damping", "asymmetric_damping"}
 
 def rig(law, damping=0.0):
     """A shaken mass on a spring that ends at a massless node; the law, and perhaps a damper, tie the node to the table."""
-    line = [
-        spring("mass", "node", 9000.0),
-        damper("mass", "table", 52.0),
-        {"name": "law", "type": law, "between": ["node", "table"], **LAWS[law]},
-    ]
+    line = [spring("mass", "node", 9000.0), damper("mass", "table", 52.0)]
+    line.append(element("law", law, "node", "table", **LAWS[law]))
     if damping:
         line.append(damper("node", "table", damping, "oil"))
     elif law == "gravity_sine":
         line[-1]["torque"] = 1500.0
     beside = ["law", "oil"] if damping else ["law"]
     forces = [channel(n, "force", element=n) for n in ("spring", *beside)]
-    return builders.network(
-        "shaker",
-        line,
-        [channel("table", "displacement", "table")],
-        [
-            channel("acc", "acceleration", "mass"),
-            channel("place", "displacement", "mass"),
-            channel("rate", "velocity", "mass"),
-            channel("node", "displacement", "node"),
-            *forces,
-        ],
-        masses={"mass": 12.4},
-    )
+    seen = [
+        "acc acceleration mass",
+        "place displacement mass",
+        "rate velocity mass",
+        "node displacement node",
+    ]
+    return network("shaker", line, ["table displacement table"], [*seen, *forces], masses={"mass": 12.4})
 
 
 def run(network, begin=0, initial=None):
@@ -84,11 +74,8 @@ def restarted(network, k):
 
 
 def test_every_law_with_a_force_stands_behind_the_node():
-    laws = {
-        n
-        for n, c in el.TYPES.items()
-        if c.place == "between" and (c.law or c.bound) and not (c.scheduled or c.loaded)
-    }
+    between = {n: c for n, c in el.TYPES.items() if c.place == "between" and (c.law or c.bound)}
+    laws = {n for n, c in between.items() if not (c.scheduled or c.loaded)}
     assert laws - {"tabulated_force"} <= set(LAWS)
 
 

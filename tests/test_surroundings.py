@@ -20,10 +20,18 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSI
 SCORE = f"{sys.executable} -m isd_gym score passive --episodes 1 --duration 0.1"
 
 
-def shell(command, cwd, **variables):
-    return subprocess.run(
-        ["bash", "-c", command], capture_output=True, cwd=cwd, env={**os.environ, **variables}, check=False
-    )
+PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+def shell(command, cwd, limit=None, **variables):
+    """Run a command with further variables, and with a limit on the size of a file [bytes]."""
+
+    def limited():
+        if limit:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    options = {"cwd": cwd, "env": {**os.environ, **variables}, "preexec_fn": limited}
+    return subprocess.run(["bash", "-c", command], capture_output=True, check=False, **options)
 
 
 @pytest.mark.slow
@@ -36,14 +44,7 @@ def test_closed_streams_lose_nothing(closed, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "variables",
-    [
-        {"PYTHONIOENCODING": "ascii"},
-        {"PYTHONIOENCODING": "cp932"},
-        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-    ],
-)
+@pytest.mark.parametrize("variables", [{"PYTHONIOENCODING": "ascii"}, {"PYTHONIOENCODING": "cp932"}, PLAIN])
 def test_a_table_is_printed_in_every_encoding(variables, tmp_path):
     done = shell(f"{SCORE} --report page", tmp_path, **variables)
     text = done.stdout.decode(variables.get("PYTHONIOENCODING", "ascii"))
@@ -118,10 +119,6 @@ def test_a_kernel_that_cannot_be_kept_is_used(tmp_path, monkeypatch):
         assert twice(21.0) == 42.0
 
 
-def limited():
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "named"),
@@ -137,24 +134,16 @@ def limited():
 )
 def test_a_full_disk_names_the_file(words, named, tmp_path):
     """A limit on the size of a file stands for the full disk: the error of the system names no file either."""
-    for module in {"show": ("pygame",), "export": ("pythonfmu",), "record": ("minari", "h5py")}.get(
-        words.split()[0], ()
-    ):
+    needed = {"show": ("pygame",), "export": ("pythonfmu",), "record": ("minari", "h5py")}
+    for module in needed.get(words.split()[0], ()):
         pytest.importorskip(module)
     (tmp_path / "d.csv").write_text("time,road\n" + "".join(f"{k / 1000},0.0\n" for k in range(400)))
     before = sorted(tmp_path.iterdir())
-    done = subprocess.run(
-        [sys.executable, "-m", "isd_gym", *words.split()],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        preexec_fn=limited,
-        # a kernel that is compiled for the first time is told apart: it cannot be kept either
-        env={**os.environ, "PYTHONWARNINGS": "ignore::RuntimeWarning"},
-        check=False,
-    )
+    # a kernel that is compiled for the first time is told apart: it cannot be kept either
+    program = f"{sys.executable} -m isd_gym {words}"
+    done = shell(program, tmp_path, limit=2000, PYTHONWARNINGS="ignore::RuntimeWarning")
     assert done.returncode == 2, done.stderr
-    lines = done.stderr.strip().splitlines()
+    lines = done.stderr.decode().strip().splitlines()
     assert len(lines) == 1 and "cannot " in lines[0] and named in lines[0], done.stderr
     assert sorted(tmp_path.iterdir()) == before
 

@@ -14,9 +14,14 @@ D, V = np.linspace(-0.06, 0.06, 241), np.linspace(-2.0, 2.0, 401)
 
 
 def car(element):
-    return Network.load("quarter-car-isd").with_element(
-        {"name": "extra", "between": ["body", "wheel"], **element}
-    )
+    extra = {"name": "extra", "between": ["body", "wheel"], **element}
+    return Network.load("quarter-car-isd").with_element(extra)
+
+
+def tabulated(**table):
+    """Return a force by a table, whose arrays are lists as in a file."""
+    lists = {k: v.tolist() for k, v in table.items() if isinstance(v, np.ndarray)}
+    return {"type": "tabulated_force", **table, **lists}
 
 
 def road(t):
@@ -26,33 +31,21 @@ def road(t):
 @pytest.mark.parametrize(
     ("law", "table"),
     [
-        (
-            {"type": "quadratic_damping", "damping": 3000.0},
-            {"rate": V.tolist(), "force": (3000.0 * V * np.abs(V)).tolist()},
-        ),
-        (
-            {"type": "cubic_stiffness", "stiffness": 2e7},
-            {"elongation": D.tolist(), "force": (2e7 * D**3).tolist(), "beyond": "slope"},
-        ),
+        ({"type": "quadratic_damping", "damping": 3000.0}, {"rate": V, "force": 3000.0 * V * np.abs(V)}),
+        ({"type": "cubic_stiffness", "stiffness": 2e7}, {"elongation": D, "force": 2e7 * D**3, "beyond": "slope"}),
         (
             {"type": "asymmetric_damping", "extension": 900.0, "compression": 200.0},
-            {
-                "elongation": [-0.1, 0.1],
-                "rate": [-2.0, 0.0, 2.0],
-                "force": [[-400.0, 0.0, 1800.0], [-400.0, 0.0, 1800.0]],
-            },
+            {"elongation": [-0.1, 0.1], "rate": [-2.0, 0.0, 2.0], "force": [[-400.0, 0.0, 1800.0]] * 2},
         ),
     ],
-)
+)  # fmt: skip
 def test_a_table_does_what_its_law_does(law, table):
     t = np.arange(0, 2, 1e-3)
     by_law = simulate(car(law), t, road(t))
     without = simulate(Network.load("quarter-car-isd"), t, road(t))
     # a kink is not smooth
     for interpolation in ("linear", "smooth") if len(table["force"]) > 3 else ("linear",):
-        by_table = simulate(
-            car({"type": "tabulated_force", "interpolation": interpolation, **table}), t, road(t)
-        )
+        by_table = simulate(car(tabulated(interpolation=interpolation, **table)), t, road(t))
         for name in by_law:
             moved = np.abs(by_law[name] - without[name]).max()
             assert moved > 0
@@ -64,15 +57,15 @@ def test_a_smooth_table_is_nearer_to_a_smooth_law_than_lines_are():
     axis = np.linspace(-0.02, 0.02, 101)
     err = {}
     for interpolation in ("linear", "smooth"):
-        element = {"type": "tabulated_force", "elongation": few.tolist(), "force": np.sin(100 * few).tolist()}
-        e = car({**element, "interpolation": interpolation}).element("extra")
+        element = tabulated(elongation=few, force=np.sin(100 * few), interpolation=interpolation)
+        e = car(element).element("extra")
         err[interpolation] = np.abs(e.curve(axis) - np.sin(100 * axis)).max()
         assert np.allclose(e.curve(few), np.sin(100 * few))
     assert err["smooth"] < 0.3 * err["linear"]
 
 
 def test_beyond_its_ends_a_table_holds_its_force_or_its_slope():
-    element = {"type": "tabulated_force", "rate": [-1.0, 0.0, 1.0], "force": [-2.0, 0.0, 4.0]}
+    element = tabulated(rate=[-1.0, 0.0, 1.0], force=[-2.0, 0.0, 4.0])
     axis = np.array([-3.0, 3.0])
     assert np.allclose(car(element).element("extra").curve(axis), [-2.0, 4.0])
     assert np.allclose(car({**element, "beyond": "slope"}).element("extra").curve(axis), [-6.0, 12.0])
@@ -80,18 +73,9 @@ def test_beyond_its_ends_a_table_holds_its_force_or_its_slope():
 
 
 def test_a_table_is_written_as_it_was_read():
-    both = {
-        "type": "tabulated_force",
-        "elongation": [0.0, 1.0],
-        "rate": [0.0, 1.0, 2.0],
-        "force": [[0, 1, 2], [1, 2, 3]],
-    }
-    net = car(both)
+    net = car(tabulated(elongation=[0.0, 1.0], rate=[0.0, 1.0, 2.0], force=[[0, 1, 2], [1, 2, 3]]))
     assert Network.load(json.loads(net.dumps())) == net
-    assert (
-        "elongation"
-        not in car({"type": "tabulated_force", "rate": [0, 1], "force": [0, 1]}).element("extra").to_dict()
-    )
+    assert "elongation" not in car(tabulated(rate=[0, 1], force=[0, 1])).element("extra").to_dict()
 
 
 @pytest.mark.parametrize(
@@ -106,14 +90,13 @@ def test_a_table_is_written_as_it_was_read():
     ],
 )
 def test_a_table_that_is_none_is_said_in_a_line(table, words):
-    refused(words, car, {"type": "tabulated_force", **table})
+    refused(words, car, tabulated(**table))
 
 
+@pytest.mark.slow
 def test_the_environment_and_the_controllers_take_a_table():
     knots = np.linspace(-0.5, 0.5, 21)
-    net = car(
-        {"type": "tabulated_force", "rate": knots.tolist(), "force": (400.0 * np.tanh(8.0 * knots)).tolist()}
-    )
+    net = car(tabulated(rate=knots, force=400.0 * np.tanh(8.0 * knots)))
     slope = car({"type": "linear_damping", "damping": 400.0 * np.tanh(8.0 * knots[11]) / knots[11]})
     assert np.allclose(linearise(net).A, linearise(slope).A, atol=1e-6 * np.abs(linearise(slope).A).max())
     env = gymnasium.make("ISDSuspension-v0", network=net)

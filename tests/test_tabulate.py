@@ -5,22 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from builders import channel, damper, model, spring
+from builders import oscillator
 
 from isd_gym.diagnosis._selection.free_force import Table as TableStructure
 from isd_gym.diagnosis._selection.free_force import _axis, _directions, fit_in_place_of, force_over
 from isd_gym.diagnosis._selection.weights import statements_of
 from isd_gym.physics.elements import Motion, SensorGain, SeriesCompliance, TabulatedForce
-from isd_gym.physics.network import Network
 
-MODEL = model(
-    "shaken",
-    [spring("mass", "base", 900.0), damper("mass", "base", 20.0)],
-    [channel("moved", "displacement", "base")],
-    [channel("travel", "displacement", "mass", "base"), channel("felt", "acceleration", "mass")],
-    masses={"mass": 3.0},
-    uncertainty={"mass.mass": 0.02},
-)
+SHAKEN = oscillator("travel displacement mass base", "felt acceleration mass", base="base")
 
 
 def test_no_table_stands_in_for_a_sensor_s_fault_or_a_spring_in_series():
@@ -43,11 +35,9 @@ def test_the_prior_of_a_table_is_zero_at_rest_smooth_and_as_large_as_it_was_said
 
 @pytest.mark.parametrize(("over", "kind"), [("elongation", "elastic"), ("rate", "other"), ("both", "other")])
 def test_a_table_of_the_distance_alone_is_elastic(over, kind):
-    net = Network.load(MODEL)
     force = TabulatedForce("missing", ("mass", "base"), force=(-1.0, 0.0, 1.0), elongation=(-1.0, 0.0, 1.0))
-    structure = TableStructure(
-        replace(net, elements=(*net.elements, force)), (), element="missing", over=over
-    )
+    network = replace(SHAKEN, elements=(*SHAKEN.elements, force))
+    structure = TableStructure(network, (), element="missing", over=over)
     told = SimpleNamespace(fit=SimpleNamespace(structure=structure), hypotheses=())
     assert {(s.place, s.kind) for s in statements_of(None, told, told)} == {(("base", "mass"), kind)}
 
@@ -61,7 +51,7 @@ def test_a_few_directions_hold_any_smooth_law(law):
 
 
 def test_the_force_of_an_element_over_a_motion():
-    net = Network.load(MODEL)
+    net = SHAKEN
     for extra in (
         {"type": "coulomb_friction", "level": 2.0},
         {"type": "asymmetric_friction", "extension": 3.0, "compression": 1.0},

@@ -69,9 +69,8 @@ def assert_drives_as_predicted(policy, model, network, *, steps=400):
     currents = policy.currents
     largest = 0.0
     for _ in range(steps):
-        shares, _ = model.predict(
-            seen if normalize is None else normalize.normalize_obs(seen), deterministic=True
-        )
+        features = seen if normalize is None else normalize.normalize_obs(seen)
+        shares, _ = model.predict(features, deterministic=True)
         wanted = np.clip(measured[:, -currents:] + 0.5 * shares, -5.0, 5.0)
         commanded = np.reshape(policy.act_batch(measured), wanted.shape)
         np.testing.assert_allclose(commanded, wanted, atol=2e-4)
@@ -130,9 +129,8 @@ def test_a_converted_history_is_bounded_before_it_is_normalised(tmp_path):
     save_model(model, tmp_path / "m.zip")
     policy = convert(tmp_path / "m.zip")
     loaded = Policy.load(policy.save(tmp_path / "folder"))
-    features = (
-        np.random.default_rng(0).uniform(-40, 40, (50, env.observation_space.shape[0])).astype(np.float32)
-    )
+    shape = (50, env.observation_space.shape[0])
+    features = np.random.default_rng(0).uniform(-40, 40, shape).astype(np.float32)
     wanted, _ = model.predict(env.normalize_obs(np.clip(features, -10, 10)), deterministic=True)
     for own in (policy, loaded):
         np.testing.assert_allclose(own.share(features), wanted, atol=1e-5)
@@ -342,9 +340,8 @@ def test_scores_do_not_disturb_the_training(kind, is_normalized, tmp_path):
     for name, value in weights[0].items():
         assert (value == weights[1][name]).all(), name
     steps = [row[0] for row in callback.history]
-    assert (
-        steps[-1] == model.num_timesteps and 4 <= len(steps) <= 5 and list(callback.references) == ["skyhook"]
-    )
+    assert steps[-1] == model.num_timesteps and 4 <= len(steps) <= 5
+    assert list(callback.references) == ["skyhook"]
     # the saved model is the best one: driven from its file, it has the best J
     entry = find(str(tmp_path / "best.zip"), Network.load(CAR))
     found = callback._cost(entry)

@@ -6,7 +6,7 @@ import math
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, spring
+from builders import cart, channel, damper, element, spring
 from refusals import refused
 from scipy.integrate import solve_ivp
 
@@ -70,9 +70,11 @@ def test_a_model_that_turns_is_written_as_it_was_read():
 def test_units_of_rotation():
     assert convert(90.0, "deg", "rad") == pytest.approx(math.pi / 2)
     assert convert(60.0, "rpm", "rad/s") == pytest.approx(2 * math.pi)
-    assert (
-        about_axis("N s^2/m^2") == "N m s^2/rad^2" and about_axis("m/s") == "rad/s" and about_axis("-") == "-"
-    )
+    units = {"N s^2/m^2": "N m s^2/rad^2", "m/s": "rad/s", "-": "-"}
+    assert {unit: about_axis(unit) for unit in units} == units
+
+
+ROD = spring("car", "arm", 1.0, "rod")
 
 
 def changed(**more):
@@ -86,55 +88,36 @@ def changed(**more):
         (changed(outputs=[channel("x", "displacement", "arm", unit="deg")]), 'quantity": "angle"'),
         (changed(masses={"arm": 1.0}), "has a mass already"),
         (changed(inertias={"arm": -1.0}), "positive number of kg m.2"),
-        (
-            changed(masses={"car": 1.0}, elements=[
-                *PENDULUM["elements"],
-                spring("car", "arm", 1.0, "rod"),
-            ]),
-            "'car' is tied to what turns",
-        ),
+        (changed(masses={"car": 1.0}, elements=[*PENDULUM["elements"], ROD]), "'car' is tied to what turns"),
     ],
-)  # fmt: skip
+)
 def test_what_turns_is_not_mixed_with_what_moves_along_a_line(model, words):
     refused(words, Network.load, model)
 
 
-def cart(*elements, outputs="force"):
-    return builders.model(
-        "cart",
-        list(elements),
-        [channel("push", "force", "m")],
-        [channel("v", "velocity", "m")],
-        masses={"m": 2.0},
-    )
-
-
 def test_a_constant_force_accelerates_evenly():
     t = np.arange(0, 1, 1e-3)
-    out = simulate(cart(element("slope", "constant_force", "m", "ground", force=-3.0)), t, {"push": 0 * t})
-    assert np.allclose(out["v"][1:], 1.5 * t[1:], atol=2e-3)
+    out = simulate(cart(element("slope", "constant_force", "cart", "ground", force=-3.0)), t, {"push": 0 * t})
+    assert np.allclose(out["speed"][1:], 1.5 * t[1:], atol=2e-3)
 
 
 def test_a_friction_that_differs_by_direction_holds_and_slides_at_its_own_level_either_way():
-    rub = element("rub", "asymmetric_friction", "m", "ground", extension=6.0, compression=2.0)
+    rub = element("rub", "asymmetric_friction", "cart", "ground", extension=6.0, compression=2.0)
     t = np.arange(0, 4, 1e-3)
     for push, speed in ((5.9, 0.0), (-1.9, 0.0), (8.0, 1.0), (-4.0, -1.0)):  # net force / mass over a second
-        v = simulate(cart(rub), t, {"push": np.full(len(t), push)})["v"]
+        v = simulate(cart(rub), t, {"push": np.full(len(t), push)})["speed"]
         assert v[1000] == pytest.approx(speed, abs=2e-3)
 
 
 def test_a_damping_that_starts_at_zero_may_be_fitted():
     model = {**PENDULUM, "uncertainty": {"bearing.damping": 0.1}}
-    model["elements"] = [
-        spring("arm", "ground", G, "gravity"),
-        damper("arm", "ground", 0.0, "bearing"),
-        PENDULUM["elements"][2],
-    ]
+    held = [spring("arm", "ground", G, "gravity"), damper("arm", "ground", 0.0, "bearing")]
+    model["elements"] = [*held, PENDULUM["elements"][2]]
     (free,) = base_structure(Network.load({**model, "outputs": model["outputs"][:2]})).free
     assert free.low == 0.0 and free.sigma == pytest.approx(0.1 * 2 * math.sqrt(G * J))
 
 
 def test_what_starts_at_zero_with_nothing_to_measure_it_by_is_said_in_a_line():
-    free = cart(damper("m", "ground", 0.0, "c"))
+    free = cart(damper("cart", "ground", 0.0, "c"))
     with pytest.raises(InputError, match=r"'c\.damping' is zero, and nothing in the model says"):
         base_structure(Network.load({**free, "uncertainty": {"c.damping": 0.5}}))

@@ -83,11 +83,7 @@ def test_other_roads_are_not(options):
 
 
 def test_a_program_warns_once():
-    code = (
-        "import gymnasium as gym\n"
-        "for road in ('paper', 'E', 'E', 'C', 'E'):\n"
-        f"    gym.make({QUARTER!r}, road=road)\n"
-    )
+    code = f"import gymnasium\nfor road in 'paper E E C E'.split(): gymnasium.make({QUARTER!r}, road=road)"
     assert python(code).stderr.count("TyreContactWarning") == 1
 
 

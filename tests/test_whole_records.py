@@ -6,7 +6,7 @@ from dataclasses import replace
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, friction, spring
+from builders import friction
 from refusals import refused
 
 from isd_gym._common.errors import InputError
@@ -29,16 +29,10 @@ STEP = 0.01
 
 def swing(moved=False):
     """A mass on a spring, with its speed measured; hung from a moving base or from the ground."""
-    base = "base" if moved else "ground"
-    inputs = [channel("base", "displacement", "base")] if moved else []
-    return builders.network(
-        "",
-        [spring("mass", base, 100.0), damper("mass", base, 0.4)],
-        inputs,
-        [channel("speed", "velocity", "mass")],
-        masses={"mass": 1.0},
-        uncertainty={"damper.damping": 0.5, "spring.stiffness": 0.05},
-    )
+    known = {"damper.damping": 0.5, "spring.stiffness": 0.05}
+    parts = {"mass": 1.0, "stiffness": 100.0, "damping": 0.4, "base": "base" if moved else ""}
+    network = builders.oscillator("speed velocity mass", uncertainty=known, **parts)
+    return network if moved else replace(network, inputs=())
 
 
 def decay():
@@ -81,10 +75,8 @@ def tables(count, samples=600):
     truth, out = network.with_element(rub), []
     for k in range(count):
         rng, time = np.random.default_rng(k), STEP * np.arange(samples)
-        base = sum(
-            0.02 / f * np.sin(2 * np.pi * f * time + p)
-            for f, p in zip((0.7, 1.3, 2.1, 3.3), 6.0 * rng.random(4), strict=True)
-        )
+        f = np.array([0.7, 1.3, 2.1, 3.3])
+        base = builders.sines(time, f, 6.0 * rng.random(4), 0.02 / f)
         base = base - base[0]
         speed = simulate(truth, time, {"base": base})["speed"]
         speed = speed + 0.01 * speed.std() * rng.standard_normal(samples)
@@ -135,8 +127,7 @@ def test_the_order_of_validation_files_of_one_segment_changes_nothing():
     for order in ((1, 2, 3), (3, 1, 2), (2, 3, 1)):
         result = diagnose(runs[:1], network, validate=[runs[k] for k in order])
         document = result.to_dict()
-        told.append(
-            {k: document[k] for k in ("verdict", "effects", "gap", "gates", "parameters", "evidence")}
-        )
+        keys = ("verdict", "effects", "gap", "gates", "parameters", "evidence")
+        told.append({k: document[k] for k in keys})
     assert told[0] == told[1] == told[2]
     assert told[0]["verdict"] == "missing_effect"

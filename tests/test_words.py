@@ -111,21 +111,10 @@ def rivals(*beside):
 #: friction that takes the error from 30 to 7 %, whose level is known to a factor of 20 only
 VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=3.0),))
 ABREAST = replace(SEEN, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0)
-SMALL = replace(
-    SEEN,
-    effects=(replace(SEEN.effects[0], share=0.02),),
-    refit=(0.08,),
-    envelope=(0.085,),
-    richest_share=0.02,
-)
-TABLE = {
-    "between": ["mass", "ground"],
-    "over": "both",
-    "element": "missing_force",
-    "explained": 0.6,
-    "nearest": [{"effect": "gas_spring", "share": 0.88}],
-    "shares": {"elongation": 0.97, "rate": 0.05},
-}
+SMALL = replace(SEEN, effects=(replace(SEEN.effects[0], share=0.02),), refit=(0.08,), richest_share=0.02)
+SMALL = replace(SMALL, envelope=(0.085,))
+TABLE = {"between": ["mass", "ground"], "over": "both", "element": "missing_force", "explained": 0.6}
+TABLE |= {"nearest": [{"effect": "gas_spring", "share": 0.88}], "shares": {"elongation": 0.97, "rate": 0.05}}
 WORSE = r"made the model worse on held-out data \(travel: 14.0 % as given, 30.0 % refitted\)"
 BORNE_OUT = f"^(?!.*{re.escape(NOT_BORNE_OUT)})"
 SPEEDS = "two or three constant speeds"
@@ -176,16 +165,12 @@ def test_a_model_that_is_completed_without_a_certain_name_says_so():
     open_law["best_candidate"]["completes"] = True
     open_law["gap"]["closed"] = 0.61
     said = summary_of(open_law)
-    assert (
-        "model.json has Coulomb friction between mass and ground, which predicts best: the error in travel falls"
-        in said
-    )
+    best = "model.json has Coulomb friction between mass and ground, which predicts best: the error in travel falls"
+    assert best in said
     assert "61 % of the gap is closed on the test records." in said and "is not named because" in said
     open_law["best_candidate"]["explained"] = 0.2
-    assert (
-        "test records, but only 20 % on the validation records: it is not yet the whole cause"
-        in summary_of(open_law)
-    )
+    said = summary_of(open_law)
+    assert "test records, but only 20 % on the validation records: it is not yet the whole cause" in said
     open_law["gap"]["closed"] = 0.38
     assert "The cause is not found; this law is a stopgap." in summary_of(open_law)
 
@@ -194,9 +179,8 @@ def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_expla
     worse = document(VAGUE)
     worse["best_candidate"]["error"]["after"]["travel"] = 0.34
     said = summary_of(worse)
-    assert (
-        "No known effect reduces the error on the test records" in said and "34.0 % (refitted 30.0 %)" in said
-    )
+    assert "No known effect reduces the error on the test records" in said
+    assert "34.0 % (refitted 30.0 %)" in said
     assert "best candidate" not in said and "explain" not in said
     unseen = document(VAGUE, verdict="unknown_effect", best_table=tried(-0.15))
     unseen["best_candidate"]["explained"] = -0.4
@@ -216,9 +200,8 @@ def test_the_title_is_the_finding():
     certain = document(VAGUE, verdict="ambiguous", reason="kind_certain", findings=dry(0.97, 0.03))
     assert statements_of(certain).title == "Missing: dry friction between mass and ground; its law is open"
     assert statements_of(document(VAGUE)).title == "An effect is missing; no known law fits"
-    assert statements_of(document(VAGUE, findings=dry(0.9))).title == (
-        "An effect is missing, probably dry friction between mass and ground"
-    )
+    probable = statements_of(document(VAGUE, findings=dry(0.9))).title
+    assert probable == "An effect is missing, probably dry friction between mass and ground"
     told = statements_of(document(ABREAST, alternatives=rivals("backlash")))
     assert told.title == "Probably missing: backlash between ground and mass; a further effect is open"
     refuted = document(VAGUE, tabulated=TABLE, gap=errors(after=0.07)["gap"] | {"closed": -0.5})
@@ -272,6 +255,5 @@ def test_a_figure_that_is_not_finite_does_not_lose_the_result():
     for made in (document(), document(VAGUE, best_table=tried(0.3)), document(replace(SEEN, refit=(0.021,)))):
         assert summary_of(blanked(made))
     assert plain_number(None) == "unknown"
-    assert failures([gate("g", float("nan"), ">", 1.0, "").to_dict() | {"value": None}]) == (
-        "g is unknown (needed above 1)"
-    )
+    unknown = gate("g", float("nan"), ">", 1.0, "").to_dict() | {"value": None}
+    assert failures([unknown]) == "g is unknown (needed above 1)"

@@ -29,10 +29,8 @@ def test_settings_are_arguments_of_the_algorithm(algorithm):
         assert isinstance(own["n_timesteps"], float) and own["n_timesteps"] >= 1e6
         # the Zoo evaluates the text with torch.nn as nn
         policy = eval(own["policy_kwargs"], {"dict": dict, "nn": import_module("torch.nn")})
-        parameters = inspect.signature(
-            getattr(sb3, algorithm).policy_aliases["MlpPolicy"].__init__
-        ).parameters
-        assert set(policy) <= set(parameters)
+        made = getattr(sb3, algorithm).policy_aliases["MlpPolicy"].__init__
+        assert set(policy) <= set(inspect.signature(made).parameters)
 
 
 @pytest.mark.filterwarnings("ignore:.*precision lowered:UserWarning")  # RescaleAction's own space

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from builders import QUARTER_CAR as CAR
-from builders import drive_quarter_car, friction
+from builders import STRUT, drive_quarter_car, friction, spring
 from program import with_wings
 from typer.testing import CliRunner
 
@@ -20,19 +20,10 @@ from isd_gym.records.data import Table, read_table, write_table
 
 NETWORK = Network.load(CAR)
 STEP = 2.5e-3
-DECAY = {
-    **{k: CAR[k] for k in ("schema", "masses")},
-    "elements": [
-        *CAR["elements"][:2],
-        {**CAR["elements"][2], "between": ["wheel", "ground"]},
-        friction("body", "wheel", 60.0, "seal"),
-    ],
-    "outputs": [c for c in CAR["outputs"] if c["name"] != "wheel_acceleration"],
-}
-AT_FIRST = {
-    "body": {"displacement": 0.04, "velocity": -0.3},
-    "wheel": {"displacement": -0.004, "velocity": 0.1},
-}
+GROUNDED = [*STRUT, spring("wheel", "ground", 192000.0, "tyre"), friction("body", "wheel", 60.0, "seal")]
+DECAY = CAR | {"elements": GROUNDED, "inputs": [], "outputs": [CAR["outputs"][0], CAR["outputs"][2]]}
+BODY, WHEEL = {"displacement": 0.04, "velocity": -0.3}, {"displacement": -0.004, "velocity": 0.1}
+AT_FIRST = {"body": BODY, "wheel": WHEEL}
 
 
 @pytest.fixture(scope="module")
@@ -72,22 +63,15 @@ def test_a_free_decay_is_fitted_to_one_sensor():
 def test_motions_and_states_are_each_others_inverse(moving):
     network = Network.load("quarter-car-isd")
     inputs = {"road": np.array([0.01, 0.012]), "current": np.zeros(2)}
-    told = {
-        "body": {"displacement": 0.02, "velocity": 0.1},
-        "wheel": {"displacement": 0.011, "velocity": 0.3},
-    }
-    found = motions_at(network, state_of(network, told, inputs, STEP), inputs, STEP)
-    for node, motion in told.items():
+    found = motions_at(network, state_of(network, AT_FIRST, inputs, STEP), inputs, STEP)
+    for node, motion in AT_FIRST.items():
         assert found[node] == pytest.approx(motion, abs=1e-9)
 
 
 def test_loggers_with_rates_and_clocks_of_their_own_are_fitted_on_their_grid(moving):
     late = 0.012
-    signals = {
-        n: Signal(moving.time + late, moving[n], c.si, "box", n)
-        for c in NETWORK.outputs
-        if (n := c.name) != "wheel_acceleration"
-    }
+    logged = {c.name: c.si for c in NETWORK.outputs if c.name != "wheel_acceleration"}
+    signals = {n: Signal(moving.time + late, moving[n], si, "box", n) for n, si in logged.items()}
     signals["road"] = Signal(moving.time, moving["road"], "m", "laser", "road")
     begun = initial_state(Recording("run", signals), NETWORK)
     (lag,) = begun.lags

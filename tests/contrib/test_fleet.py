@@ -38,20 +38,15 @@ def test_cases_are_found_with_vehicle_date_and_loggers(tmp_path):
     case(tmp_path, "van7_2024-05-01", "a.csv")
     case(tmp_path, "bench", "a.csv")
     found = cases_of(tmp_path, "car.json")
-    assert [(c.vehicle, c.date) for c in found] == [
-        ("bench", ""),
-        ("van7", "2024-05-01"),
-        ("van7", "2024-09-01"),
-    ]
+    assert [c.vehicle for c in found] == ["bench", "van7", "van7"]
+    assert [c.date for c in found] == ["", "2024-05-01", "2024-09-01"]
     run = tmp_path / "van7_2024-09-01"
     assert found[2].data == (f"{run}/run1/body.csv+{run}/run1/wheel.mf4",)
     assert found[2].validate == (f"{run}/validation.csv",)
-
-
-def test_every_file_that_a_reader_knows_is_a_run(tmp_path):
-    case(tmp_path, "rig", "run1.lvm", "run2.csv.gz", "run3.CSV", "run4.zip", "model.json")
-    (found,) = cases_of(tmp_path)
-    assert found.data == tuple(f"{tmp_path}/rig/{name}" for name in ("run1.lvm", "run2.csv.gz", "run3.CSV"))
+    # every file that a reader knows is a run
+    case(tmp_path / "more", "rig", "run1.lvm", "run2.csv.gz", "run3.CSV", "run4.zip", "model.json")
+    (rig,) = cases_of(tmp_path / "more")
+    assert [name.rpartition("/")[2] for name in rig.data] == ["run1.lvm", "run2.csv.gz", "run3.CSV"]
 
 
 def test_a_folder_that_holds_one_case_is_that_case(tmp_path):
@@ -95,21 +90,15 @@ def results(values):
     found = {}
     for task, (value, half) in zip(tasks, values.values(), strict=True):
         q = {"value": value, "low": value - half, "high": value + half, "unit": "N"}
-        effect = {
-            "effect": "coulomb_friction",
-            "between": ["piston", "joint"],
-            "confidence": 0.99,
-            "parameters": {"level": q},
-        }
+        effect = {"effect": "coulomb_friction", "between": ["piston", "joint"]}
+        effect |= {"confidence": 0.99, "parameters": {"level": q}}
         found[task.key] = {"diagnosis": {"verdict": "missing_effect", "effects": [effect]}}
     return cases, tasks, found
 
 
 def test_what_grew_over_dates_is_told():
-    cases, tasks, found = results(
-        {"2024-05-01": (300.0, 8.0), "2024-07-01": (340.0, 8.0), "2024-09-01": (450.0, 8.0)}
-    )
-    merged = merge(cases, tasks, found)
+    levels = {"2024-05-01": (300.0, 8.0), "2024-07-01": (340.0, 8.0), "2024-09-01": (450.0, 8.0)}
+    merged = merge(*results(levels))
     told = " ".join(" ".join(lines(merged)).split())
     assert "level: 300 -> 340 -> 450 N (+50 %, beyond its intervals)" in told
     assert max(map(len, lines(merged))) <= 80
@@ -120,8 +109,7 @@ def test_what_grew_over_dates_is_told():
 
 def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
     case(tmp_path, "fleet/van_2024-01-01", "a.csv", "model.json")
-    cases, tasks, found = results({"2024-01-01": (300.0, 8.0)})
-    merged = merge(cases, tasks, found)
+    merged = merge(*results({"2024-01-01": (300.0, 8.0)}))
     monkeypatch.setattr("isd_gym.contrib.fleet.cases.merge", lambda *args: merged)
     words = ["diagnose", str(tmp_path / "fleet"), "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(app, words)
@@ -142,9 +130,8 @@ def test_a_broken_result_of_a_case_is_made_again(tmp_path, monkeypatch):
     _, _, found = results({"2024-05-01": (500.0, 5.0)})
     (good,) = found.values()
     calls = []
-    monkeypatch.setattr(
-        module, "diagnose_case", lambda **given: calls.append(given["name"]) or {**good, "model": None}
-    )
+    made = lambda **given: calls.append(given["name"]) or {**good, "model": None}  # noqa: E731
+    monkeypatch.setattr(module, "diagnose_case", made)
     merged, _ = fleet(tmp_path / "cases", tmp_path / "out", "force-rig")
     assert len(calls) == 1 and merged["missing"] == 0
     (path,) = (tmp_path / "out" / "cases").glob("*.json")

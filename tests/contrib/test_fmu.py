@@ -4,11 +4,10 @@ import json
 import pickle
 from dataclasses import replace
 
-import builders
 import numpy as np
 import pytest
 import typer
-from builders import channel, damper, spring
+from builders import oscillator
 from program import python
 from refusals import refused
 from typer.testing import CliRunner
@@ -34,10 +33,8 @@ def simulated(unit, **settings):
     """
     told, found = unit.with_suffix(".pickle"), unit.with_suffix(".npy")
     told.write_bytes(pickle.dumps(settings))
-    run = (
-        "import fmpy, numpy, os, pickle, sys; unit, told, found = sys.argv[1:]; "
-        "numpy.save(found, fmpy.simulate_fmu(unit, **pickle.load(open(told, 'rb')))); os._exit(0)"
-    )
+    run = """import fmpy, numpy, os, pickle, sys; unit, told, found = sys.argv[1:]
+numpy.save(found, fmpy.simulate_fmu(unit, **pickle.load(open(told, 'rb')))); os._exit(0)"""
     for _ in range(3):
         done = python(run, unit, told, found)
         if done.returncode >= 0:
@@ -55,14 +52,12 @@ def test_units_are_loaded_again_and_beside_one_another(tmp_path):
     for number, network in enumerate((car, heavy)):
         (tmp_path / str(number)).mkdir()
         export_fmu(network, tmp_path / str(number) / "car.fmu")
-    run = (
-        "import fmpy, numpy, os, sys\n"
-        "inputs = numpy.array([(0.0, 0.01), (1.0, 0.01)], [('time', float), ('road', float)])\n"
-        "for k in (0, 1, 0, 1, 0):\n"
-        "    found = fmpy.simulate_fmu(f'{k}/car.fmu', stop_time=0.1, output_interval=0.01, input=inputs)\n"
-        "    print(k, found[found.dtype.names[1]].tolist(), flush=True)\n"
-        "os._exit(0)"
-    )
+    run = """import fmpy, numpy, os, sys
+inputs = numpy.array([(0.0, 0.01), (1.0, 0.01)], [('time', float), ('road', float)])
+for k in (0, 1, 0, 1, 0):
+    found = fmpy.simulate_fmu(f'{k}/car.fmu', stop_time=0.1, output_interval=0.01, input=inputs)
+    print(k, found[found.dtype.names[1]].tolist(), flush=True)
+os._exit(0)"""
     done = python(run, cwd=tmp_path)
     lines = done.stdout.splitlines()
     assert len(lines) == 5, done.stdout + done.stderr
@@ -94,15 +89,9 @@ def test_stepping_is_the_kernels_own_simulation(change):
 
 def test_a_shaken_base_is_followed_through_its_damper():
     """Where velocity and acceleration of what is moved matter, a cubic through the last samples stands for the spline."""
-    rig = builders.network(
-        "",
-        [spring("mass", "base", 4e3), damper("mass", "base", 60.0)],
-        [channel("base", "displacement", "base", unit="mm")],
-        [channel("acc", "acceleration", "mass")],
-        masses={"mass": 10.0},
-    )
-    own = stepped(rig, base=1e3 * ROAD)["acc"]
-    whole = simulate(rig, T, {"base": 1e3 * LATE})["acc"]
+    rig = oscillator("acc acceleration mass", mass=10.0, stiffness=4e3, damping=60.0, base="base")
+    own = stepped(rig, base=ROAD)["acc"]
+    whole = simulate(rig, T, {"base": LATE})["acc"]
     assert np.sqrt(np.mean((own - whole)[20:] ** 2)) < 0.02 * whole.std()
 
 

@@ -93,9 +93,8 @@ def test_heads_activations_and_broken_readings(mode, activation, tmp_path):
     memory = Memory((1.0, 0.01, 0.2, 0.01, 0.05, 2.5), (0.3,) * 6, order=2, leak=((0, 1.0, 0.1),), ahead=3)
     width = memory.width(6)
     weights = [(rng.normal(size=(8, width)), rng.normal(size=8)), (rng.normal(size=(1, 8)), np.zeros(1))]
-    policy = Policy(
-        weights, memory=memory, head=Head(mode), activation=activation, output="tanh", name="7 of*/9"
-    )
+    heads = {"head": Head(mode), "activation": activation, "output": "tanh", "name": "7 of*/9"}
+    policy = Policy(weights, memory=memory, **heads)
     reset, command, _ = _compiled(policy, tmp_path)
     reset()
     rows = rng.normal(size=(30, 9)).astype(np.float32) * 0.1
@@ -112,10 +111,8 @@ def test_a_history_of_a_whole_car_is_the_same_in_c(speed, tmp_path):
     rng = np.random.default_rng(0)
     memory = Memory.of(vehicle(Network.load("full-car-isd")))
     width = memory.width(23)
-    weights = [
-        (0.2 * rng.normal(size=(8, width)), rng.normal(size=8)),
-        (rng.normal(size=(4, 8)), np.zeros(4)),
-    ]
+    first = 0.2 * rng.normal(size=(8, width)), rng.normal(size=8)
+    weights = [first, (rng.normal(size=(4, 8)), np.zeros(4))]
     policy = Policy(weights, memory=memory, head=Head("increment"), activation="tanh", output="clip")
     policy = policy.at_speed(speed)
     assert max(policy.memory.ages) == round(2.7 / speed / 5e-3)
@@ -157,9 +154,8 @@ def test_the_mpc_is_the_same_in_c(name, road, tmp_path):
     options = {"preview": 0.1} if "preview" in name else {}
     controller = baselines.make(name, **options)
     reset, command, header = _compiled_mpc(controller, tmp_path)
-    env = gym.make(
-        "ISDSuspension-v0", road=road, observation=controller.observation, preview=controller.preview or None
-    )
+    looks = {"observation": controller.observation, "preview": controller.preview or None}
+    env = gym.make("ISDSuspension-v0", road=road, **looks)
     obs, _ = env.reset(seed=3)
     controller.reset()
     seen, own = [], []

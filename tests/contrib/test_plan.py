@@ -62,6 +62,7 @@ def test_twice_the_noise_asks_for_twice_the_size():
     assert two / one == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_record_of_four_times_the_length_halves_the_size():
     record = make_record(Network.load(MASS), SHORT, make_excitation(Network.load(MASS), SHORT))
     stroke = 1e3 * record.inputs["stroke"]
@@ -77,10 +78,7 @@ def test_what_moves_no_sensor_is_unseen_and_the_sensor_that_would_see_it_is_name
     """Two oscillators on one shaker do not feel each other: of the second one nothing is measured."""
     model = json.loads(json.dumps(MASS))
     model["masses"]["other"] = 5.0
-    model["elements"] += [
-        spring("other", "shaker", 4000.0, "other_spring"),
-        damper("other", "shaker", 30.0, "other_damper"),
-    ]
+    model["elements"] += [spring("other", "shaker", 4e3, "beside"), damper("other", "shaker", 30.0, "oil")]
     p = plan(model, rig=SHORT, only=["cubic_stiffness", "shaker"])
     status = {e.where: e.status for e in p.effects}
     assert status["table", "shaker"] == "named"
@@ -196,22 +194,14 @@ def test_bad_options_are_answered_with_one_line_and_nothing_is_written(tmp_path,
 
 def rivals(levels):
     """What a diagnosis leaves that cannot tell friction from damping against the ground."""
+    common = {"where": [["table", "ground"]], "why_not": "", "options": [{}]}
+    laws = {"coulomb_friction": {"level": levels[0]}, "linear_damping": {"damping": levels[1]}}
+    stiffness = {"value": 9100.0, "low": 9000.0, "high": 9200.0, "unit": "N/m"}
     return {
         "schema": "isd-diagnosis/1",
         "verdict": "ambiguous",
-        "parameters": {"spring.stiffness": {"value": 9100.0, "low": 9000.0, "high": 9200.0, "unit": "N/m"}},
-        "alternatives": [
-            {
-                "effects": [effect],
-                "where": [["table", "ground"]],
-                "why_not": "",
-                "values": [{key: value}],
-                "options": [{}],
-            }
-            for (effect, key), value in zip(
-                (("coulomb_friction", "level"), ("linear_damping", "damping")), levels, strict=True
-            )
-        ],
+        "parameters": {"spring.stiffness": stiffness},
+        "alternatives": [{"effects": [k], "values": [v], **common} for k, v in laws.items()],
     }
 
 
@@ -239,11 +229,8 @@ def test_a_designed_test_separates_rivals_better_than_the_usual_one():
     network = Network.load(MASS)
     left = read_rivals(network, rivals((3.0, 14.0)))
     assert [r.label for r in left] == ["coulomb_friction at table-ground", "linear_damping at table-ground"]
-    tests = [
-        make_excitation(network, SHORT),
-        Excitation("triangle", 1.0, 7.0, ("stroke",), 0.4),
-        Excitation("sweep", 1.0, 7.0, ("stroke",), 0.3),
-    ]
+    tests = [Excitation(k, 1.0, 7.0, ("stroke",), size) for k, size in (("triangle", 0.4), ("sweep", 0.3))]
+    tests.insert(0, make_excitation(network, SHORT))
     found = design_test(network, left, SHORT, np.array([0.05]), tests=tests)
     assert found is not None
     assert found.separation >= found.usual > 0
@@ -255,16 +242,14 @@ def test_a_designed_test_separates_rivals_better_than_the_usual_one():
 
 def test_results_without_rivals_are_refused_with_one_line():
     network = Network.load(MASS)
+    whole = rivals((3.0, 14.0))
     for change, word in (
         ({"alternatives": []}, "no rivals"),
         ({"schema": "isd-score/1"}, "no result of a diagnosis"),
         ({"alternatives": [{"effects": ["coulomb_friction"], "where": [["table", "ground"]]}]}, "again"),
     ):
-        refused(word, read_rivals, network, {**rivals((3.0, 14.0)), **change})
-
-
-def test_rivals_that_a_stranger_wrote_are_refused_with_one_line():
-    network, whole = Network.load(MASS), rivals((3.0, 14.0))
+        refused(word, read_rivals, network, {**whole, **change})
+    # of a stranger
     row = whole["alternatives"][0]
     for wrong in (
         {"effects": "no_such"},
