@@ -107,6 +107,7 @@ def test_autoreset_as_gymnasium_has_it():
     assert not obs.any() and info["_final_obs"].all() and info["final_obs"][0][5] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_model_file_with_found_effects_runs_as_env(tmp_path):
     net = Network.load("quarter-car-isd")
     for extra in (

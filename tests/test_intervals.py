@@ -83,6 +83,7 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
         assert q.high - q.low < 0.03 * truth  # not the stated uncertainty
 
 
+@pytest.mark.slow
 def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
     """The motion of a shaken mass depends on ratios of mass, stiffness, damping and friction alone."""
     spread = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3, "rub.level": 0.3}

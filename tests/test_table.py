@@ -93,6 +93,7 @@ def test_a_table_that_is_none_is_said_in_a_line(table, words):
     refused(words, car, tabulated(**table))
 
 
+@pytest.mark.slow
 def test_the_environment_and_the_controllers_take_a_table():
     knots = np.linspace(-0.5, 0.5, 21)
     net = car(tabulated(rate=knots, force=400.0 * np.tanh(8.0 * knots)))

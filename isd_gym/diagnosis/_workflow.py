@@ -176,8 +176,7 @@ def _diagnose_inverse(
 ) -> Diagnosis | None:
     """Diagnose the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away.
 
-    Returns:
-        The diagnosis, with the completed model as `whole`; None where the drift is small, the model has no inverse, or nothing is named.
+    The completed model is `whole` of the diagnosis. None where the drift is small, the model has no inverse, or nothing is named.
     """
     inverse = invert(flow.network)
     if inverse is None or any(r.reading is not None for r in records):
@@ -401,13 +400,8 @@ class Workflow:
         return Problem(self.network, records, roles, p.step, p.time)
 
     def _diagnose_segments(self, notes: list[str], start: float, error: float) -> Diagnosis | None:
-        """Diagnose over segments: no simulation follows a rig for long that has many positions of rest, hits stops or drifts.
-
-        `start`: Start of the work [s].
-
-        Returns:
-            The diagnosis; None where nothing is decided.
-        """
+        """Diagnose over segments: no simulation follows a rig for long that has many positions of rest, hits stops or drifts. None
+        where nothing is decided."""
         if not self.has_free_motion():
             return None
         flow = replace(self, problem=self.segmented, is_segmented=True)

@@ -344,12 +344,8 @@ class DifferingParameter:
 
 
 def is_far_better(explained: float, other: float) -> bool:
-    """Return whether an explanation leaves a far smaller error than another: half of the RMS error beyond noise.
-
-    Args:
-        explained: Share of the squared error beyond noise that the explanation removes.
-        other: Share that the other explanation removes.
-    """
+    """Return whether an explanation leaves a far smaller error than another, half of the RMS error beyond noise, from the shares of
+    the squared error beyond noise that both remove."""
     return 1.0 - other >= FAR * max(1.0 - explained, LEAST_LEFT)
 
 

@@ -68,6 +68,7 @@ def test_knowing_more_is_worth_more_and_the_whole_road_most():
     assert np.all(np.diff(values) < 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preview", [0, 4])
 def test_the_penalty_has_no_mean_whatever_a_causal_policy_does(preview):
     # a policy that reacts to what it sees, on the real car with friction and stops; 24 roads of 2 s

@@ -62,6 +62,7 @@ def test_twice_the_noise_asks_for_twice_the_size():
     assert two / one == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_record_of_four_times_the_length_halves_the_size():
     record = make_record(Network.load(MASS), SHORT, make_excitation(Network.load(MASS), SHORT))
     stroke = 1e3 * record.inputs["stroke"]

@@ -33,7 +33,12 @@ class Push:
         return 5.0 * self.shares * float(observation[0])
 
 
-@pytest.mark.parametrize("name", ["quarter-car-isd", "half-car-isd", "full-car-passive", "full-car-isd"])
+CARS = ("half-car-isd", "full-car-passive", "full-car-isd")
+
+
+@pytest.mark.parametrize(
+    "name", ["quarter-car-isd", *(pytest.param(n, marks=pytest.mark.slow) for n in CARS)]
+)
 def test_the_data_are_the_environments(name, tmp_path):
     """The environment of a data set gives its observations and rewards for its actions, whatever the number of motors."""
     car = Network.load(name)

@@ -196,13 +196,8 @@ class _LagCost:
 def _search_lags(
     problem: Problem, base: Structure, index: int, limit: float
 ) -> tuple[dict[str, float], str, list[float]]:
-    """Search the lags of the clocks of a record over a wide range, clock by clock.
-
-    `limit`: Largest lag [s].
-
-    Returns:
-        Lags by clock [s], a reason to doubt the lags, and rival lags of a single clock to be fitted [s].
-    """
+    """Return the lags of a record's clocks [s] by a search up to the limit [s], clock by clock, a reason to doubt them, and rival
+    lags of a single clock to be fitted [s]."""
     record = problem.records[index]
     x0 = guess(problem, base.at(base.start), index)
     fine = Problem(problem.network, [record.unread()], time=problem.time)

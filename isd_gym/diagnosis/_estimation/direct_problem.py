@@ -39,15 +39,11 @@ LEAST_NOISE = 0.01
 def prefer_direct_problem(
     records: Sequence[Record], network: Network, training: int, least_noise: float, largest_error: float
 ) -> tuple[list[Record], Network, str] | None:
-    """Swap motion and force where the direct problem is the better one.
+    """Swap motion and force where the direct problem is the better one: records, model and a note, or None.
 
-    `network`: The nominal model, with a displacement as input and the force at the same node as output.
-    `least_noise`: Noise of the computed force, as a share of its deviation, from which on the direct problem is tried.
-    `largest_error`: Largest error of the refitted direct model over the error of a straight line through each record.
-
-    Returns:
-        Records and model with the force as input and the displacement as output, and a note. None where the noise of the motion does
-        not matter, or where the direct problem is not identifiable.
+    The nominal model has a displacement as input and the force at the same node as output. The direct problem is tried from
+    `least_noise` on, the noise of the computed force as a share of its deviation. It is not taken where it is not identifiable, or
+    where the refitted direct model errs more than `largest_error` times a straight line through each record.
     """
     pairs = find_computed_forces(network)
     if len(pairs) != 1 or any(r.reading is not None for r in records):
@@ -76,11 +72,7 @@ def prefer_direct_problem(
 
 
 def swap_roles(network: Network, given: Channel, computed: Channel) -> Network:
-    """Return the model with an output as input and an input as output: the force at a node and the displacement of the node, either way.
-
-    Raises:
-        InputError: The node has no inertia, or a force sensor at another moved node forbids the swap.
-    """
+    """Return the model with an output as input and an input as output: the force at a node and the displacement of the node, either way."""
     to_input, to_output = (replace(c, offset=None, noise=None) for c in (computed, given))
     return replace(
         network,

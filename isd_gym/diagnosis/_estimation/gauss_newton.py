@@ -94,14 +94,10 @@ class Fitter(Objective):
         records: Sequence[int] | None = None,
         initial: Mapping[int, Array] | None = None,
     ) -> Structure:
-        """Estimate the sensor offsets that all records share, at fixed parameters.
+        """Return the structure with the sensor offsets that all records share, at fixed parameters.
 
-        The estimate is the mean over records, weighted by information; initial states are eliminated per record.
-
-        `records`: Indices of the records. Default: those to fit by.
-
-        Returns:
-            The structure with its offsets; the same structure where no sensor has an offset for all records.
+        The offsets are means over records, by default those to fit by, weighted by information; initial states are eliminated per
+        record.
         """
         problem = self.problem
         own = np.flatnonzero(problem.shared_offset)
@@ -376,15 +372,9 @@ class Fitter(Objective):
         *,
         over: Array | None = None,
     ) -> tuple[Array, Array, dict[int, tuple[Array, Array]]]:
-        """Return the normal equations of responses in the records, linearised, with initial states and nuisances eliminated.
-
-        `responses`: Responses (samples, channels, m) by record.
-        `over`: Steps of central differences (`tangents`).
-
-        Returns:
-            The matrix by parameters and shared offsets (p, p) with the prior, the right-hand sides (p, m), and by record the
-            whitened derivatives (rows, p) and responses (rows, m).
-        """
+        """Return the normal equations of responses (samples, channels, m) in the records, linearised, with initial states and
+        nuisances eliminated: the matrix by parameters and shared offsets (p, p) with the prior, the right-hand sides (p, m), and
+        by record the whitened derivatives (rows, p) and responses (rows, m). `over` are steps of central differences (`tangents`)."""
         problem = self.problem
         p, q = len(x), int(problem.shared_offset.sum())
         H = np.diag(np.append(1 / structure.sigma**2, np.zeros(q)))
@@ -423,13 +413,7 @@ class Fitter(Objective):
 def _weighted_mean(
     problem: Problem, channels: NDArray[np.intp], offset: Mapping[int, Array], slopes: Mapping[int, Slope]
 ) -> Array:
-    """Compute the mean over records of the offsets per record, weighted by information.
-
-    `channels`: Indices of the channels (offsets,).
-
-    Returns:
-        The mean offsets (offsets,).
-    """
+    """Return the mean over records of the offsets per record (offsets,) of some channels, weighted by information."""
     total, weighted = np.zeros((len(channels), len(channels))), np.zeros(len(channels))
     free = np.flatnonzero(problem.record_offset)
     for i, s in slopes.items():

@@ -24,13 +24,10 @@ if TYPE_CHECKING:
 
 
 def propagate_input_noise(problem: Problem) -> Array:
-    """Propagate the white noise of measured motions through the nominal model to the forces computed from the motions.
+    """Return the RMS noise (channels,) of forces that are computed from twice differentiated motions; zero for other channels.
 
     The noise is the RMS change of a simulated force when a second noise of the same level is added to the motion. The level is the
     median over the training records, because a glitch in one record is no noise.
-
-    Returns:
-        RMS noise (channels,) in the channels' units; zero for channels that are not computed by differentiating twice.
     """
     network, noise = problem.network, np.zeros(len(problem.channels))
     pairs = find_computed_forces(network)

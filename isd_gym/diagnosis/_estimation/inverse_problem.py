@@ -47,11 +47,8 @@ class InverseProblem:
         return [swap_channels(r, self.pushed, force, position) for r in pushed]
 
     def restore(self, found: Network) -> Network | None:
-        """Return the model with the drive as input, and the parameters and added elements of a completed inverse model.
-
-        Returns:
-            The model; None where an added element acts on the computed force alone.
-        """
+        """Return the model with the drive as input, and the parameters and added elements of a completed inverse model; None where an
+        added element acts on the computed force alone."""
         if any(e.place != "between" for e in found.elements):
             return None
         own, known = {e.name: e for e in found.elements}, {e.name for e in self.direct.elements}
@@ -70,9 +67,8 @@ class InverseProblem:
 def invert(network: Network) -> InverseProblem | None:
     """Return the inverse problem of one driven mass that no spring holds.
 
-    Returns:
-        The problem; None unless the one input is a force at a mass or the current of a motor between this mass and the ground, the one output is
-        the displacement of the mass, no other mass moves and nothing oscillates.
+    None unless the one input is a force at a mass or the current of a motor between this mass and the ground, the one output is the
+    displacement of the mass, no other mass moves and nothing oscillates.
     """
     if len(network.inputs) != 1 or len(network.outputs) != 1 or len(network.masses) != 1 or network.moving:
         return None

@@ -18,13 +18,10 @@ Point = TypeVar("Point")
 def damped_step(
     take: Callable[[float], tuple[Point, float]], cost: float, damping: float, *, tries: int
 ) -> tuple[Point | None, float, float]:
-    """Take a step that lowers the cost; increase the damping tenfold after each failure.
+    """Take a step that lowers the cost; increase the damping tenfold after each failure, except after a single one.
 
-    `take`: Function from a relative damping to the new point and its cost, infinite if the simulation fails.
-    `tries`: Number of tries. After a single failed try the damping stays.
-
-    Returns:
-        The new point or None, its cost, and the damping for the next step.
+    `take` returns the new point and its cost for a relative damping, an infinite cost if the simulation fails. Returned are the new
+    point or None, its cost, and the damping for the next step.
     """
     for _ in range(tries):
         found, lower = take(damping)

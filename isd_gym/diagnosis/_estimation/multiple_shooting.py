@@ -67,11 +67,8 @@ def in_segments(
 
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
-    """Fit parameters to segments of the training records that grow, with the weights of a fitter.
-
-    Returns:
-        Parameters (parameters,), transformed; None where the records are no longer than a segment, or a fit breaks down.
-    """
+    """Return the parameters (parameters,), transformed, of fits to segments of the training records that grow; None where the records
+    are no longer than a segment, or a fit breaks down."""
     length, found = SHORT, None
     try:
         while (brief := segments_of(problem, length)) is not None:

@@ -140,13 +140,8 @@ class RecordwiseFitter(Fitter):
 
 
 class _Layout:
-    """Order of shared parameters, then those of each group, in one vector.
-
-    Args:
-        structure: The structure.
-        own: Mask of the parameters with a value per group (parameters,).
-        count: Number of groups.
-    """
+    """Order of shared parameters, then those of each group, in one vector; the mask `own` (parameters,) tells the parameters with a
+    value per group."""
 
     def __init__(self, structure: Structure, own: NDArray[np.bool_], count: int):
         p, shared = len(own), int(np.sum(~own))

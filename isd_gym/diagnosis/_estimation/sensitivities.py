@@ -89,17 +89,12 @@ def _small_steps(structure: Structure, x: Array) -> Array:
 
 
 def deviations(structure: Structure, x: Array, covariance: Array) -> Array:
-    """Return the principal axes of a correlation, one standard deviation long, as steps of differences.
+    """Return the principal axes of a correlation, one standard deviation long and within the limits of the parameters, as steps of
+    differences (steps, parameters).
 
-    Axes of the correlation do not depend on the units of the parameters.
-
-    Derivatives by single parameters lose a direction in which the outputs hardly change: with dry friction, small differences have errors
-    of some per cent, and a factor that all masses and forces share then looks determined. An axis along this direction does not.
-
-    `covariance`: Their covariance (parameters, parameters).
-
-    Returns:
-        Steps within the limits of the parameters (steps, parameters).
+    Derivatives by single parameters lose a direction in which the outputs hardly change: with dry friction, small differences have
+    errors of some per cent, and a factor that all masses and forces share then looks determined. An axis along this direction does
+    not. Axes of the correlation do not depend on the units of the parameters.
     """
     deviation = np.sqrt(np.diag(covariance))
     variances, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))

@@ -279,14 +279,11 @@ def offsets_of(network: Network, output: Channel) -> list[el.SensorBias]:
 
 
 def with_sensor_offsets(network: Network, offsets: Sequence[float] | None) -> Network:
-    """Return the model with the fitted offsets of its sensors as effects `sensor_bias`, so that a simulation reads as the sensors do.
+    """Return the model with the fitted offsets of its sensors [unit of the channel] as effects `sensor_bias`, so that a simulation
+    reads as the sensors do.
 
-    The outputs keep `"offset": "free"`: a later diagnosis estimates the remaining offset.
-
-    `offsets`: Offset of each output, equal for all records [unit of the channel]; None for no offset.
-
-    Returns:
-        The model. The bias of a channel that has one already changes by the offset.
+    The outputs keep `"offset": "free"`: a later diagnosis estimates the remaining offset. The bias of a channel that has one already
+    changes by the offset.
     """
     for c, offset in zip(network.outputs, offsets or (), strict=bool(offsets)):
         if c.offset != "free" or not offset:

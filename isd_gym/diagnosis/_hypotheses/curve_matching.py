@@ -40,14 +40,10 @@ def match_law(
     *,
     mirrored: bool = False,
 ) -> LawMatch | None:
-    """Fit the free parameters of a law to a curve, from several start values.
+    """Return the match of a law's free parameters to a curve with the smallest error, from several start values; None if no fit
+    succeeds.
 
     Parameters with a minimum of zero or more are fitted by their logarithm.
-
-    `residual`: Function from parameter values to the residual (samples,).
-
-    Returns:
-        The match with the smallest error, or None if no fit succeeds.
     """
     matches = [m for start in starts for m in _matches_from(start, kind, residual, mirrored)]
     return min(matches, key=lambda m: m.error, default=None)

@@ -44,16 +44,10 @@ class PlaceForces:
     measured: float = 0.0
 
     def at(self, where: Sequence[str]) -> float:
-        """Return the typical force of a place.
+        """Return the typical force [N] or torque [N m] of a place; the largest of all nodes for a place without a force.
 
-        A force between two nodes acts on both, so the smaller of the two nodes' forces is the scale. A node with prescribed
-        motion has no force balance and counts only where both nodes are prescribed.
-
-        Args:
-            where: the two nodes of the place, or the name of a motor or of a channel.
-
-        Returns:
-            Force [N], or torque [N m] between rotating nodes; the largest of all nodes for a place without a force.
+        A force between two nodes acts on both, so the smaller of the two nodes' forces is the scale. A node with prescribed motion
+        has no force balance and counts only where both nodes are prescribed.
         """
         if self.measured > 0:
             return self.measured
@@ -99,13 +93,8 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
 
 
 def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str, Array]:
-    """Compute the forces of the elements between two nodes over all records to fit by.
-
-    `where`: the two nodes; the sign of each force is that of an element from the first to the second.
-
-    Returns:
-        Force [N] (samples,), or torque [N m], by element.
-    """
+    """Return the force [N] or torque [N m] (samples,) of each element between two nodes over all records to fit by, with the sign of
+    an element from the first to the second."""
     net, pair = fit.network, set(where)
     here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
     probes = tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here)
@@ -114,11 +103,8 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
 
 
 def work_share(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the share of an element in the work that all elements of a network dissipate over the records to fit by.
-
-    Returns:
-        Share from 0 to 1; 0 for an element that stores energy only.
-    """
+    """Return the share of an element in the work that all elements of a network dissipate over the records to fit by; 0 for an
+    element that stores energy only."""
     net = fit.network
     lossy = [e for e in net.elements if e.place == "between" and e.mechanism in DISSIPATIVE]
     if name not in {e.name for e in lossy}:
@@ -132,11 +118,8 @@ def work_share(problem: Problem, fit: Fit, name: str) -> float:
 
 
 def lossy_share(problem: Problem, fit: Fit) -> float:
-    """Return the largest force of an element that dissipates over the largest force of all elements, as root mean squares over the records to fit by.
-
-    Returns:
-        Share from 0 to 1; 1 without an element that dissipates.
-    """
+    """Return the largest force of an element that dissipates over the largest force of all elements, as root mean squares over the
+    records to fit by; 1 without an element that dissipates."""
     elements = [e for e in fit.network.elements if e.place == "between"]
     forces: dict[str, Array] = {}
     for pair in {e.between for e in elements}:
@@ -147,16 +130,8 @@ def lossy_share(problem: Problem, fit: Fit) -> float:
 
 
 def dissipated_work(force: Array, motion: Motion) -> float:
-    """Return the mean power of the equivalent viscous damper of a force: a spring in parallel takes the part that returns.
-
-    `force`: Force over the motion (samples,) [N].
-
-    Returns:
-        Mean power [W].
-
-    References:
-        Den Hartog: Mechanical Vibrations, 4th edition (1956), section 8.9.
-    """
+    """Return the mean power [W] of the equivalent viscous damper of a force (samples,): a spring in parallel takes the part that
+    returns (Den Hartog: Mechanical Vibrations, 4th edition (1956), section 8.9)."""
     columns = np.stack([motion.v, motion.d, np.ones(len(force))], axis=1)
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     damping = np.linalg.lstsq(columns / size, force, rcond=None)[0][0] / size[0]

@@ -27,13 +27,8 @@ LEAST_DIFFERENCE = 0.3
 
 
 def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> dict[str, list[Array]]:
-    """Return the loads of frictions in the training records, as a fitted simulation computes them.
-
-    `candidates`: Hypotheses; those without a load do not count.
-
-    Returns:
-        Load of each training record (samples,) [N], or [N m] where nodes turn, by element; empty where the simulation breaks down.
-    """
+    """Return the load of each training record (samples,) [N], or [N m] where nodes turn, by loading element of the candidates, as a
+    fitted simulation computes it; empty where the simulation breaks down."""
     names = list(dict.fromkeys(dict(h.options)["load"] for h in candidates if h.kind.loaded))
     if not names:
         return {}
@@ -46,10 +41,7 @@ def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> 
 
 
 def tell_gain(loads: Sequence[Array]) -> bool:
-    """Return whether loads tell the level of a friction from its gain: the mean loads of two records must differ in magnitude.
-
-    Args:
-        loads: Load of each record (samples,) [N].
-    """
+    """Return whether the loads of the records tell the level of a friction from its gain: the mean loads of two records must differ
+    in magnitude."""
     means = [abs(float(np.mean(x))) for x in loads]
     return max(means) - min(means) > LEAST_DIFFERENCE * max(rms(x) for x in loads)

@@ -54,15 +54,8 @@ class Deconvolution:
         measured: Mapping[str, Array],
         highest: float = HIGHEST,
     ) -> Deconvolution:
-        """Return the linear response about rest, up to `highest` times the frequency of the motion: above it the sensors resolve no force.
-
-        `time`: Time stamps [s] (n,).
-        `measured`: Measured outputs by channel (n,).
-        `highest`: Highest frequency of the band, as a multiple of the frequency of the motion.
-
-        Raises:
-            InputError: The model has no linear response, or the record is too short.
-        """
+        """Return the linear response about rest, up to `highest` times the frequency of the measured motion: above it the sensors
+        resolve no force."""
         step, samples, names = float(time[1] - time[0]), len(time), list(measured)
         name = network.free_name("missing_force")
         outputs = []

@@ -46,13 +46,11 @@ def typical_advance(travels: Sequence[Array]) -> float:
 def spectral_pitches(
     problem: Problem, fit: Fit, pair: tuple[str, str], motion: Motion, periods: float
 ) -> tuple[float, ...]:
-    """Find the periods of the missing force over the travel of two nodes.
+    """Return at most `LINES` periods of the missing force over the travel of two nodes [m, or rad where the nodes turn], the
+    strongest line first.
 
-    `fit`: The fitted model; its residual is the signal.
-    `periods`: Least number of periods over the whole travel that is looked for.
-
-    Returns:
-        At most `LINES` periods [m, or rad where the nodes turn], the strongest line first; none where the records cannot show one.
+    The signal is the residual of the fitted model. Periods that the whole travel holds fewer than `periods` times, or that the
+    records cannot show, are not looked for.
     """
     span = float(np.ptp(motion.d))
     edges = np.cumsum([problem.records[i].samples for i in problem.estimation])[:-1]
@@ -117,15 +115,10 @@ def _strongest(power: Array, periods: float) -> list[float]:
 
 
 def thinning_loses(problem: Problem, fit: Fit, floors: Array) -> bool:
-    """Return whether the thinned records of a search would lack much of the residual.
+    """Return whether the thinned records of a search would lack much of the residual: in any output, a quarter of its power beyond
+    the noise.
 
     A force that repeats over travel may be much faster than the motion by which records are thinned.
-
-    `problem`: Model and records; `problem.rough` has the thinned ones.
-    `floors`: Noise of each output, shape (channels,), in the channels' units.
-
-    Returns:
-        True if, in any output, a quarter of the residual's power beyond the noise lies above the band of the thinned records.
     """
     lost, power, rows = np.zeros(len(floors)), np.zeros(len(floors)), 0
     for i in problem.estimation:

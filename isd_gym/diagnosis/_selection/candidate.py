@@ -123,11 +123,7 @@ def parameter_values(element: el.Element) -> dict[str, float]:
 
 
 def simpler_structures(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, Structure]]:
-    """Return the structures with one effect left out, or replaced by a special case of its law.
-
-    Returns:
-        The effect that is left out or replaced, and the structure.
-    """
+    """Return the structures with one effect left out, or replaced by a special case of its law, each with the effect."""
     network = candidate.fit.network
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion = motions(problem, candidate.fit)

@@ -70,14 +70,8 @@ class CandidateFitter:
     def from_segments(
         self, structure: Structure, x: Array, similar: Candidate, noise: Array | None = None
     ) -> Candidate | None:
-        """Fit a structure from the result of a fit to brief segments.
-
-        `similar`: A candidate whose residuals give the weights of the fit to segments.
-        `noise`: White noise (channels,) of the weights.
-
-        Returns:
-            The candidate; None where the motion is strongly damped, or the fit breaks down.
-        """
+        """Fit a structure from the result of a fit to brief segments, weighted by the residuals of a `similar` candidate or by white
+        noise (channels,); None where the motion is strongly damped, or the fit breaks down."""
         p, least = self.evaluator.problem, self.evaluator.least_noise
         if p.network.inputs and not self.is_lightly_damped:
             return None
@@ -95,13 +89,10 @@ class CandidateFitter:
         return theirs - own
 
     def refit(self, structure: Structure, similar: Candidate, worst: float = math.inf) -> Candidate | None:
-        """Fit a simpler or equivalent structure from the values of a fitted candidate.
+        """Return the best fit of a simpler or equivalent structure from the values of a fitted candidate, then from the nominal
+        values.
 
-        `similar`: The candidate, whose parameters of the nominal model are the first start; the nominal values are the second.
-        `worst`: Largest error of a fit on few samples, as a multiple of the candidate's (in power).
-
-        Returns:
-            The best fit; None where every fit breaks down, or the error is larger than `worst` allows.
+        None where every fit breaks down, or the error on few samples is larger than `worst` times that of the candidate (in power).
         """
         e, p, least = self.evaluator, self.evaluator.problem, self.evaluator.least_noise
         noise = white_noise(p, similar.fit, least)

@@ -47,15 +47,8 @@ class Comparison:
 
 
 def compare(first: Array, second: Array) -> Comparison:
-    """Compare two candidates on the same held-out blocks.
-
-    Args:
-        first: log predictive density of each block (blocks,) [nats].
-        second: the same of the other candidate, with the same filters and blocks.
-
-    Returns:
-        The difference and its standard error; an infinite error for a single block.
-    """
+    """Compare two candidates by their log predictive densities (blocks,) [nats] on the same held-out blocks: the difference and its
+    standard error, which is infinite for a single block."""
     difference = np.asarray(first) - np.asarray(second)
     count = len(difference)
     dse = math.sqrt(count * float(np.var(difference, ddof=1))) if count > 1 else math.inf
@@ -63,35 +56,23 @@ def compare(first: Array, second: Array) -> Comparison:
 
 
 def log_density(squares: Array, weight: float, floor: Array) -> float:
-    """Return the log predictive density of a block of whitened residuals whose noise variance is unknown.
+    """Return the log predictive density [nats], without constants, of a block of whitened residuals whose noise variance is unknown.
 
     The variance of each channel has a scaled inverse chi-squared prior with as many degrees of freedom as the block has samples.
-    Integrating the variance out leaves a Student t density, so a block with a gross error counts by the logarithm of the error: in a free
-    decay, most of the power of all errors lies in the first periods.
+    Integrating the variance out leaves a Student t density (Gelman et al.: Bayesian Data Analysis, 3rd edition (2013), sections 3.2
+    and 17.2), so a block with a gross error counts by the logarithm of the error: in a free decay, most of the power of all errors
+    lies in the first periods.
 
-    Args:
-        squares: Squares of the whitened residuals (samples, channels).
-        weight: Number of independent samples. Blocks hold the same signal energy, so every block of a record has the same weight, its
-            mean length: a long block at the end of a decay says no more than a short block at its beginning.
-        floor: Scale of the prior (channels,): whitened variance of the smallest noise that any model is credited with.
-
-    Returns:
-        Log density [nats], without constants.
-
-    References:
-        Gelman et al.: Bayesian Data Analysis, 3rd edition (2013), sections 3.2 and 17.2.
+    `squares` (samples, channels) are those of the residuals. `weight` is the number of independent samples: blocks hold the same
+    signal energy, so every block of a record has its mean length. `floor` (channels,), the scale of the prior, is the whitened
+    variance of the smallest noise that any model is credited with.
     """
     return -weight * float(np.sum(np.log1p(squares.mean(axis=0) / floor)))
 
 
 def block_edges(measured: Array, blocks: int, least: int) -> Array:
-    """Return edges of blocks of equal signal energy: in a free decay, blocks of equal length would be empty but for the first.
-
-    `measured`: samples of the measured channels (samples, channels), in any unit.
-
-    Returns:
-        Indices (edges,), from 0 to the number of samples.
-    """
+    """Return indices (edges,) of blocks of equal signal energy of measured channels (samples, channels): in a free decay, blocks of
+    equal length would be empty but for the first."""
     deviation = measured - measured.mean(axis=0)
     power = np.sum((deviation / np.maximum(measured.std(axis=0), 1e-300)) ** 2, axis=1)
     energy = np.cumsum(power + 0.02 * max(float(power.mean()), 1e-300))

@@ -39,11 +39,8 @@ ALIKE = 0.25  # largest difference of two motions that a fit bridges, as a share
 def equivalent_structures(
     problem: Problem, candidate: Candidate, c: Criteria = CRITERIA
 ) -> Iterator[Structure]:
-    """Replace each law of a candidate by other laws with nearly the same force, and by itself at places that move alike.
-
-    Returns:
-        Structures with one law replaced, best match first for each law.
-    """
+    """Replace each law of a candidate by other laws with nearly the same force, best match first, and by itself at places that move
+    alike."""
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
     known = travels(problem, problem.network, motion)
@@ -92,12 +89,10 @@ def _places_alike(
 
 
 def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
-    """Replace several laws over one plane at one place by a single law, and several series laws along one line by one of them.
+    """Replace several laws over one plane at one place by a single law, in the order of their match, and several series laws along
+    one line by one of them.
 
     The links of a chain without masses carry the same force, so that two series laws on it may imitate one at a third link.
-
-    Returns:
-        Structures with a single law for each group; laws over one plane in the order of their match.
     """
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
@@ -182,12 +177,10 @@ def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> 
 
 
 def force_difference(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:
-    """Return the difference in force between an effect and the law that replaces the effect.
+    """Return the root mean square difference in force between an effect and the law that replaces the effect, as a share of the
+    force; infinite if the laws are at different places or in series.
 
     The forces belong to the motion that is simulated with the effect. A law with memory, such as hysteresis, is simulated.
-
-    Returns:
-        Root mean square of the difference, as a share of the force. Infinite if the laws are at different places or in series.
     """
     new = next(j for j, h in enumerate(other.hypotheses) if h not in candidate.hypotheses)
     one, two = candidate.elements[effect], other.elements[new]
@@ -227,13 +220,11 @@ def _match_laws(
     force_at: Callable[[Sequence[str]], float],
     absorbing: Sequence[el.Element] = (),
 ) -> list[Effect]:
-    """Match laws to the total force of found elements over one plane.
+    """Return at most `MAX_MATCHES` laws with an error below `NEAR`, best first, matched to the total force of found elements over one
+    plane.
 
-    `force_at`: Function from a place to the typical force [N] at the place.
-    `absorbing`: Laws beside the elements, whose coefficients may take up a part of the difference.
-
-    Returns:
-        At most `MAX_MATCHES` laws with an error below `NEAR`, and the parameter values, best first.
+    `force_at` returns the typical force [N] at a place. The coefficients of `absorbing` laws beside the elements may take up a part
+    of the difference.
     """
     travel = motion.v if found[0].plane == "rate" else motion.d
     axis = np.sort(travel[:: max(1, len(travel) // POINTS)])

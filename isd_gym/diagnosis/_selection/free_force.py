@@ -240,13 +240,8 @@ def fit_free_force(
 def fit_in_place_of(
     evaluator: HeldOutEvaluator, base: Candidate, named: el.Element, over: Over | None = None
 ) -> Candidate | None:
-    """Fit a table in the place of a named effect.
-
-    `over`: Arguments of the force; those of the effect's law by default.
-
-    Returns:
-        The refitted nominal model with the table; None where the effect is no force over elongation or rate.
-    """
+    """Return the refitted nominal model with a table in the place of a named effect, over the arguments of its law by default; None
+    where the effect is no force over elongation or rate."""
     if named.place != "between" or named.series or named.plane not in PLANES:
         return None
     problem, pair = evaluator.problem, named.between
@@ -273,11 +268,8 @@ class BestTableSoFar:
     filters: Whitener
 
     def gain_over(self, evaluator: HeldOutEvaluator, base: Candidate) -> tuple[float, float, float, float]:
-        """Return what the table gains over the refitted nominal model.
-
-        Returns:
-            Explained fraction; largest error reduction of a channel; standard errors of the gain; explained fraction of the test records.
-        """
+        """Return what the table gains over the refitted nominal model: explained fraction, largest error reduction of a channel,
+        standard errors of the gain, and explained fraction of the test records."""
         after = evaluator.score(self.best, self.filters, (evaluator.score_alone(base),))
         refit = evaluator.score(base, self.filters, (after,))
         noise_score = evaluator.expected_noise_score(after, self.filters)
@@ -425,14 +417,8 @@ def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tup
 def _misfit(
     kind: type[el.Element], at: el.Setting, target: Array, size: float
 ) -> Callable[[dict[str, float]], Array]:
-    """Return the function from a law's values to its difference from a force.
-
-    `target`: The force [N] (samples,).
-    `size`: Root mean square of the force [N].
-
-    Returns:
-        Function to the relative difference (samples,), which is large for values that contradict the law's name.
-    """
+    """Return the function from a law's values to its relative difference (samples,) from a force [N] of a root mean square `size`
+    [N]; it is large for values that contradict the law's name."""
 
     def misfit(values: dict[str, float]) -> Array:
         try:

@@ -81,11 +81,7 @@ class HeldOutScore:
         return compare(self.lpd, other.lpd)
 
     def excess(self, noise: Array) -> Array:
-        """Return the error beyond noise (channels,), as a share of a channel's deviation.
-
-        Args:
-            noise: Noise (channels,), as a share of a channel's deviation.
-        """
+        """Return the error beyond noise (channels,), both as shares of a channel's deviation."""
         return np.asarray(np.sqrt(np.maximum(self.nrmse**2 - noise**2, 0.0)), dtype=np.float64)
 
     def explained_on_test(self, before: HeldOutScore, noise: Array, noise_score: float) -> float:
@@ -106,12 +102,7 @@ class HeldOutScore:
 
 
 class HeldOutEvaluator:
-    """Scores candidates on the held-out records of a problem.
-
-    Args:
-        problem: Training, validation and test records.
-        whole: The user's records, which every candidate must simulate; None for no such condition.
-    """
+    """Scores candidates on the held-out records of a problem; every candidate must simulate the user's `whole` records, if any."""
 
     def __init__(self, problem: Problem, whole: Problem | None = None):
         self.problem = problem
@@ -266,11 +257,8 @@ class HeldOutEvaluator:
         return np.array(squares), np.array(lpd)
 
     def score_path(self, path: Sequence[Candidate]) -> tuple[HeldOutScore, ...]:
-        """Score the candidates of a path, each with its own filters and the initial states of the preceding candidates.
-
-        Args:
-            path: Candidates in order of addition; each has one effect more than the preceding candidate.
-        """
+        """Score the candidates of a path, each with one effect more than the preceding one, with its own filters and the initial
+        states of the preceding one."""
         out: tuple[HeldOutScore, ...] = ()
         for k, candidate in enumerate(path):
             key = tuple(id(c) for c in path[: k + 1])

@@ -122,12 +122,9 @@ class InclusionTests:
     def removed(
         self, scores: CandidateComparison, chosen: Candidate, without: Candidate
     ) -> tuple[float, float, bool]:
-        """Return what an effect of the candidate `chosen` removes of the error of the candidate `without` it.
-
-        Returns:
-            Share of the excess error; excess error without the effect, mean over channels, as a share of the deviation; whether that
-            excess is larger in a channel than unmodelled effects make it.
-        """
+        """Return what an effect of the candidate `chosen` removes of the error of the candidate `without` it: the share of the excess
+        error; the excess error without the effect, mean over channels, as a share of the deviation; and whether that excess is
+        larger in a channel than unmodelled effects make it."""
         now, then = scores.score(chosen), scores.score(without)
         excess = then.excess(scores.noise)
         is_beyond = bool(np.any(excess > self.unmodelled_envelope(without)))

@@ -113,14 +113,8 @@ def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
 
 @dataclass(eq=False)
 class RecordComparison:
-    """Comparison of one value for all records with one value per record.
-
-    Args:
-        stretches: Stretches of the whole records.
-        structure: The refitted model.
-        x: Its parameters (parameters,), transformed.
-        noise: Noise of each channel (channels,).
-    """
+    """Comparison of one value for all records with one value per record, over stretches of the whole records, from the parameters x
+    of the refitted model and the noise (channels,)."""
 
     stretches: _Stretches
     structure: Structure
@@ -168,11 +162,8 @@ class RecordComparison:
         self.floor = np.minimum(self.floor, squares)
 
     def explained(self, squares: Array) -> float:
-        """Return the share of the squared error beyond noise of the joint fit that a fit removes.
-
-        Args:
-            squares: Squared errors of the fit on the stretches for comparison (channels,).
-        """
+        """Return the share of the squared error beyond noise of the joint fit that a fit with these squared errors (channels,) on the
+        stretches for comparison removes."""
         joint, noise = self.mean(self.joint_squares), self.mean(self.floor)
         return (joint - self.mean(squares)) / max(joint - noise, 1e-12)
 
@@ -213,11 +204,8 @@ class RecordComparison:
         return sorted(out, key=lambda e: (-e[0], e[1]))
 
     def estimates(self, fit: RecordwiseFit, name: int) -> tuple[Array, Array, Array]:
-        """Return the value of a parameter in each record, its deviation and degrees of freedom, from all stretches.
-
-        Returns:
-            Values, transformed (records,), deviations (records,), degrees of freedom (records,).
-        """
+        """Return the values of a parameter in the records, transformed, their deviations and degrees of freedom, each (records,),
+        from all stretches."""
         groups = self.stretches.groups
         rows = [
             self.stretches.problem.records[i].measured - at.outputs[i]
@@ -250,16 +238,8 @@ def is_different(a: tuple[float, float, float], b: tuple[float, float, float], c
 
 
 def group_values(values: Array, deviations: Array, freedom: Array) -> tuple[int, ...]:
-    """Return the group of each record: neighbouring values that do not differ have one group, smallest values first.
-
-    Args:
-        values: Values (records,).
-        deviations: Standard deviations (records,).
-        freedom: Degrees of freedom (records,).
-
-    Returns:
-        Index of the group of each record; all zero where no pair differs.
-    """
+    """Return the group of each record: neighbouring values that do not differ have one group, smallest values first, all zero where
+    no pair differs. Values, deviations and degrees of freedom are (records,)."""
     each = list(zip(values.tolist(), deviations.tolist(), freedom.tolist(), strict=True))
     pairs = len(each) * (len(each) - 1) / 2
     if not any(is_different(a, b, CHANCE / pairs) for a, b in combinations(each, 2)):
@@ -282,15 +262,11 @@ def find_record_differences(
     laws: Sequence[tuple[str, Structure, Array]] = (),
     lead: float = 0.0,
 ) -> RecordDifferences | None:
-    """Find the parameters that differ between records.
+    """Return the parameters that differ between records, with their values per record.
 
-    `noise`: Noise of each channel (channels,).
-    `laws`: Models with effects that explain the records best: name, structure and parameters.
-    `lead`: Simulated time before a stretch, without comparison [s].
-
-    Returns:
-        The parameters with their values per record. None where the records are too short or do not differ, and where a law explains the
-        records better.
+    None where the records are too short or do not differ, and where a law explains the records better. `laws` are models with the
+    effects that explain them best: name, structure and parameters. `lead` is the simulated time before a stretch, without comparison
+    [s].
     """
     stretches = cut_into_stretches(whole, lead)
     if stretches is None or not structure.free:

@@ -43,16 +43,13 @@ ITERATIONS, TRIES, TOLERANCE = 15, 6, 1e-3
 def fit_simulation_error(
     evaluator: HeldOutEvaluator, candidate: Candidate, held_from: Sequence[float]
 ) -> tuple[Structure, Array, SimulationFit] | None:
-    """Fit a candidate to all training data for the smallest error of its simulation.
+    """Fit a candidate to all training data for the smallest error of its simulation: the structure with its offsets, the parameters
+    (transformed), and the errors of the free runs.
 
-    Parameters and sensor offsets are free; the first samples of each record give its initial state. The fit starts at the values of the
-    candidate. Each channel is weighted by its residual.
-
-    `held_from`: Time from which each whole record took no part in fitting [s].
-
-    Returns:
-        The structure with its offsets, the parameters (transformed), and the errors of the free runs. None where the error does not fall by `LEAST_GAIN` over all data, or
-        does not fall over the held-out part; where the motion is lost; or where a simulation breaks down.
+    Parameters and sensor offsets are free; the first samples of each record give its initial state. The fit starts at the values of
+    the candidate. Each channel is weighted by its residual. None where the error does not fall by `LEAST_GAIN` over all data, or does
+    not fall over the held-out part, which begins at `held_from` [s] in each whole record; where the motion is lost; or where a
+    simulation breaks down.
     """
     whole, old = evaluator.whole, candidate.fit
     if whole is None or not old.structure.free or any(r.clocks for r in whole.records):
@@ -148,14 +145,8 @@ def _minimise(
 def run_freely(
     problem: Problem, structure: Structure, x: Array, noise: Array, records: Sequence[int] | None = None
 ) -> dict[int, Array]:
-    """Simulate records from the initial states that their first samples give.
-
-    `noise`: Noise of each channel (channels,).
-    `records`: Indices of the records; all by default.
-
-    Returns:
-        Residuals (samples, channels) by record. Channels with an offset per record are without the mean residual of the record.
-    """
+    """Return the residuals (samples, channels) of records, by default all, simulated from the initial states that their first samples
+    give; channels with an offset per record are without the mean residual of the record."""
     network = structure.at(x)
     every = list(range(len(problem.records))) if records is None else list(records)
     begun = None

@@ -160,11 +160,8 @@ def parameters_at_limits(candidate: Candidate) -> tuple[str, ...]:
 def differing_part(
     network: Network, structure: Structure, x: Array, element: el.Element, matrix: Array | None
 ) -> Quantity | None:
-    """Return the difference of two parameters of a law whose common part could be a parameter of the model.
-
-    Returns:
-        The difference with its interval; None for a law without two such parameters.
-    """
+    """Return the difference, with its interval, of two parameters of a law whose common part could be a parameter of the model; None
+    for a law without two such parameters."""
     here = [e for e in el.beside(network, element.where) if e.name != element.name]
     pair = element.differing(here)
     if pair is None or matrix is None:

@@ -36,13 +36,7 @@ FREE_FORCE = "free_force"
 
 
 def pseudo_bma_weights(lpd: Array, seed: int = 0) -> Array:
-    """Return pseudo-BMA+ weights.
-
-    `lpd`: Log predictive density of each candidate and block (candidates, blocks) [nats].
-
-    Returns:
-        Weights (candidates,), which add up to one.
-    """
+    """Return pseudo-BMA+ weights (candidates,), which add up to one, from log predictive densities (candidates, blocks) [nats]."""
     lpd = np.asarray(lpd, float)
     share = np.random.default_rng(seed).dirichlet(np.ones(lpd.shape[1]), size=DRAWS)
     total = lpd.shape[1] * (share @ lpd.T)

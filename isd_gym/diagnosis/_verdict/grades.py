@@ -42,9 +42,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (16, 16), "probable": (1, 1), "possible": (9, 5)},
-        "kind": {"certain": (14, 11), "probable": (3, 2), "possible": (17, 4)},
-        "law": {"certain": (5, 4), "probable": (2, 1), "possible": (6, 0)},
+        "place": {"certain": (21, 21), "probable": (1, 1), "possible": (11, 7)},
+        "kind": {"certain": (19, 15), "probable": (3, 2), "possible": (20, 7)},
+        "law": {"certain": (5, 4), "probable": (6, 3), "possible": (10, 2)},
     },
 }
 

@@ -20,11 +20,8 @@ from ._friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 from ._linear import LinearStiffness, Motor
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from ..._common.arrays import Array
     from ..network import Network
-    from ._base import Motion
 
 
 def _loaded(p: Array, d: float, v: float) -> float:
@@ -96,7 +93,3 @@ class LoadDependentFriction(Element):
             )
             for share in (0.5, 0.1)
         ]
-
-    @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
-        return {"level": values["level"]}

@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ._base import Element, Motion, Setting, Start, beside, parameter, register, rms
+from ._base import Element, Setting, Start, beside, parameter, register, rms
 from ._friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from ..._common.arrays import Array
     from ..network import Network
 
@@ -122,7 +120,3 @@ class ScheduledFriction(_Scheduled):
             )
             for share in (0.2, -0.2)
         ]
-
-    @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
-        return {"level": values["level"]}

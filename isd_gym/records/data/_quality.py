@@ -230,13 +230,14 @@ def _spans(flags: np.ndarray, time: np.ndarray) -> tuple[Span, ...]:
 
 
 def _check_length(time: np.ndarray, scale: Scale) -> list[Finding]:
-    """Return an error on a record of few samples, unless the record has many periods of the rig."""
-    periods = float(np.ptp(time)) / scale.period
-    least = FEW_SAMPLES if periods >= PERIODS else MIN_SAMPLES
-    if len(time) >= least:
+    """Return an error on a record of few samples, and a warning where few samples are few periods of the rig, too."""
+    count, periods = len(time), float(np.ptp(time)) / scale.period
+    if count < FEW_SAMPLES:
+        return [Finding("error", "", f"too short: {count} samples of at least {FEW_SAMPLES}")]
+    if count >= MIN_SAMPLES or periods >= PERIODS:
         return []
-    many = f" (or {FEW_SAMPLES} for {PERIODS} periods)" if least == MIN_SAMPLES else ""
-    return [Finding("error", "", f"too short: {len(time)} samples of at least {least}{many}")]
+    text = f"short: {count} samples of {MIN_SAMPLES} (or {FEW_SAMPLES} for {PERIODS} periods of the rig)"
+    return [Finding("warning", "", text)]
 
 
 def _check_step(time: np.ndarray, scale: Scale) -> list[Finding]:
