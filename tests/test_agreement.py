@@ -106,13 +106,11 @@ def test_a_motor_whose_nodes_are_exchanged_has_two_remedies():
     outputs = [channel("angle", "angle", "arm")]
     parts = [spring("arm", "ground", 2.0), damper("arm", "ground", 0.02)]
     inputs = [{"name": "command", "quantity": "voltage", "element": "drive", "unit": "V"}]
-    rig, model = (
-        builders.network(
-            "arm", [*parts, {**motor, "between": ends}], inputs, outputs, inertias={"arm": 0.003}
-        )
-        for motor in [{"name": "drive", "type": "motor", "thrust_constant": 0.1}]
-        for ends in (["ground", "arm"], ["arm", "ground"])
-    )
+    rigs = []
+    for ends in (("ground", "arm"), ("arm", "ground")):
+        motor = builders.element("drive", "motor", *ends, thrust_constant=0.1)
+        rigs.append(builders.network("arm", [*parts, motor], inputs, outputs, inertias={"arm": 0.003}))
+    rig, model = rigs
     volts = 5.0 * road()
     moved = simulate(rig, TIME, {"command": volts})
     table = Table(TIME, {"command": volts, "angle": moved["angle"]})

@@ -374,12 +374,8 @@ def test_one_law_replaces_two_laws_at_one_place_and_begins_near_their_sum():
 
 def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples():
     # along lines every sample of the base was a knock: an inertance came out with twice the acceleration, and a compliance beside it
-    parts = {
-        "mass": 20.0,
-        "damping": 40.0,
-        "beside": [element("b", "inertance", "mass", "base", inertance=6.0)],
-    }
-    net = builders.oscillator("a acceleration mass", base="base", **parts)
+    parts = {"beside": [element("b", "inertance", "mass", "base", inertance=6.0)]}
+    net = builders.oscillator("a acceleration mass", base="base", mass=20.0, damping=40.0, **parts)
     time = np.arange(0.0, 25.0, 0.016)  # what it began with has died out by the thousandth sample
     w = 2.0 * math.pi * 4.5
     base = 1e-4 * np.sin(w * time)

@@ -449,9 +449,6 @@ def test_laws_of_a_logged_channel_are_tried_where_it_changes():
     (start,) = starts(el.ScheduledDamping, warming)
     force = start.values["slope"] * (warming - start.values["reference"]) * v
     assert el.rms(force) == pytest.approx(el.PROBE * 10.0)
-    built = add(
-        base_structure(net),
-        Hypothesis("scheduled_damping", ("cart", "ground"), (("channel", "oil"),)),
-        start.values,
-    )
+    warms = Hypothesis("scheduled_damping", ("cart", "ground"), (("channel", "oil"),))
+    built = add(base_structure(net), warms, start.values)
     assert [f.path for f in built.free if f.owner >= 0] == ["scheduled_damping.slope"]

@@ -21,10 +21,8 @@ def cart(stiffness=0.0):
     elements = [damper("cart", "ground", 2.0, "guide")]
     if stiffness:
         elements.append(builders.spring("cart", "ground", stiffness))
-    seen, known = (
-        channel("position", "displacement", "cart", offset="free"),
-        {"cart.mass": 0.1, "guide.damping": 1.0},
-    )
+    seen = channel("position", "displacement", "cart", offset="free")
+    known = {"cart.mass": 0.1, "guide.damping": 1.0}
     return Network.load(builders.cart(*elements, outputs=[seen], mass=1.0, uncertainty=known))
 
 

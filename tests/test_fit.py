@@ -116,11 +116,9 @@ def test_every_place_of_a_law_is_simulated_beside_the_others():
     tried = [h for h in hypotheses(net) if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")]
     starts = starts_of(problem, fit, motions(problem, fit), tried)
     built = [ways[0] for h, start in starts if (ways := built_ways(fit, h, start))]
-    seen = {
-        k: y
-        for chunk, _, lanes in simulate_variants(problem, fit, [b.network for b in built])
-        for k, y in zip(chunk, np.moveaxis(lanes, 2, 0), strict=True)
-    }
+    seen = {}
+    for chunk, _, lanes in simulate_variants(problem, fit, [b.network for b in built]):
+        seen |= zip(chunk, np.moveaxis(lanes, 2, 0), strict=True)
     assert len(seen) == len(built) > 10
     places = {b.hypotheses[-1].where for b in built if b.hypotheses[-1].effect == "coulomb_friction"}
     assert {("piston", "joint"), ("body", "wheel")} <= places

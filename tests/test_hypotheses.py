@@ -39,9 +39,7 @@ def test_values_that_no_law_can_have_are_refused():
     structure, little = matched("cogging_force", {"amplitude": 10.0, "pitch": 0.01, "phase": 0.0})
     built, x = little.begin(structure)
     assert len(x) == len(built.free)
-
-
-def test_a_match_of_another_size():
+    # a match of another size
     structure, m = matched("coulomb_friction", {"level": 100.0}, grows=("level",))
     built, _ = m.sized(5.0).begin(structure)
     assert built.network.element(built.names[-1]).level == 500.0
@@ -88,10 +86,7 @@ def test_two_series_laws_give_way_to_one_at_every_link_of_their_line():
         own = [effects for effects in found if effects[-1][0].effect == effect]
         assert {frozenset(effects[-1][0].where) for effects in own} == links
         assert all(first is friction and last[1] == values for first, last in own)
-
-
-def test_a_series_law_by_itself_stays():
-    play = law("backlash", "piston", "joint"), {"gap": 0.002}
+    # a series law by itself stays
     elsewhere = law("backlash", "wheel", "road"), {"gap": 0.001}  # the wheel's mass ends the line
     assert not list(_series_alone(car(), [play]))
     assert not list(_series_alone(car(), [play, elsewhere]))

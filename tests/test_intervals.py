@@ -107,10 +107,8 @@ def test_a_law_is_determined_by_its_size_and_not_by_its_shape():
     """The Stribeck velocity of a friction whose levels are known to 10 % may be open: Coulomb friction is the simpler law."""
     curve = {"level": 5.0, "static_level": 8.0, "stribeck_velocity": 0.1}
     stribeck = el.StribeckFriction("law", ("mass", "ground"), **curve)
-    known = {
-        f"law.{k}": Quantity(v, 0.9 * v, 1.1 * v, "N", None)
-        for k, v in (("level", 5.0), ("static_level", 8.0))
-    }
+    levels = {"law.level": 5.0, "law.static_level": 8.0}
+    known = {path: Quantity(v, 0.9 * v, 1.1 * v, "N", None) for path, v in levels.items()}
     known["law.stribeck_velocity"] = Quantity(0.1, 0.001, 9.0, "m/s", None)
     assert relative_uncertainty(stribeck, known) == pytest.approx(-np.log(0.9))
     # a law of one parameter has no other size

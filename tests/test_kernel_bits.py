@@ -55,13 +55,8 @@ def in_series():
     """A mass that hangs on backlash and compliance in series: a node whose velocity is only a difference."""
     play = element("play", "backlash", "mass", "middle", gap=2e-3, stiffness=5e5)
     rod = element("rod", "series_compliance", "middle", "road", stiffness=3e5)
-    parts = [
-        spring("mass", "ground", 2e4),
-        damper("mass", "ground", 80.0),
-        play,
-        friction("mass", "middle", 20.0),
-        rod,
-    ]
+    held = [spring("mass", "ground", 2e4), damper("mass", "ground", 80.0)]
+    parts = [*held, play, friction("mass", "middle", 20.0), rod]
     seen = ["a acceleration mass", channel("force", "force", element="rod")]
     return network("in series", parts, ["road displacement road"], seen, masses={"mass": 50.0})
 

@@ -117,11 +117,8 @@ def test_a_law_that_dissipates_starts_with_less_damping_and_the_same_work():
     """The damping of a model without the law has taken the law's work, and a staircase of optima may lie between the two."""
     problem, fit = stage("coulomb_friction", level=1.0)
     screening = Screening(problem, fit, np.array([NOISE]), SearchSettings())
-    match = next(
-        m
-        for m in screening.matches
-        if m.hypothesis.effect == "coulomb_friction" and set(m.hypothesis.where) == set(PLACE)
-    )
+    here = (m for m in screening.matches if set(m.hypothesis.where) == set(PLACE))
+    match = next(m for m in here if m.hypothesis.effect == "coulomb_friction")
     rate = screening.motion[PLACE].v
 
     def values(begun):

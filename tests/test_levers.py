@@ -31,11 +31,8 @@ MOTION = ["place displacement mass", "shock acceleration mass"]
 
 def rack(mass=2.0, inertia=0.003, ratio=0.012):
     """An inerter as built: rod and pinion, a flywheel on the shaft."""
-    pinion, known = (
-        lever("pinion", "mass", "shaft", ratio, "m/rad"),
-        {"pinion.ratio": 0.01, "shaft.inertia": 0.1},
-    )
-    more = {"inertias": {"shaft": inertia}, "uncertainty": known}
+    pinion = lever("pinion", "mass", "shaft", ratio, "m/rad")
+    more = {"inertias": {"shaft": inertia}, "uncertainty": {"pinion.ratio": 0.01, "shaft.inertia": 0.1}}
     return model({"mass": mass}, [SPRING], [PUSH], [*MOTION, "turn angle shaft"], [pinion], **more)
 
 
@@ -90,10 +87,8 @@ def test_a_lever_is_kept_by_file_copy_and_parameters():
 
 def test_a_cut_keeps_the_levers_on_its_side():
     strut = [spring("body", "wheel", 22e3), damper("arm_end", "wheel_end", 1500.0)]
-    parts, seen = (
-        [*strut, spring("wheel", "patch", 192e3, "tyre")],
-        ["acc acceleration body", "hub displacement wheel"],
-    )
+    parts = [*strut, spring("wheel", "patch", 192e3, "tyre")]
+    seen = ["acc acceleration body", "hub displacement wheel"]
     levers = [lever("arm", "arm_end", "body", 0.8), lever("hub", "wheel_end", "wheel", 0.8)]
     levers.append(lever("belt", "patch", "road", 1.0))
     known = {"arm.ratio": 0.02, "belt.ratio": 0.02, "body.mass": 0.05}

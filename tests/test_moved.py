@@ -186,10 +186,8 @@ def car():
 
 def driven():
     t = np.arange(0, 4, 1e-3)
-    return t, {
-        "road": 0.008 * np.sin(9 * t) ** 3 + 0.003 * np.sin(41 * t) ** 2,
-        "current": 2.0 * np.sign(np.sin(5 * t)),
-    }
+    road = 0.008 * np.sin(9 * t) ** 3 + 0.003 * np.sin(41 * t) ** 2
+    return t, {"road": road, "current": 2.0 * np.sign(np.sin(5 * t))}
 
 
 def test_what_is_above_the_cut_moves_as_in_the_whole_car():

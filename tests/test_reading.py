@@ -22,10 +22,8 @@ from isd_gym.records.data._table import read_rasters
 from isd_gym.records.schemas import check as of_schema
 
 PARTS = [spring("mass", "table", 9e3), damper("mass", "table", 45.0)]
-MOVED, SEEN = (
-    channel("table", "displacement", "table", unit="mm"),
-    channel("acc", "acceleration", "mass", unit="g"),
-)
+MOVED = channel("table", "displacement", "table", unit="mm")
+SEEN = channel("acc", "acceleration", "mass", unit="g")
 RIG = network("shaker", PARTS, [MOVED], [SEEN], masses={"mass": 12.0})
 WANTED = (*RIG.inputs, *RIG.outputs)
 HEAD = "time [s],table [mm],acc [g]"
@@ -83,7 +81,10 @@ def test_columns_that_are_empty_throughout_do_not_count(tmp_path):
     check(record)
 
 
-def test_a_comment_that_is_no_header_is_none(tmp_path):
+def test_what_could_be_misread_is_refused_with_the_remedy(tmp_path):
+    content = HEAD + "\n" + text().replace(",", ";").replace(".", ",").replace(";", ",")
+    refused("export with semicolons or tabs", read, tmp_path / "a.csv", content)
+    # a comment that is no header
     refused("--columns NAME,NAME", read, tmp_path / "a.csv", "# measured by J., 3 May\n" + text())
     refused("--columns NAME,NAME", read, tmp_path / "a.csv", "# 1, 2, 3\n" + text())
 
@@ -177,11 +178,6 @@ def test_whole_numbers_with_thousands_separators_are_never_fractions(thousands, 
         rows = (re.sub(r"(;|^)(-?\d)\.(\d{4})(?=;|$)", r"\1\2,\3", row) for row in rows)
     with pytest.raises(InputError, match=r"may be a fraction or thousands|is not a number"):
         read(tmp_path / "a.csv", HEAD.replace(",", ";") + "\n" + "\n".join(rows))
-
-
-def test_decimal_commas_between_commas_are_refused_with_the_remedy(tmp_path):
-    content = HEAD + "\n" + text().replace(",", ";").replace(".", ",").replace(";", ",")
-    refused("export with semicolons or tabs", read, tmp_path / "a.csv", content)
 
 
 def test_three_decimals_are_fractions(tmp_path):

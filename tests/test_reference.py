@@ -110,10 +110,8 @@ def test_two_integrators_agree_sticking_and_sliding(extra):
 
 
 def test_backlash_in_series_is_a_dead_zone_then_a_spring():
-    play, force = (
-        element("play", "backlash", "top", "mid", gap=0.004, stiffness=1e6),
-        builders.channel("force", "force", "top"),
-    )
+    play = element("play", "backlash", "top", "mid", gap=0.004, stiffness=1e6)
+    force = builders.channel("force", "force", "top")
     rig = model({}, play, builders.spring("mid", "ground", 2e4), inputs=[moved("top")], outputs=[force])
     t = np.arange(400) * 1e-3
     x = 0.01 * np.sin(12 * t)

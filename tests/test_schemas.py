@@ -126,9 +126,6 @@ def test_a_verdict_and_its_effects_agree():
     nowhere = copy.deepcopy(diagnosis)
     del nowhere["effects"][0]["between"]
     assert not valid("isd-diagnosis/1", nowhere)
-
-
-def test_unknown_schema_is_an_input_error():
     refused("no schema 'isd-data/1': there are isd-model/1", schemas.load, "isd-data/1")
 
 

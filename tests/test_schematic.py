@@ -100,10 +100,7 @@ def test_what_was_found_stands_out():
     made = schematic.draw(Network.load("quarter-car-isd"), found=["seal"])
     colours = {s.part: s.colour for s in made.strokes}
     assert colours["el:seal"] == "found" and colours["el:leak"] == "ink"
-
-
-def test_the_model_stands_as_it_stood_before_something_was_found():
-    """A spring from the body to the ground turns nothing upside down."""
+    # a spring from the body to the ground turns nothing upside down
     base = Network.load("quarter-car-isd")
     anchor = spring("body", "ground", 1e4, "strap")
     made = schematic.draw(base.with_element(anchor), found=["strap"])

@@ -44,12 +44,8 @@ def rig(law, damping=0.0):
         line[-1]["torque"] = 1500.0
     beside = ["law", "oil"] if damping else ["law"]
     forces = [channel(n, "force", element=n) for n in ("spring", *beside)]
-    seen = [
-        "acc acceleration mass",
-        "place displacement mass",
-        "rate velocity mass",
-        "node displacement node",
-    ]
+    motion = ["acc acceleration mass", "place displacement mass", "rate velocity mass"]
+    seen = [*motion, "node displacement node"]
     return network("shaker", line, ["table displacement table"], [*seen, *forces], masses={"mass": 12.4})
 
 

@@ -203,11 +203,8 @@ def test_over_all_conditions_each_counts_the_same():
 
 def test_the_watch_sees_what_is_not_allowed():
     wild = {"name": "wild", "reset": lambda: None, "act": lambda observation: 7.0}
-    entry, counts, car = (
-        Entry("wild", lambda: SimpleNamespace(**wild)),
-        Counter(),
-        Network.load("quarter-car-isd"),
-    )
+    entry = Entry("wild", lambda: SimpleNamespace(**wild))
+    counts, car = Counter(), Network.load("quarter-car-isd")
     drive(_watched(entry, vehicle(car), counts), car, episodes=2, duration=0.05)
     assert counts == {"given": 20, "not_finite": 0, "above_limit": 20, "above_slew": 20}
 
