@@ -102,11 +102,16 @@ def weigh_candidates(
 ) -> tuple[WeightedCandidate, ...]:
     """Weigh the candidates of a search on the blocks of validation and training records.
 
-    A candidate takes part if its values agree with its names. A candidate with more parameters than the foremost one takes part only
-    if it predicts better by more than the envelope of unmodelled effects. A candidate whose further effects close a gap within this
+    A candidate takes part if its values agree with its names. A candidate or a table with more parameters than the foremost candidate takes
+    part only if it predicts better by more than the envelope of unmodelled effects. A candidate whose further effects close a gap within this
     envelope makes no statement.
     """
     best = scores.foremost
+
+    def is_worth_its_parameters(r: Candidate) -> bool:
+        has_more = len(r.fit.x) > len(best.fit.x)
+        return not has_more or search.tests.is_worth_more_parameters(scores, r, best)
+
     taking_part: list[Candidate] = [scores.refitted]
     if best is not scores.refitted:
         taking_part.append(best)
@@ -117,16 +122,14 @@ def weigh_candidates(
             or not is_sound(search.problem, r, search.criteria)
         ):
             continue
-        if len(r.fit.x) > len(best.fit.x) and not search.tests.is_worth_more_parameters(scores, r, best):
+        if not is_worth_its_parameters(r):
             continue
         if len(r.hypotheses) > len(best.hypotheses) > 0 and not search.tests.exceeds_envelope(
             scores, r, best
         ):
             continue
         taking_part.append(r)
-    for r in extra:
-        if scores.can_score(r):
-            taking_part.append(r)
+    taking_part += [r for r in extra if scores.can_score(r) and is_worth_its_parameters(r)]
     weights = pseudo_bma_weights(np.stack([scores.score(r).lpd for r in taking_part]), seed)
     found = [
         WeightedCandidate(r, float(w), statements_of(search, r, best))
