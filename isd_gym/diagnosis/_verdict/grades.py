@@ -42,9 +42,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (21, 21), "probable": (1, 1), "possible": (11, 7)},
-        "kind": {"certain": (19, 15), "probable": (3, 2), "possible": (20, 7)},
-        "law": {"certain": (5, 4), "probable": (6, 3), "possible": (10, 2)},
+        "place": {"certain": (26, 26), "probable": (2, 2), "possible": (12, 8)},
+        "kind": {"certain": (21, 16), "probable": (6, 4), "possible": (29, 11)},
+        "law": {"certain": (6, 5), "probable": (10, 4), "possible": (20, 5)},
     },
 }
 
