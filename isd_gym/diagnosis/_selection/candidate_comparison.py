@@ -136,11 +136,6 @@ class CandidateComparison:
                 found.append(r)
         return found
 
-    def best_predictor(self) -> Candidate:
-        """Return the candidate with one effect that predicts the held-out records best."""
-        tried = [r for r in (*self.path[1:2], *self.stages[0][:RIVALS]) if self.can_score(r)]
-        return min(tried, key=lambda r: self.score(r).mean_square, default=self.refitted)
-
     def runners_up(self) -> list[tuple[float, Candidate]]:
         """Return the other candidates of the first stage with their mean whitened squares, smallest first."""
         scored = [(self.score(r).mean_square, r) for r in self.stages[0][1:] if self.can_score(r)]

@@ -201,7 +201,7 @@ class Search:
         while count > 0 and not self.tests.passes_inclusion(scores, path[count - 1], path[count]):
             count -= 1
         if not count:
-            scores.foremost = scores.best_predictor() if scores.stages else scores.refitted
+            scores.foremost = self._best_predictor(scores)
             return scores
         chosen = self._merge_laws(scores, self._eliminate(scores, path[count]))
         simplest = self._take_simplest(scores, chosen)
@@ -209,6 +209,15 @@ class Search:
             simplest = self._eliminate(scores, simplest)
         scores.chosen = scores.foremost = simplest
         return scores
+
+    def _best_predictor(self, scores: CandidateComparison) -> Candidate:
+        """Return the first candidate with one effect, or another one that predicts better beyond chance."""
+        if len(scores.path) < 2:
+            return scores.refitted
+        first = scores.path[1]
+        others = [r for r in scores.stages[0] if r is not first and scores.can_score(r)]
+        better = [r for r in others if self.tests.predicts_better(scores, r, first)]
+        return min(better, key=lambda r: scores.score(r).mean_square, default=first)
 
     def _eliminate(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
         """Remove effects, and replace laws by their special cases, as long as the prediction is not worse."""

@@ -174,7 +174,8 @@ class Screening:
     def starts(self, group: Sequence[Match]) -> list[tuple[Structure, Array]]:
         """Return the starts of a law with the smallest error: structure and start values (parameters,), transformed.
 
-        Each match is simulated with the parameters of the model as the match moves them, as they are fitted, and with nominal values.
+        Each match is simulated with the parameters of the model as the match moves them, as they are fitted, and with nominal values. The
+        best start with less damping is added.
         """
         current, kind = self.current, group[0].hypothesis.kind
         known = {f.path: float(v) for f, v in zip(current.structure.free, current.x, strict=True)}
@@ -190,18 +191,21 @@ class Screening:
                     except InputError:
                         continue
                 tries += [own] if own else []
+        if not tries:
+            return []
+        usual = len(tries)
+        for m in group[:TRIED]:
             tries += [[begun] for begun in self.starts_with_less_damping(m)]
         every = [t for own in tries for t in own]
-        if not every:
-            return []
         scores = iter(_misfit(self, every))
         best = [min(((next(scores), k) for k in range(len(own))), key=lambda t: t[0]) for own in tries]
-        order = np.argsort([score for score, _ in best], kind="stable")
+        order = sorted(range(usual), key=lambda k: best[k][0])
         if kind.periodic:
-            order = np.arange(len(tries))
+            order = list(range(usual))
         else:
-            order = np.array(list(dict.fromkeys([*order[: FITTED - 1], 0, *order]))[:FITTED])
-        return [tries[k][best[k][1]] for k in order]
+            order = list(dict.fromkeys([*order[: FITTED - 1], 0, *order]))[:FITTED]
+        lighter = sorted(range(usual, len(tries)), key=lambda k: best[k][0])
+        return [tries[k][best[k][1]] for k in (*order, *lighter[:1])]
 
     def starts_with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
         """Yield starts with a share of the damping at the place of a law that dissipates, which takes over the damping's work.
