@@ -128,6 +128,7 @@ def test_model_file_with_found_effects_runs_as_env(tmp_path):
     assert abs(obs[0]) == pytest.approx(1.5 * true, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_car_that_diverges_is_terminated_with_finite_numbers():
     """A damper that drives: reward, observation and info stay finite, alone and in a batch, and both end at the same step."""
     drives = {"extension": -20000.0, "compression": -20000.0}

@@ -89,6 +89,7 @@ def test_the_penalty_has_no_mean_whatever_a_causal_policy_does(preview):
     np.testing.assert_allclose(cost, lqg.cost(COST), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_stitch_of_one_solution_is_that_solution():
     value = NewsValue(CAR, PAPER, 20.0, 200, COST)
     heights = _heights(3, 1.0)

@@ -209,6 +209,7 @@ def test_the_watch_sees_what_is_not_allowed():
     assert counts == {"given": 20, "not_finite": 0, "above_limit": 20, "above_slew": 20}
 
 
+@pytest.mark.slow
 def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
     conditions = (Condition("half", network="half-car-isd"),)
     grid = Grid(("skyhook",), conditions, episodes=2, batch=2, duration=0.05)

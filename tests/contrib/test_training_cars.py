@@ -125,6 +125,7 @@ def test_what_the_front_met_is_what_the_rear_meets_to_the_step(network, speed):
         np.testing.assert_allclose(told[:, :known], true[:, :known], atol=1e-9)
 
 
+@pytest.mark.slow
 @both
 def test_the_law_gains_from_what_the_front_met(network):
     """Each rear wheel has 0.13 s of its road in sight: a third more is gained than without."""

@@ -247,6 +247,7 @@ def test_wide_uncertainties_do_not_make_friction_linear():
     assert found.verdict == "unknown_effect" and "the prediction error of a" in found.summary
 
 
+@pytest.mark.slow
 def test_a_missing_inerter_is_named_with_the_gates_that_it_passed():
     data = car(True).to_dict()
     data["elements"].append(element("b", "inertance", "body", "wheel", inertance=60.0))
@@ -259,7 +260,9 @@ def test_a_missing_inerter_is_named_with_the_gates_that_it_passed():
     assert found.model.parameters["inertance.inertance"] == values["inertance"].value
 
 
-@pytest.mark.parametrize(("limit", "tried"), [(3.0, "0 of 3"), (2.5, "2 of 3")])
+@pytest.mark.parametrize(
+    ("limit", "tried"), [(3.0, "0 of 3"), pytest.param(2.5, "2 of 3", marks=pytest.mark.slow)]
+)
 def test_the_time_limit_stops_the_search_and_says_so(limit, tried, monkeypatch):
     """A clock that goes on by a second at every reading, or at every effect that was fitted."""
     readings, fitted = iter(range(10**6)), []
