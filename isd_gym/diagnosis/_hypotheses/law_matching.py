@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ...physics.elements import Motion, Start
     from .._estimation.gauss_newton import Fit, Fitter
 
-#: share of a derivative that others leave, below which it depends on them
+#: norm of a derivative, orthogonal to the others, over its whole norm: a smaller ratio counts as linear dependence
 DEPENDENT = 1e-7
 
 

@@ -110,7 +110,7 @@ class Screening:
         p, few = self.problem, self.problem.rough
         if few is p or thinning_loses(p, self.current, self.least_noise):
             return self
-        known = travels(p, self.current.network, motions(p, self.current))
+        known = travels(p, self.current.network, self.motion)
         return replace(self, problem=few, current=transfer(few, self.current, self.least_noise), known=known)
 
     @cached_property
@@ -199,13 +199,13 @@ class Screening:
         every = [t for own in tries for t in own]
         scores = iter(_misfit(self, every))
         best = [min(((next(scores), k) for k in range(len(own))), key=lambda t: t[0]) for own in tries]
-        order = sorted(range(usual), key=lambda k: best[k][0])
-        if kind.periodic:
-            order = list(range(usual))
-        else:
+        order = list(range(usual))
+        if not kind.periodic:
+            order.sort(key=lambda k: best[k][0])
             order = list(dict.fromkeys([*order[: FITTED - 1], 0, *order]))[:FITTED]
-        lighter = sorted(range(usual, len(tries)), key=lambda k: best[k][0])
-        return [tries[k][best[k][1]] for k in (*order, *lighter[:1])]
+        lighter = range(usual, len(tries))
+        order += [min(lighter, key=lambda k: best[k][0])] if lighter else []
+        return [tries[k][best[k][1]] for k in order]
 
     def starts_with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
         """Yield starts with a share of the damping at the place of a law that dissipates, which takes over the damping's work.

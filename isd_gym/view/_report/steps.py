@@ -1,4 +1,4 @@
-"""The three steps of a diagnosis in one figure: where a force is missing, what it looks like, and which laws it resembles."""
+"""The three steps of a diagnosis in one figure: place, missing force, and laws on the curve of the force."""
 
 from __future__ import annotations
 
