@@ -10,7 +10,7 @@ from rigs.reference import simulate
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis._estimation.sensitivities import deviations
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis._selection.uncertainty import intervals, relative_uncertainty
+from isd_gym.diagnosis._selection.uncertainty import intervals, relative_uncertainty, sizes_within
 from isd_gym.diagnosis.result import Quantity
 from isd_gym.physics import elements as el
 from isd_gym.records.data import Table
@@ -115,3 +115,11 @@ def test_a_law_is_determined_by_its_size_and_not_by_its_shape():
     dead = el.DriveDeadZone("law", ("motor",), threshold=0.5)
     open_zone = {"law.threshold": Quantity(0.5, 0.05, 5.0, "A", None)}
     assert relative_uncertainty(dead, open_zone) == pytest.approx(-np.log(0.1))
+
+
+@pytest.mark.parametrize("copies", [1, 17])
+def test_unmodelled_effects_together_have_no_more_power_than_the_residual(copies):
+    """Seventeen laws that do the same leave a value as open as one of them does."""
+    response, residual = np.full((100, copies), 3.0), 50.0
+    sizes = sizes_within(response.T @ response, residual)
+    assert np.sum((response @ sizes) ** 2) == pytest.approx(residual)

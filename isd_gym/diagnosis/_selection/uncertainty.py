@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import brentq
 
 from ..._common.arrays import Z95
 from ...physics import elements as el
@@ -44,7 +45,7 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     - Noise: the inverse curvature of the cost. Where the scores of blocks of the record scatter more than white noise would, the sandwich
       estimate replaces the deviation of a parameter (Huber 1967): the residual has a colour that the filters do not remove.
     - Small effects that no model contains: each has a prior size (`unmodelled_responses`), and the residual reduces its uncertainty.
-      An added effect keeps the prior size: the same residual chose the effect.
+      For an added effect the residual only bounds their power together: the same residual chose the effect.
     - Bias: the shift of the parameters by the sizes that the residual shows.
     - Distance from the optimum: one more step of the fit, with better derivatives. Along a direction in which the outputs hardly change, a fit
       with dry friction stops early.
@@ -83,10 +84,8 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
         score = (a * c[:, :1]).reshape(len(problem.records[i]), -1, a.shape[1]).sum(axis=1)
         edges = block_edges(problem.records[i].measured, BLOCKS, LEAST_BLOCK)
         scores += [score[m:n].sum(axis=0) for m, n in pairwise(edges)]
-    visible = np.sqrt(np.maximum(np.diag(gram) - 1.0, 1e-300))
     cost = sum(float(np.sum(c[:, 0] ** 2)) for _, c in parts.values())
-    # no effect is larger than the residual allows: a small force moves a free mass far, and the sensors would measure this motion
-    largest = np.clip(shift * np.minimum(1.0, math.sqrt(cost) / visible), -LARGEST_SHIFT, LARGEST_SHIFT)
+    largest = np.clip(shift @ sizes_within(gram - np.eye(len(gram)), cost), -LARGEST_SHIFT, LARGEST_SHIFT)
     size = np.linalg.solve(gram, right)
     spread = np.linalg.inv(gram) + np.outer(size, size)
     block = np.array(scores) - np.mean(scores, axis=0)
@@ -103,6 +102,25 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     grown = np.ones(len(out))
     grown[:p] = np.where(is_added, np.sqrt(np.maximum(whole / np.diag(out), 1.0))[:p], 1.0)
     return np.asarray((out * np.outer(grown, grown))[:p, :p])
+
+
+def sizes_within(visible: Array, cost: float) -> Array:
+    """Return a root of the covariance of effects' sizes (effects, directions): standard normal sizes, whose responses together have no more
+    power than the residual.
+
+    A small force moves a free mass far, and the sensors would measure this motion.
+
+    `visible`: products of the effects' responses (effects, effects).
+    `cost`: power of the residual.
+    """
+    power, directions = np.linalg.eigh(visible)
+    power = np.maximum(power, 0.0)
+
+    def beyond(weight: float) -> float:
+        return float(np.sum(power / (1.0 + weight * power))) - cost
+
+    weight = brentq(beyond, 0.0, len(power) / cost) if beyond(0.0) > 0 else 0.0
+    return np.asarray(directions / np.sqrt(1.0 + weight * power))
 
 
 def _inverse(matrix: Array) -> Array:
