@@ -15,7 +15,7 @@ from .._hypotheses.forces import element_forces, place_forces
 from .._hypotheses.motion import motions
 from .._selection.candidate import Candidate, same_effects, simpler_structures
 from .._selection.criteria import CRITERIA
-from .._selection.equivalent_laws import is_sound, repeats
+from .._selection.equivalent_laws import repeats
 from .._selection.free_force import fit_in_place_of
 from .._selection.uncertainty import (
     covariance,
@@ -230,8 +230,7 @@ def find_support(problem: Problem, fit: Fit, element: el.Element) -> float:
 def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     """Return the share of the remaining excess error that a free curve in the place of the foremost effect removes.
 
-    A single effect is tested if its error exceeds the envelope of unmodelled effects; otherwise the share is 0. Fitted laws whose values
-    contradict their names, such as a part of one period of a periodic law, are free curves as well. The share is 1 if the number of
+    A single effect is tested if its error exceeds the envelope of unmodelled effects; otherwise the share is 0. The share is 1 if the number of
     effects at one place, but for elements in series, reaches the number of bends of a curve (`BENDS`). Laws of the model at their limits over the same
     plane count as effects. The share is also 1 if one free curve
     explains the gap (`Criteria.least_explained`) in place of the same number of effects at several places.
@@ -253,26 +252,12 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     after = scores.score(best)
     if after.excess(scores.noise).max() < c.wide_gap and search.tests.leaves_unmodelled_only(scores, best):
         return 0.0
-    found = _removed_by_unsound_laws(search, scores, after)
-    if found >= c.least_removed:
-        return found
+    found = 0.0
     for share in _removed_by_curves(search, scores, after, best.elements[0]):
         found = max(found, share)
         if found >= c.least_removed:
             break
     return found
-
-
-def _removed_by_unsound_laws(search: Search, scores: CandidateComparison, without: HeldOutScore) -> float:
-    """Return the largest share of an error that a force law removes whose values contradict its name."""
-    shares = [0.0]
-    for r in scores.rivals():
-        is_force = all(e.place == "between" for e in r.elements)
-        if is_force and not is_sound(search.problem, r, search.criteria):
-            now = scores.score(r)
-            if now.compare_with(without).is_better(search.criteria):
-                shares.append(scores.explained_fraction(without, now))
-    return max(shares)
 
 
 def _removed_by_curves(
