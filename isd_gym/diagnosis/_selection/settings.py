@@ -14,7 +14,7 @@ class SearchSettings:
     #: laws that are fitted with all samples and their own noise
     finals: int = 4
     #: gap (power of the error over the power of the signal) above which a small effect says little about a large one
-    wide_gap: float = 0.1
+    wide_gap: float = 0.01
     #: largest number of effects
     depth: int = 3
     #: runners-up of the first stage from which the search starts again if the first start gives no name

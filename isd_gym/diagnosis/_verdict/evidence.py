@@ -147,6 +147,12 @@ class Evidence:
         return math.exp(total / max(len(pairs), 1))
 
     @property
+    def nominal_removed(self) -> float:
+        """Share of the nominal model's squared error, over all channels, that the candidate removes; 1 where that model breaks down."""
+        before = sum(x**2 for x in self.before)
+        return 1.0 - sum(x**2 for x in self.after) / max(before, 1e-12) if math.isfinite(before) else 1.0
+
+    @property
     def support(self) -> float:
         """Smallest support of the effects."""
         return min((e.support for e in self.effects), default=1.0)
