@@ -200,7 +200,7 @@ def _adequate(e: Evidence, c: Criteria) -> Gate:
     return all_of(
         any_of(is_so(e.explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}"), by_few),
         is_so(e.training_ratio, "<=", 1.0, ratio),
-        is_so(e.nominal_removed, ">=", 0.0, "share of the nominal model's squared held-out error removed"),
+        is_so(e.nominal_removed, ">", 0.0, "share of the nominal model's squared held-out error removed"),
     )
 
 
