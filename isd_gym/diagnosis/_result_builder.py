@@ -170,11 +170,8 @@ class ResultBuilder:
         return replace(result, summary=summary_of(result.to_dict()))
 
     def _is_supported(self, free: FreeForce) -> bool:
-        """Return whether the foremost candidate, which is not named, completes the model.
-
-        It errs less than the refitted model on validation records, less on test records by a material amount, and less on validation
-        records than the table of a free force. The completed model then predicts the rig better, whatever the name of the effect is.
-        """
+        """Return whether the foremost candidate completes the model: it errs less than the refitted model, on test records by a material
+        amount, and less than the table of a free force on validation records."""
         scores, best = self.scores, self.scores.foremost
         if not best.hypotheses or not best.well_formed():
             return False
@@ -197,10 +194,7 @@ class ResultBuilder:
         return replace(network, description=f"{network.description} {text}".strip())
 
     def _attempt(self, what: str, otherwise: T, make: Callable[..., T], *args: Any) -> T:
-        """Return a part of the result, or `otherwise` and a note where its simulation breaks down or the time is up.
-
-        The search is done and must not be lost.
-        """
+        """Return a part of the result, or `otherwise` and a note where its simulation breaks down or the time is up."""
         clock = self.search.clock
         try:
             with clock.until(RESULT):

@@ -184,10 +184,8 @@ def _split(whole: Problem, notes: list[str]) -> tuple[Problem, Problem, tuple[fl
 
 
 def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None:
-    """Diagnose the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away.
-
-    The completed model is `whole` of the diagnosis. None where the drift is small, the model has no inverse, or nothing is named.
-    """
+    """Return the diagnosis of the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away;
+    None where the model has no inverse, or nothing is named. Its `whole` is the completed model."""
     inverse = invert(flow.network)
     if inverse is None or any(r.reading is not None for r in records):
         return None
@@ -261,11 +259,8 @@ class Workflow:
         self._measured: tuple[CandidateComparison, Measurements] | None = None
 
     def run(self) -> Diagnosis:
-        """Run the diagnosis.
-
-        Records are compared whole. Where the refitted model loses the measured motion, records are compared in segments first, each from
-        an initial state of its own.
-        """
+        """Run the diagnosis of whole records; where the refitted model loses the measured motion, that of segments first, each from an
+        initial state of its own."""
         p = self.problem
         self.say(
             f"{len(p.estimation)} record(s) to fit, {len(p.held)} stretches held out; refitting the model"
@@ -311,10 +306,7 @@ class Workflow:
         )
 
     def is_decided(self, scores: CandidateComparison) -> bool:
-        """Return whether a search needs no further start.
-
-        Where only the lack-of-fit gate fails, the place is known and the law is not in the library: other names are only other curves.
-        """
+        """Return whether a search needs no further start: where only the lack-of-fit gate fails, other names are only other curves."""
         decision = self.decide(scores)
         failed = {g.name for g in decision.gates if not g.passed}
         return failed == {"lack of fit"} or decision.verdict in (
@@ -349,11 +341,8 @@ class Workflow:
 
     @cached_property
     def error_of_whole_records(self) -> float:
-        """The error of the refitted model over whole records, as a share of the deviation, mean over channels.
-
-        The larger of the errors on training and validation records. NaN where the simulation breaks down; 0 where no motion can start
-        anew.
-        """
+        """The error of the refitted model over whole records, as a share of the deviation, mean over channels: the larger one of training
+        and validation records; NaN where the simulation breaks down, 0 where no motion can start anew."""
         if not self.has_free_motion():
             return 0.0
         try:

@@ -39,12 +39,8 @@ LEAST_NOISE = 0.01
 def prefer_direct_problem(
     records: Sequence[Record], network: Network, training: int, least_noise: float, largest_error: float
 ) -> tuple[list[Record], Network, str] | None:
-    """Swap motion and force where the direct problem is the better one: records, model and a note, or None.
-
-    The nominal model has a displacement as input and the force at the same node as output. The direct problem is tried from
-    `least_noise` on, the noise of the computed force as a share of its deviation. It is not taken where it is not identifiable, or
-    where the refitted direct model errs more than `largest_error` times a straight line through each record.
-    """
+    """Return records, model and a note with motion and force swapped; None where the computed force has less noise than `least_noise`
+    (share of its deviation), or where the refitted direct model errs more than `largest_error` times a straight line."""
     pairs = find_computed_forces(network)
     if len(pairs) != 1 or any(r.reading is not None for r in records):
         return None
@@ -72,7 +68,7 @@ def prefer_direct_problem(
 
 
 def swap_roles(network: Network, given: Channel, computed: Channel) -> Network:
-    """Return the model with an output as input and an input as output: the force at a node and the displacement of the node, either way."""
+    """Return the model with the force at a node and the displacement of the node as input and output, either way."""
     to_input, to_output = (replace(c, offset=None, noise=None) for c in (computed, given))
     return replace(
         network,

@@ -42,10 +42,8 @@ ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
 
 @dataclass
 class Fit:
-    """A fitted structure: free parameters `x` (transformed), initial states, offsets and outputs of each record.
-
-    `structure` holds the estimate of the offsets that all records share.
-    """
+    """A fitted structure, with the estimate of the shared offsets: free parameters (transformed), initial states, offsets and outputs by
+    record."""
 
     structure: Structure
     x: Array
@@ -94,11 +92,8 @@ class Fitter(Objective):
         records: Sequence[int] | None = None,
         initial: Mapping[int, Array] | None = None,
     ) -> Structure:
-        """Return the structure with the sensor offsets that all records share, at fixed parameters.
-
-        The offsets are means over records, by default those to fit by, weighted by information; initial states are eliminated per
-        record.
-        """
+        """Return the structure with the sensor offsets that records share, at fixed parameters: means over records, by default those to
+        fit by, weighted by information."""
         problem = self.problem
         own = np.flatnonzero(problem.shared_offset)
         if not len(own):
@@ -125,11 +120,8 @@ class Fitter(Objective):
         tolerance: float = 1e-4,
         frozen: bool = False,
     ) -> Fit:
-        """Fit the structure to the given records (the estimation records by default).
-
-        `frozen`: only initial states and the offsets of each record move; offsets that all records share are those of the
-        structure, or are estimated on the given records.
-        """
+        """Fit the structure to records, by default those to fit by; if `frozen`, only initial states and the offsets of each record
+        move."""
         records = self.problem.estimation if records is None else records
         x = structure.start if x is None else x
         if frozen and structure.offsets is None and not offset:
@@ -183,10 +175,8 @@ class Fitter(Objective):
         damping: float,
         chord: bool,
     ) -> tuple[Point | None, float]:
-        """Return a point with a smaller cost, or None, and the next damping.
-
-        chord: the slopes are those of an earlier point, and one try is enough.
-        """
+        """Return a point with a smaller cost, or None, and the next damping; `chord`: one try is enough, since the slopes are those of an
+        earlier point."""
         free = structure.free
         p, q = len(free), int(self.problem.shared_offset.sum())
         mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
@@ -282,12 +272,8 @@ class Fitter(Objective):
         *,
         iterations: int = 4,
     ) -> Fit:
-        """Fit initial states and offsets of records; the parameters stay.
-
-        Shared offsets are those of the structure, or are estimated on the training records. The fit starts from the initial state
-        with the lowest cost among `initial` (or a guess) and `about`. Without `initial`, the final state of the preceding record is a
-        further start for a record that continues it.
-        """
+        """Fit initial states and offsets of records from the cheapest of `initial` (or a guess), `about`, and without `initial` the final
+        state of the preceding record; the parameters stay."""
         problem, net = self.problem, structure.at(x)
         n0 = assemble(bare(net)).size[0]
         if structure.offsets is None and problem.shared_offset.any():
@@ -322,10 +308,8 @@ class Fitter(Objective):
         return self._result(structure, at)
 
     def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
-        """Restart the records with far larger errors than the others near their initial states.
-
-        With play or sticking friction, a few of many starts end in a local optimum.
-        """
+        """Restart the records with far larger errors than the others near their initial states: with play or sticking friction, a few of
+        many starts end in a local optimum."""
         each = {i: cost / len(self.problem.records[i]) for i, cost in at.costs.items()}
         if len(each) < FEW:
             return
@@ -372,9 +356,9 @@ class Fitter(Objective):
         *,
         over: Array | None = None,
     ) -> tuple[Array, Array, dict[int, tuple[Array, Array]]]:
-        """Return the normal equations of responses (samples, channels, m) in the records, linearised, with initial states and
-        nuisances eliminated: the matrix by parameters and shared offsets (p, p) with the prior, the right-hand sides (p, m), and
-        by record the whitened derivatives (rows, p) and responses (rows, m). `over` are steps of central differences (`tangents`)."""
+        """Return the normal equations of responses (samples, channels, m), nuisances eliminated: the matrix by parameters and shared
+        offsets (p, p) with the prior, the right-hand sides (p, m), and by record the whitened derivatives (rows, p) and responses (rows,
+        m). `over`: see `tangents`."""
         problem = self.problem
         p, q = len(x), int(problem.shared_offset.sum())
         H = np.diag(np.append(1 / structure.sigma**2, np.zeros(q)))
@@ -398,10 +382,8 @@ class Fitter(Objective):
         return H, g, parts
 
     def refit(self, fit: Fit, responses: Mapping[int, Array]) -> tuple[Array, dict[int, Array]]:
-        """Return how a fit would absorb responses (samples, channels, m) in the records, to first order.
-
-        By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
-        """
+        """Return to first order how a fit would absorb responses (samples, channels, m): the shift of the parameters (parameters, m), and
+        the whitened rest by record."""
         H, g, parts = self.normal_equations(fit.structure, fit.x, fit.initial, responses)
         shift = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         left: dict[int, Array] = {
@@ -434,10 +416,8 @@ def residuals(problem: Problem, fit: Fit) -> list[Array]:
 
 
 def gap(problem: Problem, fit: Fit) -> float:
-    """Return the geometric mean over channels of the residual's power over the signal's power.
-
-    The geometric mean limits the influence of a single drifting channel.
-    """
+    """Return the geometric mean over channels, which limits the influence of a drifting one, of the residual's power over the signal's
+    power."""
     r = np.concatenate(residuals(problem, fit))
     share = np.mean(r**2, axis=0) / problem.deviation(list(fit.outputs)) ** 2
     return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))

@@ -24,11 +24,8 @@ if TYPE_CHECKING:
 
 
 def propagate_input_noise(problem: Problem) -> Array:
-    """Return the RMS noise (channels,) of forces that are computed from twice differentiated motions; zero for other channels.
-
-    The noise is the RMS change of a simulated force when a second noise of the same level is added to the motion. The level is the
-    median over the training records, because a glitch in one record is no noise.
-    """
+    """Return the RMS noise (channels,) of forces computed from twice differentiated motions: their change by a second noise of the median
+    level."""
     network, noise = problem.network, np.zeros(len(problem.channels))
     pairs = find_computed_forces(network)
     training = [i for i in problem.estimation if problem.records[i].reading is None]

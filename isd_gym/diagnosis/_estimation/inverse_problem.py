@@ -47,8 +47,8 @@ class InverseProblem:
         return [swap_channels(r, self.pushed, force, position) for r in pushed]
 
     def restore(self, found: Network) -> Network | None:
-        """Return the model with the drive as input, and the parameters and added elements of a completed inverse model; None where an
-        added element acts on the computed force alone."""
+        """Return the direct model with the parameters and added elements of a completed inverse one; None where one acts on the force
+        alone."""
         if any(e.place != "between" for e in found.elements):
             return None
         own, known = {e.name: e for e in found.elements}, {e.name for e in self.direct.elements}
@@ -65,11 +65,7 @@ class InverseProblem:
 
 
 def invert(network: Network) -> InverseProblem | None:
-    """Return the inverse problem of one driven mass that no spring holds.
-
-    None unless the one input is a force at a mass or the current of a motor between this mass and the ground, the one output is the
-    displacement of the mass, no other mass moves and nothing oscillates.
-    """
+    """Return the inverse problem of one driven mass that no spring holds, with its displacement as output; None for another model."""
     if len(network.inputs) != 1 or len(network.outputs) != 1 or len(network.masses) != 1 or network.moving:
         return None
     (drive,), (position,), (node,) = network.inputs, network.outputs, network.masses

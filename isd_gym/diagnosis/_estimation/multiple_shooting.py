@@ -44,10 +44,7 @@ def is_lightly_damped(network: Network) -> bool:
 
 
 def segments_of(problem: Problem, length: float = 1.0) -> Problem | None:
-    """Return the problem with the training records in segments; None where the records are no longer than a segment.
-
-    `length`: Length of the segments as a multiple of the usual length.
-    """
+    """Return the problem with the training records in segments of a multiple of the usual length; None where no record is longer."""
     seconds = length * STRETCH * problem.time
     pieces = [s for i in problem.estimation for s in cut_segments(problem.records[i], seconds, LEAST)]
     if len(pieces) <= len(problem.estimation):
@@ -67,8 +64,8 @@ def in_segments(
 
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
-    """Return the parameters (parameters,), transformed, of fits to segments of the training records that grow; None where the records
-    are no longer than a segment, or a fit breaks down."""
+    """Return the parameters (parameters,), transformed, of fits to segments that grow; None where no record is longer, or a fit breaks
+    down."""
     length, found = SHORT, None
     try:
         while (brief := segments_of(problem, length)) is not None:

@@ -70,10 +70,8 @@ def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, in
 
 
 def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -> tuple[Array, float]:
-    """Return least-squares AR taps (1, -a1, ...) and the innovation deviation from the moments of `lagged`.
-
-    White noise of deviation `least` is added: a band where a record is quieter than any model is credited with has no larger weight.
-    """
+    """Return least-squares AR taps (1, -a1, ...) and the innovation deviation from the moments of `lagged`, with white noise of deviation
+    `least` added: a limit of the weight of quiet bands."""
     order = len(rhs)
     total += count * least**2
     gram = gram + count * least**2 * np.eye(order)
@@ -106,12 +104,8 @@ def innovations(residuals: Sequence[Array], floor: Array) -> float:
 
 
 def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool = False) -> Noise:
-    """Estimate coloured noise in residuals (samples,): white plus AR(1), fitted to the spectrum above the motion.
-
-    `time` [s]: in which the motion changes. Up to some three of its frequencies signal and model error cover the
-    noise, so its level there is that of the law found above. The noise is at most the series. `white`: what a
-    low-pass left of the spectrum tells a level, but no colour.
-    """
+    """Return white plus AR(1) noise of residuals (samples,), at most the series, from the spectrum above three frequencies of a motion
+    that changes in `time` [s]; `white`: behind a low-pass, which leaves a level but no colour."""
     length = min(1024, min(len(x) for x in series))
     frequency, s, _ = _density(series, step, length)
     top = frequency[-1]
@@ -189,11 +183,8 @@ def noise_after_filters(W: Whitener, noise: Sequence[Noise]) -> Array:
 
 @dataclass(frozen=True)
 class Floor:
-    """Noise of a channel, estimated before any model is fitted.
-
-    `deviation` [the channel's unit]; `known`: whether the measured signal (or the owner) tells it, or only bounds it.
-    `source`: 'owner', 'spectrum' (above the band of the motion), 'bound', or 'input' (a motion that is differentiated twice).
-    """
+    """Noise of a channel before any model is fitted: its deviation, whether the signal or the owner tells it or only bounds it, and its
+    source ('owner', 'spectrum' above the motion, 'bound', or 'input': a motion that is differentiated twice)."""
 
     deviation: float
     known: bool
@@ -201,11 +192,8 @@ class Floor:
 
 
 def floor_of(series: Sequence[Array], step: float, *, white: bool = False) -> Floor:
-    """Estimate the noise of a measured channel (segments (samples,)) from the part of the spectrum without signal.
-
-    The band of the motion is the rig's own: the lowest frequency is sought above which the spectrum looks like white or
-    AR(1) noise. Where there is none the motion may reach up to the sampling rate, and the top of the spectrum is a bound.
-    """
+    """Return the noise of a measured channel (segments (samples,)) above the lowest frequency from which on the spectrum looks like white
+    or AR(1) noise; without one, the top of the spectrum is a bound."""
     shortest = min(map(len, series))
     length = min(1024, max(64, shortest // 2), shortest)
     frequency, s, averages = _density(series, step, length)
@@ -231,10 +219,7 @@ def resolution(series: Sequence[Array]) -> float:
 
 
 def floors_of(problem: Problem) -> list[Floor]:
-    """Estimate the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion.
-
-    The sensor noise is stated in the model file, or follows from the training and validation records.
-    """
+    """Return the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion."""
     out = []
     for j, propagated in enumerate(propagate_input_noise(problem)):
         floor = _floor_of_sensor(problem, j)
@@ -263,11 +248,8 @@ def white_filters(floors: Array) -> Whitener:
 
 
 def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
-    """Return the white noise for whitening a residual (channels,): that of the measurement, or a part of the residual.
-
-    Only noise may be weighed by its spectrum. Missing physics counts as white noise of ten times its power, so that even
-    what is crowded in a tenth of the band is not weighed down against what is small and elsewhere.
-    """
+    """Return the white noise of weights (channels,): that of the measurement, or missing physics as ten times its power, so that a
+    crowded tenth of the band keeps its weight."""
     square = np.mean(np.concatenate(residuals) ** 2, axis=0)
     return np.asarray(np.sqrt(np.maximum(floors**2, 10.0 * (square - floors**2))), dtype=np.float64)
 

@@ -104,18 +104,16 @@ class Objective:
         offset: dict[int, Array],
         records: Sequence[int],
     ) -> float:
-        """Sum of squares of the whitened residuals over `records`, with the initial states' prior; infinite where the
-        simulation breaks down."""
+        """Return the sum of squares of the whitened residuals with the initial states' prior; infinite where the simulation breaks
+        down."""
         return self.seen(structure, Point(x, initial, offset), records).total
 
     # -- slopes -----------------------------------------------------------------------------------------
     def slopes(
         self, structure: Structure, at: Point, records: Sequence[int], moves: bool
     ) -> dict[int, Slope] | None:
-        """Derivatives at a point, whose outputs and costs are filled in; None where the simulation breaks down.
-
-        moves: by the parameters and the shared offsets, too.
-        """
+        """Return derivatives at a point, whose outputs and costs are filled in, also by parameters if `moves`; None where the simulation
+        breaks down."""
         try:
             found = tangents(self.problem, structure, at.x, {i: at.initial[i] for i in records}, moves=moves)
         except (InputError, np.linalg.LinAlgError):

@@ -59,12 +59,8 @@ class RecordwiseFitter(Fitter):
         iterations: int = 8,
         tolerance: float = 1e-3,
     ) -> RecordwiseFit:
-        """Fit a structure to groups of records.
-
-        `structure`: The structure. Offsets of its sensors must not be shared by records (`Problem.loose`).
-        `x`: Start values, transformed: (parameters,) for all groups, or (groups, parameters).
-        `own`: Mask of the parameters with a value per group (parameters,).
-        """
+        """Fit a structure without shared offsets to groups of records, from transformed start values; `own` marks the parameters with a
+        value per group."""
         layout = _Layout(structure, own, len(groups))
         z = layout.pack(np.broadcast_to(x, (len(groups), len(own))))
         each = layout.unpack(z)
@@ -140,8 +136,7 @@ class RecordwiseFitter(Fitter):
 
 
 class _Layout:
-    """Order of shared parameters, then those of each group, in one vector; the mask `own` (parameters,) tells the parameters with a
-    value per group."""
+    """Order in one vector of shared parameters, then those of each group (mask `own`)."""
 
     def __init__(self, structure: Structure, own: NDArray[np.bool_], count: int):
         p, shared = len(own), int(np.sum(~own))

@@ -183,10 +183,8 @@ def _signed(network: Network, path: str) -> bool:
 
 
 def usual(network: Network, path: str) -> float:
-    """Return the scale of a parameter that starts at zero: critical damping, or the largest value of the same kind.
-
-    network: the owner's model; path: of the parameter. Raises `InputError` if the network gives no scale.
-    """
+    """Return the scale of a parameter that starts at zero: critical damping, or the largest value of the same kind; raise InputError
+    without one."""
     parts = [e.linear() for e in network.elements if e.place == "between"]
     k, c, b = (max((p[i] for p in parts), default=0.0) for i in range(3))
     owner, _, name = path.rpartition(".")
@@ -279,12 +277,8 @@ def offsets_of(network: Network, output: Channel) -> list[el.SensorBias]:
 
 
 def with_sensor_offsets(network: Network, offsets: Sequence[float] | None) -> Network:
-    """Return the model with the fitted offsets of its sensors [unit of the channel] as effects `sensor_bias`, so that a simulation
-    reads as the sensors do.
-
-    The outputs keep `"offset": "free"`: a later diagnosis estimates the remaining offset. The bias of a channel that has one already
-    changes by the offset.
-    """
+    """Return the model with the fitted offsets of its sensors [unit of the channel] as effects `sensor_bias`, which later offsets add
+    to."""
     for c, offset in zip(network.outputs, offsets or (), strict=bool(offsets)):
         if c.offset != "free" or not offset:
             continue
@@ -341,11 +335,8 @@ def drop(network: Network, name: str) -> Network:
 def split(
     network: Network, pair: tuple[str, ...], stem: str, behind: str = ""
 ) -> tuple[Network, tuple[str, str]]:
-    """Everything between the pair, or the element `behind` alone, moved behind a new node next to its first terminal; the gap is
-    what is returned.
-
-    A moved terminal goes first, so that the rig still moves it. Raises `InputError` if `behind` is not at this place.
-    """
+    """Put everything between a pair, or the element `behind` alone, behind a new node next to its first terminal, a moved one first; the
+    gap is returned."""
     if behind and behind not in {e.name for e in el.beside(network, pair)}:
         raise InputError(f"'{behind}' does not stand between {' and '.join(pair)}")
     first, second = pair

@@ -40,11 +40,8 @@ def match_law(
     *,
     mirrored: bool = False,
 ) -> LawMatch | None:
-    """Return the match of a law's free parameters to a curve with the smallest error, from several start values; None if no fit
-    succeeds.
-
-    Parameters with a minimum of zero or more are fitted by their logarithm.
-    """
+    """Return the match of a law's free parameters to a curve with the smallest error over several starts; positive ones by their
+    logarithm."""
     matches = [m for start in starts for m in _matches_from(start, kind, residual, mirrored)]
     return min(matches, key=lambda m: m.error, default=None)
 

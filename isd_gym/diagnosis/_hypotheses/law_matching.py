@@ -54,25 +54,16 @@ class Match:
         return replace(self, values=self.values | {k: self.values[k] * by for k in self.start.grows})
 
     def begin(self, structure: Structure) -> tuple[Structure, Array]:
-        """Return a structure with the law, and start values of the parameters (parameters,), transformed.
-
-        Effects of the structure keep their fitted values.
-
-        Raises:
-            InputError: No law can have the matched values.
-        """
+        """Return a structure with the law, and start values (parameters,), transformed; raise InputError for impossible values."""
         built = add(structure, self.hypothesis, self.values)
         return built, built.start_from(self.moved)
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Whitened residual of a fit, orthogonal to the derivatives by parameters, initial states and offsets.
-
-    `whole`, `left` (rows,): residual before and after the projection; `spans`: record -> (first row, last row, outputs of the fit);
-    `nuisances`: record -> orthonormal basis of its initial state and offsets (rows of the record, directions); `basis` (rows,
-    directions): of the parameters, nuisances eliminated; `solve` (parameters, rows): parameters of the fit that explain a residual.
-    """
+    """Whitened residual of a fit before (`whole`) and after (`left`) the projection orthogonal to the derivatives: (rows,), with the rows
+    and outputs of each record, an orthonormal basis of its nuisances and of the parameters, and the map to the parameters that explain a
+    residual."""
 
     whole: Array
     left: Array
@@ -117,10 +108,8 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
 
 
 def _orthogonal(columns: Array, norm: Array | None = None) -> tuple[Array, Array, Array]:
-    """Return an orthonormal basis of columns (rows, columns), and their QR decomposition relative to their norm.
-
-    `norm`: Size of each column, of which a dependent column leaves less than `DEPENDENT`; its own norm by default.
-    """
+    """Return an orthonormal basis of columns (rows, columns), and their QR decomposition relative to `norm`, their own norms by
+    default."""
     norm = np.linalg.norm(columns, axis=0) if norm is None else norm
     Q, R = np.linalg.qr(columns / np.where(norm > 0, norm, 1))
     return Q[:, np.abs(np.diag(R)) > DEPENDENT], Q, R
@@ -129,10 +118,8 @@ def _orthogonal(columns: Array, norm: Array | None = None) -> tuple[Array, Array
 def match_laws(
     problem: Problem, fitter: Fitter, fit: Fit, noise: Array, candidates: Sequence[Hypothesis]
 ) -> list[Match]:
-    """Return every law at every place from every start of its shape, the largest share first.
-
-    `noise`: White noise (channels,) of the outputs.
-    """
+    """Return every law at every place from every start of its shape, the largest share first. `noise`: white noise (channels,) of the
+    outputs."""
     residual = residual_of(problem, fitter, fit)
     motion = measured_motions(problem, fit, noise)
     starts = starts_of(problem, fit, {pair: joined(m) for pair, m in motion.items()}, candidates)

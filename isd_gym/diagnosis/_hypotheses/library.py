@@ -18,11 +18,8 @@ __all__ = ["Hypothesis", "hypotheses", "pairs"]
 
 
 def pairs(network: Network) -> list[tuple[str, str]]:
-    """Return the pairs of nodes that can carry a force: joined pairs, pairs of masses, and each mass with the ground.
-
-    A rigid body meets the other masses at the points where elements join them; its centre and its angles pair with the ground.
-    Pairs are left out if the inputs determine neither their distance nor their rate (`frames.order_told`).
-    """
+    """Return the pairs of nodes that can carry a force and whose distance or rate the inputs determine: joined pairs, pairs of masses or
+    points of a body, and each mass with the ground."""
     riding = frames(network)
     out: dict[frozenset[str], tuple[str, str]] = {}
     for e in network.elements:

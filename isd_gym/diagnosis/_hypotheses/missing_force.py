@@ -54,8 +54,8 @@ class Deconvolution:
         measured: Mapping[str, Array],
         highest: float = HIGHEST,
     ) -> Deconvolution:
-        """Return the linear response about rest, up to `highest` times the frequency of the measured motion: above it the sensors
-        resolve no force."""
+        """Return the linear response about rest, up to `highest` times the frequency of the measured motion: above it sensors resolve no
+        force."""
         step, samples, names = float(time[1] - time[0]), len(time), list(measured)
         name = network.free_name("missing_force")
         outputs = []
@@ -93,11 +93,8 @@ class Deconvolution:
         return cls(names, frequency[band], int(band[0]), answer[:, order], two, units, samples)
 
     def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> tuple[Array, Array]:
-        """Force [N] (n,) that explains `residual` best under white noise of deviations `noise`, and the motion it makes (n, 2).
-
-        Wiener's filter: its prior, the force's own spectrum, comes from the data (expectation maximisation), so that what
-        the sensors do not resolve is left out and not made up.
-        """
+        """Return the force [N] (n,) that explains a residual best under white noise, and the motion it makes (n, 2), by Wiener's filter
+        with the force's own spectrum as prior (expectation maximisation)."""
         from scipy.ndimage import uniform_filter1d
         from scipy.signal.windows import tukey
 
@@ -122,10 +119,8 @@ class Deconvolution:
 
 
 def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str] | None:
-    """Return the two nodes whose distance changes by a force as that of `pair` does; None where no force changes the latter.
-
-    A node whose velocity or acceleration is prescribed stands for the ground: no force moves either.
-    """
+    """Return the two nodes whose distance a force between a pair changes, the ground in place of nodes with prescribed rates; None
+    without any."""
     if not order_told(network, pair):
         return pair
     riding = frames(network)
@@ -146,10 +141,7 @@ class PairMotion:
 def pair_motion(
     network: Network, trace: Trace, pair: tuple[str, str], series: Sequence[str] = ()
 ) -> PairMotion:
-    """Simulate two nodes of a model that starts like a record.
-
-    `series`: Elements in series with others between the nodes; their force counts too.
-    """
+    """Return the motion of two nodes of a model that starts like a record, and their force with that of elements in series."""
     network = replace(network, uncertainty={})
     step = float(trace.time[1] - trace.time[0])
     measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)

@@ -29,10 +29,8 @@ LANES = 48  # number of variants per call of the kernel
 def motions(
     problem: Problem, fit: Fit, also: tuple[tuple[str, str], ...] = ()
 ) -> dict[tuple[str, str], Motion]:
-    """Return elongation and rate of every pair in the fitted simulation of the records that are fitted by.
-
-    Where the inputs tell the rate of a pair alone, its elongation counts from the start of each record.
-    """
+    """Return elongation and rate of every pair in the fitted simulation of the training records; elongations that only rates tell count
+    from its start."""
     return {p: joined(own) for p, own in motions_by_record(problem, fit, also).items()}
 
 
@@ -90,13 +88,8 @@ def setting(
     pitches: tuple[float, ...] = (),
     load: Sequence[Array] | None = None,
 ) -> Setting:
-    """Return the setting from which an effect derives the start values of its fit.
-
-    `motion`: Motion of the place; None at a motor or a channel.
-    `force`: Typical force of the place [N].
-    `pitches`: Periods of travel [m] to begin with.
-    `load`: Load of a friction in each training record (samples,) [N].
-    """
+    """Return the setting from which an effect derives its start values: the motion of the place, its typical force [N], periods of travel
+    [m], and loads (samples,) [N]."""
     signal, time, samples = 1.0, problem.time, None
     if h.place == "element":
         name = next(c.name for c in network.inputs if c.quantity == "current" and c.element == h.where[0])
@@ -121,10 +114,8 @@ def setting(
 def simulate_variants(
     problem: Problem, fit: Fit, networks: Sequence[Network]
 ) -> Iterator[tuple[list[int], int, Array]]:
-    """Yield the outputs of many networks over the training records: network indices, record, outputs (samples, channels, lanes).
-
-    Lanes of one structure run together; what breaks down is left out.
-    """
+    """Yield the outputs of many networks over the training records: indices, record, outputs (samples, channels, lanes); what breaks down
+    is left out."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, net in enumerate(networks):
         asm = assemble(bare(net))

@@ -46,12 +46,8 @@ def typical_advance(travels: Sequence[Array]) -> float:
 def spectral_pitches(
     problem: Problem, fit: Fit, pair: tuple[str, str], motion: Motion, periods: float
 ) -> tuple[float, ...]:
-    """Return at most `LINES` periods of the missing force over the travel of two nodes [m, or rad where the nodes turn], the
-    strongest line first.
-
-    The signal is the residual of the fitted model. Periods that the whole travel holds fewer than `periods` times, or that the
-    records cannot show, are not looked for.
-    """
+    """Return at most `LINES` periods [m, or rad] of the missing force over the travel of two nodes, the strongest line first, of those
+    that records show and the travel holds more than `periods` times."""
     span = float(np.ptp(motion.d))
     edges = np.cumsum([problem.records[i].samples for i in problem.estimation])[:-1]
     advance = typical_advance(np.split(motion.d, edges))
@@ -115,11 +111,8 @@ def _strongest(power: Array, periods: float) -> list[float]:
 
 
 def thinning_loses(problem: Problem, fit: Fit, floors: Array) -> bool:
-    """Return whether the thinned records of a search would lack much of the residual: in any output, a quarter of its power beyond
-    the noise.
-
-    A force that repeats over travel may be much faster than the motion by which records are thinned.
-    """
+    """Return whether thinned records lack a quarter of the residual's power beyond the noise in any output, such as a force that repeats
+    over travel."""
     lost, power, rows = np.zeros(len(floors)), np.zeros(len(floors)), 0
     for i in problem.estimation:
         record, thin = problem.records[i], problem.rough.records[i]

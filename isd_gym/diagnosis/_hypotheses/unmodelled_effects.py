@@ -24,13 +24,8 @@ if TYPE_CHECKING:
 
 
 def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
-    """Return what each force law of the library, too small to be named, does to the outputs (samples, channels, laws) of the records
-    to fit by; zero for a law that makes the simulation break down.
-
-    The force of a law is a `share` of the typical force at its place. In a lightly damped structure the forces that dissipate are
-    small beside those that store energy. There a law that dissipates has a share of the former, since the same share of the latter
-    would be a multiple of the damping.
-    """
+    """Return what each force law of the library, with a share of the typical force (of the dissipating forces, for a law that dissipates
+    in a lightly damped structure), does to the outputs (samples, channels, laws) of the training records."""
     motion, forces = motions(problem, fit), place_forces(problem, fit)
     lossy = lossy_share(problem, fit) if is_lightly_damped(problem.network) else 1.0
     networks, sizes = [], []

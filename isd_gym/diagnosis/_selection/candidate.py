@@ -53,10 +53,8 @@ class Candidate:
 
 
 def deviance(problem: Problem, fit: Fit, noise: Array) -> float:
-    """Return -2 log L of a fit on its records, without constants, the prior of the parameters included.
-
-    White noise `noise` (channels,) is added to the coloured noise of the residuals.
-    """
+    """Return -2 log L of a fit on its records, without constants, with the prior and with white noise (channels,) added to that of the
+    residuals."""
     return innovations(residuals(problem, fit), noise) + fit.prior
 
 
@@ -76,12 +74,8 @@ def settle(
     iterations: int = 6,
     noise: Array | None = None,
 ) -> Candidate:
-    """Fit a structure repeatedly, with weights from the residuals, until the deviance stops falling.
-
-    `least`: Smallest noise (channels,).
-    `fit`: A fit whose initial states, offsets and residuals are the start.
-    `noise`: White noise of the weights (channels,); that of the first fit by default.
-    """
+    """Fit a structure repeatedly, with weights from the residuals and the white noise (channels,) of the first fit, until the deviance
+    stops falling; `fit` is the start."""
     initial = offset = None
     if fit is not None:
         initial, offset = fit.initial, fit.offset
@@ -170,11 +164,8 @@ def same_effects(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bo
 
 
 def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[Candidate]:
-    """Move the simplest candidate that fits as well as the best candidate to the front: special cases, and laws whose values agree with the name.
-
-    `chance`: Deviance (2 log L) that a law with more parameters gains by chance.
-    `sure`: Chance gain of a law with values that contradict its name.
-    """
+    """Move the simplest candidate that fits as well as the best one to the front: special cases within `chance`, sound values within
+    `sure` (2 log L)."""
     seen: list[Candidate] = []
     while ranked and ranked[0] not in seen:
         best = ranked[0]

@@ -77,10 +77,8 @@ class CandidateComparison:
 
     # -- explained fractions ------------------------------------------------------------------------------
     def explained_fraction(self, before: HeldOutScore, after: HeldOutScore) -> float:
-        """Return the share of the excess error of one score that another score removes.
-
-        The whitened error counts, or the plain error where the plain error falls by more.
-        """
+        """Return the share of the excess error of one score that another removes: of the whitened error, or of the plain error if that
+        falls by more."""
         whitened = (before.mean_square - after.mean_square) / max(
             before.mean_square - self.noise_score, 1e-12
         )
@@ -90,10 +88,8 @@ class CandidateComparison:
         return max(whitened, top / max(excess, 1e-12))
 
     def explained(self, candidate: Candidate, envelope: Array) -> float:
-        """Return the share of the refitted model's excess error that a candidate removes, in all and in the channel with the widest gap.
-
-        `envelope`: Excess error of unmodelled effects (channels,): the measure of a wide gap, since friction lets some channels drift.
-        """
+        """Return the share of the refitted model's excess error that a candidate removes, in all and in the channel with the widest gap
+        over the envelope (channels,)."""
         refit, after = self.score(self.refitted), self.score(candidate)
         before, left = refit.excess(self.noise) ** 2, after.excess(self.noise) ** 2
         return min(self.explained_fraction(refit, after), _removed_where_widest(before, left, envelope))

@@ -38,10 +38,8 @@ class CandidateFitter:
         return is_lightly_damped(self.evaluator.problem.network)
 
     def refit_nominal(self) -> Candidate:
-        """Refit the nominal model within the stated uncertainty of its parameters.
-
-        The fit starts from the nominal values; where the motion is lightly damped, also from a fit to segments. The refit errs no more on the training records than the nominal model.
-        """
+        """Refit the nominal model within its stated uncertainty from the nominal values and, where the motion is lightly damped, from
+        segments; the nominal model where every refit errs more on the training records."""
         p, least = self.evaluator.problem, self.evaluator.least_noise
         structure = base_structure(p.network)
         found = [settle(p, structure, structure.start, least)]
@@ -70,8 +68,8 @@ class CandidateFitter:
     def from_segments(
         self, structure: Structure, x: Array, similar: Candidate, noise: Array | None = None
     ) -> Candidate | None:
-        """Fit a structure from the result of a fit to brief segments, weighted by the residuals of a `similar` candidate or by white
-        noise (channels,); None where the motion is strongly damped, or the fit breaks down."""
+        """Fit a structure from a fit to brief segments, weighted by the residuals of a similar candidate; None where the motion is
+        strongly damped."""
         p, least = self.evaluator.problem, self.evaluator.least_noise
         if p.network.inputs and not self.is_lightly_damped:
             return None
@@ -89,11 +87,8 @@ class CandidateFitter:
         return theirs - own
 
     def refit(self, structure: Structure, similar: Candidate, worst: float = math.inf) -> Candidate | None:
-        """Return the best fit of a simpler or equivalent structure from the values of a fitted candidate, then from the nominal
-        values.
-
-        None where every fit breaks down, or the error on few samples is larger than `worst` times that of the candidate (in power).
-        """
+        """Return the best fit of a simpler or equivalent structure from the values of a fitted candidate, then from nominal ones; None
+        where its error on few samples is above `worst` times the candidate's (in power)."""
         e, p, least = self.evaluator, self.evaluator.problem, self.evaluator.least_noise
         noise = white_noise(p, similar.fit, least)
         near = deviance_with_noise_of(p, similar, similar, least) + self.criteria.deviance_gain

@@ -89,11 +89,7 @@ def _places_alike(
 
 
 def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
-    """Replace several laws over one plane at one place by a single law, in the order of their match, and several series laws along
-    one line by one of them.
-
-    The links of a chain without masses carry the same force, so that two series laws on it may imitate one at a third link.
-    """
+    """Replace several laws over one plane at one place by a single law, and several series laws along one line by one of them."""
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
     groups: dict[tuple[tuple[str, str], object], list[int]] = {}
@@ -154,10 +150,8 @@ def repeats(element: el.Element, motion: el.Motion, c: Criteria = CRITERIA) -> b
 
 
 def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> bool:
-    """Return whether the values of a candidate's effects agree with the effects' names.
-
-    A periodic law must repeat within the travel, and a law must differ from a limit that has another name.
-    """
+    """Return whether the values of a candidate's effects agree with their names: periods repeat, and laws differ from limits with another
+    name."""
     if not candidate.well_formed():
         return False
     default = el.Element.differs_from_limit
@@ -177,11 +171,8 @@ def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> 
 
 
 def force_difference(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:
-    """Return the root mean square difference in force between an effect and the law that replaces the effect, as a share of the
-    force; infinite if the laws are at different places or in series.
-
-    The forces belong to the motion that is simulated with the effect. A law with memory, such as hysteresis, is simulated.
-    """
+    """Return the RMS difference of the force of an effect and of the law that replaces it, over the former, along the motion with the
+    effect; infinite if the laws are at different places or in series."""
     new = next(j for j, h in enumerate(other.hypotheses) if h not in candidate.hypotheses)
     one, two = candidate.elements[effect], other.elements[new]
     motion = motions(problem, candidate.fit).get(one.between) if one.place == "between" else None
@@ -220,12 +211,8 @@ def _match_laws(
     force_at: Callable[[Sequence[str]], float],
     absorbing: Sequence[el.Element] = (),
 ) -> list[Effect]:
-    """Return at most `MAX_MATCHES` laws with an error below `NEAR`, best first, matched to the total force of found elements over one
-    plane.
-
-    `force_at` returns the typical force [N] at a place. The coefficients of `absorbing` laws beside the elements may take up a part
-    of the difference.
-    """
+    """Return at most `MAX_MATCHES` laws with an error below `NEAR`, best first, matched to the total force of elements over one plane,
+    beside the coefficients of `absorbing` laws. `force_at`: typical force [N] of a place."""
     travel = motion.v if found[0].plane == "rate" else motion.d
     axis = np.sort(travel[:: max(1, len(travel) // POINTS)])
     target = np.sum([e.curve(axis) for e in found], axis=0)

@@ -79,10 +79,7 @@ class Search:
         stages: Sequence[list[Candidate]] = (),
         is_promising: Callable[[Candidate], bool] = lambda last: True,
     ) -> tuple[list[Candidate], list[list[Candidate]]]:
-        """Add one effect at a time.
-
-        `path`: Candidates with one more effect each; the first is the refitted nominal model.
-        """
+        """Add one effect at a time to a path, which begins with the refitted nominal model, and keep the candidates of each stage."""
         path, stages = list(path), list(stages)
         try:
             with self.clock.until(SEARCH):
@@ -180,10 +177,7 @@ class Search:
 
     # -- backward elimination -----------------------------------------------------------------------------
     def select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
-        """Select the effects of a path that pass the tests, and the simplest law for each.
-
-        An effect that was not compared with its rivals before the time was up is not selected.
-        """
+        """Select the effects of a path that pass the tests, and the simplest law for each; none where the time does not suffice."""
         try:
             with self.clock.until(SELECTION):
                 return self._select(path, stages)
@@ -249,10 +243,7 @@ class Search:
     def _fit_simpler(
         self, structure: Structure, chosen: Candidate, known: Sequence[Candidate]
     ) -> Candidate | None:
-        """Return the best fit of a simpler structure: a known candidate, or a new fit from the values of the chosen one.
-
-        A known candidate may have ended in a local optimum, which would make whatever was added to it look needed.
-        """
+        """Return the best fit of a simpler structure: a known candidate, or a new fit where that may be in a local optimum."""
 
         def rank(q: Candidate) -> float:
             return deviance_with_noise_of(self.problem, q, chosen, self.least_noise)
@@ -338,11 +329,8 @@ class Search:
         return self._select(path, stages) if leads(path[-1]) else None
 
     def _improves(self, other: CandidateComparison, best: CandidateComparison) -> bool:
-        """Return whether another comparison's choice predicts better, or no worse with fewer effects.
-
-        Both choices are scored with the filters of the comparison whose richest candidate has the smaller deviance: filters from a poor
-        fit distinguish nothing.
-        """
+        """Return whether another comparison's choice predicts better, or no worse with fewer effects, with the filters of the richer
+        fit."""
         mine, theirs = other.chosen, best.chosen
         common = min(other, best, key=lambda scores: scores.richest.deviance)
         if not common.can_score(mine):

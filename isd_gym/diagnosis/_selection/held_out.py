@@ -85,13 +85,8 @@ class HeldOutScore:
         return np.asarray(np.sqrt(np.maximum(self.nrmse**2 - noise**2, 0.0)), dtype=np.float64)
 
     def explained_on_test(self, before: HeldOutScore, noise: Array, noise_score: float) -> float:
-        """Return the share of the excess error of another score that this score removes on the test records.
-
-        The whitened error counts, or the plain error where the plain error falls by more. Where the other score is no more than noise, the
-        share is relative to a hundredth of the noise.
-
-        `noise`: Noise of the test records (channels,), as a share of a channel's deviation.
-        """
+        """Return the share of the excess error of another score that this score removes on the test records, with a floor of a hundredth
+        of the noise: of the whitened error, or of the plain error if that falls by more. `noise`: share of the deviation (channels,)."""
         whitened = before.test_mean_square - self.test_mean_square
         whitened /= max(before.test_mean_square - noise_score, 0.01 * noise_score)
         power = noise**2
@@ -143,10 +138,8 @@ class HeldOutEvaluator:
         return np.asarray(np.sqrt(np.mean(r**2, axis=0)) / deviation, dtype=np.float64)
 
     def training_nrmse(self, candidate: Candidate) -> Array:
-        """Return the NRMSE on the training records (channels,), with initial states and offsets from the plain error.
-
-        A fit under coloured noise may leave slow errors that carried no weight.
-        """
+        """Return the NRMSE on the training records (channels,), with initial states from the plain error: coloured noise may leave slow
+        errors without weight."""
         if id(candidate) not in self._training:
             p, fit = self.problem, candidate.fit
             f = self.plain_fitter.follow(fit.structure, fit.x, p.estimation, fit.initial)
@@ -155,7 +148,7 @@ class HeldOutEvaluator:
 
     @cached_property
     def nominal_nrmse(self) -> tuple[Array, Array]:
-        """Return the NRMSE of the nominal model on the validation and on the test records, (channels,) each; NaN where it breaks down."""
+        """The NRMSE of the nominal model on the validation and on the test records, (channels,) each; NaN where it breaks down."""
         p, structure = self.problem, base_structure(self.problem.network)
         try:
             f = self.plain_fitter.follow(structure, structure.start, p.held)
@@ -170,10 +163,8 @@ class HeldOutEvaluator:
     def score(
         self, candidate: Candidate, filters: Whitener, similar: Sequence[HeldOutScore] = ()
     ) -> HeldOutScore:
-        """Score a candidate: parameters as fitted, initial states and offsets from each held-out record.
-
-        `similar`: Scores of other candidates, whose initial states are starting points beside the candidate's own guesses.
-        """
+        """Score a candidate: parameters as fitted, initial states and offsets from each held-out record, started from guesses and from
+        those of similar scores."""
         p, fit = self.problem, candidate.fit
         nearest = self._nearest_states(similar, fit.structure)
         f = Fitter(p, filters).follow(
@@ -257,8 +248,7 @@ class HeldOutEvaluator:
         return np.array(squares), np.array(lpd)
 
     def score_path(self, path: Sequence[Candidate]) -> tuple[HeldOutScore, ...]:
-        """Score the candidates of a path, each with one effect more than the preceding one, with its own filters and the initial
-        states of the preceding one."""
+        """Score the candidates of a path, each with its own filters and the initial states of the preceding ones."""
         out: tuple[HeldOutScore, ...] = ()
         for k, candidate in enumerate(path):
             key = tuple(id(c) for c in path[: k + 1])
@@ -286,7 +276,7 @@ class HeldOutEvaluator:
         )
 
     def _nearest_states(self, scores: Sequence[HeldOutScore], structure: Structure) -> dict[int, Array]:
-        """Return, for each held-out record, the initial state of the score with the least error, in the coordinates of a structure."""
+        """Return, for each held-out record, the initial state of the score with the least error, for a structure."""
         nearest: dict[int, tuple[float, Fit]] = {}
         for fit in (s.fit for s in scores):
             for i, y in fit.outputs.items():
@@ -300,7 +290,7 @@ class HeldOutEvaluator:
         return out
 
     def _states_after_training(self, fit: Fit) -> dict[int, Array]:
-        """Return the initial states of held-out records that continue a training record: the final states of the simulation."""
+        """Return the initial states of held-out records that continue a training record."""
         p = self.problem
         continues = {j: i for j in p.held for i in p.estimation if p.records[j].follows(p.records[i])}
         if not continues or not len(next(iter(fit.initial.values()))):
@@ -310,10 +300,8 @@ class HeldOutEvaluator:
 
     # -- noise --------------------------------------------------------------------------------------------
     def channel_noise(self, score: HeldOutScore) -> list[Noise]:
-        """Return each channel's noise: as the owner or the spectrum tells, and no more than is left above the motion.
-
-        A misfit alone is no noise: the measured signal above its band is the bound. Test records take no part.
-        """
+        """Return each channel's noise: as the owner or the spectrum tells, and no more than is left above the motion of the validation
+        records."""
         p, out = self.problem, []
         first = p.records[p.choosing[0]]
         for j, known in enumerate(self.noise_estimates):
@@ -342,21 +330,15 @@ class HeldOutEvaluator:
 
     # -- sizes --------------------------------------------------------------------------------------------
     def unmodelled_responses(self, candidate: Candidate) -> dict[int, Array]:
-        """Return the responses of the training records to unmodelled effects: record -> (samples, channels, effects).
-
-        Each effect has `SMALL` of the typical force.
-        """
+        """Return the responses (samples, channels, effects) of the training records to unmodelled effects of `SMALL` of the typical force
+        each."""
         if self._responses is None or self._responses[0] is not candidate:
             self._responses = candidate, simulate_unmodelled_effects(self.problem, candidate.fit, SMALL)
         return self._responses[1]
 
     def unmodelled_envelope(self, candidate: Candidate, size: float, least: float) -> Array:
-        """Return the excess error that unmodelled effects leave beside a refitted candidate (channels,), as a share of the deviation.
-
-        Where a coordinate drifts, or has many positions of rest, a small force may cause a large error.
-
-        `size`: Force of an unmodelled effect, as a share of the typical force.
-        """
+        """Return the excess error (channels,), as a share of the deviation, that unmodelled effects of a share `size` of the typical
+        force leave beside a refitted candidate."""
         if id(candidate) not in self._envelopes:
             p = self.problem
             change = {i: y * (size / SMALL) for i, y in self.unmodelled_responses(candidate).items()}
@@ -375,11 +357,8 @@ class HeldOutEvaluator:
 
 
 def effect_size(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the RMS of what an element does over the RMS of what is there: force, current or signal.
-
-    In a lightly damped structure, forces that dissipate are small beside forces that store energy, and damping decides the motion all the
-    same: there an element has its share of the dissipated work, if that share is larger.
-    """
+    """Return the RMS of what an element does over that of what is there: force, current or signal; or its share of the dissipated work in
+    a lightly damped structure, if that is larger."""
     net = fit.network
     e = net.element(name)
     if e.place == "channel":

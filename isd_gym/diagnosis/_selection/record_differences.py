@@ -85,10 +85,7 @@ class _Stretches:
 
 
 def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
-    """Cut whole records into stretches of equal length; return None where fewer than two records are long enough.
-
-    `lead`: Simulated time before a stretch, without comparison [s].
-    """
+    """Cut whole records into an even number of stretches of equal length, with a lead [s]; None where fewer than two are long enough."""
     loose = whole.loose
     pieces: list[Record] = []
     groups, names, deviations = [], [], []
@@ -113,8 +110,8 @@ def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
 
 @dataclass(eq=False)
 class RecordComparison:
-    """Comparison of one value for all records with one value per record, over stretches of the whole records, from the parameters x
-    of the refitted model and the noise (channels,)."""
+    """Comparison of one value for all records with one value per record, over stretches, from refitted parameters and noise
+    (channels,)."""
 
     stretches: _Stretches
     structure: Structure
@@ -162,8 +159,7 @@ class RecordComparison:
         self.floor = np.minimum(self.floor, squares)
 
     def explained(self, squares: Array) -> float:
-        """Return the share of the squared error beyond noise of the joint fit that a fit with these squared errors (channels,) on the
-        stretches for comparison removes."""
+        """Return the share of the joint fit's squared error beyond noise that a fit with these squared errors (channels,) removes."""
         joint, noise = self.mean(self.joint_squares), self.mean(self.floor)
         return (joint - self.mean(squares)) / max(joint - noise, 1e-12)
 
@@ -204,8 +200,7 @@ class RecordComparison:
         return sorted(out, key=lambda e: (-e[0], e[1]))
 
     def estimates(self, fit: RecordwiseFit, name: int) -> tuple[Array, Array, Array]:
-        """Return the values of a parameter in the records, transformed, their deviations and degrees of freedom, each (records,),
-        from all stretches."""
+        """Return the values of a parameter in the records, transformed, their deviations and degrees of freedom, each (records,)."""
         groups = self.stretches.groups
         rows = [
             self.stretches.problem.records[i].measured - at.outputs[i]
@@ -238,8 +233,8 @@ def is_different(a: tuple[float, float, float], b: tuple[float, float, float], c
 
 
 def group_values(values: Array, deviations: Array, freedom: Array) -> tuple[int, ...]:
-    """Return the group of each record: neighbouring values that do not differ have one group, smallest values first, all zero where
-    no pair differs. Values, deviations and degrees of freedom are (records,)."""
+    """Return the group of each record, smallest values first: neighbouring values that do not differ have one; all zero where no pair
+    differs."""
     each = list(zip(values.tolist(), deviations.tolist(), freedom.tolist(), strict=True))
     pairs = len(each) * (len(each) - 1) / 2
     if not any(is_different(a, b, CHANCE / pairs) for a, b in combinations(each, 2)):
@@ -262,12 +257,8 @@ def find_record_differences(
     laws: Sequence[tuple[str, Structure, Array]] = (),
     lead: float = 0.0,
 ) -> RecordDifferences | None:
-    """Return the parameters that differ between records, with their values per record.
-
-    None where the records are too short or do not differ, and where a law explains the records better. `laws` are models with the
-    effects that explain them best: name, structure and parameters. `lead` is the simulated time before a stretch, without comparison
-    [s].
-    """
+    """Return the parameters that differ between records; None where the records are too short or do not differ, or where a law explains
+    them better."""
     stretches = cut_into_stretches(whole, lead)
     if stretches is None or not structure.free:
         return None

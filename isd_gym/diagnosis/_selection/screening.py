@@ -140,10 +140,8 @@ class Screening:
         )
 
     def shortlist(self) -> list[list[Match]]:
-        """Return the laws that are fitted, each with its matches.
-
-        An element in series with a moved node always enters, since a small compliance says little about a large one.
-        """
+        """Return the laws that are fitted, each with its matches; an element in series with a moved node always enters, since a small one
+        says little about a large one."""
         moved = set(self.problem.network.moved_nodes)
         groups: dict[Hypothesis, list[Match]] = {}
         count = 0
@@ -159,10 +157,7 @@ class Screening:
         return list(groups.values())
 
     def is_sensible(self, h: Hypothesis) -> bool:
-        """Return False for hypotheses that repeat an effect already in the model, in series or in parallel.
-
-        A periodic law at a node without mass, which an element in series brought, is not sensible either.
-        """
+        """Return False for effects that the model has at the place, and for periodic laws at a node that an element in series brought."""
         if h.place != "between":
             return True
         network, found = self.current.structure.network, self.current.structure.names
@@ -172,11 +167,8 @@ class Screening:
 
     # -- fits ---------------------------------------------------------------------------------------------
     def starts(self, group: Sequence[Match]) -> list[tuple[Structure, Array]]:
-        """Return the starts of a law with the smallest error: structure and start values (parameters,), transformed.
-
-        Each match is simulated with the parameters of the model as the match moves them, as they are fitted, and with nominal values. The
-        best start with less damping is added.
-        """
+        """Return the starts of a law with the smallest error, from the parameters that the match moves, the fitted and the nominal ones,
+        and the best one with less damping: structure and start values (parameters,), transformed."""
         current, kind = self.current, group[0].hypothesis.kind
         known = {f.path: float(v) for f, v in zip(current.structure.free, current.x, strict=True)}
         nominal = {f.path: known[f.path] if f.owner >= 0 else f.mean for f in current.structure.free}
@@ -208,10 +200,8 @@ class Screening:
         return [tries[k][best[k][1]] for k in order]
 
     def starts_with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
-        """Yield starts with a share of the damping at the place of a law that dissipates, which takes over the damping's work.
-
-        The damping of a model without the law has been fitted to that work, and the law may have an optimum at either split of it.
-        """
+        """Yield starts with a share of the damping at the place of a law that dissipates, which takes over the damping's work: the law
+        may have an optimum at either split."""
         h, current = m.hypothesis, self.current
         if h.kind.mechanism not in DISSIPATING or not follows_motion(h):
             return
@@ -250,10 +240,8 @@ class Screening:
         return [r for r in map(self._continued, self.first_of_each_law(tries)) if r is not None]
 
     def first_of_each_law(self, found: Iterable[Candidate | None]) -> list[Candidate]:
-        """Return the fits of each set of effects with the smallest deviance and with the smallest gap, smallest deviance first.
-
-        The weights of a fit are those of another model's residuals, under which the deviance may miss the gap.
-        """
+        """Return the fits of each set of effects with the smallest deviance, and with a clearly smaller gap, which the deviance may miss;
+        smallest deviance first."""
         fitted = [r for r in found if r is not None and math.isfinite(r.deviance)]
         out = []
         for r in _best_first(fitted):
@@ -279,15 +267,13 @@ class Screening:
         return first if closest is None or closest in first else [*first, closest]
 
     def closers_first(self, fitted: Sequence[Candidate]) -> list[Candidate]:
-        """Order candidates by deviance, those that close half of the gap first: the deviance under coloured noise may miss the gap."""
+        """Order candidates by deviance, those that close half of the gap, which the deviance may miss, first."""
         half = 0.5 * gap(self.problem, self.current)
         return sorted(fitted, key=lambda r: (gap(self.problem, r.fit) > half, r.deviance))
 
     def special_cases(self, r: Candidate, tried: Collection[tuple[Hypothesis, ...]]) -> list[Candidate]:
-        """Fit the special cases of the last law of a candidate that were not tried, from the candidate's values.
-
-        Friction that sticks does not follow the measured motion, and a law with more parameters may be matched in its place.
-        """
+        """Fit the special cases of the last law of a candidate that were not tried: friction that sticks may be matched by a law with
+        more parameters."""
         own = zip(r.fit.structure.free, r.fit.x, strict=True)
         known = {f.path: v for f, v in own if f.owner < len(r.hypotheses) - 1}
         out = []
@@ -384,7 +370,8 @@ def _best_first(found: Iterable[Candidate | None]) -> list[Candidate]:
 
 
 def _misfit(stage: Screening, tries: Sequence[tuple[Structure, Array]]) -> Array:
-    """Return the sum over channels of the logarithm of the residual's variance (tries,): a drifting channel does not hide other channels."""
+    """Return the sum over channels of the logarithm of the residual's variance (tries,): a drifting channel does not hide other
+    channels."""
     problem, current = stage.problem, stage.current
     scores, nets = np.zeros(len(tries)), [t.at(x) for t, x in tries]
     initial = [transfer_states(problem, current.network, current.initial, t) for t, _ in tries]
