@@ -15,8 +15,8 @@ from ._estimation.gauss_newton import Fitter
 from ._estimation.noise import white_filters
 from ._estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from ._hypotheses.library import hypotheses
-from ._hypotheses.loads import loads_of, tell_gain
-from ._records import LEAD_IN
+from ._hypotheses.motion import loads_of, tell_gain
+from ._records.splitting import LEAD_IN
 from ._selection.candidate import Candidate, parameter_values
 from ._selection.free_force import FreeForce, fit_free_force
 from ._selection.record_differences import find_record_differences
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from ..physics.network import Network
     from ..records.data import Table
     from ._estimation.structure import Structure
-    from ._records import Feedback
+    from ._records.feedback import Feedback
     from ._selection.candidate_comparison import CandidateComparison
     from ._selection.forward_backward import Search
     from ._simulation.problem import Problem

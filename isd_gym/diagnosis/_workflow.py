@@ -19,20 +19,13 @@ from ..physics.simulate import pace
 from ..records._loggers.recording import Recording
 from ..records.data import Table
 from ._estimation.clock_lag import align_clocks
-from ._estimation.direct_problem import prefer_direct_problem
-from ._estimation.inverse_problem import invert
-from ._records import (
-    LEAD_IN,
-    Feedback,
-    check_sampling_rates,
-    cut_segments,
-    differentiate_inputs,
-    find_feedback,
-    find_misreading,
-    read_record,
-    split_records,
-    thin_long_record,
-)
+from ._estimation.exchanged_roles import invert, prefer_direct_problem
+from ._records.agreement import find_misreading
+from ._records.feedback import Feedback, find_feedback
+from ._records.filtering import differentiate_inputs
+from ._records.multirate import check_sampling_rates
+from ._records.reading import read_record, thin_long_record
+from ._records.splitting import LEAD_IN, cut_segments, split_records
 from ._result_builder import ResultBuilder
 from ._selection.criteria import CRITERIA, Criteria
 from ._selection.forward_backward import Search

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .._common.arrays import Array
     from ..contrib.fmi.cosimulation import UnitModel
     from ._estimation.clock_lag import Lag
-    from ._records import Feedback
+    from ._records.feedback import Feedback
     from ._selection.criteria import Criteria
     from ._selection.settings import SearchSettings
     from ._verdict.evidence import Evidence

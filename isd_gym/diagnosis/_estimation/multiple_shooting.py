@@ -13,7 +13,7 @@ import numpy as np
 
 from ..._common.errors import InputError
 from ...physics.network import Network, linearise
-from .._records import cut_segments
+from .._records.splitting import cut_segments
 from .._simulation.problem import Problem, bare
 from .gauss_newton import Fitter
 from .noise import white_filters

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..._common.arrays import Array
-    from .objective import Point, Slope
+    from .gauss_newton import Point, Slope
     from .structure import Structure
 
 #: largest step of a parameter that is a logarithm

@@ -20,8 +20,7 @@ from .._estimation.structure import Hypothesis, Structure, add
 from .._simulation.problem import Problem, bare
 from .forces import place_forces
 from .law_forces import force_responses, law_forces, measured_motions
-from .loads import loads_of, tell_gain
-from .motion import joined, setting, simulate_variants
+from .motion import joined, loads_of, setting, simulate_variants, tell_gain
 from .position_spectrum import spectral_pitches
 
 if TYPE_CHECKING:

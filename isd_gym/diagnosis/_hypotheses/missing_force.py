@@ -14,21 +14,13 @@ from ...physics import elements as el
 from ...physics.network import GROUND, Channel, Network, linearise
 from ...physics.network._frames import frames, order_told
 from ...physics.simulate import pace
-from .._estimation.gauss_newton import Fitter
-from .._estimation.noise import white_filters
-from .._estimation.structure import base_structure
-from .._simulation.problem import Problem, Record
-from .forces import element_forces
-from .library import pairs
-from .motion import motions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from ..._common.arrays import Array
-    from ..result import Trace
 
 HIGHEST = 8.0  # times the frequency of the motion
 
@@ -127,41 +119,3 @@ def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str
     first, second = ((network.moved_nodes[riding[n]] if n in riding else n) for n in pair)
     out = (pair[0], first) if pair[1] == GROUND else (second, pair[1])
     return out if out[0] != out[1] else None
-
-
-@dataclass(frozen=True)
-class PairMotion:
-    """Simulated motion of two nodes, and the force between them."""
-
-    travel: Array  # elongation (n,) [m]
-    rate: Array  # rate of elongation (n,) [m/s]
-    force: Array  # force of all elements between the nodes but drives (n,) [N], positive in tension
-
-
-def pair_motion(
-    network: Network, trace: Trace, pair: tuple[str, str], series: Sequence[str] = ()
-) -> PairMotion:
-    """Return the motion of two nodes of a model that starts like a record, and their force with that of elements in series."""
-    network = replace(network, uncertainty={})
-    step = float(trace.time[1] - trace.time[0])
-    measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
-    problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)])
-    fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(
-        base_structure(network), frozen=True, iterations=3
-    )
-    found = motions(problem, fit, () if pair[::-1] in pairs(network) else (pair,))
-    if pair in found:
-        m, sign = found[pair], 1.0
-    elif pair[::-1] in found:
-        m, sign = found[pair[::-1]], -1.0
-    else:
-        raise InputError(f"no motion between {pair[0]} and {pair[1]}")
-    force = np.zeros(len(m.d))
-    for name, values in element_forces(problem, fit, pair).items():
-        if network.element(name).mechanism != "drive":
-            force = force + values
-    for name in series:
-        where = network.element(name).between
-        along = 1.0 if where[0] == pair[0] or where[1] == pair[1] else -1.0
-        force = force + along * element_forces(problem, fit, where)[name]
-    return PairMotion(sign * m.d, sign * m.v, force)

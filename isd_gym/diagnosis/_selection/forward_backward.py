@@ -10,9 +10,15 @@ import numpy as np
 from .._estimation.gauss_newton import gap
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import EVIDENCE, SEARCH, SELECTION, TimeLimit, TimeUp
-from .candidate import Candidate, deviance_with_noise_of, is_special_case, same_effects, simpler_structures
+from .candidate import (
+    Candidate,
+    CandidateFitter,
+    deviance_with_noise_of,
+    is_special_case,
+    same_effects,
+    simpler_structures,
+)
 from .candidate_comparison import RIVALS, CandidateComparison
-from .candidate_fitter import CandidateFitter
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .inclusion_tests import InclusionTests
