@@ -86,14 +86,12 @@ class ResultBuilder:
         refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable
         # under feedback a free curve would draw the controller's law
         is_free = decision.verdict == "unknown_effect" and not self.feedback
-        free = FreeForce()
-        if is_free:
-            free = self._attempt("a table of the missing force", free, self._free_force)
-        no_findings: tuple[Decision, tuple[Finding, ...]] = (decision, ())
-        decision, findings = self._attempt("the probabilities", no_findings, self._findings, decision, free)
-        no_difference: RecordDifferences | None = None
+        what = "a table of the missing force"
+        free = (self._attempt(what, self._free_force) if is_free else None) or FreeForce()
+        found = self._attempt("the probabilities", self._findings, decision, free)
+        decision, findings = found or (decision, ())
         what = "a comparison of the parameters of each record"
-        differences = self._attempt(what, no_difference, self._record_differences, decision, free)
+        differences = self._attempt(what, self._record_differences, decision, free)
         if differences is not None and decision.verdict == "missing_effect" and differences.is_tied:
             differences = None
         if differences is not None and not differences.is_tied:
@@ -115,15 +113,15 @@ class ResultBuilder:
             structure, x, last = self._fit_simulation(final, quantities)
         is_sum = any(h.kind.is_sum() for h in scores.foremost.hypotheses)
         probability = confidence(measured.evidence, criteria, is_sum=is_sum)
-        found = self._effects(quantities, probability) if is_named else []
+        effects = self._effects(quantities, probability) if is_named else []
         rows = self._errors(final)
         deviation = search.evaluator.validation_deviation
         noise = scores.noise * deviation
         posterior = quantities if final is scores.foremost else {}
         if not is_named:
-            quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
+            quantities = self._attempt("the intervals", intervals, search.evaluator, refitted) or {}
         posterior = quantities if final is refitted else posterior
-        laws = self._laws(final, found, tabulated)
+        laws = self._laws(final, effects, tabulated)
         test, played = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else (None, None)
         result = Diagnosis(
             verdict=decision.verdict,
@@ -135,7 +133,7 @@ class ResultBuilder:
             remainder=self._remainder(noise, rows) if is_named else None,
             stretches=over,
             closed_loop=self.feedback,
-            effects=tuple(found),
+            effects=tuple(effects),
             small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
             contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
             findings=findings,
@@ -193,18 +191,17 @@ class ResultBuilder:
         text = f"{'Best supported' if completes else 'Likeliest'} law, not certain: {law}."
         return replace(network, description=f"{network.description} {text}".strip())
 
-    def _attempt(self, what: str, otherwise: T, make: Callable[..., T], *args: Any) -> T:
-        """Return a part of the result, or `otherwise` and a note where its simulation breaks down or the time is up."""
+    def _attempt(self, what: str, make: Callable[..., T], *args: Any) -> T | None:
+        """Return a part of the result, or None and a note where its simulation breaks down or the time is up."""
         clock = self.search.clock
         try:
             with clock.until(RESULT):
                 return make(*args)
         except TimeUp:
             clock.leave_out(what)
-            return otherwise
         except BROKEN as error:
             self.lost.append(f"{what} could not be made: {error}")
-            return otherwise
+        return None
 
     # -- decision -----------------------------------------------------------------------------------------
     def _free_force(self) -> FreeForce:
@@ -246,10 +243,10 @@ class ResultBuilder:
             return None
         self.say("comparing the parameters of each record")
         more = (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
-        named = {id(c): (candidate_text(_effects_of(c)), c) for c in more if c.hypotheses}
+        named = {c: candidate_text(_effects_of(c)) for c in more if c.hypotheses}
         if free.candidate is not None:
-            named[id(free.candidate)] = ("a force without a name", free.candidate)
-        laws = [(words, c.fit.structure, c.fit.x) for words, c in named.values()]
+            named[free.candidate] = "a force without a name"
+        laws = [(words, c.fit.structure, c.fit.x) for c, words in named.items()]
         network = self.whole.network
         lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.whole.time
         refitted, noise = scores.refitted.fit, self.search.evaluator.least_noise
@@ -310,10 +307,9 @@ class ResultBuilder:
     ) -> tuple[Law, ...]:
         """Return the laws of the found effects and of the table of a free force, each as a curve."""
         p, what = self.search.problem, "the picture of a law"
-        no_law: Law | None = None
-        laws = [self._attempt(what, no_law, draw_law, p, final.fit, e.element, e.parameters) for e in effects]
+        laws = [self._attempt(what, draw_law, p, final.fit, e.element, e.parameters) for e in effects]
         if tabulated:
-            laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
+            laws.append(self._attempt(what, draw_table, p, final.fit, tabulated))
         return tuple(law for law in laws if law is not None)
 
     def _next_test(
@@ -321,14 +317,13 @@ class ResultBuilder:
     ) -> tuple[dict[str, Any] | None, Table | None]:
         """Return the test that would decide between candidates, and its inputs."""
         self.say("designing the test that would decide")
-        no_test: tuple[dict[str, Any] | None, Table | None] = (None, None)
 
-        def design() -> tuple[dict[str, Any] | None, Table | None]:
+        def design() -> tuple[dict[str, Any], Table] | None:
             planning = wing("forecast")
             found = planning.next_experiment(self.whole, candidates, noise)
-            return (found.to_dict(), planning.played(self.whole.network, found.record)) if found else no_test
+            return (found.to_dict(), planning.played(self.whole.network, found.record)) if found else None
 
-        return self._attempt("the next test", no_test, design)
+        return self._attempt("the next test", design) or (None, None)
 
     def _rejected(
         self, decision: Decision, rows: Mapping[str, Array], completes: bool

@@ -211,7 +211,16 @@ def _search_lags(
         samples = {j: _thin_samples(problem, record, j, grid, reach) for j in (*known, *late)}
         if min(len(s.values) for s in samples.values()) < FEWEST:
             return lags, "too short to look for it", []
-        cost = _LagCost(samples, known, late, grid, record.step, columns, prior, problem.free_offset)
+        cost = _LagCost(
+            samples,
+            known,
+            late,
+            grid,
+            record.step,
+            columns,
+            prior,
+            problem.shared_offset | problem.record_offset,
+        )
         trials = _choose_trials(cost, record.pace, reach)
         costs = np.array([cost(float(t)) for t in trials])
         best = float(trials[np.argmin(costs)])

@@ -273,7 +273,12 @@ def propagate_input_noise(problem: Problem) -> Array:
         return noise
     names = dict.fromkeys(motion.name for motion, _ in pairs)
     records = list(problem.records)
-    levels = {n: float(np.median([_white_noise(records[i], n) for i in training])) for n in names}
+    levels = {}
+    for n in names:
+        known = [
+            r.input_noise.get(n, estimate_white_noise(r.inputs[n])) for r in (records[i] for i in training)
+        ]
+        levels[n] = float(np.median(known))
     rng = np.random.default_rng(0)
     for i in training:
         records[i] = _with_noise(records[i], levels, rng)
@@ -287,12 +292,6 @@ def propagate_input_noise(problem: Problem) -> Array:
     computed = [network.outputs.index(force) for _, force in pairs]
     noise[computed] = np.nan_to_num(np.sqrt(np.mean(change[:, computed] ** 2, axis=0)), posinf=0.0)
     return noise
-
-
-def _white_noise(record: Record, name: str) -> float:
-    """Return the RMS white noise of an input before any low-pass [SI unit of the input]."""
-    known = record.input_noise.get(name)
-    return estimate_white_noise(record.inputs[name]) if known is None else known
 
 
 def _with_noise(record: Record, levels: Mapping[str, float], rng: np.random.Generator) -> Record:

@@ -171,15 +171,11 @@ def base_structure(network: Network) -> Structure:
             free.append(Free(path, False, value, s, value - REACH * s, value + REACH * s, -1))
         else:
             s = sigma * usual(network, path)
-            signed = _signed(network, path)
+            owner, _, name = path.rpartition(".")
+            own = el.parameter_fields(type(network.element(owner)))
+            signed = next(f.metadata["minimum"] < 0 for f in own if f.name == name)
             free.append(Free(path, False, 0.0, s, -REACH * s if signed else 0.0, REACH * s, -1))
     return Structure(network, tuple(free))
-
-
-def _signed(network: Network, path: str) -> bool:
-    owner, _, name = path.rpartition(".")
-    own = el.parameter_fields(type(network.element(owner)))
-    return bool(next(f.metadata["minimum"] < 0 for f in own if f.name == name))
 
 
 def usual(network: Network, path: str) -> float:
@@ -228,11 +224,6 @@ def free_of(element: el.Element, owner: int) -> list[Free]:
     return out
 
 
-def _held(free: Free) -> Free:
-    """Return a number that a fit reports but does not move: its start value, known to `SURE`."""
-    return replace(free, sigma=SURE, low=free.mean, high=free.mean)
-
-
 def _plausible(cls: type[el.Element], values: Mapping[str, float]) -> dict[str, float]:
     """Return start values moved into the plausible ranges of a missing effect."""
     out = dict(values)
@@ -263,7 +254,11 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
         found = [(known, its) for known, its in found if its != other]
     held = cls.held(dict(h.options))
     free += [f for f in free_of(element, len(found)) if f.path.rpartition(".")[2] not in tied]
-    free = [_held(f) if f.path in {f"{name}.{key}" for key in held} else f for f in free]
+    # a number that a fit reports but does not move
+    free = [
+        replace(f, sigma=SURE, low=f.mean, high=f.mean) if f.path in {f"{name}.{key}" for key in held} else f
+        for f in free
+    ]
     ties += [(f"{name}.{key}", path) for key, path in tied.items()]
     found.append((h, name))
     hypotheses, names = zip(*found, strict=True)

@@ -55,14 +55,10 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
     el.discover()
     for kind in el.TYPES.values():
         for where in places(network, kind):
-            for behind in series_partners(network, kind, where):
+            # an element in series carries all elements of the place, or each of several parallel ones
+            here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
+            for behind in ["", *here] if len(here) > 1 else [""]:
                 bare = Hypothesis(kind.type, where, (), behind)
                 if bare.stands(network):
                     for options in kind.variants(network, where):
                         yield replace(bare, options=tuple(options.items()))
-
-
-def series_partners(network: Network, kind: type[el.Element], where: tuple[str, ...]) -> list[str]:
-    """Return the partners of an element in series: all elements of the place (""), and each of several parallel elements."""
-    here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
-    return ["", *here] if len(here) > 1 else [""]

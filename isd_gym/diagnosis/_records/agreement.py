@@ -80,7 +80,10 @@ def find_misreading(problem: Problem) -> str:
     if any(u >= VAGUE for u in network.uncertainty.values()):
         return ""
     scaled = [j for j in agree if own[j] > SCALED]
-    slips = {j: k for j in scaled if (k := _slip(float(amplitude[j])))}
+    slips: dict[int, float] = {}
+    for j, (factor, slack) in itertools.product(scaled, SLIPS):
+        if 1 / slack < amplitude[j] / factor < slack:
+            slips.setdefault(j, factor)
     common = set(slips.values())
     if len(slips) > 1 and len(common) == 1 and len(slips) == len(outputs) and len(drives) == 1:
         return _unit_line(drives[0], 1 / common.pop(), float(min(own[j] for j in slips)))
@@ -148,14 +151,6 @@ def _swapped(outputs: list[Channel], r: Array, gain: Array) -> str:
                 f"are swapped: {remedy}"
             )
     return ""
-
-
-def _slip(gain: float) -> float:
-    """Return the factor of a wrong unit near a measured over simulated amplitude; 0 without one."""
-    for factor, slack in SLIPS:
-        if 1 / slack < gain / factor < slack:
-            return factor
-    return 0.0
 
 
 def _unit_line(channel: Channel, factor: float, r: float) -> str:

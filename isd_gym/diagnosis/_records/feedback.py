@@ -91,7 +91,11 @@ def _gain(
         answers = [_crossing(u, x) if relay else _past(x, OUTPUT, OWN) for x in y.T]
         more.append(np.concatenate(answers, axis=1))
         target.append(u[OWN:])
-    A, B = (_stacked(parts) for parts in (own, more))
+    widths = [max(m.shape[1] for m in parts) for parts in (own, more)]
+    A, B = (
+        np.concatenate([np.pad(m, ((0, 0), (0, width - m.shape[1]))) for m in parts])
+        for parts, width in zip((own, more), widths, strict=True)
+    )
     t = np.concatenate(target)
     block = np.asarray(np.arange(len(t)) * BLOCKS // len(t), float)
     before, after = (_unpredicted(X, t, block) for X in (A, np.concatenate([A, B], axis=1)))
@@ -104,12 +108,6 @@ def _gain(
     better = sum(s > 0 for s in shares)
     chance = sum(math.comb(len(shares), k) for k in range(better, len(shares) + 1)) / 2.0 ** len(shares)
     return float(np.mean(np.maximum(shares, -1.0))), chance
-
-
-def _stacked(parts: Sequence[Array]) -> Array:
-    """Return the rows of all parts; parts with fewer columns get columns of zeros."""
-    width = max(m.shape[1] for m in parts)
-    return np.concatenate([np.pad(m, ((0, 0), (0, width - m.shape[1]))) for m in parts])
 
 
 def _past(x: Array, count: int, start: int) -> Array:

@@ -38,7 +38,7 @@ class CandidateComparison:
     def __post_init__(self) -> None:
         self.chosen = self.foremost = self.refitted
         self.stages = [list(stage) for stage in self.stages]  # other comparisons keep theirs
-        self._scores: dict[int, tuple[Candidate, HeldOutScore]] = {}
+        self._scores: dict[Candidate, HeldOutScore] = {}
         self._similar = self.evaluator.score_path(self.path)
         self.filters = self.evaluator.whitener(self.richest)
         #: noise of each channel on the validation records, as a share of the deviation (channels,)
@@ -58,10 +58,9 @@ class CandidateComparison:
 
     def score(self, candidate: Candidate) -> HeldOutScore:
         """Return the score of a candidate."""
-        if id(candidate) not in self._scores:
-            found = self.evaluator.score(candidate, self.filters, self._similar)
-            self._scores[id(candidate)] = candidate, found
-        return self._scores[id(candidate)][1]
+        if candidate not in self._scores:
+            self._scores[candidate] = self.evaluator.score(candidate, self.filters, self._similar)
+        return self._scores[candidate]
 
     def can_score(self, candidate: Candidate) -> bool:
         """Return whether the held-out records can be simulated with a candidate."""
@@ -126,16 +125,7 @@ class CandidateComparison:
     def candidates(self) -> list[Candidate]:
         """Return the chosen and the foremost candidate, the path, and at most `RIVALS` candidates of each stage."""
         stages = [r for stage in self.stages for r in stage[:RIVALS]]
-        found: list[Candidate] = []
-        for r in [self.chosen, self.foremost, *self.path, *stages]:
-            if not any(r is q for q in found):
-                found.append(r)
-        return found
-
-    def runners_up(self) -> list[tuple[float, Candidate]]:
-        """Return the other candidates of the first stage with their mean whitened squares, smallest first."""
-        scored = [(self.score(r).mean_square, r) for r in self.stages[0][1:] if self.can_score(r)]
-        return sorted(scored, key=lambda t: t[0])
+        return list(dict.fromkeys([self.chosen, self.foremost, *self.path, *stages]))
 
 
 def _removed_where_widest(before: Array, left: Array, envelope: Array) -> float:

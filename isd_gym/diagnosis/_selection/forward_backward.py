@@ -296,7 +296,10 @@ class Search:
         first = scores.stages[0][0]
         try:
             with self.clock.until(SEARCH):
-                runners = scores.runners_up()[: self.settings.turns]
+                scored = [
+                    (scores.score(r).mean_square, r) for r in scores.stages[0][1:] if scores.can_score(r)
+                ]
+                runners = sorted(scored, key=lambda t: t[0])[: self.settings.turns]
                 refitted = scores.score(scores.refitted).mean_square
         except TimeUp:
             self.clock.leave_out("further starts of the search")

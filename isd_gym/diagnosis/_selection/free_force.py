@@ -23,7 +23,6 @@ from ...physics.network._frames import order_told
 from .._estimation.gauss_newton import Fit, Fitter, residuals
 from .._estimation.noise import Whitener, whitener
 from .._estimation.structure import Free, Structure, cells_beside
-from .._hypotheses.curve_matching import match_law
 from .._hypotheses.forces import PlaceForces, place_forces
 from .._hypotheses.library import hypotheses, pairs
 from .._hypotheses.motion import motions, setting
@@ -31,6 +30,7 @@ from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
 from .admissibility import travels
 from .candidate import Candidate, settle, transfer, white_noise
+from .equivalent_laws import match_law
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -402,7 +402,7 @@ def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tup
             begun = generic_starts(h.kind, at)[:4]
         match = match_law(h.kind, (s.values for s in begun), _misfit(h.kind, at, target, size), mirrored=True)
         if match is not None:
-            share = 1.0 - float(np.mean(match.residual**2))
+            share = 1.0 - match[0] ** 2
             out[h.effect] = max(out.get(h.effect, 0.0), share)
     ranked = sorted(out.items(), key=lambda t: -t[1])
     return [(name, share) for name, share in ranked if share > 0.05][:3]

@@ -110,10 +110,9 @@ class HeldOutEvaluator:
         self.validation_deviation = problem.deviation(problem.choosing)
         self.test_deviation = problem.deviation(problem.reporting)
         self.training_deviation = deviation
-        # a stored candidate keeps its identity, which is the key, in use
-        self._envelopes: dict[int, tuple[Candidate, Array]] = {}
-        self._training: dict[int, tuple[Candidate, Array]] = {}
-        self._paths: dict[tuple[int, ...], tuple[Candidate, HeldOutScore]] = {}
+        self._envelopes: dict[Candidate, Array] = {}
+        self._training: dict[Candidate, Array] = {}
+        self._paths: dict[tuple[Candidate, ...], HeldOutScore] = {}
         self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: only the last
 
     @cached_property
@@ -140,11 +139,11 @@ class HeldOutEvaluator:
     def training_nrmse(self, candidate: Candidate) -> Array:
         """Return the NRMSE on the training records (channels,), with initial states from the plain error: coloured noise may leave slow
         errors without weight."""
-        if id(candidate) not in self._training:
+        if candidate not in self._training:
             p, fit = self.problem, candidate.fit
             f = self.plain_fitter.follow(fit.structure, fit.x, p.estimation, fit.initial)
-            self._training[id(candidate)] = candidate, self.nrmse(f, p.estimation, self.training_deviation)
-        return self._training[id(candidate)][1]
+            self._training[candidate] = self.nrmse(f, p.estimation, self.training_deviation)
+        return self._training[candidate]
 
     @cached_property
     def nominal_nrmse(self) -> tuple[Array, Array]:
@@ -251,10 +250,10 @@ class HeldOutEvaluator:
         """Score the candidates of a path, each with its own filters and the initial states of the preceding ones."""
         out: tuple[HeldOutScore, ...] = ()
         for k, candidate in enumerate(path):
-            key = tuple(id(c) for c in path[: k + 1])
+            key = tuple(path[: k + 1])
             if key not in self._paths:
-                self._paths[key] = candidate, self.score(candidate, self.whitener(candidate), out)
-            out = (*out, self._paths[key][1])
+                self._paths[key] = self.score(candidate, self.whitener(candidate), out)
+            out = (*out, self._paths[key])
         return out
 
     def score_alone(self, candidate: Candidate) -> HeldOutScore:
@@ -339,7 +338,7 @@ class HeldOutEvaluator:
     def unmodelled_envelope(self, candidate: Candidate, size: float, least: float) -> Array:
         """Return the excess error (channels,), as a share of the deviation, that unmodelled effects of a share `size` of the typical
         force leave beside a refitted candidate."""
-        if id(candidate) not in self._envelopes:
+        if candidate not in self._envelopes:
             p = self.problem
             change = {i: y * (size / SMALL) for i, y in self.unmodelled_responses(candidate).items()}
             envelope = np.full(len(p.channels), least)
@@ -348,8 +347,8 @@ class HeldOutEvaluator:
                 r = np.concatenate([*left.values()]) * self.least_noise[:, None]
                 shares = np.sqrt(np.mean(r**2, axis=0)) / p.deviation()[:, None]
                 envelope = np.maximum(least, np.quantile(shares, 0.95, axis=1))
-            self._envelopes[id(candidate)] = candidate, envelope
-        return self._envelopes[id(candidate)][1]
+            self._envelopes[candidate] = envelope
+        return self._envelopes[candidate]
 
     def effect_sizes(self, candidate: Candidate) -> list[float]:
         """Return the size of each effect, as a share of the force, current or signal at its place."""
@@ -372,15 +371,10 @@ def effect_size(problem: Problem, fit: Fit, name: str) -> float:
     except InputError:
         return 1.0
     part = e.own_share([net.element(x) for x in forces])
-    total = max(rms(np.sum([*forces.values()], axis=0)), _force_around(problem, fit, e), 1e-300)
+    around = place_forces(problem, fit, without=name).at(e.where) if len(forces) == 1 else 0.0
+    total = max(rms(np.sum([*forces.values()], axis=0)), around, 1e-300)
     work = work_share(problem, fit, name) if is_lightly_damped(problem.network) else 0.0
     return part * max(rms(forces[name]) / total, work)
-
-
-def _force_around(problem: Problem, fit: Fit, e: el.Element) -> float:
-    """Return the typical force [N] of the other elements at the nodes of an element without neighbour; else 0."""
-    alone = sum(1 for x in fit.network.elements if x.place == "between" and set(x.where) == set(e.where)) == 1
-    return place_forces(problem, fit, without=e.name).at(e.where) if alone else 0.0
 
 
 def _share_of_signal(problem: Problem, fit: Fit, e: el.Element) -> float:

@@ -237,7 +237,12 @@ class Screening:
             except BROKEN:
                 continue
             tries.append(self._candidate(f))
-        return [r for r in map(self._continued, self.first_of_each_law(tries)) if r is not None]
+        out = []
+        for f in (r.fit for r in self.first_of_each_law(tries)):
+            with suppress(*BROKEN):
+                g = self.fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=FURTHER)
+                out.append(self._candidate(g))
+        return out
 
     def first_of_each_law(self, found: Iterable[Candidate | None]) -> list[Candidate]:
         """Return the fits of each set of effects with the smallest deviance, and with a clearly smaller gap, which the deviance may miss;
@@ -250,13 +255,6 @@ class Screening:
             is_closer = gap(self.problem, closest.fit) < CLOSER * gap(self.problem, r.fit)
             out += [r, closest] if is_closer else [r]
         return sorted(out, key=lambda r: r.deviance)
-
-    def _continued(self, r: Candidate) -> Candidate | None:
-        f = r.fit
-        try:
-            return self._candidate(self.fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=FURTHER))
-        except BROKEN:
-            return None
 
     def leading(self, fitted: Sequence[Candidate]) -> list[Candidate]:
         """Return the fits of the first laws, and the candidate that closes most of the gap."""
@@ -337,19 +335,17 @@ class Screening:
             places.setdefault(frozenset(m.hypothesis.where), m)
         best = tuple(places.values())
         if self.coarse is not self:
-            ranked = self.first_of_each_law(map(self._transferred, ranked))
+            found = []
+            for r in ranked:
+                with suppress(*BROKEN):
+                    found.append(self._candidate(transfer(self.problem, r.fit, self.least_noise)))
+            ranked = self.first_of_each_law(found)
         if not ranked:
             return ScreeningResult((), self.first_noise, best)
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
             ranked = self.first_of_each_law(pool.map(lambda r: self.settle_noise(r, noise), ranked))
         return ScreeningResult(tuple(self.rank(ranked)), noise, best)
-
-    def _transferred(self, r: Candidate) -> Candidate | None:
-        try:
-            return self._candidate(transfer(self.problem, r.fit, self.least_noise))
-        except BROKEN:
-            return None
 
     def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:
         """Order candidates; among those that close half of the gap, or among all if none does, the simplest of the best goes first."""

@@ -334,11 +334,6 @@ class Problem:
     def _unread(self) -> list[Record]:
         return [r.unread() for r in self.records]
 
-    @property
-    def free_offset(self) -> NDArray[np.bool_]:
-        """Whether a channel has an unknown offset (channels,)."""
-        return self.shared_offset | self.record_offset
-
     @cached_property
     def loose(self) -> Problem:
         """Return the problem with one offset per record in place of one offset for all records."""
