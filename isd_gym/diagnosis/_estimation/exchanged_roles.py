@@ -176,6 +176,6 @@ def invert(network: Network) -> InverseProblem | None:
         inverse = swap_roles(pushed, force, position)
         if assemble(bare(inverse)).size[0]:
             return None
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return None
     return InverseProblem(inverse, network, pushed, gain)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..._common.errors import InputError
 from ...physics.network import Network, assemble
-from .._simulation.problem import Problem, bare
+from .._simulation.problem import BROKEN, Problem, bare
 from .initial_states import guess, motion_rows, next_states
 from .least_squares import bounded_step, damped_step
 from .sensitivities import tangents
@@ -129,7 +129,7 @@ class Fitter:
         try:
             begun = {i: at.initial[i][:, None] for i in records}
             found = self.problem.simulate_all([net], records, begun)
-        except (InputError, np.linalg.LinAlgError):
+        except BROKEN:
             at.costs = dict.fromkeys(records, math.inf)
             return at
         return self.price(structure, at, {i: y[:, :, 0] for i, y in found.items()})
@@ -154,7 +154,7 @@ class Fitter:
         breaks down."""
         try:
             found = tangents(self.problem, structure, at.x, {i: at.initial[i] for i in records}, moves=moves)
-        except (InputError, np.linalg.LinAlgError):
+        except BROKEN:
             return None
         self.price(structure, at, {i: t.outputs for i, t in found.items()})
         out = {}

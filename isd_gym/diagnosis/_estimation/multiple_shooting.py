@@ -14,7 +14,7 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics.network import Network, linearise
 from .._records.splitting import cut_segments
-from .._simulation.problem import Problem, bare
+from .._simulation.problem import BROKEN, Problem, bare
 from .gauss_newton import Fitter
 from .noise import white_filters
 
@@ -71,6 +71,6 @@ def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitt
         while (brief := segments_of(problem, length)) is not None:
             found = x = Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
             length *= GROWTH
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return None
     return found

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..._common.arrays import rms
-from ..._common.errors import InputError
 from ...physics.network import GROUND
-from .._simulation.problem import deviation_within
+from .._simulation.problem import BROKEN, deviation_within
 from .library import pairs
 from .motion import motions, watched
 
@@ -160,7 +159,7 @@ def _simulated(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> list
         return []
     try:
         together = _simulate(problem, fit, outputs)
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return [np.zeros(1) for _ in outputs]
     return list(np.where(np.isfinite(together), together, 0.0).T)
 

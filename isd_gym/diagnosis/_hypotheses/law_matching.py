@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..._common.errors import InputError
 from ...physics.elements import PERIODS
 from ...physics.network import assemble
 from .._estimation.sensitivities import tangents
 from .._estimation.structure import Hypothesis, Structure, add
-from .._simulation.problem import Problem, bare
+from .._simulation.problem import BROKEN, Problem, bare
 from .forces import place_forces
 from .law_forces import force_responses, law_forces, measured_motions
 from .motion import joined, loads_of, setting, simulate_variants, tell_gain
@@ -164,7 +163,7 @@ def built_ways(fit: Fit, h: Hypothesis, start: Start) -> list[Structure]:
         built = [add(replace(fit.structure, network=fit.network), h, way) for way in start.ways]
         for b in built:
             assemble(bare(b.network))
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return []
     return built
 

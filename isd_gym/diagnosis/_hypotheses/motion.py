@@ -9,12 +9,11 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from ..._common.arrays import rms
-from ..._common.errors import InputError
 from ...physics.elements import Motion, Setting
 from ...physics.network import MOTIONS, Channel, Network, assemble
 from ...physics.network._frames import order_told
 from ...physics.simulate import pace, side_by_side
-from .._simulation.problem import Problem, bare
+from .._simulation.problem import BROKEN, Problem, bare
 from .library import pairs
 
 if TYPE_CHECKING:
@@ -131,7 +130,7 @@ def simulate_variants(
         begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
         try:
             seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
-        except (InputError, np.linalg.LinAlgError):
+        except BROKEN:
             half = len(chunk) // 2  # isolate a variant that diverges
             chunks = [part for part in (chunk[:half], chunk[half:]) if 0 < len(part) < len(chunk)] + chunks
             continue
@@ -152,7 +151,7 @@ def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> 
     probes = tuple(fit.network.probe(f"_{n}", "force", element=n) for n in names)
     try:
         seen = watched(problem, fit, probes)
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return {}
     return {n: [seen[i][:, k] for i in problem.estimation] for k, n in enumerate(names)}
 

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..._common.errors import InputError
 from ...physics.elements import PROBE
 from ...physics.network import assemble
 from .._estimation.multiple_shooting import is_lightly_damped
 from .._estimation.structure import add
-from .._simulation.problem import bare
+from .._simulation.problem import BROKEN, bare
 from .forces import DISSIPATIVE, lossy_share, place_forces
 from .library import hypotheses
 from .motion import motions, setting, simulate_variants
@@ -40,7 +39,7 @@ def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dic
             try:
                 built = add(replace(fit.structure, network=fit.network), h, start.ways[0]).network
                 assemble(bare(built))
-            except (InputError, np.linalg.LinAlgError):
+            except BROKEN:
                 continue
             networks.append(built)
             sizes.append(lossy if h.kind.mechanism in DISSIPATIVE else 1.0)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import signal
 
-from ..._common.errors import InputError, plain
+from ..._common.errors import plain
 from ..._common.units import TABLE, convert
 from ...physics.network import own_time
-from .._simulation.problem import Problem
+from .._simulation.problem import BROKEN, Problem
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
@@ -107,7 +107,7 @@ def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
         moved = replace(record, inputs={n: x - rest[n] for n, x in record.inputs.items()})
         try:
             said = Problem(problem.network, [moved]).simulate([problem.network], 0)[:, :, 0]
-        except (InputError, np.linalg.LinAlgError):
+        except BROKEN:
             continue
         skip = len(record) // 8  # start-up from rest
         x, y = said[skip : len(record)], record.measured[skip:]

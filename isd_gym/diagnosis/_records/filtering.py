@@ -14,11 +14,10 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import firwin, welch
 
-from ..._common.errors import InputError
 from ..._common.units import convert
 from ...physics.network import MOTIONS, natural_frequencies, transfer
 from .._simulation.interpolation import differences
-from .._simulation.problem import low_pass
+from .._simulation.problem import BROKEN, low_pass
 from .multirate import build_record
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ def find_noise_band(records: Sequence[Record], network: Network) -> float:
         frequency, seen = spectra[0][0], np.mean([s for _, s in spectra], axis=0)
         try:
             gain = transfer(network, frequency)[:, j, k] * convert(1.0, force.si, force.unit)
-        except (InputError, np.linalg.LinAlgError):
+        except BROKEN:
             continue
         made = np.abs(gain) ** 2 * 2 * noise**2 * step
         above = np.flatnonzero((made > seen) & (np.cumsum((made - seen)[::-1])[::-1] > 0))
@@ -196,7 +195,7 @@ def _find_force_band(
     force: noise, since a missing effect causes an excess at some frequencies only. None if the model has no frequency response."""
     try:
         gain = transfer(network, frequency)[:, output, network.inputs.index(channel)]
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return None
     width = max(3, len(frequency) // 64)
     top = len(frequency) - width

@@ -23,7 +23,7 @@ from ...records._loggers.recording import Recording, Signal, sampled
 from ...records.data import Table, check
 from ...records.data._quality import Scale, admit
 from .._simulation.interpolation import through
-from .._simulation.problem import Problem, Record
+from .._simulation.problem import BROKEN, Problem, Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -279,7 +279,7 @@ def check_sampling_rates(record: Record, network: Network) -> None:
     fine = replace(record.unread(), step=record.step / FINER, inputs=inputs, slopes={}, size=0)
     try:
         simulated = Problem(network, [fine]).simulate([network], 0)[:, :, 0]
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return
     for j in slow:
         y = simulated[:, j]

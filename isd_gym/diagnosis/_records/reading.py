@@ -16,7 +16,7 @@ from ...physics.simulate import COARSE
 from ...records._loggers.recording import Recording, Signal
 from ...records.data import Table, check, read_table
 from ...records.data._quality import CAR, Scale, admit, known_check, rises_unevenly
-from .._simulation.problem import Problem, Record, thinned
+from .._simulation.problem import BROKEN, Problem, Record, thinned
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording
 
@@ -116,7 +116,7 @@ def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
         moved = replace(raw, inputs={n: x - rest[n] for n, x in raw.inputs.items()})
         problem = Problem(network, [moved])
         outputs = problem.simulate([network], 0)[moved.samples // 2 :, :, 0] / problem.factors
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return scale
     spread = dict(zip(problem.channels, map(float, outputs.std(axis=0)), strict=True))
     return replace(scale, spread={n: s for n, s in spread.items() if math.isfinite(s) and s > 0})
