@@ -12,15 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics.elements import PERIODS
+from ...physics.elements import PERIODS, PROBE
 from ...physics.network import assemble
+from .._estimation.multiple_shooting import is_lightly_damped
 from .._estimation.sensitivities import tangents
 from .._estimation.structure import Hypothesis, Structure, add
 from .._simulation.problem import BROKEN, Problem, bare
-from .forces import place_forces
+from .forces import DISSIPATIVE, lossy_share, place_forces
 from .law_forces import force_responses, law_forces, measured_motions
-from .motion import joined, loads_of, setting, simulate_variants, tell_gain
-from .position_spectrum import spectral_pitches
+from .library import hypotheses
+from .missing_force import spectral_pitches
+from .motion import joined, loads_of, motions, setting, simulate_variants, tell_gain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...physics.elements import Motion, Start
     from .._estimation.gauss_newton import Fit, Fitter
+    from .._simulation.problem import Problem
+
 
 #: norm of a derivative, orthogonal to the others, over its whole norm: a smaller ratio counts as linear dependence
 DEPENDENT = 1e-7
@@ -234,3 +238,31 @@ def _match(fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual) 
     return Match(
         h, start, h.kind.sized(start, np.ones_like(amplitude) if is_wrong else amplitude), moved, share
     )
+
+
+def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
+    """Return what each force law of the library, with a share of the typical force (of the dissipating forces, for a law that dissipates
+    in a lightly damped structure), does to the outputs (samples, channels, laws) of the training records."""
+    motion, forces = motions(problem, fit), place_forces(problem, fit)
+    lossy = lossy_share(problem, fit) if is_lightly_damped(problem.network) else 1.0
+    networks, sizes = [], []
+    for h in hypotheses(fit.network):
+        simpler = set(h.kind.contains) & {e.type for e in fit.network.elements} or h.kind.replaces
+        if h.place != "between" or h.kind.series or simpler:
+            continue
+        tried = h.kind.starts(
+            setting(problem, fit.network, h, motion.get((h.where[0], h.where[1])), forces.at(h.where))
+        )
+        for start in tried[:: max(1, len(tried) // 2)][:2]:
+            for built in built_ways(fit, h, replace(start, ways=start.ways[:1])):
+                networks.append(built.network)
+                sizes.append(lossy if h.kind.mechanism in DISSIPATIVE else 1.0)
+    out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
+    point = {i: y for _, i, y in simulate_variants(problem, fit, [fit.network])}
+    for chunk, i, y in simulate_variants(problem, fit, networks):
+        with np.errstate(over="ignore", invalid="ignore"):
+            change = (y - point[i]) * (share / PROBE) * np.array(sizes)[chunk]
+            most = np.abs(change).max(axis=(0, 1))
+        # a diverged variant is no evidence
+        out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
+    return out

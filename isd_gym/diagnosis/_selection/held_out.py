@@ -27,7 +27,7 @@ from .._estimation.noise import (
 )
 from .._estimation.structure import Structure, base_structure
 from .._hypotheses.forces import element_forces, place_forces, work_share
-from .._hypotheses.unmodelled_effects import simulate_unmodelled_effects
+from .._hypotheses.law_matching import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
 from .candidate import Candidate, white_noise
 from .comparison import Comparison, block_edges, compare, log_density

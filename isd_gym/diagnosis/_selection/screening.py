@@ -21,8 +21,8 @@ from .._estimation.noise import refined_noise, whitener
 from .._hypotheses.law_forces import law_forces
 from .._hypotheses.law_matching import follows_motion
 from .._hypotheses.library import Hypothesis, hypotheses
+from .._hypotheses.missing_force import thinning_loses
 from .._hypotheses.motion import motions
-from .._hypotheses.position_spectrum import thinning_loses
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import adopt, running
 from .admissibility import admissible_matches, travels
