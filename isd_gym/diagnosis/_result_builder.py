@@ -383,11 +383,14 @@ class ResultBuilder:
 
     def _traces(self, final: Candidate) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
-        whole, refitted, out = self.whole, self.scores.refitted, []
+        whole, refitted, evaluator, out = self.whole, self.scores.refitted, self.search.evaluator, []
         nominal = base_structure(whole.network)
         models = [
             (nominal, nominal.start, {}),
-            *((c.fit.structure, c.fit.x, self._first_states(c)) for c in (refitted, final)),
+            *(
+                (c.fit.structure, c.fit.x, evaluator.first_states(c.fit, self.scores.score(c).fit))
+                for c in (refitted, final)
+            ),
         ]
         for i, record in enumerate(whole.records):
             before, refit, after = (
@@ -400,10 +403,6 @@ class ResultBuilder:
             held_out = since == -math.inf
             out.append(Trace(record.name, held_out, record.time, inputs, measured, before, refit, after, cut))
         return tuple(out)
-
-    def _first_states(self, candidate: Candidate) -> dict[int, Array]:
-        """Return the fitted initial states of whole records."""
-        return self.search.evaluator.first_states(candidate.fit, self.scores.score(candidate).fit)
 
     def _trace(self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int) -> Array:
         """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""

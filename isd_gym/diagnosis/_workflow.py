@@ -344,9 +344,8 @@ class Workflow:
             return math.nan
         return float(max(score.training_nrmse.mean(), score.nrmse.mean()))
 
-    @cached_property
-    def segmented(self) -> Problem:
-        """The problem with the records in segments, each from an initial state of its own."""
+    def _segmented(self) -> Problem:
+        """Return the problem with the records in segments, each from an initial state of its own."""
         p, s = self.problem, self.settings
         slowest = max(pace(r.measured[:, j], r.interval) for r in p.records for j in range(len(p.channels)))
         seconds = max(s.segment * p.time, s.least_segment * slowest)
@@ -366,8 +365,8 @@ class Workflow:
         where nothing is decided."""
         if not self.has_free_motion():
             return None
-        flow = replace(self, problem=self.segmented, is_segmented=True)
-        lengths = [len(r) * r.interval for r in self.segmented.records]
+        flow = replace(self, problem=self._segmented(), is_segmented=True)
+        lengths = [len(r) * r.interval for r in flow.problem.records]
         reason: Literal["diverges", "astray", "feedback"]
         reason = "feedback" if self.feedback else "astray" if math.isfinite(error) else "diverges"
         over = Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)

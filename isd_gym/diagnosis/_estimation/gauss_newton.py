@@ -134,18 +134,6 @@ class Fitter:
             return at
         return self.price(structure, at, {i: y[:, :, 0] for i, y in found.items()})
 
-    def cost(
-        self,
-        structure: Structure,
-        x: Array,
-        initial: dict[int, Array],
-        offset: dict[int, Array],
-        records: Sequence[int],
-    ) -> float:
-        """Return the sum of squares of the whitened residuals with the initial states' prior; infinite where the simulation breaks
-        down."""
-        return self.seen(structure, Point(x, initial, offset), records).total
-
     # -- slopes -----------------------------------------------------------------------------------------
     def slopes(
         self, structure: Structure, at: Point, records: Sequence[int], moves: bool

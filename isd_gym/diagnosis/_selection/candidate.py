@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from ...physics import elements as el
-from .._estimation.gauss_newton import Fit, Fitter, gap, residuals
+from .._estimation.gauss_newton import Fit, Fitter, Point, gap, residuals
 from .._estimation.initial_states import transfer_states
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.noise import innovations, refined_noise, trusted_noise, white_filters, whitener
@@ -266,8 +266,9 @@ class CandidateFitter:
             initial = transfer_states(p, similar.fit.network, similar.fit.initial, structure)
             f = e.coarse_fitter.fit(structure, x, initial, similar.fit.offset)
             if worst < math.inf:  # the cost of the candidate on as few samples
-                s, training = similar.fit, p.estimation
-                if f.cost > worst * e.coarse_fitter.cost(s.structure, s.x, s.initial, s.offset, training):
+                s = similar.fit
+                at = e.coarse_fitter.seen(s.structure, Point(s.x, s.initial, s.offset), p.estimation)
+                if f.cost > worst * at.total:
                     return None
             f = f if p.rough is p else transfer(p, f, least)
             found.append(settle(p, structure, f.x, least, f, rounds=2, noise=noise))

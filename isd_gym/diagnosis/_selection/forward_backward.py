@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._estimation.gauss_newton import gap
+from .._estimation.noise import refined_noise
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import EVIDENCE, SEARCH, SELECTION, TimeLimit, TimeUp
 from .candidate import (
@@ -22,7 +23,7 @@ from .candidate_comparison import RIVALS, CandidateComparison
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .inclusion_tests import InclusionTests
-from .screening import Screening, ScreeningResult
+from .screening import Screening
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -141,21 +142,18 @@ class Search:
             if is_small and float(then.excess(e.noise_share(then)).mean()) < c.wide_gap:
                 break
 
-    def _hint(self, now: Candidate) -> Candidate | None:
-        """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
-        result = Screening(
-            self.problem, now.fit, self.least_noise, replace(self.settings, matches=3, finals=2)
-        ).run()
-        self._keep_places(now, result)
-        before = deviance_with_noise_of(
-            self.problem, now, now, np.maximum(self.least_noise, 0.1 * result.noise)
-        )
-        best = next(iter(result.ranked), None)
-        return best if best is not None and before - best.deviance > self.criteria.deviance_gain else None
-
-    def _keep_places(self, now: Candidate, result: ScreeningResult) -> None:
+    def _screen(self, now: Candidate, settings: SearchSettings) -> tuple[list[Candidate], float]:
+        """Return candidates with one more effect, best first, and the deviance without it."""
+        result = Screening(self.problem, now.fit, self.least_noise, settings).run()
         if not now.hypotheses:
             self.places[:] = result.places
+        noise = refined_noise(result.noise, self.least_noise)
+        return list(result.ranked), deviance_with_noise_of(self.problem, now, now, noise)
+
+    def _hint(self, now: Candidate) -> Candidate | None:
+        """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
+        ranked, before = self._screen(now, replace(self.settings, matches=3, finals=2))
+        return ranked[0] if ranked and before - ranked[0].deviance > self.criteria.deviance_gain else None
 
     def _moves_a_channel(self, candidate: Candidate, now: Candidate, score: HeldOutScore) -> bool:
         """Return whether a candidate reduces the error of a channel by a material share."""
@@ -168,12 +166,9 @@ class Search:
     def _add_best(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
         """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
         p, c = self.problem, self.criteria
-        result = Screening(p, now.fit, self.least_noise, self.settings).run()
-        self._keep_places(now, result)
-        ranked, noise = list(result.ranked), np.maximum(self.least_noise, 0.1 * result.noise)
+        ranked, before = self._screen(now, self.settings)
         if not ranked:
             return None
-        before = deviance_with_noise_of(p, now, now, noise)
         best = ranked[0]
         gain = before - best.deviance
         self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")

@@ -14,7 +14,7 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics.elements import beside
 from ...physics.network import GROUND
-from .._estimation.gauss_newton import Fit, Fitter, gap, residuals
+from .._estimation.gauss_newton import Fit, Fitter, Point, gap, residuals
 from .._estimation.initial_states import guess, transfer_states
 from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped
 from .._estimation.noise import refined_noise, whitener
@@ -228,11 +228,11 @@ class Screening:
             known = transfer_states(self.problem, self.current.network, self.current.initial, structure)
             try:
                 guessed = {i: guess(self.problem, structure.at(x), i) for i in self.problem.estimation}
-                own, guess_cost = (
-                    self.fitter.cost(structure, x, s, self.current.offset, self.problem.estimation)
+                own, other = (
+                    self.fitter.seen(structure, Point(x, s, self.current.offset), self.problem.estimation)
                     for s in (known, guessed)
                 )
-                known = guessed if guess_cost < own else known
+                known = guessed if other.total < own.total else known
                 f = self.fitter.fit(structure, x, known, self.current.offset, iterations=FIRST)
             except BROKEN:
                 continue
@@ -248,12 +248,13 @@ class Screening:
         """Return the fits of each set of effects with the smallest deviance, and with a clearly smaller gap, which the deviance may miss;
         smallest deviance first."""
         fitted = [r for r in found if r is not None and math.isfinite(r.deviance)]
+        fitted.sort(key=lambda r: r.deviance)
         out = []
-        for r in _best_first(fitted):
-            alike = [q for q in fitted if q.hypotheses == r.hypotheses]
-            closest = min(alike, key=lambda q: (gap(self.problem, q.fit), q.deviance))
-            is_closer = gap(self.problem, closest.fit) < CLOSER * gap(self.problem, r.fit)
-            out += [r, closest] if is_closer else [r]
+        for law in dict.fromkeys(r.hypotheses for r in fitted):
+            first, *others = (q for q in fitted if q.hypotheses == law)
+            closest = min(others, key=lambda q: gap(self.problem, q.fit), default=first)
+            is_closer = gap(self.problem, closest.fit) < CLOSER * gap(self.problem, first.fit)
+            out += [first, closest] if is_closer else [first]
         return sorted(out, key=lambda r: r.deviance)
 
     def leading(self, fitted: Sequence[Candidate]) -> list[Candidate]:
@@ -353,16 +354,6 @@ class Screening:
         count = sum(gap(self.problem, r.fit) <= half for r in ordered) or len(ordered)
         first = simplest_first(ordered[:count], self.settings.chance, self.settings.sure)
         return [*first, *ordered[count:]]
-
-
-def _best_first(found: Iterable[Candidate | None]) -> list[Candidate]:
-    """Return the candidates that did not break down, smallest deviance first, each set of effects once."""
-    best: dict[object, Candidate] = {}
-    for r in found:
-        if r is not None and math.isfinite(r.deviance):
-            old = best.get(r.hypotheses)
-            best[r.hypotheses] = r if old is None or r.deviance < old.deviance else old
-    return sorted(best.values(), key=lambda r: r.deviance)
 
 
 def _misfit(stage: Screening, tries: Sequence[tuple[Structure, Array]]) -> Array:
