@@ -18,7 +18,7 @@ from rigs.families import FAMILIES, make_case
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.clock_lag import align_clocks
-from isd_gym.diagnosis._records import build_record
+from isd_gym.diagnosis._records.multirate import build_record
 from isd_gym.physics.network import Network
 from isd_gym.records._loggers import Recording, Signal
 

@@ -31,7 +31,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from isd_gym._common.arrays import rms
 from isd_gym.contrib.simulation import initial_state
-from isd_gym.diagnosis._records import differentiate_inputs, read_record
+from isd_gym.diagnosis._records.filtering import differentiate_inputs
+from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.interpolation import differences
 from isd_gym.diagnosis._simulation.problem import Problem, low_pass
 from isd_gym.physics.network import Network

@@ -8,7 +8,8 @@ from refusals import refused
 
 from isd_gym.diagnosis import _workflow as workflow
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis._records import find_misreading, read_record
+from isd_gym.diagnosis._records.agreement import find_misreading
+from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate

@@ -7,7 +7,7 @@ from builders import channel, damper, friction
 from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
-from isd_gym.diagnosis._records import choose_decimation, count_derivatives, differentiate_inputs
+from isd_gym.diagnosis._records.filtering import choose_decimation, count_derivatives, differentiate_inputs
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network, linearise, natural_frequencies, transfer
 

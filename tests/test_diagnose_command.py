@@ -18,7 +18,7 @@ from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis import _workflow as workflow
 from isd_gym.diagnosis._estimation.structure import Hypothesis
-from isd_gym.diagnosis._records import thin_long_record
+from isd_gym.diagnosis._records.reading import thin_long_record
 from isd_gym.diagnosis._selection.forward_backward import Search
 from isd_gym.diagnosis._selection.screening import Screening
 from isd_gym.diagnosis._simulation.problem import Record

@@ -29,7 +29,8 @@ from isd_gym.diagnosis._estimation.noise import (
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure, in_line, rebuilt
 from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
 from isd_gym.diagnosis._hypotheses.motion import motions
-from isd_gym.diagnosis._records import LEAD_IN, read_record, split_records
+from isd_gym.diagnosis._records.reading import read_record
+from isd_gym.diagnosis._records.splitting import LEAD_IN, split_records
 from isd_gym.diagnosis._selection.candidate import Candidate
 from isd_gym.diagnosis._selection.equivalent_laws import joint_structures
 from isd_gym.diagnosis._selection.forward_backward import Search

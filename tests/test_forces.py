@@ -9,7 +9,7 @@ from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
 from isd_gym.diagnosis._hypotheses.forces import PlaceForces, dissipated_work, lossy_share, place_forces
-from isd_gym.diagnosis._hypotheses.unmodelled_effects import simulate_unmodelled_effects
+from isd_gym.diagnosis._hypotheses.law_matching import simulate_unmodelled_effects
 from isd_gym.diagnosis._selection.held_out import effect_size
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el

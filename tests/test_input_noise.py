@@ -6,11 +6,9 @@ import pytest
 from builders import channel, damper, element, spring
 
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis._estimation.direct_problem import prefer_direct_problem, swap_roles
-from isd_gym.diagnosis._estimation.input_noise import propagate_input_noise
-from isd_gym.diagnosis._estimation.noise import floors_of
-from isd_gym.diagnosis._records import estimate_white_noise
-from isd_gym.diagnosis._records.filtering import find_noise_band
+from isd_gym.diagnosis._estimation.exchanged_roles import prefer_direct_problem, swap_roles
+from isd_gym.diagnosis._estimation.noise import floors_of, propagate_input_noise
+from isd_gym.diagnosis._records.filtering import estimate_white_noise, find_noise_band
 from isd_gym.diagnosis._selection.settings import SearchSettings
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.records.data import Table

@@ -8,7 +8,7 @@ import pytest
 from builders import channel, damper, element, spring
 
 from isd_gym.diagnosis import SearchSettings, diagnose
-from isd_gym.diagnosis._estimation.inverse_problem import invert
+from isd_gym.diagnosis._estimation.exchanged_roles import invert
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate

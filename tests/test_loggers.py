@@ -10,7 +10,8 @@ from refusals import refused
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.clock_lag import align_clocks
-from isd_gym.diagnosis._records import build_record, read_record
+from isd_gym.diagnosis._records.multirate import build_record
+from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate

@@ -12,9 +12,12 @@ from builders import damper, element, oscillator, recorded, sines
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
-from isd_gym.diagnosis._estimation.recordwise import RecordwiseFitter
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis._selection.record_differences import find_record_differences, group_values
+from isd_gym.diagnosis._selection.record_differences import (
+    RecordwiseFitter,
+    find_record_differences,
+    group_values,
+)
 from isd_gym.diagnosis._selection.settings import SearchSettings
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.wording import statements_of

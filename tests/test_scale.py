@@ -7,7 +7,7 @@ from builders import damper, friction, oscillator, sines
 from refusals import refused
 
 from isd_gym._common.errors import InputError
-from isd_gym.diagnosis._records import read_record
+from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network, own_time, slowest_time
 from isd_gym.physics.simulate import simulate

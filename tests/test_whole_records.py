@@ -16,7 +16,7 @@ from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
 from isd_gym.diagnosis._estimation.structure import rebuilt
 from isd_gym.diagnosis._hypotheses.library import hypotheses
-from isd_gym.diagnosis._records import split_records
+from isd_gym.diagnosis._records.splitting import split_records
 from isd_gym.diagnosis._selection.candidate import Candidate
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._simulation.problem import Problem, Record

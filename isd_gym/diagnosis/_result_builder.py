@@ -15,8 +15,8 @@ from ._estimation.gauss_newton import Fitter
 from ._estimation.noise import white_filters
 from ._estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from ._hypotheses.library import hypotheses
-from ._hypotheses.loads import loads_of, tell_gain
-from ._records import LEAD_IN
+from ._hypotheses.motion import loads_of, tell_gain
+from ._records.splitting import LEAD_IN
 from ._selection.candidate import Candidate, parameter_values
 from ._selection.free_force import FreeForce, fit_free_force
 from ._selection.record_differences import find_record_differences
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from ..physics.network import Network
     from ..records.data import Table
     from ._estimation.structure import Structure
-    from ._records import Feedback
+    from ._records.feedback import Feedback
     from ._selection.candidate_comparison import CandidateComparison
     from ._selection.forward_backward import Search
     from ._simulation.problem import Problem
@@ -86,14 +86,12 @@ class ResultBuilder:
         refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable
         # under feedback a free curve would draw the controller's law
         is_free = decision.verdict == "unknown_effect" and not self.feedback
-        free = FreeForce()
-        if is_free:
-            free = self._attempt("a table of the missing force", free, self._free_force)
-        no_findings: tuple[Decision, tuple[Finding, ...]] = (decision, ())
-        decision, findings = self._attempt("the probabilities", no_findings, self._findings, decision, free)
-        no_difference: RecordDifferences | None = None
+        what = "a table of the missing force"
+        free = (self._attempt(what, self._free_force) if is_free else None) or FreeForce()
+        found = self._attempt("the probabilities", self._findings, decision, free)
+        decision, findings = found or (decision, ())
         what = "a comparison of the parameters of each record"
-        differences = self._attempt(what, no_difference, self._record_differences, decision, free)
+        differences = self._attempt(what, self._record_differences, decision, free)
         if differences is not None and decision.verdict == "missing_effect" and differences.is_tied:
             differences = None
         if differences is not None and not differences.is_tied:
@@ -115,15 +113,15 @@ class ResultBuilder:
             structure, x, last = self._fit_simulation(final, quantities)
         is_sum = any(h.kind.is_sum() for h in scores.foremost.hypotheses)
         probability = confidence(measured.evidence, criteria, is_sum=is_sum)
-        found = self._effects(quantities, probability) if is_named else []
+        effects = self._effects(quantities, probability) if is_named else []
         rows = self._errors(final)
         deviation = search.evaluator.validation_deviation
         noise = scores.noise * deviation
         posterior = quantities if final is scores.foremost else {}
         if not is_named:
-            quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
+            quantities = self._attempt("the intervals", intervals, search.evaluator, refitted) or {}
         posterior = quantities if final is refitted else posterior
-        laws = self._laws(final, found, tabulated)
+        laws = self._laws(final, effects, tabulated)
         test, played = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else (None, None)
         result = Diagnosis(
             verdict=decision.verdict,
@@ -135,7 +133,7 @@ class ResultBuilder:
             remainder=self._remainder(noise, rows) if is_named else None,
             stretches=over,
             closed_loop=self.feedback,
-            effects=tuple(found),
+            effects=tuple(effects),
             small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
             contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
             findings=findings,
@@ -170,11 +168,8 @@ class ResultBuilder:
         return replace(result, summary=summary_of(result.to_dict()))
 
     def _is_supported(self, free: FreeForce) -> bool:
-        """Return whether the foremost candidate, which is not named, completes the model.
-
-        It errs less than the refitted model on validation records, less on test records by a material amount, and less on validation
-        records than the table of a free force. The completed model then predicts the rig better, whatever the name of the effect is.
-        """
+        """Return whether the foremost candidate completes the model: it errs less than the refitted model, on test records by a material
+        amount, and less than the table of a free force on validation records."""
         scores, best = self.scores, self.scores.foremost
         if not best.hypotheses or not best.well_formed():
             return False
@@ -196,21 +191,17 @@ class ResultBuilder:
         text = f"{'Best supported' if completes else 'Likeliest'} law, not certain: {law}."
         return replace(network, description=f"{network.description} {text}".strip())
 
-    def _attempt(self, what: str, otherwise: T, make: Callable[..., T], *args: Any) -> T:
-        """Return a part of the result, or `otherwise` and a note where its simulation breaks down or the time is up.
-
-        The search is done and must not be lost.
-        """
+    def _attempt(self, what: str, make: Callable[..., T], *args: Any) -> T | None:
+        """Return a part of the result, or None and a note where its simulation breaks down or the time is up."""
         clock = self.search.clock
         try:
             with clock.until(RESULT):
                 return make(*args)
         except TimeUp:
             clock.leave_out(what)
-            return otherwise
         except BROKEN as error:
             self.lost.append(f"{what} could not be made: {error}")
-            return otherwise
+        return None
 
     # -- decision -----------------------------------------------------------------------------------------
     def _free_force(self) -> FreeForce:
@@ -252,10 +243,10 @@ class ResultBuilder:
             return None
         self.say("comparing the parameters of each record")
         more = (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
-        named = {id(c): (candidate_text(_effects_of(c)), c) for c in more if c.hypotheses}
+        named = {c: candidate_text(_effects_of(c)) for c in more if c.hypotheses}
         if free.candidate is not None:
-            named[id(free.candidate)] = ("a force without a name", free.candidate)
-        laws = [(words, c.fit.structure, c.fit.x) for words, c in named.values()]
+            named[free.candidate] = "a force without a name"
+        laws = [(words, c.fit.structure, c.fit.x) for c, words in named.items()]
         network = self.whole.network
         lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.whole.time
         refitted, noise = scores.refitted.fit, self.search.evaluator.least_noise
@@ -316,10 +307,9 @@ class ResultBuilder:
     ) -> tuple[Law, ...]:
         """Return the laws of the found effects and of the table of a free force, each as a curve."""
         p, what = self.search.problem, "the picture of a law"
-        no_law: Law | None = None
-        laws = [self._attempt(what, no_law, draw_law, p, final.fit, e.element, e.parameters) for e in effects]
+        laws = [self._attempt(what, draw_law, p, final.fit, e.element, e.parameters) for e in effects]
         if tabulated:
-            laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
+            laws.append(self._attempt(what, draw_table, p, final.fit, tabulated))
         return tuple(law for law in laws if law is not None)
 
     def _next_test(
@@ -327,14 +317,13 @@ class ResultBuilder:
     ) -> tuple[dict[str, Any] | None, Table | None]:
         """Return the test that would decide between candidates, and its inputs."""
         self.say("designing the test that would decide")
-        no_test: tuple[dict[str, Any] | None, Table | None] = (None, None)
 
-        def design() -> tuple[dict[str, Any] | None, Table | None]:
+        def design() -> tuple[dict[str, Any], Table] | None:
             planning = wing("forecast")
             found = planning.next_experiment(self.whole, candidates, noise)
-            return (found.to_dict(), planning.played(self.whole.network, found.record)) if found else no_test
+            return (found.to_dict(), planning.played(self.whole.network, found.record)) if found else None
 
-        return self._attempt("the next test", no_test, design)
+        return self._attempt("the next test", design) or (None, None)
 
     def _rejected(
         self, decision: Decision, rows: Mapping[str, Array], completes: bool
@@ -394,11 +383,14 @@ class ResultBuilder:
 
     def _traces(self, final: Candidate) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
-        whole, refitted, out = self.whole, self.scores.refitted, []
+        whole, refitted, evaluator, out = self.whole, self.scores.refitted, self.search.evaluator, []
         nominal = base_structure(whole.network)
         models = [
             (nominal, nominal.start, {}),
-            *((c.fit.structure, c.fit.x, self._first_states(c)) for c in (refitted, final)),
+            *(
+                (c.fit.structure, c.fit.x, evaluator.first_states(c.fit, self.scores.score(c).fit))
+                for c in (refitted, final)
+            ),
         ]
         for i, record in enumerate(whole.records):
             before, refit, after = (
@@ -411,10 +403,6 @@ class ResultBuilder:
             held_out = since == -math.inf
             out.append(Trace(record.name, held_out, record.time, inputs, measured, before, refit, after, cut))
         return tuple(out)
-
-    def _first_states(self, candidate: Candidate) -> dict[int, Array]:
-        """Return the fitted initial states of whole records."""
-        return self.search.evaluator.first_states(candidate.fit, self.scores.score(candidate).fit)
 
     def _trace(self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int) -> Array:
         """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""

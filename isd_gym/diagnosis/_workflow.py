@@ -19,20 +19,13 @@ from ..physics.simulate import pace
 from ..records._loggers.recording import Recording
 from ..records.data import Table
 from ._estimation.clock_lag import align_clocks
-from ._estimation.direct_problem import prefer_direct_problem
-from ._estimation.inverse_problem import invert
-from ._records import (
-    LEAD_IN,
-    Feedback,
-    check_sampling_rates,
-    cut_segments,
-    differentiate_inputs,
-    find_feedback,
-    find_misreading,
-    read_record,
-    split_records,
-    thin_long_record,
-)
+from ._estimation.exchanged_roles import invert, prefer_direct_problem
+from ._records.agreement import find_misreading
+from ._records.feedback import Feedback, find_feedback
+from ._records.filtering import differentiate_inputs
+from ._records.multirate import check_sampling_rates
+from ._records.reading import read_record, thin_long_record
+from ._records.splitting import LEAD_IN, cut_segments, split_records
 from ._result_builder import ResultBuilder
 from ._selection.criteria import CRITERIA, Criteria
 from ._selection.forward_backward import Search
@@ -46,8 +39,9 @@ from ._verdict.measurement import Measurements, collect_evidence
 from .result import Diagnosis, Stretches
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from ._estimation.clock_lag import Lag
     from ._selection.candidate import Candidate
     from ._selection.candidate_comparison import CandidateComparison
     from ._verdict.gates import Decision
@@ -86,11 +80,63 @@ def diagnose(
     Raises:
         InputError: The data or the model cannot be used, or the time is up before the nominal model is compared with the records.
     """
-    steps = settings or SearchSettings()
+    steps, start, notes = settings or SearchSettings(), clock.perf_counter(), []
     limit = running() or TimeLimit(steps.max_seconds, clock.monotonic)
+    network = Network.load(model)
+    if not network.outputs:
+        raise InputError(f"model '{network.name}' has no outputs to compare with")
+    sources = _several(data, "data"), _several(validate, "validate") if len(validate) else []
+    part = network if cut is None else network_cut(network, cut)
+    if cut is not None:
+        left = [e.name for e in network.elements if e.name not in {x.name for x in part.elements}]
+        notes.append(f"cut at {cut}, which {part.inputs[0].name} moves; left out: {', '.join(left)}")
+    with _answering(limit, steps):
+        fit, held = ([read_record(d, part, notes, accept) for d in side] for side in sources)
+        records = [thin_long_record(r, part, notes) for r in (*fit, *held)]
+        for record in records:
+            check_sampling_rates(record, part)
+        with limit.until(SEARCH):
+            records, lags = align_clocks(records, part, steps.max_lag)
+            direct = prefer_direct_problem(records, part, len(fit), steps.input_noise, steps.swapped_error)
+        if direct is not None:
+            records, part, note = direct
+            notes.append(note)
+        feedback = find_feedback(records, part)
+        whole = _whole(records, part, len(fit))
+        with limit.until(SEARCH):
+            misreading = find_misreading(whole)
+        if misreading:
+            if not {"sign", "all"} & set(accept):
+                raise InputError(f"{misreading} (--accept sign goes on)")
+            notes.append(misreading)
+        say = progress or (lambda line: None)
+        flow = Workflow(*_split(whole, notes), notes, say, seed, steps, criteria, feedback, clock=limit)
+        # one thread for linear algebra: sums do not depend on the number of cores
+        with threadpool_limits(1):
+            # where a closed loop is found, brief stretches of the motion come first
+            first = None if feedback else _diagnose_inverse(flow, records)
+            found = first or flow.run()
+            if feedback and found.verdict == "unknown_effect":
+                found = _diagnose_inverse(flow, records) or found
+        if lags:
+            lags = _aligned_again(found, records, part, lags, limit)
+    found = replace(
+        found,
+        lags=tuple(lags),
+        notes=(*found.notes, *map(str, lags)),
+        seconds=clock.perf_counter() - start,
+    )
+    if cut is not None and isinstance(found.model, Network):
+        found = replace(found, whole=rejoin(network, found.model))
+    return found
+
+
+@contextlib.contextmanager
+def _answering(limit: TimeLimit, steps: SearchSettings) -> Iterator[None]:
+    """Let simulations within the block look at the clock, and refuse an answer that the time does not suffice for."""
     try:
         with limit.until(math.inf):
-            return _diagnose(data, model, validate, accept, progress, seed, steps, criteria, cut)
+            yield
     except TimeUp:
         raise InputError(
             f"the time limit of {steps.max_seconds:g} s is over before the nominal model is refitted and compared with the records: "
@@ -98,70 +144,16 @@ def diagnose(
         ) from None
 
 
-def _diagnose(
-    data: Sequence[Table | Recording | str | Path],
-    model: Network | str | Path | Mapping[str, Any],
-    validate: Sequence[Table | Recording | str | Path],
-    accept: Sequence[str],
-    progress: Callable[[str], None] | None,
-    seed: int,
-    steps: SearchSettings,
-    criteria: Criteria,
-    cut: str | None,
-) -> Diagnosis:
-    """Diagnose as `diagnose` does. Raise `TimeUp` where the time does not suffice for a result."""
-    start, limit = clock.perf_counter(), running() or TimeLimit()
-    whole_network = network = Network.load(model)
-    if not network.outputs:
-        raise InputError(f"model '{network.name}' has no outputs to compare with")
-    notes: list[str] = []
-    if cut is not None:
-        network = network_cut(network, cut)
-        left = [e.name for e in whole_network.elements if e.name not in {x.name for x in network.elements}]
-        notes.append(f"cut at {cut}, which {network.inputs[0].name} moves; left out: {', '.join(left)}")
-    fit = [read_record(d, network, notes, accept) for d in _several(data, "data")]
-    held = (
-        [read_record(d, network, notes, accept) for d in _several(validate, "validate")]
-        if len(validate)
-        else []
-    )
-
-    fit, held = ([thin_long_record(r, network, notes) for r in records] for records in (fit, held))
-    for record in (*fit, *held):
-        check_sampling_rates(record, network)
-    with limit.until(SEARCH):
-        loose, lags = align_clocks([*fit, *held], network, steps.max_lag)
-        direct = prefer_direct_problem(loose, network, len(fit), steps.input_noise, steps.swapped_error)
-    if direct is not None:
-        loose, network, note = direct
-        notes.append(note)
-    feedback = find_feedback(loose, network)
-    whole = _whole(loose, network, len(fit))
-    with limit.until(SEARCH):
-        misreading = find_misreading(whole)
-    if misreading:
-        if not {"sign", "all"} & set(accept):
-            raise InputError(f"{misreading} (--accept sign goes on)")
-        notes.append(misreading)
-    say = progress or (lambda line: None)
-    flow = Workflow.of(whole, notes, say, seed, steps, criteria, feedback, clock=limit)
-    # one thread for linear algebra: sums do not depend on the number of cores
-    with threadpool_limits(1):
-        # where a closed loop is found, brief stretches of the motion come first
-        first = None if feedback else _diagnose_inverse(flow, loose, notes, start)
-        found = first or flow.run(notes, start)
-        if feedback and found.verdict == "unknown_effect":
-            found = _diagnose_inverse(flow, loose, notes, start) or found
-    # the missing effect had a part in the lags
-    if found.verdict == "missing_effect" and lags and isinstance(found.model, Network):
-        # the lags of the nominal model stay where the new ones cannot be found in time
+def _aligned_again(
+    found: Diagnosis, records: list[Record], network: Network, lags: list[Lag], limit: TimeLimit
+) -> list[Lag]:
+    """Return the lags under a completed model, since the missing effect had a part in them; those of the nominal model where the new
+    ones cannot be found in time."""
+    if found.verdict == "missing_effect" and isinstance(found.model, Network):
         with contextlib.suppress(TimeUp, *BROKEN), limit.until(RESULT):
             known = replace(found.model, uncertainty=network.uncertainty)
-            _, lags = align_clocks(loose, known, previous=lags)
-    found = replace(found, lags=tuple(lags), notes=(*found.notes, *map(str, lags)))
-    if cut is not None and isinstance(found.model, Network):
-        found = replace(found, whole=rejoin(whole_network, found.model))
-    return found
+            return align_clocks(records, known, previous=lags)[1]
+    return lags
 
 
 def _whole(records: list[Record], network: Network, training: int) -> Problem:
@@ -171,13 +163,22 @@ def _whole(records: list[Record], network: Network, training: int) -> Problem:
     return Problem(network, differentiate_inputs(records, network), kept)
 
 
-def _diagnose_inverse(
-    flow: Workflow, records: list[Record], notes: list[str], start: float
-) -> Diagnosis | None:
-    """Diagnose the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away.
+def _split(whole: Problem, notes: list[str]) -> tuple[Problem, Problem, tuple[float, ...]]:
+    """Return training, validation and test records, the whole records, and the time [s] from which each of these is held out; how they
+    are split is added to the notes."""
+    training = len(whole.estimation)
+    # where the whole motion is prescribed, only the memory of laws needs a lead-in
+    lead = 0.0 if assemble(bare(whole.network)).size[0] else LEAD_IN * whole.time
+    records, roles = split_records(
+        whole.records[:training], whole.records[training:], notes, whole.time, lead
+    )
+    problem = Problem(whole.network, records, roles)
+    return problem, whole, held_from(whole, problem)
 
-    The completed model is `whole` of the diagnosis. None where the drift is small, the model has no inverse, or nothing is named.
-    """
+
+def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None:
+    """Return the diagnosis of the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away;
+    None where the model has no inverse, or nothing is named. Its `whole` is the completed model."""
     inverse = invert(flow.network)
     if inverse is None or any(r.reading is not None for r in records):
         return None
@@ -191,12 +192,13 @@ def _diagnose_inverse(
             f"{inverse.network.inputs[0].name} is taken as input and {inverse.network.outputs[0].name} as output: no spring holds the motion, "
             f"and the simulated one errs by {error:.0%}"
         )
+        own = [*flow.notes, note]
         whole = _whole(inverse.records(records), inverse.network, len(flow.whole.estimation))
-        own = [*notes, note]
+        problem, _, held = _split(whole, own)
         # a controller that sets the force changes nothing in the force that a motion needs
-        turned = Workflow.of(whole, own, flow.say, flow.seed, flow.settings, flow.criteria, (), clock=limit)
+        turned = replace(flow, problem=problem, whole=whole, held_from=held, notes=own, feedback=())
         with limit.until(EVIDENCE):
-            found = turned.run(own, start)
+            found = turned.run()
     except TimeUp:
         limit.leave_out("the force that the measured motion needs")
         return None
@@ -230,75 +232,42 @@ class Workflow:
     problem: Problem
     #: the whole records
     whole: Problem
+    #: time from which each whole record takes no part in fitting [s]
+    held_from: tuple[float, ...]
+    notes: list[str]
     say: Callable[[str], None]
     seed: int
     settings: SearchSettings
     criteria: Criteria
-    #: time from which each whole record takes no part in fitting [s]
-    held_from: tuple[float, ...]
     #: inputs that follow from outputs
     feedback: tuple[Feedback, ...] = ()
     #: whether the records of the problem are segments
     is_segmented: bool = False
     clock: TimeLimit = field(default_factory=TimeLimit)
 
-    @classmethod
-    def of(
-        cls,
-        whole: Problem,
-        notes: list[str],
-        say: Callable[[str], None],
-        seed: int,
-        settings: SearchSettings,
-        criteria: Criteria,
-        feedback: tuple[Feedback, ...],
-        clock: TimeLimit,
-    ) -> Workflow:
-        """Return the workflow of whole records, split into training, validation and test records; how is added to the notes."""
-        training = len(whole.estimation)
-        # where the whole motion is prescribed, only the memory of laws needs a lead-in
-        lead = 0.0 if assemble(bare(whole.network)).size[0] else LEAD_IN * whole.time
-        records, roles = split_records(
-            whole.records[:training], whole.records[training:], notes, whole.time, lead
-        )
-        problem = Problem(whole.network, records, roles)
-        held = held_from(whole, problem)
-        return cls(problem, whole, say, seed, settings, criteria, held, feedback, clock=clock)
-
     def __post_init__(self) -> None:
         self.network = self.problem.network
-        self.search = Search(
-            HeldOutEvaluator(self.problem, self.whole),
-            self.settings,
-            self.criteria,
-            self.say,
-            self.clock,
-        )
+        evaluator = HeldOutEvaluator(self.problem, self.whole)
+        self.search = Search(evaluator, self.settings, self.criteria, self.say, self.clock)
         self._measured: tuple[CandidateComparison, Measurements] | None = None
 
-    def run(self, notes: list[str], start: float) -> Diagnosis:
-        """Run the diagnosis.
-
-        Records are compared whole. Where the refitted model loses the measured motion, records are compared in segments first, each from
-        an initial state of its own.
-
-        `start`: Start of the work [s].
-        """
+    def run(self) -> Diagnosis:
+        """Run the diagnosis of whole records; where the refitted model loses the measured motion, that of segments first, each from an
+        initial state of its own."""
         p = self.problem
         self.say(
             f"{len(p.estimation)} record(s) to fit, {len(p.held)} stretches held out; refitting the model"
         )
         with self.clock.until(SEARCH):
             refitted, error = self.refitted, self.error_of_whole_records
-        is_lost = bool(self.feedback) or not error <= self.settings.astray
-        if is_lost:
-            found = self._diagnose_segments(notes, start, error)
+        if self.feedback or not error <= self.settings.astray:
+            found = self._diagnose_segments(error)
             if found is not None:
                 return found
             scores = self.search.select(*self.search.add_effects([refitted]))
         else:
             scores = self.search.run(refitted, self.is_decided)
-        return self._result(scores, self.measure(scores), self.decide(scores), notes, start)
+        return self._result(scores, self.decide(scores))
 
     def measure(self, scores: CandidateComparison) -> Measurements:
         """Return the measurements of a search; they are kept for the next call."""
@@ -330,10 +299,7 @@ class Workflow:
         )
 
     def is_decided(self, scores: CandidateComparison) -> bool:
-        """Return whether a search needs no further start.
-
-        Where only the lack-of-fit gate fails, the place is known and the law is not in the library: other names are only other curves.
-        """
+        """Return whether a search needs no further start: where only the lack-of-fit gate fails, other names are only other curves."""
         decision = self.decide(scores)
         failed = {g.name for g in decision.gates if not g.passed}
         return failed == {"lack of fit"} or decision.verdict in (
@@ -343,19 +309,18 @@ class Workflow:
         )
 
     def _result(
-        self,
-        scores: CandidateComparison,
-        measured: Measurements,
-        decision: Decision,
-        notes: list[str],
-        start: float,
-        over: Stretches | None = None,
+        self, scores: CandidateComparison, decision: Decision, over: Stretches | None = None
     ) -> Diagnosis:
-        builder = ResultBuilder(
-            self.search, scores, measured, self.whole, self.held_from, self.seed, self.say, self.feedback
-        )
-        result = builder.build(decision, notes, over)
-        return replace(result, seconds=clock.perf_counter() - start)
+        return ResultBuilder(
+            self.search,
+            scores,
+            self.measure(scores),
+            self.whole,
+            self.held_from,
+            self.seed,
+            self.say,
+            self.feedback,
+        ).build(decision, self.notes, over)
 
     # -- segments -----------------------------------------------------------------------------------------
     def has_free_motion(self) -> bool:
@@ -369,11 +334,8 @@ class Workflow:
 
     @cached_property
     def error_of_whole_records(self) -> float:
-        """The error of the refitted model over whole records, as a share of the deviation, mean over channels.
-
-        The larger of the errors on training and validation records. NaN where the simulation breaks down; 0 where no motion can start
-        anew.
-        """
+        """The error of the refitted model over whole records, as a share of the deviation, mean over channels: the larger one of training
+        and validation records; NaN where the simulation breaks down, 0 where no motion can start anew."""
         if not self.has_free_motion():
             return 0.0
         try:
@@ -382,9 +344,8 @@ class Workflow:
             return math.nan
         return float(max(score.training_nrmse.mean(), score.nrmse.mean()))
 
-    @cached_property
-    def segmented(self) -> Problem:
-        """The problem with the records in segments, each from an initial state of its own."""
+    def _segmented(self) -> Problem:
+        """Return the problem with the records in segments, each from an initial state of its own."""
         p, s = self.problem, self.settings
         slowest = max(pace(r.measured[:, j], r.interval) for r in p.records for j in range(len(p.channels)))
         seconds = max(s.segment * p.time, s.least_segment * slowest)
@@ -399,13 +360,13 @@ class Workflow:
             roles += [role] * len(kept)
         return Problem(self.network, records, roles, p.step, p.time)
 
-    def _diagnose_segments(self, notes: list[str], start: float, error: float) -> Diagnosis | None:
+    def _diagnose_segments(self, error: float) -> Diagnosis | None:
         """Diagnose over segments: no simulation follows a rig for long that has many positions of rest, hits stops or drifts. None
         where nothing is decided."""
         if not self.has_free_motion():
             return None
-        flow = replace(self, problem=self.segmented, is_segmented=True)
-        lengths = [len(r) * r.interval for r in self.segmented.records]
+        flow = replace(self, problem=self._segmented(), is_segmented=True)
+        lengths = [len(r) * r.interval for r in flow.problem.records]
         reason: Literal["diverges", "astray", "feedback"]
         reason = "feedback" if self.feedback else "astray" if math.isfinite(error) else "diverges"
         over = Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)
@@ -416,7 +377,7 @@ class Workflow:
             with self.clock.until(SEARCH):
                 refitted = flow.search.fitter.refit_nominal()
             scores = flow.search.run(refitted, flow.is_decided)
-            measured = flow.measure(scores)
+            flow.measure(scores)
         except TimeUp:
             self.clock.leave_out("a comparison over brief stretches")
             return None
@@ -425,4 +386,4 @@ class Workflow:
         decision = flow.decide(scores)
         # under feedback whole records are no valid comparison
         is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
-        return flow._result(scores, measured, decision, notes, start, over) if is_final else None
+        return flow._result(scores, decision, over) if is_final else None

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import html
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from .._common.arrays import Array
     from ..contrib.fmi.cosimulation import UnitModel
     from ._estimation.clock_lag import Lag
-    from ._records import Feedback
+    from ._records.feedback import Feedback
     from ._selection.criteria import Criteria
     from ._selection.settings import SearchSettings
     from ._verdict.evidence import Evidence
@@ -512,27 +511,9 @@ class Diagnosis:
 
     def _repr_html_(self) -> str:
         """Return verdict, the picture of the measured and simulated signals, effects and gap as HTML for notebooks."""
-        stages = [s for s in ("before", "refit", "after", "noise_floor") if s in self.gap]
-        rows = [
-            [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
-            for e in self.effects
-            for name, q in e.parameters.items()
-        ]  # fmt: skip
-        out = f"<p><b>{html.escape(self.verdict)}</b>: {html.escape(self.summary)}</p>{self._picture()}"
-        if rows:
-            out += _table(["effect", "where", "parameter", "value", "95 % interval"], rows)
-        gap = [[c, *(f"{100 * self.gap[s][c]:.1f} %" for s in stages)] for c in self.gap.get("refit", {})]
-        return out + _table(["error on held-out data", *stages], gap)
+        from ..view._report import notebook_page
 
-    def _picture(self) -> str:
-        """Return the picture of the signals as HTML; empty where it cannot be drawn, since a notebook shows the tables all the same."""
-        from .._common.errors import ReportError
-        from ..view._report import signal_picture
-
-        try:
-            return signal_picture(self)
-        except ReportError:
-            return ""
+        return notebook_page(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document (`isd-diagnosis/1`)."""
@@ -581,13 +562,6 @@ class Diagnosis:
         model.save(folder / ("model.json" if isinstance(model, Network) else "parameters.ssv"))
         if self.test is not None:
             write_table(folder / "next_experiment.csv", self.test)
-
-
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def line(tag: str, cells: Sequence[str]) -> str:
-        return "<tr>" + "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) + "</tr>"
-
-    return f"<table><thead>{line('th', heads)}</thead><tbody>{''.join(line('td', r) for r in rows)}</tbody></table>"
 
 
 def _plain(value: Any) -> Any:

@@ -20,7 +20,7 @@ from isd_gym.contrib.inspection.consistency import integral_consistency
 from isd_gym.contrib.inspection.facts import sparkline
 from isd_gym.contrib.inspection.map_file import save_map
 from isd_gym.contrib.simulation.command import command as simulate_command
-from isd_gym.diagnosis._records import read_record
+from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._loggers import ChannelMap, Column, Logger, Raster, mended, runs

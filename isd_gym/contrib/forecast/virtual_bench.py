@@ -18,11 +18,11 @@ from isd_gym.diagnosis._estimation.initial_states import states_along, transfer_
 from isd_gym.diagnosis._estimation.noise import floor_of, innovations, white_filters, whitener
 from isd_gym.diagnosis._estimation.structure import Structure, base_structure
 from isd_gym.diagnosis._hypotheses.forces import PlaceForces, place_forces
+from isd_gym.diagnosis._hypotheses.law_matching import simulate_unmodelled_effects
 from isd_gym.diagnosis._hypotheses.library import hypotheses
-from isd_gym.diagnosis._hypotheses.loads import loads_of, tell_gain
-from isd_gym.diagnosis._hypotheses.motion import motions
-from isd_gym.diagnosis._hypotheses.unmodelled_effects import simulate_unmodelled_effects
-from isd_gym.diagnosis._records import differentiate_inputs, split_records
+from isd_gym.diagnosis._hypotheses.motion import loads_of, motions, tell_gain
+from isd_gym.diagnosis._records.filtering import differentiate_inputs
+from isd_gym.diagnosis._records.splitting import split_records
 from isd_gym.diagnosis._selection.candidate import Candidate
 from isd_gym.diagnosis._selection.criteria import CRITERIA, LEAST_NOISE, Criteria
 from isd_gym.diagnosis._selection.held_out import SMALL, HeldOutEvaluator

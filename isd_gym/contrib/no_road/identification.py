@@ -12,7 +12,7 @@ from isd_gym._common.errors import InputError, shown
 from isd_gym.diagnosis._estimation.noise import floors_of
 from isd_gym.diagnosis._estimation.structure import base_structure, unchecked
 from isd_gym.diagnosis._hypotheses.library import hypotheses
-from isd_gym.diagnosis._records import read_record
+from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.diagnosis._simulation.time_limit import TimeLimit
 from isd_gym.physics.network import Network

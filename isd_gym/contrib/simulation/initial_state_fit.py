@@ -14,7 +14,7 @@ from isd_gym.diagnosis._estimation.clock_lag import Lag, align_clocks
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import floors_of, white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
-from isd_gym.diagnosis._records import read_record
+from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.node_motion import transfer_matrix
 from isd_gym.diagnosis._simulation.problem import Problem, bare
 from isd_gym.physics.network import Network, assemble

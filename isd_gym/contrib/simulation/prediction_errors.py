@@ -13,7 +13,8 @@ from isd_gym.diagnosis._estimation.clock_lag import align_clocks
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import floors_of, white_filters
 from isd_gym.diagnosis._estimation.structure import base_structure
-from isd_gym.diagnosis._records import differentiate_inputs, read_record
+from isd_gym.diagnosis._records.filtering import differentiate_inputs
+from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, deviation_within
 from isd_gym.physics.network import Network
 

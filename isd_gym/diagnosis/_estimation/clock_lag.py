@@ -71,12 +71,8 @@ def align_clocks(
     limit: float = LIMIT,
     previous: Sequence[Lag] | None = None,
 ) -> tuple[list[Record], list[Lag]]:
-    """Estimate the lags between clocks together with the parameters of a model.
-
-    `records`: Records; records with a single clock stay as they are.
-    `limit`: Largest lag in the search [s].
-    `previous`: Lags found with an earlier model and applied to `records`. They replace the wide search.
-    """
+    """Return records with the lags between their clocks, fitted with the parameters of a model, and these lags. `limit`: largest lag [s];
+    `previous`: lags of an earlier model in place of the wide search."""
     if not any(r.clocks for r in records):
         return list(records), []
     out = list(records)
@@ -196,8 +192,7 @@ class _LagCost:
 def _search_lags(
     problem: Problem, base: Structure, index: int, limit: float
 ) -> tuple[dict[str, float], str, list[float]]:
-    """Return the lags of a record's clocks [s] by a search up to the limit [s], clock by clock, a reason to doubt them, and rival
-    lags of a single clock to be fitted [s]."""
+    """Return the lags of a record's clocks [s] within a limit, a reason to doubt them, and rival lags of a single clock [s]."""
     record = problem.records[index]
     x0 = guess(problem, base.at(base.start), index)
     fine = Problem(problem.network, [record.unread()], time=problem.time)
@@ -216,7 +211,16 @@ def _search_lags(
         samples = {j: _thin_samples(problem, record, j, grid, reach) for j in (*known, *late)}
         if min(len(s.values) for s in samples.values()) < FEWEST:
             return lags, "too short to look for it", []
-        cost = _LagCost(samples, known, late, grid, record.step, columns, prior, problem.free_offset)
+        cost = _LagCost(
+            samples,
+            known,
+            late,
+            grid,
+            record.step,
+            columns,
+            prior,
+            problem.shared_offset | problem.record_offset,
+        )
         trials = _choose_trials(cost, record.pace, reach)
         costs = np.array([cost(float(t)) for t in trials])
         best = float(trials[np.argmin(costs)])
@@ -244,10 +248,8 @@ def _thin_samples(problem: Problem, record: Record, channel: int, grid: np.ndarr
 
 
 def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
-    """Return lags [s] for the wide search, a quarter of the time scale `pace` [s] apart, at most about `TRIALS`.
-
-    From a longer list the lags with the highest correlation of simulated and measured outputs are chosen.
-    """
+    """Return lags [s] for the wide search, a quarter of the time scale `pace` [s] apart: all, or the `TRIALS` with the highest
+    correlation of simulated and measured outputs."""
     every = np.arange(-reach, reach + 0.25 * pace, 0.25 * pace)
     if 0.25 * pace >= 2 * reach / TRIALS:
         return every
@@ -264,14 +266,7 @@ def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
 def _find_rivals(
     trials: Array, costs: Array, best: float, least: float, count: int, pace: float, doubt: str
 ) -> tuple[str, list[float]]:
-    """Return a reason to doubt the best lag, and further minima of the wide search for a fit [s].
-
-    `trials`: Lags of the wide search [s] (n,).
-    `costs`: Cost by lag (n,).
-    `best`: The best lag after refinement [s].
-    `pace`: Time scale of the record [s].
-    `doubt`: Reason to doubt the lag of an earlier clock, returned by default.
-    """
+    """Return a reason to doubt the best lag, `doubt` by default, and further minima of the wide search for a fit [s]."""
     far = np.abs(trials - best) > 2.0 * pace
     if far.any() and float(costs[far].min()) < 1.15 * least + 0.02 * count:
         doubt = _say_rival(float(trials[far][int(np.argmin(costs[far]))]))
@@ -288,10 +283,7 @@ def _find_rivals(
 
 
 def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tuple[Record, str]:
-    """Return a record with the best lag after a fit of parameters and initial state, and a reason to doubt the lag.
-
-    `rivals`: Rival lags of the only clock [s].
-    """
+    """Return a record with the best lag of its only clock after a fit of the rival lags, and a reason to doubt the lag."""
     (clock,) = record.clocks
     structure, tried = base_structure(network), []
     for r in [record, *(_apply_lags(record, {clock: lag}, network) for lag in rivals)]:

@@ -9,17 +9,16 @@ a slope costs many simulations, a step costs one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..._common.errors import InputError
 from ...physics.network import Network, assemble
-from .._simulation.problem import Problem, bare
-from .initial_states import guess, next_states
+from .._simulation.problem import BROKEN, Problem, bare
+from .initial_states import guess, motion_rows, next_states
 from .least_squares import bounded_step, damped_step
-from .objective import Objective, Point, Slope
 from .sensitivities import tangents
 
 if TYPE_CHECKING:
@@ -28,7 +27,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..._common.arrays import Array
+    from .._simulation.problem import Problem
+    from .noise import Whitener
     from .structure import Structure
+
 
 #: further steps with the same derivatives
 CHORDS = 2
@@ -41,11 +43,43 @@ ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
 
 
 @dataclass
-class Fit:
-    """A fitted structure: free parameters `x` (transformed), initial states, offsets and outputs of each record.
+class Point:
+    """A point of a fit: parameters, initial states and offsets, with the outputs and the cost of each record."""
 
-    `structure` holds the estimate of the offsets that all records share.
-    """
+    x: Array
+    initial: dict[int, Array]
+    offset: dict[int, Array]
+    outputs: dict[int, Array] = field(default_factory=dict)  # offsets included
+    #: whitened squares and the initial state's prior, by record
+    costs: dict[int, float] = field(default_factory=dict)
+    prior: float = 0.0  # of the parameters
+
+    @property
+    def total(self) -> float:
+        return sum(self.costs.values()) + self.prior if self.costs else math.inf
+
+    def take(self, other: Point, i: int) -> None:
+        """Take over initial state, offsets, outputs and cost of a record from another point."""
+        self.initial[i], self.offset[i] = other.initial[i], other.offset[i]
+        self.costs[i] = other.costs[i]
+        if i in other.outputs:
+            self.outputs[i] = other.outputs[i]
+
+
+@dataclass
+class Slope:
+    """Whitened derivatives of a record (rows, parameters + shared offsets + nuisances), with their normal equations."""
+
+    by: Array
+    gram: Array
+    own: Array  # of the nuisances (initial state, offsets of the record, lags), prior included
+    known: Array  # the prior of the initial state (states, states)
+
+
+@dataclass
+class Fit:
+    """A fitted structure, with the estimate of the shared offsets: free parameters (transformed), initial states, offsets and outputs by
+    record."""
 
     structure: Structure
     x: Array
@@ -61,9 +95,98 @@ class Fit:
         return self.structure.at(self.x)
 
 
-class Fitter(Objective):
-    """Gauss-Newton fits of parameters and initial states, or of initial states alone."""
+class Fitter:
+    """Gauss-Newton fits of parameters and initial states, or of initial states alone, over the records of a problem."""
 
+    def __init__(self, problem: Problem, weights: Whitener):
+        self.problem = problem
+        self.weights = weights
+        self._rows: dict[int, tuple[Structure, Array]] = {}
+
+    # -- costs ------------------------------------------------------------------------------------------
+    def _information(self, structure: Structure, index: int) -> Array:
+        """Return the inverse prior covariance of the initial state (states, states), at the start values."""
+        key = id(structure.network)
+        if key not in self._rows:
+            rows = motion_rows(self.problem, structure.network)
+            self._rows[key] = structure, rows.T @ rows
+        return self._rows[key][1] / self.problem.span(index) ** 2
+
+    def price(self, structure: Structure, at: Point, outputs: Mapping[int, Array]) -> Point:
+        """Return the point with outputs and costs; the cost is infinite where the simulation breaks down."""
+        for i, y in outputs.items():
+            at.outputs[i] = self.problem.shifted(i, y, at.offset[i])
+            square = math.inf
+            if np.isfinite(y).all() and np.abs(y).max() <= 1e12:
+                square = float(np.sum(self.weights(self.problem.records[i].measured - at.outputs[i]) ** 2))
+            x0 = at.initial[i]
+            at.costs[i] = square + (float(x0 @ self._information(structure, i) @ x0) if len(x0) else 0.0)
+        return at
+
+    def seen(self, structure: Structure, at: Point, records: Sequence[int]) -> Point:
+        """Simulate the records."""
+        net = structure.at(at.x)
+        try:
+            begun = {i: at.initial[i][:, None] for i in records}
+            found = self.problem.simulate_all([net], records, begun)
+        except BROKEN:
+            at.costs = dict.fromkeys(records, math.inf)
+            return at
+        return self.price(structure, at, {i: y[:, :, 0] for i, y in found.items()})
+
+    # -- slopes -----------------------------------------------------------------------------------------
+    def slopes(
+        self, structure: Structure, at: Point, records: Sequence[int], moves: bool
+    ) -> dict[int, Slope] | None:
+        """Return derivatives at a point, whose outputs and costs are filled in, also by parameters if `moves`; None where the simulation
+        breaks down."""
+        try:
+            found = tangents(self.problem, structure, at.x, {i: at.initial[i] for i in records}, moves=moves)
+        except BROKEN:
+            return None
+        self.price(structure, at, {i: t.outputs for i, t in found.items()})
+        out = {}
+        for i, t in found.items():
+            free = self.problem.nuisances(i, t.outputs)
+            common = self.problem.common(t.outputs)[:, :, : None if moves else 0]
+            stack = np.concatenate([t.by_parameter, common, t.by_state, free], axis=2)
+            if not (math.isfinite(at.costs[i]) and np.isfinite(stack).all()):
+                return None
+            rows, columns = stack.shape[0] * stack.shape[1], stack.shape[2]
+            by = self.weights(stack).reshape(rows, columns) if columns else np.zeros((rows, 0))
+            if not (np.abs(by) < 1e100).all():  # their squares would overflow
+                return None
+            gram = by.T @ by
+            p, n0 = t.by_parameter.shape[2] + common.shape[2], t.by_state.shape[2]
+            own = gram[p:, p:].copy()
+            known = self._information(structure, i) if n0 else np.zeros((0, 0))
+            own[:n0, :n0] += known
+            own[np.arange(len(own)), np.arange(len(own))] *= 1 + 1e-9
+            out[i] = Slope(by, gram, own, known)
+        return out
+
+    def _downhill(self, at: Point, i: int, slope: Slope) -> Array:
+        """Return the negative gradient of half the cost (parameters, shared offsets, nuisances)."""
+        left = self.weights(self.problem.records[i].measured - at.outputs[i]).ravel()
+        down = slope.by.T @ left
+        p, n0 = len(down) - len(slope.own), len(slope.known)
+        down[p : p + n0] -= slope.known @ at.initial[i]
+        return np.asarray(down, dtype=np.float64)
+
+    def _moved(
+        self, at: Point, x: Array, moves: Mapping[int, NDArray[np.floating]], common: Array | None = None
+    ) -> Point:
+        """Return a point with parameters `x`, moved nuisances, and shared offsets moved by `common`."""
+        initial, offset = dict(at.initial), {i: o.copy() for i, o in at.offset.items()}
+        for i, move in moves.items():
+            n0 = len(at.initial[i])
+            initial[i] = at.initial[i] + move[:n0]
+            offset[i][self.problem.moves(i)] += move[n0:]
+            if common is not None:
+                offset[i][np.flatnonzero(self.problem.shared_offset)] += common
+        return Point(x, initial, offset)
+
+    # -- fits -------------------------------------------------------------------------------------------
     def begin(
         self,
         structure: Structure,
@@ -94,11 +217,8 @@ class Fitter(Objective):
         records: Sequence[int] | None = None,
         initial: Mapping[int, Array] | None = None,
     ) -> Structure:
-        """Return the structure with the sensor offsets that all records share, at fixed parameters.
-
-        The offsets are means over records, by default those to fit by, weighted by information; initial states are eliminated per
-        record.
-        """
+        """Return the structure with the sensor offsets that records share, at fixed parameters: means over records, by default those to
+        fit by, weighted by information."""
         problem = self.problem
         own = np.flatnonzero(problem.shared_offset)
         if not len(own):
@@ -125,11 +245,8 @@ class Fitter(Objective):
         tolerance: float = 1e-4,
         frozen: bool = False,
     ) -> Fit:
-        """Fit the structure to the given records (the estimation records by default).
-
-        `frozen`: only initial states and the offsets of each record move; offsets that all records share are those of the
-        structure, or are estimated on the given records.
-        """
+        """Fit the structure to records, by default those to fit by; if `frozen`, only initial states and the offsets of each record
+        move."""
         records = self.problem.estimation if records is None else records
         x = structure.start if x is None else x
         if frozen and structure.offsets is None and not offset:
@@ -183,10 +300,8 @@ class Fitter(Objective):
         damping: float,
         chord: bool,
     ) -> tuple[Point | None, float]:
-        """Return a point with a smaller cost, or None, and the next damping.
-
-        chord: the slopes are those of an earlier point, and one try is enough.
-        """
+        """Return a point with a smaller cost, or None, and the next damping; `chord`: one try is enough, since the slopes are those of an
+        earlier point."""
         free = structure.free
         p, q = len(free), int(self.problem.shared_offset.sum())
         mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
@@ -282,12 +397,8 @@ class Fitter(Objective):
         *,
         iterations: int = 4,
     ) -> Fit:
-        """Fit initial states and offsets of records; the parameters stay.
-
-        Shared offsets are those of the structure, or are estimated on the training records. The fit starts from the initial state
-        with the lowest cost among `initial` (or a guess) and `about`. Without `initial`, the final state of the preceding record is a
-        further start for a record that continues it.
-        """
+        """Fit initial states and offsets of records from the cheapest of `initial` (or a guess), `about`, and without `initial` the final
+        state of the preceding record; the parameters stay."""
         problem, net = self.problem, structure.at(x)
         n0 = assemble(bare(net)).size[0]
         if structure.offsets is None and problem.shared_offset.any():
@@ -322,10 +433,8 @@ class Fitter(Objective):
         return self._result(structure, at)
 
     def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
-        """Restart the records with far larger errors than the others near their initial states.
-
-        With play or sticking friction, a few of many starts end in a local optimum.
-        """
+        """Restart the records with far larger errors than the others near their initial states: with play or sticking friction, a few of
+        many starts end in a local optimum."""
         each = {i: cost / len(self.problem.records[i]) for i, cost in at.costs.items()}
         if len(each) < FEW:
             return
@@ -372,9 +481,9 @@ class Fitter(Objective):
         *,
         over: Array | None = None,
     ) -> tuple[Array, Array, dict[int, tuple[Array, Array]]]:
-        """Return the normal equations of responses (samples, channels, m) in the records, linearised, with initial states and
-        nuisances eliminated: the matrix by parameters and shared offsets (p, p) with the prior, the right-hand sides (p, m), and
-        by record the whitened derivatives (rows, p) and responses (rows, m). `over` are steps of central differences (`tangents`)."""
+        """Return the normal equations of responses (samples, channels, m), nuisances eliminated: the matrix by parameters and shared
+        offsets (p, p) with the prior, the right-hand sides (p, m), and by record the whitened derivatives (rows, p) and responses (rows,
+        m). `over`: see `tangents`."""
         problem = self.problem
         p, q = len(x), int(problem.shared_offset.sum())
         H = np.diag(np.append(1 / structure.sigma**2, np.zeros(q)))
@@ -398,10 +507,8 @@ class Fitter(Objective):
         return H, g, parts
 
     def refit(self, fit: Fit, responses: Mapping[int, Array]) -> tuple[Array, dict[int, Array]]:
-        """Return how a fit would absorb responses (samples, channels, m) in the records, to first order.
-
-        By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
-        """
+        """Return to first order how a fit would absorb responses (samples, channels, m): the shift of the parameters (parameters, m), and
+        the whitened rest by record."""
         H, g, parts = self.normal_equations(fit.structure, fit.x, fit.initial, responses)
         shift = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         left: dict[int, Array] = {
@@ -434,10 +541,8 @@ def residuals(problem: Problem, fit: Fit) -> list[Array]:
 
 
 def gap(problem: Problem, fit: Fit) -> float:
-    """Return the geometric mean over channels of the residual's power over the signal's power.
-
-    The geometric mean limits the influence of a single drifting channel.
-    """
+    """Return the geometric mean over channels, which limits the influence of a drifting one, of the residual's power over the signal's
+    power."""
     r = np.concatenate(residuals(problem, fit))
     share = np.mean(r**2, axis=0) / problem.deviation(list(fit.outputs)) ** 2
     return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))

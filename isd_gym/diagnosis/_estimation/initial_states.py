@@ -44,12 +44,8 @@ def guess(
     about: Array | None = None,
     offsets: Sequence[float] | None = None,
 ) -> Array:
-    """Guess an initial state from the first samples: displacements and slopes as measured, the rest small.
-
-    Where the motion has several resting places (detents, friction), a fit from rest ends in the wrong one.
-    `about` (states,): where a simulation of what came before ended; it is believed to a tenth of the motion.
-    `offsets` (channels,): known offsets of the sensors, in the channels' units.
-    """
+    """Return an initial state from the first samples: displacements and slopes as measured beside known offsets (channels,), the rest
+    small, or near the state `about`."""
     record = problem.records[index]
     pure = bare(network)
     moved = [c for c in pure.outputs if c.quantity == "displacement"]
@@ -90,11 +86,8 @@ def guess(
 def states_along(
     problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array], at: Sequence[int]
 ) -> dict[int, list[Array]]:
-    """Return the states (states,) of each record's simulation at compared samples.
-
-    Negative ones count from the record's end. They are read off the motion of the nodes, so that records can be cut and
-    joined anywhere.
-    """
+    """Return the states (states,) of each record's simulation at compared samples (negative: from the end), from the motion of the
+    nodes."""
     net, time = structure.at(x), problem.time
     pure = bare(net)
     nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
@@ -146,10 +139,7 @@ def next_states(
 def transfer_states(
     problem: Problem, network: Network, initial: dict[int, Array], structure: Structure
 ) -> dict[int, Array]:
-    """Transfer initial states of a network to the coordinates of another structure; the motion of the nodes stays.
-
-    A node that came in between moves like the terminal it was split from.
-    """
+    """Return initial states in the coordinates of another structure: nodes keep their motion, a split node moves like its origin."""
     source, target = assemble(bare(network)), assemble(bare(structure.network))
     before, net, time = source.network, target.network, problem.time
     free = [n for n in net.nodes if n not in net.moved_nodes]

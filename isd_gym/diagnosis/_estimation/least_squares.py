@@ -18,11 +18,8 @@ Point = TypeVar("Point")
 def damped_step(
     take: Callable[[float], tuple[Point, float]], cost: float, damping: float, *, tries: int
 ) -> tuple[Point | None, float, float]:
-    """Take a step that lowers the cost; increase the damping tenfold after each failure, except after a single one.
-
-    `take` returns the new point and its cost for a relative damping, an infinite cost if the simulation fails. Returned are the new
-    point or None, its cost, and the damping for the next step.
-    """
+    """Return a point with a lower cost, or None, its cost, and the next damping: tenfold after each failure but a single one. `take`
+    returns a point and its cost, infinite if the simulation fails."""
     for _ in range(tries):
         found, lower = take(damping)
         if math.isfinite(lower) and lower < cost:
@@ -35,17 +32,8 @@ def damped_step(
 def bounded_step(
     hessian: Array, slope: Array, x: Array, low: Array, high: Array, stride: Array, damping: float
 ) -> Array:
-    """Minimise the damped quadratic model of the cost within limits.
-
-    Coordinates at a limit that would leave the permitted range stay at the limit.
-
-    `hessian`: Second derivatives of half the cost (p, p).
-    `slope`: Descent direction of half the cost (p,).
-    `x`: Current point (p,).
-    `low`: Lower limits (p,).
-    `high`: Upper limits (p,).
-    `stride`: Largest permitted step of each coordinate (p,).
-    """
+    """Return the minimum of the damped quadratic model of the cost within limits and strides (p,), from half its Hessian (p, p) and
+    descent direction (p,); coordinates that would leave the limits stay."""
     p = len(x)
     damped = hessian + np.diag(damping * np.diag(hessian))
     free = np.ones(p, bool)

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..._common.errors import InputError
 from ...physics.network import Network, linearise
-from .._records import cut_segments
-from .._simulation.problem import Problem, bare
+from .._records.splitting import cut_segments
+from .._simulation.problem import BROKEN, Problem, bare
 from .gauss_newton import Fitter
 from .noise import white_filters
 
@@ -44,10 +44,7 @@ def is_lightly_damped(network: Network) -> bool:
 
 
 def segments_of(problem: Problem, length: float = 1.0) -> Problem | None:
-    """Return the problem with the training records in segments; None where the records are no longer than a segment.
-
-    `length`: Length of the segments as a multiple of the usual length.
-    """
+    """Return the problem with the training records in segments of a multiple of the usual length; None where no record is longer."""
     seconds = length * STRETCH * problem.time
     pieces = [s for i in problem.estimation for s in cut_segments(problem.records[i], seconds, LEAST)]
     if len(pieces) <= len(problem.estimation):
@@ -67,13 +64,13 @@ def in_segments(
 
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
-    """Return the parameters (parameters,), transformed, of fits to segments of the training records that grow; None where the records
-    are no longer than a segment, or a fit breaks down."""
+    """Return the parameters (parameters,), transformed, of fits to segments that grow; None where no record is longer, or a fit breaks
+    down."""
     length, found = SHORT, None
     try:
         while (brief := segments_of(problem, length)) is not None:
             found = x = Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
             length *= GROWTH
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return None
     return found

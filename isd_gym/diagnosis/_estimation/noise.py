@@ -10,13 +10,17 @@ import numpy as np
 from scipy.signal import welch
 
 from ...physics._kernel.jit import compiled
-from .input_noise import propagate_input_noise
+from .._records.filtering import estimate_white_noise, find_computed_forces
+from .._simulation.interpolation import differences
+from .._simulation.problem import BROKEN, low_pass
+from .initial_states import guess
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from ..._common.arrays import Array
-    from .._simulation.problem import Problem
+    from .._simulation.problem import Problem, Record
+
 
 #: order of the autoregressive filters
 ORDER = 20
@@ -70,10 +74,8 @@ def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, in
 
 
 def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -> tuple[Array, float]:
-    """Return least-squares AR taps (1, -a1, ...) and the innovation deviation from the moments of `lagged`.
-
-    White noise of deviation `least` is added: a band where a record is quieter than any model is credited with has no larger weight.
-    """
+    """Return least-squares AR taps (1, -a1, ...) and the innovation deviation from the moments of `lagged`, with white noise of deviation
+    `least` added: a limit of the weight of quiet bands."""
     order = len(rhs)
     total += count * least**2
     gram = gram + count * least**2 * np.eye(order)
@@ -106,12 +108,8 @@ def innovations(residuals: Sequence[Array], floor: Array) -> float:
 
 
 def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool = False) -> Noise:
-    """Estimate coloured noise in residuals (samples,): white plus AR(1), fitted to the spectrum above the motion.
-
-    `time` [s]: in which the motion changes. Up to some three of its frequencies signal and model error cover the
-    noise, so its level there is that of the law found above. The noise is at most the series. `white`: what a
-    low-pass left of the spectrum tells a level, but no colour.
-    """
+    """Return white plus AR(1) noise of residuals (samples,), at most the series, from the spectrum above three frequencies of a motion
+    that changes in `time` [s]; `white`: behind a low-pass, which leaves a level but no colour."""
     length = min(1024, min(len(x) for x in series))
     frequency, s, _ = _density(series, step, length)
     top = frequency[-1]
@@ -189,11 +187,8 @@ def noise_after_filters(W: Whitener, noise: Sequence[Noise]) -> Array:
 
 @dataclass(frozen=True)
 class Floor:
-    """Noise of a channel, estimated before any model is fitted.
-
-    `deviation` [the channel's unit]; `known`: whether the measured signal (or the owner) tells it, or only bounds it.
-    `source`: 'owner', 'spectrum' (above the band of the motion), 'bound', or 'input' (a motion that is differentiated twice).
-    """
+    """Noise of a channel before any model is fitted: its deviation, whether the signal or the owner tells it or only bounds it, and its
+    source ('owner', 'spectrum' above the motion, 'bound', or 'input': a motion that is differentiated twice)."""
 
     deviation: float
     known: bool
@@ -201,11 +196,8 @@ class Floor:
 
 
 def floor_of(series: Sequence[Array], step: float, *, white: bool = False) -> Floor:
-    """Estimate the noise of a measured channel (segments (samples,)) from the part of the spectrum without signal.
-
-    The band of the motion is the rig's own: the lowest frequency is sought above which the spectrum looks like white or
-    AR(1) noise. Where there is none the motion may reach up to the sampling rate, and the top of the spectrum is a bound.
-    """
+    """Return the noise of a measured channel (segments (samples,)) above the lowest frequency from which on the spectrum looks like white
+    or AR(1) noise; without one, the top of the spectrum is a bound."""
     shortest = min(map(len, series))
     length = min(1024, max(64, shortest // 2), shortest)
     frequency, s, averages = _density(series, step, length)
@@ -231,10 +223,7 @@ def resolution(series: Sequence[Array]) -> float:
 
 
 def floors_of(problem: Problem) -> list[Floor]:
-    """Estimate the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion.
-
-    The sensor noise is stated in the model file, or follows from the training and validation records.
-    """
+    """Return the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion."""
     out = []
     for j, propagated in enumerate(propagate_input_noise(problem)):
         floor = _floor_of_sensor(problem, j)
@@ -263,11 +252,8 @@ def white_filters(floors: Array) -> Whitener:
 
 
 def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
-    """Return the white noise for whitening a residual (channels,): that of the measurement, or a part of the residual.
-
-    Only noise may be weighed by its spectrum. Missing physics counts as white noise of ten times its power, so that even
-    what is crowded in a tenth of the band is not weighed down against what is small and elsewhere.
-    """
+    """Return the white noise of weights (channels,): that of the measurement, or missing physics as ten times its power, so that a
+    crowded tenth of the band keeps its weight."""
     square = np.mean(np.concatenate(residuals) ** 2, axis=0)
     return np.asarray(np.sqrt(np.maximum(floors**2, 10.0 * (square - floors**2))), dtype=np.float64)
 
@@ -275,3 +261,45 @@ def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
 def refined_noise(least: Array, floors: Array) -> Array:
     """Return the white noise for comparing fits (channels,): a tenth of the noise of their weights."""
     return np.asarray(np.maximum(floors, 0.1 * least), dtype=np.float64)
+
+
+def propagate_input_noise(problem: Problem) -> Array:
+    """Return the RMS noise (channels,) of forces computed from twice differentiated motions: their change by a second noise of the median
+    level."""
+    network, noise = problem.network, np.zeros(len(problem.channels))
+    pairs = find_computed_forces(network)
+    training = [i for i in problem.estimation if problem.records[i].reading is None]
+    if not pairs or not training:
+        return noise
+    names = dict.fromkeys(motion.name for motion, _ in pairs)
+    records = list(problem.records)
+    levels = {}
+    for n in names:
+        known = [
+            r.input_noise.get(n, estimate_white_noise(r.inputs[n])) for r in (records[i] for i in training)
+        ]
+        levels[n] = float(np.median(known))
+    rng = np.random.default_rng(0)
+    for i in training:
+        records[i] = _with_noise(records[i], levels, rng)
+    try:
+        initial = {i: guess(problem, network, i)[:, None] for i in training}
+        clean = problem.simulate_all([network], training, initial)
+        noisy = problem.with_records(records).simulate_all([network], training, initial)
+    except BROKEN:
+        return noise
+    change = np.concatenate([noisy[i] - clean[i] for i in training])[:, :, 0]
+    computed = [network.outputs.index(force) for _, force in pairs]
+    noise[computed] = np.nan_to_num(np.sqrt(np.mean(change[:, computed] ** 2, axis=0)), posinf=0.0)
+    return noise
+
+
+def _with_noise(record: Record, levels: Mapping[str, float], rng: np.random.Generator) -> Record:
+    """Return a record with white noise of given levels added to its inputs, behind the record's low-pass."""
+    inputs, slopes = dict(record.inputs), dict(record.slopes)
+    for name, level in levels.items():
+        noise = level * rng.standard_normal(record.samples)
+        inputs[name] = inputs[name] + (noise if record.taps is None else low_pass(noise, record.taps))
+        if name in slopes:
+            slopes[name] = differences(inputs[name], record.step)
+    return replace(record, inputs=inputs, slopes=slopes)

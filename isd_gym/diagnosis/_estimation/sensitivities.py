@@ -38,13 +38,8 @@ def tangents(
     moves: bool = True,
     over: Array | None = None,
 ) -> dict[int, Tangent]:
-    """Return the simulation of each record from its initial state, with derivatives by free parameters and states.
-
-    The latest results are cached, since a fit often continues from the end of another fit with other weights.
-
-    `over`: Steps of central differences, transformed (steps, parameters), as many as parameters (`deviations`). Default: a small
-    forward step of each parameter.
-    """
+    """Return the simulation of each record from its initial state, with derivatives by parameters and states, and keep it. `over`: steps
+    of central differences, transformed (steps, parameters); small forward steps by default."""
     p = len(x) if moves else 0
 
     def name(i: int, full: bool) -> tuple[object, ...]:
@@ -89,13 +84,8 @@ def _small_steps(structure: Structure, x: Array) -> Array:
 
 
 def deviations(structure: Structure, x: Array, covariance: Array) -> Array:
-    """Return the principal axes of a correlation, one standard deviation long and within the limits of the parameters, as steps of
-    differences (steps, parameters).
-
-    Derivatives by single parameters lose a direction in which the outputs hardly change: with dry friction, small differences have
-    errors of some per cent, and a factor that all masses and forces share then looks determined. An axis along this direction does
-    not. Axes of the correlation do not depend on the units of the parameters.
-    """
+    """Return the principal axes of a correlation as steps of differences (steps, parameters), one standard deviation long, within limits:
+    small steps of single parameters lose a direction in which the outputs hardly change."""
     deviation = np.sqrt(np.diag(covariance))
     variances, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
     steps = deviation * (axes * np.sqrt(np.maximum(variances, LEAST_VARIANCE))).T

@@ -171,22 +171,16 @@ def base_structure(network: Network) -> Structure:
             free.append(Free(path, False, value, s, value - REACH * s, value + REACH * s, -1))
         else:
             s = sigma * usual(network, path)
-            signed = _signed(network, path)
+            owner, _, name = path.rpartition(".")
+            own = el.parameter_fields(type(network.element(owner)))
+            signed = next(f.metadata["minimum"] < 0 for f in own if f.name == name)
             free.append(Free(path, False, 0.0, s, -REACH * s if signed else 0.0, REACH * s, -1))
     return Structure(network, tuple(free))
 
 
-def _signed(network: Network, path: str) -> bool:
-    owner, _, name = path.rpartition(".")
-    own = el.parameter_fields(type(network.element(owner)))
-    return bool(next(f.metadata["minimum"] < 0 for f in own if f.name == name))
-
-
 def usual(network: Network, path: str) -> float:
-    """Return the scale of a parameter that starts at zero: critical damping, or the largest value of the same kind.
-
-    network: the owner's model; path: of the parameter. Raises `InputError` if the network gives no scale.
-    """
+    """Return the scale of a parameter that starts at zero: critical damping, or the largest value of the same kind; raise InputError
+    without one."""
     parts = [e.linear() for e in network.elements if e.place == "between"]
     k, c, b = (max((p[i] for p in parts), default=0.0) for i in range(3))
     owner, _, name = path.rpartition(".")
@@ -230,11 +224,6 @@ def free_of(element: el.Element, owner: int) -> list[Free]:
     return out
 
 
-def _held(free: Free) -> Free:
-    """Return a number that a fit reports but does not move: its start value, known to `SURE`."""
-    return replace(free, sigma=SURE, low=free.mean, high=free.mean)
-
-
 def _plausible(cls: type[el.Element], values: Mapping[str, float]) -> dict[str, float]:
     """Return start values moved into the plausible ranges of a missing effect."""
     out = dict(values)
@@ -265,7 +254,11 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
         found = [(known, its) for known, its in found if its != other]
     held = cls.held(dict(h.options))
     free += [f for f in free_of(element, len(found)) if f.path.rpartition(".")[2] not in tied]
-    free = [_held(f) if f.path in {f"{name}.{key}" for key in held} else f for f in free]
+    # a number that a fit reports but does not move
+    free = [
+        replace(f, sigma=SURE, low=f.mean, high=f.mean) if f.path in {f"{name}.{key}" for key in held} else f
+        for f in free
+    ]
     ties += [(f"{name}.{key}", path) for key, path in tied.items()]
     found.append((h, name))
     hypotheses, names = zip(*found, strict=True)
@@ -279,12 +272,8 @@ def offsets_of(network: Network, output: Channel) -> list[el.SensorBias]:
 
 
 def with_sensor_offsets(network: Network, offsets: Sequence[float] | None) -> Network:
-    """Return the model with the fitted offsets of its sensors [unit of the channel] as effects `sensor_bias`, so that a simulation
-    reads as the sensors do.
-
-    The outputs keep `"offset": "free"`: a later diagnosis estimates the remaining offset. The bias of a channel that has one already
-    changes by the offset.
-    """
+    """Return the model with the fitted offsets of its sensors [unit of the channel] as effects `sensor_bias`, which later offsets add
+    to."""
     for c, offset in zip(network.outputs, offsets or (), strict=bool(offsets)):
         if c.offset != "free" or not offset:
             continue
@@ -341,11 +330,8 @@ def drop(network: Network, name: str) -> Network:
 def split(
     network: Network, pair: tuple[str, ...], stem: str, behind: str = ""
 ) -> tuple[Network, tuple[str, str]]:
-    """Everything between the pair, or the element `behind` alone, moved behind a new node next to its first terminal; the gap is
-    what is returned.
-
-    A moved terminal goes first, so that the rig still moves it. Raises `InputError` if `behind` is not at this place.
-    """
+    """Put everything between a pair, or the element `behind` alone, behind a new node next to its first terminal, a moved one first; the
+    gap is returned."""
     if behind and behind not in {e.name for e in el.beside(network, pair)}:
         raise InputError(f"'{behind}' does not stand between {' and '.join(pair)}")
     first, second = pair

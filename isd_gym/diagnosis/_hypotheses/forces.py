@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..._common.arrays import rms
-from ..._common.errors import InputError
 from ...physics.network import GROUND
-from .._simulation.problem import deviation_within
+from .._simulation.problem import BROKEN, deviation_within
 from .library import pairs
 from .motion import motions, watched
 
@@ -30,11 +29,7 @@ DISSIPATIVE = ("dry_friction", "viscous")
 
 @dataclass(frozen=True)
 class PlaceForces:
-    """Typical forces of a rig, in N, or N m where nodes turn.
-
-    A measured force is the scale of the whole rig. Without a measured force, the scale at a node is the largest of the computed forces of
-    its elements and the inertia force of its mass.
-    """
+    """Typical forces of a rig [N], or [N m] where nodes turn: a measured force, or at each node the largest of the computed forces."""
 
     #: Largest root mean square of a force at each node, as the model computes it.
     by_node: Mapping[str, float]
@@ -44,11 +39,8 @@ class PlaceForces:
     measured: float = 0.0
 
     def at(self, where: Sequence[str]) -> float:
-        """Return the typical force [N] or torque [N m] of a place; the largest of all nodes for a place without a force.
-
-        A force between two nodes acts on both, so the smaller of the two nodes' forces is the scale. A node with prescribed motion
-        has no force balance and counts only where both nodes are prescribed.
-        """
+        """Return the typical force of a place: the smaller one of its nodes, of which prescribed ones count only beside each other; else
+        the largest of all."""
         if self.measured > 0:
             return self.measured
         free = [n for n in where if n in self.by_node and n not in self.prescribed]
@@ -63,11 +55,7 @@ class PlaceForces:
 
 
 def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> PlaceForces:
-    """Return the typical forces of a rig; the force of the element `without` does not count.
-
-    A simulation that has lost the measured motion is too small or too large; its forces are scaled up by the ratio of the
-    measured to the simulated output deviations.
-    """
+    """Return the typical forces of a rig without the element `without`, scaled up where the simulation has lost the measured motion."""
     net = fit.network
     driven = {str(c.at) for c in net.moving}
     prescribed = frozenset({GROUND, *driven})
@@ -93,8 +81,8 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
 
 
 def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str, Array]:
-    """Return the force [N] or torque [N m] (samples,) of each element between two nodes over all records to fit by, with the sign of
-    an element from the first to the second."""
+    """Return the force (samples,) of each element between two nodes over the records to fit by, signed from the first to the second
+    node."""
     net, pair = fit.network, set(where)
     here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
     probes = tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here)
@@ -103,8 +91,8 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
 
 
 def work_share(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the share of an element in the work that all elements of a network dissipate over the records to fit by; 0 for an
-    element that stores energy only."""
+    """Return the share of an element in the work that all elements dissipate over the records to fit by; 0 for an element that stores
+    energy."""
     net = fit.network
     lossy = [e for e in net.elements if e.place == "between" and e.mechanism in DISSIPATIVE]
     if name not in {e.name for e in lossy}:
@@ -118,8 +106,8 @@ def work_share(problem: Problem, fit: Fit, name: str) -> float:
 
 
 def lossy_share(problem: Problem, fit: Fit) -> float:
-    """Return the largest force of an element that dissipates over the largest force of all elements, as root mean squares over the
-    records to fit by; 1 without an element that dissipates."""
+    """Return the largest RMS force of an element that dissipates over the largest of all elements; 1 without an element that
+    dissipates."""
     elements = [e for e in fit.network.elements if e.place == "between"]
     forces: dict[str, Array] = {}
     for pair in {e.between for e in elements}:
@@ -130,8 +118,8 @@ def lossy_share(problem: Problem, fit: Fit) -> float:
 
 
 def dissipated_work(force: Array, motion: Motion) -> float:
-    """Return the mean power [W] of the equivalent viscous damper of a force (samples,): a spring in parallel takes the part that
-    returns (Den Hartog: Mechanical Vibrations, 4th edition (1956), section 8.9)."""
+    """Return the mean power [W] of the equivalent viscous damper of a force (samples,), beside a spring (Den Hartog: Mechanical
+    Vibrations, 4th edition (1956), section 8.9)."""
     columns = np.stack([motion.v, motion.d, np.ones(len(force))], axis=1)
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     damping = np.linalg.lstsq(columns / size, force, rcond=None)[0][0] / size[0]
@@ -139,11 +127,8 @@ def dissipated_work(force: Array, motion: Motion) -> float:
 
 
 def _measured_force(problem: Problem) -> float:
-    """Return the largest deviation of a measured force [N]; 0 where no force is measured.
-
-    An acceleration tells the inertia force of the mass or body that it is measured at, and that of the largest mass elsewhere.
-    Torques count only where nothing moves along a line.
-    """
+    """Return the largest deviation of a measured force [N], or of an acceleration times its mass; torques count only where nothing
+    slides. 0 without one."""
     net, spread = problem.network, problem.deviation() / problem.factors
     found, slides = 0.0, net.total_mass > 0
     for j, c in enumerate(net.outputs):
@@ -174,7 +159,7 @@ def _simulated(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> list
         return []
     try:
         together = _simulate(problem, fit, outputs)
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return [np.zeros(1) for _ in outputs]
     return list(np.where(np.isfinite(together), together, 0.0).T)
 

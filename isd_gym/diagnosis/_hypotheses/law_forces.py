@@ -37,13 +37,8 @@ LEAST = 16
 
 
 def measured_motions(problem: Problem, fit: Fit, noise: Array) -> dict[Pair, dict[int, Motion]]:
-    """Return the motion of every pair of nodes in the training records, as far as the outputs tell it.
-
-    Where the outputs tell the distance of a pair, their residual, in the band in which it exceeds the noise, is added to the simulated
-    distance. Elsewhere the motion by the force that explains the residual is added. Accelerations are those of the simulation.
-
-    `noise`: White noise (channels,) of the outputs.
-    """
+    """Return the motion of every pair of nodes in the training records as far as the outputs tell it: the simulated one, and the distance
+    or the motion by the force that explains the residual above the noise (channels,)."""
     out: dict[Pair, dict[int, Motion]] = {}
     for pair, simulated in motions_by_record(problem, fit).items():
         told = _told_distance(problem, fit.network, pair)
@@ -64,7 +59,7 @@ def measured_motions(problem: Problem, fit: Fit, noise: Array) -> dict[Pair, dic
 
 
 def _told_distance(problem: Problem, network: Network, pair: Pair) -> Array | None:
-    """Return the factors (channels,) with which outputs, in the channels' units, sum up to the distance of a pair; None where they do not."""
+    """Return the factors (channels,) with which outputs sum up to the distance of a pair; None where they do not."""
     if order_told(network, pair):
         return None
     pure = bare(network)
@@ -115,12 +110,8 @@ def law_forces(
     step: float,
     ways: Sequence[tuple[Hypothesis, Mapping[str, float]]],
 ) -> Array:
-    """Return the force that each law adds between two nodes along a motion (samples, laws) [N]; NaN where a law has no force there.
-
-    The elements between the nodes are simulated alone, the first node moved and the second held.
-
-    `step`: Step of the samples [s].
-    """
+    """Return the force that each law adds between two nodes along a motion with a sampling step [s] (samples, laws) [N]; NaN where a law
+    has no force there. The elements between the nodes are simulated alone."""
     driven, held = pair if pair[0] != GROUND else pair[::-1]
     sign = 1.0 if driven == pair[0] else -1.0
     alone = _bench(network, driven, held)
@@ -164,12 +155,8 @@ def _bench(network: Network, driven: str, held: str) -> Network:
 
 
 def force_responses(problem: Problem, fit: Fit, pair: Pair, forces: Mapping[int, Array]) -> dict[int, Array]:
-    """Return the change of the outputs of a fitted model by forces between two nodes (samples, channels, forces), by training record.
-
-    A linear model is simulated once with a pulse.
-
-    `forces`: Forces (samples of the inputs, forces) [N] by record, positive in tension.
-    """
+    """Return the change of the outputs of a fitted model by forces (samples, forces) [N] between two nodes, by training record; a linear
+    model is simulated once with a pulse."""
     network = fit.network
     motor = el.Motor(PUSH, pair, thrust_constant=1.0)  # type: ignore[call-arg]
     pushed = replace(

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..._common.errors import InputError
-from ...physics.elements import PERIODS
+from ...physics.elements import PERIODS, PROBE
 from ...physics.network import assemble
+from .._estimation.multiple_shooting import is_lightly_damped
 from .._estimation.sensitivities import tangents
 from .._estimation.structure import Hypothesis, Structure, add
-from .._simulation.problem import Problem, bare
-from .forces import place_forces
+from .._simulation.problem import BROKEN, Problem, bare
+from .forces import DISSIPATIVE, lossy_share, place_forces
 from .law_forces import force_responses, law_forces, measured_motions
-from .loads import loads_of, tell_gain
-from .motion import joined, setting, simulate_variants
-from .position_spectrum import spectral_pitches
+from .library import hypotheses
+from .missing_force import spectral_pitches
+from .motion import joined, loads_of, motions, setting, simulate_variants, tell_gain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...physics.elements import Motion, Start
     from .._estimation.gauss_newton import Fit, Fitter
+    from .._simulation.problem import Problem
+
 
 #: norm of a derivative, orthogonal to the others, over its whole norm: a smaller ratio counts as linear dependence
 DEPENDENT = 1e-7
@@ -54,25 +56,16 @@ class Match:
         return replace(self, values=self.values | {k: self.values[k] * by for k in self.start.grows})
 
     def begin(self, structure: Structure) -> tuple[Structure, Array]:
-        """Return a structure with the law, and start values of the parameters (parameters,), transformed.
-
-        Effects of the structure keep their fitted values.
-
-        Raises:
-            InputError: No law can have the matched values.
-        """
+        """Return a structure with the law, and start values (parameters,), transformed; raise InputError for impossible values."""
         built = add(structure, self.hypothesis, self.values)
         return built, built.start_from(self.moved)
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Whitened residual of a fit, orthogonal to the derivatives by parameters, initial states and offsets.
-
-    `whole`, `left` (rows,): residual before and after the projection; `spans`: record -> (first row, last row, outputs of the fit);
-    `nuisances`: record -> orthonormal basis of its initial state and offsets (rows of the record, directions); `basis` (rows,
-    directions): of the parameters, nuisances eliminated; `solve` (parameters, rows): parameters of the fit that explain a residual.
-    """
+    """Whitened residual of a fit before (`whole`) and after (`left`) the projection orthogonal to the derivatives: (rows,), with the rows
+    and outputs of each record, an orthonormal basis of its nuisances and of the parameters, and the map to the parameters that explain a
+    residual."""
 
     whole: Array
     left: Array
@@ -117,10 +110,8 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
 
 
 def _orthogonal(columns: Array, norm: Array | None = None) -> tuple[Array, Array, Array]:
-    """Return an orthonormal basis of columns (rows, columns), and their QR decomposition relative to their norm.
-
-    `norm`: Size of each column, of which a dependent column leaves less than `DEPENDENT`; its own norm by default.
-    """
+    """Return an orthonormal basis of columns (rows, columns), and their QR decomposition relative to `norm`, their own norms by
+    default."""
     norm = np.linalg.norm(columns, axis=0) if norm is None else norm
     Q, R = np.linalg.qr(columns / np.where(norm > 0, norm, 1))
     return Q[:, np.abs(np.diag(R)) > DEPENDENT], Q, R
@@ -129,10 +120,8 @@ def _orthogonal(columns: Array, norm: Array | None = None) -> tuple[Array, Array
 def match_laws(
     problem: Problem, fitter: Fitter, fit: Fit, noise: Array, candidates: Sequence[Hypothesis]
 ) -> list[Match]:
-    """Return every law at every place from every start of its shape, the largest share first.
-
-    `noise`: White noise (channels,) of the outputs.
-    """
+    """Return every law at every place from every start of its shape, the largest share first. `noise`: white noise (channels,) of the
+    outputs."""
     residual = residual_of(problem, fitter, fit)
     motion = measured_motions(problem, fit, noise)
     starts = starts_of(problem, fit, {pair: joined(m) for pair, m in motion.items()}, candidates)
@@ -178,7 +167,7 @@ def built_ways(fit: Fit, h: Hypothesis, start: Start) -> list[Structure]:
         built = [add(replace(fit.structure, network=fit.network), h, way) for way in start.ways]
         for b in built:
             assemble(bare(b.network))
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return []
     return built
 
@@ -249,3 +238,31 @@ def _match(fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual) 
     return Match(
         h, start, h.kind.sized(start, np.ones_like(amplitude) if is_wrong else amplitude), moved, share
     )
+
+
+def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
+    """Return what each force law of the library, with a share of the typical force (of the dissipating forces, for a law that dissipates
+    in a lightly damped structure), does to the outputs (samples, channels, laws) of the training records."""
+    motion, forces = motions(problem, fit), place_forces(problem, fit)
+    lossy = lossy_share(problem, fit) if is_lightly_damped(problem.network) else 1.0
+    networks, sizes = [], []
+    for h in hypotheses(fit.network):
+        simpler = set(h.kind.contains) & {e.type for e in fit.network.elements} or h.kind.replaces
+        if h.place != "between" or h.kind.series or simpler:
+            continue
+        tried = h.kind.starts(
+            setting(problem, fit.network, h, motion.get((h.where[0], h.where[1])), forces.at(h.where))
+        )
+        for start in tried[:: max(1, len(tried) // 2)][:2]:
+            for built in built_ways(fit, h, replace(start, ways=start.ways[:1])):
+                networks.append(built.network)
+                sizes.append(lossy if h.kind.mechanism in DISSIPATIVE else 1.0)
+    out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
+    point = {i: y for _, i, y in simulate_variants(problem, fit, [fit.network])}
+    for chunk, i, y in simulate_variants(problem, fit, networks):
+        with np.errstate(over="ignore", invalid="ignore"):
+            change = (y - point[i]) * (share / PROBE) * np.array(sizes)[chunk]
+            most = np.abs(change).max(axis=(0, 1))
+        # a diverged variant is no evidence
+        out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
+    return out

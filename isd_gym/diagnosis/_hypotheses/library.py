@@ -18,11 +18,8 @@ __all__ = ["Hypothesis", "hypotheses", "pairs"]
 
 
 def pairs(network: Network) -> list[tuple[str, str]]:
-    """Return the pairs of nodes that can carry a force: joined pairs, pairs of masses, and each mass with the ground.
-
-    A rigid body meets the other masses at the points where elements join them; its centre and its angles pair with the ground.
-    Pairs are left out if the inputs determine neither their distance nor their rate (`frames.order_told`).
-    """
+    """Return the pairs of nodes that can carry a force and whose distance or rate the inputs determine: joined pairs, pairs of masses or
+    points of a body, and each mass with the ground."""
     riding = frames(network)
     out: dict[frozenset[str], tuple[str, str]] = {}
     for e in network.elements:
@@ -58,14 +55,10 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
     el.discover()
     for kind in el.TYPES.values():
         for where in places(network, kind):
-            for behind in series_partners(network, kind, where):
+            # an element in series carries all elements of the place, or each of several parallel ones
+            here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
+            for behind in ["", *here] if len(here) > 1 else [""]:
                 bare = Hypothesis(kind.type, where, (), behind)
                 if bare.stands(network):
                     for options in kind.variants(network, where):
                         yield replace(bare, options=tuple(options.items()))
-
-
-def series_partners(network: Network, kind: type[el.Element], where: tuple[str, ...]) -> list[str]:
-    """Return the partners of an element in series: all elements of the place (""), and each of several parallel elements."""
-    here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
-    return ["", *here] if len(here) > 1 else [""]

@@ -1,4 +1,8 @@
-"""The missing force between two nodes over time, from the residuals of the outputs."""
+"""The missing force between two nodes over time, from the residuals of the outputs, and its periods over travel.
+
+A force that repeats over travel has a line in its spectrum over position, whatever the motion in time (Lomb, Least-squares frequency
+analysis of unequally spaced data, Astrophysics and Space Science 39 (1976) 447).
+"""
 
 from __future__ import annotations
 
@@ -14,13 +18,6 @@ from ...physics import elements as el
 from ...physics.network import GROUND, Channel, Network, linearise
 from ...physics.network._frames import frames, order_told
 from ...physics.simulate import pace
-from .._estimation.gauss_newton import Fitter
-from .._estimation.noise import white_filters
-from .._estimation.structure import base_structure
-from .._simulation.problem import Problem, Record
-from .forces import element_forces
-from .library import pairs
-from .motion import motions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,7 +25,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..._common.arrays import Array
-    from ..result import Trace
+    from ...physics.elements import Motion
+    from .._estimation.gauss_newton import Fit
+    from .._simulation.problem import Problem
+
 
 HIGHEST = 8.0  # times the frequency of the motion
 
@@ -54,8 +54,8 @@ class Deconvolution:
         measured: Mapping[str, Array],
         highest: float = HIGHEST,
     ) -> Deconvolution:
-        """Return the linear response about rest, up to `highest` times the frequency of the measured motion: above it the sensors
-        resolve no force."""
+        """Return the linear response about rest, up to `highest` times the frequency of the measured motion: above it sensors resolve no
+        force."""
         step, samples, names = float(time[1] - time[0]), len(time), list(measured)
         name = network.free_name("missing_force")
         outputs = []
@@ -93,11 +93,8 @@ class Deconvolution:
         return cls(names, frequency[band], int(band[0]), answer[:, order], two, units, samples)
 
     def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> tuple[Array, Array]:
-        """Force [N] (n,) that explains `residual` best under white noise of deviations `noise`, and the motion it makes (n, 2).
-
-        Wiener's filter: its prior, the force's own spectrum, comes from the data (expectation maximisation), so that what
-        the sensors do not resolve is left out and not made up.
-        """
+        """Return the force [N] (n,) that explains a residual best under white noise, and the motion it makes (n, 2), by Wiener's filter
+        with the force's own spectrum as prior (expectation maximisation)."""
         from scipy.ndimage import uniform_filter1d
         from scipy.signal.windows import tukey
 
@@ -122,10 +119,8 @@ class Deconvolution:
 
 
 def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str] | None:
-    """Return the two nodes whose distance changes by a force as that of `pair` does; None where no force changes the latter.
-
-    A node whose velocity or acceleration is prescribed stands for the ground: no force moves either.
-    """
+    """Return the two nodes whose distance a force between a pair changes, the ground in place of nodes with prescribed rates; None
+    without any."""
     if not order_told(network, pair):
         return pair
     riding = frames(network)
@@ -134,42 +129,105 @@ def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str
     return out if out[0] != out[1] else None
 
 
-@dataclass(frozen=True)
-class PairMotion:
-    """Simulated motion of two nodes, and the force between them."""
+LINES = 4  # periods that are returned
+RESOLUTION = 0.25  # step of the spectrum, in periods over the whole travel
+RESOLVED = 2.5  # samples of a period, at the typical speed, below which the period cannot be seen
+MOST_PERIODS = 20_000  # over the travel
+ALL = 1e9  # no upper limit of the band but the sampling
+BAND = 0.9  # of the thinned records' band that their low-pass keeps
+LOST = 0.25  # share of the residual's power beyond the noise that must not be lost
+MATERIAL = (
+    3.0  # power of the residual beyond the noise, over that of the noise, from which on the question is asked
+)
 
-    travel: Array  # elongation (n,) [m]
-    rate: Array  # rate of elongation (n,) [m/s]
-    force: Array  # force of all elements between the nodes but drives (n,) [N], positive in tension
+
+def typical_advance(travels: Sequence[Array]) -> float:
+    """Return the median distance between consecutive samples of travels (n,) each, samples at rest left out."""
+    way = np.abs(np.concatenate([np.diff(d) for d in travels]))
+    moving = way[way > 1e-3 * way.max(initial=0.0)]
+    return float(np.median(moving)) if len(moving) else 0.0
 
 
-def pair_motion(
-    network: Network, trace: Trace, pair: tuple[str, str], series: Sequence[str] = ()
-) -> PairMotion:
-    """Simulate two nodes of a model that starts like a record.
+def spectral_pitches(
+    problem: Problem, fit: Fit, pair: tuple[str, str], motion: Motion, periods: float
+) -> tuple[float, ...]:
+    """Return at most `LINES` periods [m, or rad] of the missing force over the travel of two nodes, the strongest line first, of those
+    that records show and the travel holds more than `periods` times."""
+    span = float(np.ptp(motion.d))
+    edges = np.cumsum([problem.records[i].samples for i in problem.estimation])[:-1]
+    advance = typical_advance(np.split(motion.d, edges))
+    if span <= 0 or advance <= 0:
+        return ()
+    most = min(span / (RESOLVED * advance), MOST_PERIODS)
+    if most <= periods:
+        return ()
+    power = np.zeros(0)
+    first = 0
+    for i in problem.estimation:
+        record = problem.records[i]
+        travel = record.seen(motion.d[first : first + record.samples])
+        first += record.samples
+        if record.reading is not None or len(travel) != len(record):
+            continue
+        force = _missing_force(problem, fit, i, pair)
+        if force is None:
+            continue
+        lines = _spectrum((travel - motion.d.min()) / span, force, most)
+        power = lines if not len(power) else power + lines
+    return tuple(span / p for p in _strongest(power, periods))
 
-    `series`: Elements in series with others between the nodes; their force counts too.
-    """
-    network = replace(network, uncertainty={})
-    step = float(trace.time[1] - trace.time[0])
-    measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
-    problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)])
-    fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(
-        base_structure(network), frozen=True, iterations=3
-    )
-    found = motions(problem, fit, () if pair[::-1] in pairs(network) else (pair,))
-    if pair in found:
-        m, sign = found[pair], 1.0
-    elif pair[::-1] in found:
-        m, sign = found[pair[::-1]], -1.0
-    else:
-        raise InputError(f"no motion between {pair[0]} and {pair[1]}")
-    force = np.zeros(len(m.d))
-    for name, values in element_forces(problem, fit, pair).items():
-        if network.element(name).mechanism != "drive":
-            force = force + values
-    for name in series:
-        where = network.element(name).between
-        along = 1.0 if where[0] == pair[0] or where[1] == pair[1] else -1.0
-        force = force + along * element_forces(problem, fit, where)[name]
-    return PairMotion(sign * m.d, sign * m.v, force)
+
+def _missing_force(problem: Problem, fit: Fit, index: int, pair: tuple[str, str]) -> Array | None:
+    """Return the force [N] (n,) that the residual of a record shows; None for a model without a linear response."""
+    record, names = problem.records[index], problem.channels
+    residual = record.measured - fit.outputs[index]
+    signals = {n: record.measured[:, j] for j, n in enumerate(names)}
+    left = {n: residual[:, j] for j, n in enumerate(names)}
+    try:
+        response = Deconvolution.of(fit.network, pair, record.time, signals, highest=ALL)
+        force, _ = response.force(left, {n: float(np.std(r)) for n, r in left.items()})
+    except (InputError, ValueError, np.linalg.LinAlgError):
+        return None
+    return force if np.isfinite(force).all() else None
+
+
+def _spectrum(position: Array, force: Array, most: float) -> Array:
+    """Compute the power spectrum of a force over a position from 0 to 1, at multiples of `RESOLUTION` up to `most` periods."""
+    cells = int(8 * most) + 1
+    place = np.minimum((position * cells).astype(int), cells - 1)
+    profile = np.bincount(place, force - force.mean(), cells)
+    padded = np.zeros(int(cells / RESOLUTION))
+    padded[:cells] = profile
+    lines = np.abs(np.fft.rfft(padded)[: int(most / RESOLUTION) + 1]) ** 2
+    return np.asarray(lines / max(float(np.sum((force - force.mean()) ** 2)), 1e-300), dtype=np.float64)
+
+
+def _strongest(power: Array, periods: float) -> list[float]:
+    """Return the numbers of periods of the strongest lines of a spectrum that are not beside a stronger one."""
+    found: list[float] = []
+    left = power.copy()
+    left[: int(periods / RESOLUTION) + 1] = 0.0
+    apart = int(2 / RESOLUTION)
+    while len(found) < LINES and len(left) and left.max() > 0.0:
+        k = int(np.argmax(left))
+        found.append(k * RESOLUTION)
+        left[max(k - apart, 0) : k + apart + 1] = 0.0
+    return found
+
+
+def thinning_loses(problem: Problem, fit: Fit, floors: Array) -> bool:
+    """Return whether thinned records lack a quarter of the residual's power beyond the noise in any output, such as a force that repeats
+    over travel."""
+    lost, power, rows = np.zeros(len(floors)), np.zeros(len(floors)), 0
+    for i in problem.estimation:
+        record, thin = problem.records[i], problem.rough.records[i]
+        residual = record.measured - fit.outputs[i]
+        residual = residual - residual.mean(axis=0)
+        lines = np.abs(np.fft.rfft(residual, axis=0)) ** 2
+        lines[1:] *= 2.0
+        beyond = np.fft.rfftfreq(len(residual), record.interval) > 0.5 * BAND / thin.interval
+        lost += lines[beyond].sum(axis=0) / len(residual) - beyond.mean() * len(residual) * floors**2
+        power += np.sum(residual**2, axis=0) - len(residual) * floors**2
+        rows += len(residual)
+    material = power > MATERIAL * rows * floors**2
+    return bool(np.any(material & (lost > LOST * power)))

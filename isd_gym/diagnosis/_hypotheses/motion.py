@@ -8,20 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from ..._common.errors import InputError
+from ..._common.arrays import rms
 from ...physics.elements import Motion, Setting
 from ...physics.network import MOTIONS, Channel, Network, assemble
 from ...physics.network._frames import order_told
 from ...physics.simulate import pace, side_by_side
-from .._simulation.problem import Problem, bare
+from .._simulation.problem import BROKEN, Problem, bare
 from .library import pairs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from ..._common.arrays import Array
     from .._estimation.gauss_newton import Fit
     from .._estimation.structure import Hypothesis
+    from .._simulation.problem import Problem
+
 
 LANES = 48  # number of variants per call of the kernel
 
@@ -29,10 +31,8 @@ LANES = 48  # number of variants per call of the kernel
 def motions(
     problem: Problem, fit: Fit, also: tuple[tuple[str, str], ...] = ()
 ) -> dict[tuple[str, str], Motion]:
-    """Return elongation and rate of every pair in the fitted simulation of the records that are fitted by.
-
-    Where the inputs tell the rate of a pair alone, its elongation counts from the start of each record.
-    """
+    """Return elongation and rate of every pair in the fitted simulation of the training records; elongations that only rates tell count
+    from its start."""
     return {p: joined(own) for p, own in motions_by_record(problem, fit, also).items()}
 
 
@@ -90,13 +90,8 @@ def setting(
     pitches: tuple[float, ...] = (),
     load: Sequence[Array] | None = None,
 ) -> Setting:
-    """Return the setting from which an effect derives the start values of its fit.
-
-    `motion`: Motion of the place; None at a motor or a channel.
-    `force`: Typical force of the place [N].
-    `pitches`: Periods of travel [m] to begin with.
-    `load`: Load of a friction in each training record (samples,) [N].
-    """
+    """Return the setting from which an effect derives its start values: the motion of the place, its typical force [N], periods of travel
+    [m], and loads (samples,) [N]."""
     signal, time, samples = 1.0, problem.time, None
     if h.place == "element":
         name = next(c.name for c in network.inputs if c.quantity == "current" and c.element == h.where[0])
@@ -121,10 +116,8 @@ def setting(
 def simulate_variants(
     problem: Problem, fit: Fit, networks: Sequence[Network]
 ) -> Iterator[tuple[list[int], int, Array]]:
-    """Yield the outputs of many networks over the training records: network indices, record, outputs (samples, channels, lanes).
-
-    Lanes of one structure run together; what breaks down is left out.
-    """
+    """Yield the outputs of many networks over the training records: indices, record, outputs (samples, channels, lanes); what breaks down
+    is left out."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, net in enumerate(networks):
         asm = assemble(bare(net))
@@ -137,9 +130,34 @@ def simulate_variants(
         begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
         try:
             seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
-        except (InputError, np.linalg.LinAlgError):
+        except BROKEN:
             half = len(chunk) // 2  # isolate a variant that diverges
             chunks = [part for part in (chunk[:half], chunk[half:]) if 0 < len(part) < len(chunk)] + chunks
             continue
         for i, y in seen.items():
             yield chunk, i, y
+
+
+#: smallest difference of the magnitudes of two mean loads, as a share of the largest RMS load of a record
+LEAST_DIFFERENCE = 0.3
+
+
+def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> dict[str, list[Array]]:
+    """Return the load of each training record (samples,) [N], or [N m] where nodes turn, by loading element of the candidates, as a
+    fitted simulation computes it; empty where the simulation breaks down."""
+    names = list(dict.fromkeys(dict(h.options)["load"] for h in candidates if h.kind.loaded))
+    if not names:
+        return {}
+    probes = tuple(fit.network.probe(f"_{n}", "force", element=n) for n in names)
+    try:
+        seen = watched(problem, fit, probes)
+    except BROKEN:
+        return {}
+    return {n: [seen[i][:, k] for i in problem.estimation] for k, n in enumerate(names)}
+
+
+def tell_gain(loads: Sequence[Array]) -> bool:
+    """Return whether the loads of the records tell the level of a friction from its gain: the mean loads of two records must differ
+    in magnitude."""
+    means = [abs(float(np.mean(x))) for x in loads]
+    return max(means) - min(means) > LEAST_DIFFERENCE * max(rms(x) for x in loads)

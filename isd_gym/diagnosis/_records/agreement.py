@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import signal
 
-from ..._common.errors import InputError, plain
+from ..._common.errors import plain
 from ..._common.units import TABLE, convert
 from ...physics.network import own_time
-from .._simulation.problem import Problem
+from .._simulation.problem import BROKEN, Problem
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
@@ -80,7 +80,10 @@ def find_misreading(problem: Problem) -> str:
     if any(u >= VAGUE for u in network.uncertainty.values()):
         return ""
     scaled = [j for j in agree if own[j] > SCALED]
-    slips = {j: k for j in scaled if (k := _slip(float(amplitude[j])))}
+    slips: dict[int, float] = {}
+    for j, (factor, slack) in itertools.product(scaled, SLIPS):
+        if 1 / slack < amplitude[j] / factor < slack:
+            slips.setdefault(j, factor)
     common = set(slips.values())
     if len(slips) > 1 and len(common) == 1 and len(slips) == len(outputs) and len(drives) == 1:
         return _unit_line(drives[0], 1 / common.pop(), float(min(own[j] for j in slips)))
@@ -104,7 +107,7 @@ def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
         moved = replace(record, inputs={n: x - rest[n] for n, x in record.inputs.items()})
         try:
             said = Problem(problem.network, [moved]).simulate([problem.network], 0)[:, :, 0]
-        except (InputError, np.linalg.LinAlgError):
+        except BROKEN:
             continue
         skip = len(record) // 8  # start-up from rest
         x, y = said[skip : len(record)], record.measured[skip:]
@@ -148,14 +151,6 @@ def _swapped(outputs: list[Channel], r: Array, gain: Array) -> str:
                 f"are swapped: {remedy}"
             )
     return ""
-
-
-def _slip(gain: float) -> float:
-    """Return the factor of a wrong unit near a measured over simulated amplitude; 0 without one."""
-    for factor, slack in SLIPS:
-        if 1 / slack < gain / factor < slack:
-            return factor
-    return 0.0
 
 
 def _unit_line(channel: Channel, factor: float, r: float) -> str:

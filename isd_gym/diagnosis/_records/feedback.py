@@ -52,13 +52,8 @@ class Feedback:
 
 
 def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback, ...]:
-    """Return the inputs that follow from past outputs; none for records that are too short for a decision.
-
-    Each commanded input (`COMMANDED`) is predicted from its own past alone and from its own past with past outputs. Of an input that
-    switches between a few values, the own past includes the time since the last switch, so that a clock is no
-    feedback. Predictions are fitted on every other block in time and tested on the blocks between. The records are on one clock,
-    before any filter; records with time stamps by channel are left out.
-    """
+    """Return the commanded inputs that past outputs predict beyond their own past (with the time since the last switch of an input that
+    switches), on blocks that took no part in the fit; records with time stamps by channel are left out."""
     usable = [r for r in records if r.reading is None and r.samples == len(r) > 4 * (OWN + OUTPUT)]
     if not usable:
         return ()
@@ -85,8 +80,8 @@ def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback
 def _gain(
     records: Sequence[Record], name: str, outputs: Sequence[int], *, relay: bool
 ) -> tuple[float, float]:
-    """Return the share of the squared error of the own prediction that past outputs remove, mean over blocks, and the probability
-    of as many improved blocks without feedback. With `relay` the prediction knows the levels at which the input switched."""
+    """Return the share of the own prediction's squared error that past outputs (with `relay`: their levels at switches) remove, and the
+    probability of as many improved blocks without feedback."""
     own, more, target = [], [], []
     for r in records:
         u = r.inputs[name] - r.inputs[name].mean()
@@ -96,7 +91,11 @@ def _gain(
         answers = [_crossing(u, x) if relay else _past(x, OUTPUT, OWN) for x in y.T]
         more.append(np.concatenate(answers, axis=1))
         target.append(u[OWN:])
-    A, B = (_stacked(parts) for parts in (own, more))
+    widths = [max(m.shape[1] for m in parts) for parts in (own, more)]
+    A, B = (
+        np.concatenate([np.pad(m, ((0, 0), (0, width - m.shape[1]))) for m in parts])
+        for parts, width in zip((own, more), widths, strict=True)
+    )
     t = np.concatenate(target)
     block = np.asarray(np.arange(len(t)) * BLOCKS // len(t), float)
     before, after = (_unpredicted(X, t, block) for X in (A, np.concatenate([A, B], axis=1)))
@@ -109,12 +108,6 @@ def _gain(
     better = sum(s > 0 for s in shares)
     chance = sum(math.comb(len(shares), k) for k in range(better, len(shares) + 1)) / 2.0 ** len(shares)
     return float(np.mean(np.maximum(shares, -1.0))), chance
-
-
-def _stacked(parts: Sequence[Array]) -> Array:
-    """Return the rows of all parts; parts with fewer columns get columns of zeros."""
-    width = max(m.shape[1] for m in parts)
-    return np.concatenate([np.pad(m, ((0, 0), (0, width - m.shape[1]))) for m in parts])
 
 
 def _past(x: Array, count: int, start: int) -> Array:
@@ -131,11 +124,8 @@ def _edges(u: Array) -> list[int]:
 
 
 def _crossing(u: Array, y: Array) -> Array:
-    """Return whether an output has reached the level of earlier switches (samples - OWN, columns).
-
-    A relay switches where the output, or the output some time ahead along its slope (a derivative action), crosses a level. There is one
-    column per value of the input and per value of `AHEAD`. No columns for an input that does not switch.
-    """
+    """Return whether an output, or the output some time ahead along its slope, has reached the level of earlier switches (samples - OWN,
+    columns); no columns for an input that does not switch."""
     edges, n = _edges(u), len(u)
     if not edges:
         return np.zeros((n - OWN, 0))
@@ -159,12 +149,8 @@ def _crossing(u: Array, y: Array) -> Array:
 
 
 def _switching(u: Array) -> Array:
-    """Return what the past of an input that switches tells about the next switch (samples - OWN, columns).
-
-    Columns for each value of the input: a constant, the time since the last switch over the median interval and its square, whether
-    this time reaches the last interval at this value, whether the clock of the intervals ticks, and the time beyond the
-    mean of the last intervals. No columns for an input that does not switch.
-    """
+    """Return what the past of an input that switches tells about its next switch, for each value (samples - OWN, columns): times since
+    the last switch beside the last, the mean and the common interval."""
     n, values, edges = len(u), np.unique(u), _edges(u)
     if not edges:
         return np.zeros((n - OWN, 0))

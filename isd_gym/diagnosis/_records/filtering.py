@@ -14,11 +14,10 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import firwin, welch
 
-from ..._common.errors import InputError
 from ..._common.units import convert
 from ...physics.network import MOTIONS, natural_frequencies, transfer
 from .._simulation.interpolation import differences
-from .._simulation.problem import low_pass
+from .._simulation.problem import BROKEN, low_pass
 from .multirate import build_record
 
 if TYPE_CHECKING:
@@ -51,8 +50,7 @@ LEAST_COMPARED = 60  # least number of compared samples of a record behind a low
 
 
 def differentiate_inputs(records: list[Record], network: Network) -> list[Record]:
-    """Return records behind one low-pass, with derivatives, if noisy inputs have to be differentiated; `records` unchanged if no
-    low-pass is needed or sampling intervals differ."""
+    """Return records behind one low-pass, with derivatives, if noisy inputs have to be differentiated; else `records` unchanged."""
     orders = count_derivatives(network)
     step = records[0].step
     if not orders or any(abs(r.step - step) > 1e-3 * step for r in records):
@@ -103,11 +101,8 @@ def _highest_derivative(network: Network, node: str) -> int:
 
 
 def choose_decimation(records: Sequence[Record], network: Network) -> int:
-    """Return n such that every n-th output sample is compared, behind a low-pass at `FILLED` of the new Nyquist frequency.
-
-    The low-pass ends at the noise of the derivatives of the inputs (`find_derivative_band`), but never within the signal band
-    of the outputs (`find_signal_band`). n is 1 if no low-pass is needed or every low-pass would remove signal.
-    """
+    """Return n such that every n-th output sample is compared, behind a low-pass at `FILLED` of the new Nyquist frequency: it ends at the
+    noise of the derivatives of the inputs, but never within the signal band of the outputs."""
     orders = count_derivatives(network)
     nyquist = 0.5 / records[0].step
     bands = [
@@ -128,11 +123,8 @@ def choose_decimation(records: Sequence[Record], network: Network) -> int:
 
 
 def find_noise_band(records: Sequence[Record], network: Network) -> float:
-    """Return the lowest frequency [Hz] from which on a force computed from a twice differentiated motion is noise, or infinity.
-
-    White noise of the motion makes noise of the computed force that grows with the square of the frequency. From the returned
-    frequency on, this noise has more power than the measured force, at that frequency and in sum over all higher frequencies.
-    """
+    """Return the frequency [Hz] from which on the noise of a force computed from a twice differentiated motion, which grows with the
+    square of the frequency, has more power than the measured force, there and in sum beyond; or infinity."""
     step, lowest = records[0].step, math.inf
     usable = [r for r in records if r.reading is None and len(r) == r.samples >= 64]
     length = min([LENGTH, *(len(r) // 4 for r in usable)])
@@ -144,7 +136,7 @@ def find_noise_band(records: Sequence[Record], network: Network) -> float:
         frequency, seen = spectra[0][0], np.mean([s for _, s in spectra], axis=0)
         try:
             gain = transfer(network, frequency)[:, j, k] * convert(1.0, force.si, force.unit)
-        except (InputError, np.linalg.LinAlgError):
+        except BROKEN:
             continue
         made = np.abs(gain) ** 2 * 2 * noise**2 * step
         above = np.flatnonzero((made > seen) & (np.cumsum((made - seen)[::-1])[::-1] > 0))
@@ -164,21 +156,15 @@ def find_computed_forces(network: Network) -> list[tuple[Channel, Channel]]:
 
 
 def estimate_white_noise(x: Array) -> float:
-    """Return the RMS of the white noise of a smooth signal (n,): the least over several orders of differences.
-
-    Differences of high order suppress a smooth motion, and have the variance of the noise times a binomial coefficient (Hall, Kay
-    and Titterington, Biometrika 77 (1990) 521).
-    """
+    """Return the RMS of the white noise of a smooth signal (n,): the least over several orders of differences, whose variance is that of
+    the noise times a binomial coefficient (Hall, Kay and Titterington, Biometrika 77 (1990) 521)."""
     variances = [np.mean(np.diff(x, m) ** 2) / math.comb(2 * m, m) for m in ORDERS if len(x) > 2 * m]
     return math.sqrt(float(min(variances, default=0.0)))
 
 
 def find_derivative_band(record: Record, network: Network, channel: Channel, order: int) -> float:
-    """Return the frequency [Hz] up to which the derivative of an input is signal; infinite if its noise is negligible.
-
-    The band ends in the valley between motion and noise. A force sensor at the moved node gives a better estimate
-    (`_find_force_band`).
-    """
+    """Return the frequency [Hz] up to which the derivative of an input is signal: that of the valley between motion and noise, or that of
+    `_find_force_band`; infinite if its noise is negligible."""
     x, step = record.inputs[channel.name], record.step
     f, density = _estimate_density(np.diff(x, order), step)
     width = max(3, len(f) // 64)
@@ -205,16 +191,11 @@ def _find_force_band(
     motion: Array,
     valley: int,
 ) -> float | None:
-    """Return the frequency [Hz] above which the force computed from a measured motion is noise; None if the linear model has no
-    frequency response.
-
-    Above this frequency the computed force has more than 1.5 times the power of the measured force. A missing effect causes
-    an excess at some frequencies only. Up to the index `valley` of `frequency` (n,) [Hz], computed and measured power are made
-    equal; `motion` (n,) is the power density of the measured motion.
-    """
+    """Return the frequency [Hz] above which the force computed from a measured motion has more than 1.5 times the power of the measured
+    force: noise, since a missing effect causes an excess at some frequencies only. None if the model has no frequency response."""
     try:
         gain = transfer(network, frequency)[:, output, network.inputs.index(channel)]
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return None
     width = max(3, len(frequency) // 64)
     top = len(frequency) - width
@@ -228,16 +209,8 @@ def _find_force_band(
 
 
 def find_signal_band(record: Record, network: Network) -> float:
-    """Return the highest frequency [Hz] of the signals in a record.
-
-    An output holds a signal at frequencies with `VISIBLE` times the power density of its noise. The band includes
-
-    - every signal within the resonance of the nominal model (`ABOVE_RESONANCE`): slow motion has most of the power of a
-      displacement, but parameters and effects differ most at resonance;
-    - every signal of a displacement, since noise of a derivative reaches a displacement only through a mass;
-    - `KEPT` of the power of forces and accelerations, since derivatives add noise to both directly;
-    - every natural frequency present in the motion of an input, with or without response.
-    """
+    """Return the highest frequency [Hz] of the signals in a record: of every signal within the resonance of the model and of
+    displacements, of `KEPT` of the power of other outputs, and of every natural frequency in the motion of an input."""
     natural = natural_frequencies(network)
     resonant = ABOVE_RESONANCE * float(natural.max(initial=0.0))
     highest = 0.0

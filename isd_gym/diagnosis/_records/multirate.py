@@ -23,7 +23,7 @@ from ...records._loggers.recording import Recording, Signal, sampled
 from ...records.data import Table, check
 from ...records.data._quality import Scale, admit
 from .._simulation.interpolation import through
-from .._simulation.problem import Problem, Record
+from .._simulation.problem import BROKEN, Problem, Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -115,11 +115,8 @@ def build_record(
     thin: int = 1,
     cutoff: float | None = None,
 ) -> Record:
-    """Return a record with outputs compared at the instants of their samples.
-
-    `lags` are the delays [s] of the stamps of clocks with unknown lag. Every output passes a low-pass with the cutoff [Hz]; without
-    a cutoff only faster outputs do.
-    """
+    """Return a record with outputs compared at the instants of their samples, behind a low-pass with a cutoff [Hz] or for faster outputs
+    only. `lags`: delays [s] of the stamps of clocks."""
     notes = [] if notes is None else notes
     clock = _find_reference_clock(recording, network)
     late = {**dict.fromkeys(recording.clocks, 0.0), **(lags or {}), **recording.lags}
@@ -191,11 +188,7 @@ def _find_reference_clock(recording: Recording, network: Network) -> str:
 def _choose_grid(
     recording: Recording, network: Network, stamps: Mapping[str, Array], thin: int, cutoff: float | None
 ) -> tuple[_Grid, dict[str, float]]:
-    """Return the grid of a recording, and half the length [s] of the low-pass by filtered output.
-
-    `stamps`: Time stamps [s] of each channel without lag.
-    `cutoff`: Cutoff [Hz] of a low-pass for all outputs, if any.
-    """
+    """Return the grid of a recording with time stamps [s] by channel, and half the length [s] of the low-pass by filtered output."""
     outputs, inputs = [[c.name for c in side] for side in (network.outputs, network.inputs)]
     steps = {n: recording.signals[n].step for n in stamps}
     slow = max(steps[n] for n in outputs)
@@ -267,10 +260,7 @@ def _build_interpolation(time: Array, start: float, step: float, size: int) -> A
 
 
 def check_sampling_rates(record: Record, network: Network) -> None:
-    """Refuse records with an output sampled below twice the bandwidth of its motion.
-
-    The bandwidth is that of the nominal model, simulated over the inputs of the record.
-    """
+    """Refuse records with an output sampled below twice the bandwidth of its motion, simulated with the nominal model."""
     signals = record.source.signals if record.source is not None else {}
     steps = [signals[c.name].step if signals else record.step for c in network.outputs]
     periods = [2 * math.pi * pace(y, record.interval) for y in record.measured.T]
@@ -289,7 +279,7 @@ def check_sampling_rates(record: Record, network: Network) -> None:
     fine = replace(record.unread(), step=record.step / FINER, inputs=inputs, slopes={}, size=0)
     try:
         simulated = Problem(network, [fine]).simulate([network], 0)[:, :, 0]
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return
     for j in slow:
         y = simulated[:, j]

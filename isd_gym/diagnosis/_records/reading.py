@@ -16,7 +16,7 @@ from ...physics.simulate import COARSE
 from ...records._loggers.recording import Recording, Signal
 from ...records.data import Table, check, read_table
 from ...records.data._quality import CAR, Scale, admit, known_check, rises_unevenly
-from .._simulation.problem import Problem, Record, thinned
+from .._simulation.problem import BROKEN, Problem, Record, thinned
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording
 
@@ -33,10 +33,8 @@ LEAST_SAMPLES = 32  # least number of samples of a record from which the scale o
 def read_record(
     source: Table | Recording | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
 ) -> Record:
-    """Return a measured record after the data checks, with inputs in SI units and outputs in the units of the channels.
-
-    The checks that `accept` names (or 'all') only warn.
-    """
+    """Return a measured record in SI units (inputs) and units of the channels (outputs) after the data checks; those in `accept` (or
+    'all') only warn."""
     for name in accept:
         known_check(name)
     if isinstance(source, Recording):
@@ -70,10 +68,7 @@ def read_record(
 
 
 def thin_long_record(record: Record, network: Network, notes: list[str]) -> Record:
-    """Return a record of at most `LONG` samples, or as few as resolve the motion; shorter records stay as they are.
-
-    Inputs are low-pass filtered, or averaged where they are held between samples.
-    """
+    """Return a record of at most `LONG` samples, or as few as resolve the motion, behind a low-pass; shorter records stay as they are."""
     if record.samples <= LONG or record.filtered or record.reading is not None:
         return record
     by = min(math.ceil(record.samples / LONG), int(COARSE * record.pace / record.step))
@@ -107,11 +102,7 @@ def _convert_table(table: Table, network: Network) -> Record:
 
 
 def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
-    """Return the time scale of the rig and the standard deviations of outputs simulated from rest.
-
-    The time scale stands alone if the model has no input, if an input is differentiated twice (noise would dominate the outputs),
-    or if the simulation fails.
-    """
+    """Return the time scale of the rig and, where a simulation from rest tells them, the standard deviations of the outputs."""
     time, slowest = own_time(network), slowest_time(network)
     scale = Scale(time or CAR, slowest=slowest or math.nan, period=2.0 * math.pi * time if time else math.inf)
     if not network.inputs or 2 in count_derivatives(network).values():
@@ -125,7 +116,7 @@ def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
         moved = replace(raw, inputs={n: x - rest[n] for n, x in raw.inputs.items()})
         problem = Problem(network, [moved])
         outputs = problem.simulate([network], 0)[moved.samples // 2 :, :, 0] / problem.factors
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         return scale
     spread = dict(zip(problem.channels, map(float, outputs.std(axis=0)), strict=True))
     return replace(scale, spread={n: s for n, s in spread.items() if math.isfinite(s) and s > 0})

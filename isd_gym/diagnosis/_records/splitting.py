@@ -24,14 +24,8 @@ STILL = 4.0  # ratio to the power of the quietest window below which a window is
 def split_records(
     data: list[Record], validate: list[Record], notes: list[str], time: float, lead: float = 0.0
 ) -> tuple[list[Record], list[Role]]:
-    """Split records into training, validation and test records.
-
-    Each held-out record is cut into segments, alternately for validation and for test, so that both roles see every record and the
-    order of the records does not matter. Without `validate` the last third of the records is held out, or the last third of the motion
-    of a single record. The records come back with their roles, training records first: "fit" (training), "choose" (validation),
-    "report" (test). Where no held-out record has two segments, all are for validation. `time` is the time scale of the rig [s],
-    `lead` the simulated time before a held-out segment, without comparison [s].
-    """
+    """Return training records and held-out segments, alternately for validation and test, with their roles: segments of `validate`, of
+    the last third of the records, or of the motion of a single one. `lead`: simulated time before a segment [s]. How is noted."""
     training, held = data, validate
     if not held and len(training) > 1:
         count = max(1, len(training) // 3)
@@ -88,10 +82,7 @@ def _split_record(record: Record) -> tuple[Record, Record]:
 
 
 def _find_rest(record: Record, y: Array) -> int:
-    """Return the sample at which the rest of a record begins, if the rest is more than half of the record.
-
-    `y`: Its outputs without their mean (n, channels).
-    """
+    """Return the sample at which the rest of a record with outputs (n, channels) begins, if the rest is more than half of the record."""
     length = max(16, math.ceil(6 * record.pace / record.interval))
     count = len(y) // length
     if count < WINDOWS:
@@ -104,11 +95,7 @@ def _find_rest(record: Record, y: Array) -> int:
 
 
 def cut_segments(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
-    """Cut a record into segments of equal length.
-
-    `seconds`: Least length of a segment [s].
-    `lead`: Simulated time before a segment, without comparison [s].
-    """
+    """Cut a record into segments of equal length of at least some seconds, each with a lead [s] that is simulated but not compared."""
     count = max(1, int(len(record) * record.interval / seconds))
     count = min(count, max(1, len(record) // least))
     edges = np.linspace(0, len(record), count + 1).astype(int)

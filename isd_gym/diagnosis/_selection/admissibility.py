@@ -16,8 +16,8 @@ from ..._common.errors import InputError
 from ...physics import elements as el
 from ...physics.network import linearise
 from .._hypotheses.law_matching import match_laws
+from .._hypotheses.missing_force import RESOLVED, typical_advance
 from .._hypotheses.motion import motions
-from .._hypotheses.position_spectrum import RESOLVED, typical_advance
 from .._simulation.problem import bare
 from .criteria import CRITERIA
 
@@ -56,22 +56,13 @@ class Travel:
         return self.is_observed or self.passes >= c.periods
 
     def shows_period(self, period: float, c: Criteria = CRITERIA) -> bool:
-        """Return whether a force with a period over travel can be seen to repeat.
-
-        `period`: Period [m].
-        """
+        """Return whether a force with a period [m] over travel can be seen to repeat."""
         is_resolved = period >= RESOLVED * self.advance
         return is_resolved and (self.is_known(c) or self.span >= 2.0 * c.periods * period)
 
 
 def is_observed(network: Network, pair: Pair) -> bool:
-    """Return whether the outputs of a network tell the distance between two nodes.
-
-    The distance is unknown if the network rests at any distance with the same outputs: then the start distance of each record is
-    free. The offset of a sensor that is free in each record hides the distance, too.
-
-    `network`: The model; laws count with their slope at rest.
-    """
+    """Return whether the outputs tell the distance between two nodes: the network must not rest at any distance with the same outputs."""
     told = tuple(c for c in network.outputs if c.offset != "record")
     try:
         probe = network.probe(network.free_name("travel"), "displacement", between=pair)
@@ -136,11 +127,7 @@ def admissible_matches(
     candidates: Iterable[Hypothesis],
     known: Mapping[Pair, Travel] | None = None,
 ) -> list[Match]:
-    """Return the matches of every admissible effect, the largest share of the residual first.
-
-    `noise`: White noise (channels,) of the outputs.
-    `known`: What the records tell about the distance of each pair; what `problem` tells by default.
-    """
+    """Return the matches of every admissible effect, the largest share of the residual first."""
     known = travels(problem, fit.network, motions(problem, fit)) if known is None else known
     admissible = [h for h in candidates if is_admissible(h, known)]
     return [m for m in match_laws(problem, fitter, fit, noise, admissible) if _is_resolved(m, known)]

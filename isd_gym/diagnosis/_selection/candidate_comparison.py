@@ -38,7 +38,7 @@ class CandidateComparison:
     def __post_init__(self) -> None:
         self.chosen = self.foremost = self.refitted
         self.stages = [list(stage) for stage in self.stages]  # other comparisons keep theirs
-        self._scores: dict[int, tuple[Candidate, HeldOutScore]] = {}
+        self._scores: dict[Candidate, HeldOutScore] = {}
         self._similar = self.evaluator.score_path(self.path)
         self.filters = self.evaluator.whitener(self.richest)
         #: noise of each channel on the validation records, as a share of the deviation (channels,)
@@ -58,10 +58,9 @@ class CandidateComparison:
 
     def score(self, candidate: Candidate) -> HeldOutScore:
         """Return the score of a candidate."""
-        if id(candidate) not in self._scores:
-            found = self.evaluator.score(candidate, self.filters, self._similar)
-            self._scores[id(candidate)] = candidate, found
-        return self._scores[id(candidate)][1]
+        if candidate not in self._scores:
+            self._scores[candidate] = self.evaluator.score(candidate, self.filters, self._similar)
+        return self._scores[candidate]
 
     def can_score(self, candidate: Candidate) -> bool:
         """Return whether the held-out records can be simulated with a candidate."""
@@ -77,10 +76,8 @@ class CandidateComparison:
 
     # -- explained fractions ------------------------------------------------------------------------------
     def explained_fraction(self, before: HeldOutScore, after: HeldOutScore) -> float:
-        """Return the share of the excess error of one score that another score removes.
-
-        The whitened error counts, or the plain error where the plain error falls by more.
-        """
+        """Return the share of the excess error of one score that another removes: of the whitened error, or of the plain error if that
+        falls by more."""
         whitened = (before.mean_square - after.mean_square) / max(
             before.mean_square - self.noise_score, 1e-12
         )
@@ -90,10 +87,8 @@ class CandidateComparison:
         return max(whitened, top / max(excess, 1e-12))
 
     def explained(self, candidate: Candidate, envelope: Array) -> float:
-        """Return the share of the refitted model's excess error that a candidate removes, in all and in the channel with the widest gap.
-
-        `envelope`: Excess error of unmodelled effects (channels,): the measure of a wide gap, since friction lets some channels drift.
-        """
+        """Return the share of the refitted model's excess error that a candidate removes, in all and in the channel with the widest gap
+        over the envelope (channels,)."""
         refit, after = self.score(self.refitted), self.score(candidate)
         before, left = refit.excess(self.noise) ** 2, after.excess(self.noise) ** 2
         return min(self.explained_fraction(refit, after), _removed_where_widest(before, left, envelope))
@@ -130,16 +125,7 @@ class CandidateComparison:
     def candidates(self) -> list[Candidate]:
         """Return the chosen and the foremost candidate, the path, and at most `RIVALS` candidates of each stage."""
         stages = [r for stage in self.stages for r in stage[:RIVALS]]
-        found: list[Candidate] = []
-        for r in [self.chosen, self.foremost, *self.path, *stages]:
-            if not any(r is q for q in found):
-                found.append(r)
-        return found
-
-    def runners_up(self) -> list[tuple[float, Candidate]]:
-        """Return the other candidates of the first stage with their mean whitened squares, smallest first."""
-        scored = [(self.score(r).mean_square, r) for r in self.stages[0][1:] if self.can_score(r)]
-        return sorted(scored, key=lambda t: t[0])
+        return list(dict.fromkeys([self.chosen, self.foremost, *self.path, *stages]))
 
 
 def _removed_where_widest(before: Array, left: Array, envelope: Array) -> float:

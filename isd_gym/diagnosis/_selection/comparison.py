@@ -47,8 +47,7 @@ class Comparison:
 
 
 def compare(first: Array, second: Array) -> Comparison:
-    """Compare two candidates by their log predictive densities (blocks,) [nats] on the same held-out blocks: the difference and its
-    standard error, which is infinite for a single block."""
+    """Return the difference of log predictive densities (blocks,) [nats] and its standard error, which is infinite for a single block."""
     difference = np.asarray(first) - np.asarray(second)
     count = len(difference)
     dse = math.sqrt(count * float(np.var(difference, ddof=1))) if count > 1 else math.inf
@@ -56,23 +55,15 @@ def compare(first: Array, second: Array) -> Comparison:
 
 
 def log_density(squares: Array, weight: float, floor: Array) -> float:
-    """Return the log predictive density [nats], without constants, of a block of whitened residuals whose noise variance is unknown.
-
-    The variance of each channel has a scaled inverse chi-squared prior with as many degrees of freedom as the block has samples.
-    Integrating the variance out leaves a Student t density (Gelman et al.: Bayesian Data Analysis, 3rd edition (2013), sections 3.2
-    and 17.2), so a block with a gross error counts by the logarithm of the error: in a free decay, most of the power of all errors
-    lies in the first periods.
-
-    `squares` (samples, channels) are those of the residuals. `weight` is the number of independent samples: blocks hold the same
-    signal energy, so every block of a record has its mean length. `floor` (channels,), the scale of the prior, is the whitened
-    variance of the smallest noise that any model is credited with.
-    """
+    """Return the log predictive density [nats], without constants, of a block of squared whitened residuals (samples, channels) with
+    unknown noise variance: a Student t density, in which a gross error counts by its logarithm (Gelman et al.: Bayesian Data Analysis,
+    3rd edition (2013), sections 3.2 and 17.2). `weight`: independent samples; `floor` (channels,): scale of the prior."""
     return -weight * float(np.sum(np.log1p(squares.mean(axis=0) / floor)))
 
 
 def block_edges(measured: Array, blocks: int, least: int) -> Array:
-    """Return indices (edges,) of blocks of equal signal energy of measured channels (samples, channels): in a free decay, blocks of
-    equal length would be empty but for the first."""
+    """Return indices (edges,) of blocks of equal signal energy of measured channels (samples, channels): a decay has most in its first
+    periods."""
     deviation = measured - measured.mean(axis=0)
     power = np.sum((deviation / np.maximum(measured.std(axis=0), 1e-300)) ** 2, axis=1)
     energy = np.cumsum(power + 0.02 * max(float(power.mean()), 1e-300))

@@ -6,10 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from ...physics import elements as el
 from .._estimation.structure import Hypothesis, Structure, in_line, rebuilt, twin
-from .._hypotheses.curve_matching import match_law
 from .._hypotheses.forces import element_forces, place_forces
 from .._hypotheses.library import hypotheses
 from .._hypotheses.motion import motions, setting
@@ -32,6 +32,7 @@ POINTS = 240  # of the motion at which forces are compared: a resolution
 NEAR = 0.5  # largest error of a match, as a share of the force
 MAX_MATCHES = 3  # matches per effect
 STARTS = 6  # of a law at most
+EVALUATIONS = 60  # of a law per start
 TRAVEL = 0.95  # share of the samples that define the travel: rare excursions show no repetition
 ALIKE = 0.25  # largest difference of two motions that a fit bridges, as a share of the motion
 
@@ -89,11 +90,7 @@ def _places_alike(
 
 
 def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
-    """Replace several laws over one plane at one place by a single law, in the order of their match, and several series laws along
-    one line by one of them.
-
-    The links of a chain without masses carry the same force, so that two series laws on it may imitate one at a third link.
-    """
+    """Replace several laws over one plane at one place by a single law, and several series laws along one line by one of them."""
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
     groups: dict[tuple[tuple[str, str], object], list[int]] = {}
@@ -154,10 +151,8 @@ def repeats(element: el.Element, motion: el.Motion, c: Criteria = CRITERIA) -> b
 
 
 def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> bool:
-    """Return whether the values of a candidate's effects agree with the effects' names.
-
-    A periodic law must repeat within the travel, and a law must differ from a limit that has another name.
-    """
+    """Return whether the values of a candidate's effects agree with their names: periods repeat, and laws differ from limits with another
+    name."""
     if not candidate.well_formed():
         return False
     default = el.Element.differs_from_limit
@@ -177,11 +172,8 @@ def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> 
 
 
 def force_difference(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:
-    """Return the root mean square difference in force between an effect and the law that replaces the effect, as a share of the
-    force; infinite if the laws are at different places or in series.
-
-    The forces belong to the motion that is simulated with the effect. A law with memory, such as hysteresis, is simulated.
-    """
+    """Return the RMS difference of the force of an effect and of the law that replaces it, over the former, along the motion with the
+    effect; infinite if the laws are at different places or in series."""
     new = next(j for j, h in enumerate(other.hypotheses) if h not in candidate.hypotheses)
     one, two = candidate.elements[effect], other.elements[new]
     motion = motions(problem, candidate.fit).get(one.between) if one.place == "between" else None
@@ -220,12 +212,8 @@ def _match_laws(
     force_at: Callable[[Sequence[str]], float],
     absorbing: Sequence[el.Element] = (),
 ) -> list[Effect]:
-    """Return at most `MAX_MATCHES` laws with an error below `NEAR`, best first, matched to the total force of found elements over one
-    plane.
-
-    `force_at` returns the typical force [N] at a place. The coefficients of `absorbing` laws beside the elements may take up a part
-    of the difference.
-    """
+    """Return at most `MAX_MATCHES` laws with an error below `NEAR`, best first, matched to the total force of elements over one plane,
+    beside the coefficients of `absorbing` laws. `force_at`: typical force [N] of a place."""
     travel = motion.v if found[0].plane == "rate" else motion.d
     axis = np.sort(travel[:: max(1, len(travel) // POINTS)])
     target = np.sum([e.curve(axis) for e in found], axis=0)
@@ -242,6 +230,43 @@ def _match_laws(
 
         starts = h.kind.starts(setting(problem, problem.network, h, motion, force_at(h.where)))[:STARTS]
         match = match_law(h.kind, (s.values for s in starts), residual)
-        if match is not None and match.error < NEAR:
-            near.append((match.error, (h, match.values)))
+        if match is not None and match[0] < NEAR:
+            near.append((match[0], (h, match[1])))
     return [effect for _, effect in sorted(near, key=lambda t: t[0])[:MAX_MATCHES]]
+
+
+def match_law(
+    kind: type[el.Element],
+    starts: Iterable[Mapping[str, float]],
+    residual: Callable[[dict[str, float]], Array],
+    *,
+    mirrored: bool = False,
+) -> tuple[float, dict[str, float]] | None:
+    """Return the RMS error and the values of the best match of a law's free parameters to a curve over several starts; None if no fit
+    succeeds. Parameters with a minimum of zero or more are fitted by their logarithm."""
+    matches = [m for start in starts for m in _matches_from(start, kind, residual, mirrored)]
+    return min(matches, key=lambda m: m[0], default=None)
+
+
+def _matches_from(
+    start: Mapping[str, float],
+    kind: type[el.Element],
+    residual: Callable[[dict[str, float]], Array],
+    mirrored: bool,
+) -> Iterator[tuple[float, dict[str, float]]]:
+    """Yield the fits from one start, and from its mirror image."""
+    free = [f for f in el.parameter_fields(kind) if not f.metadata["fixed"] and f.name in start]
+    unit = [max(abs(start[f.name]), 1e-12) for f in free]
+    log = [f.metadata["minimum"] >= 0 for f in free]
+
+    def values_at(x: Array) -> dict[str, float]:
+        scaled = (u * math.exp(min(v, 50.0)) if lg else u * v for u, v, lg in zip(unit, x, log, strict=True))
+        return {**start, **dict(zip([f.name for f in free], map(float, scaled), strict=True))}
+
+    for sign in (1.0, -1.0) if mirrored and not all(log) else (1.0,):
+        x0 = np.array([0.0 if lg else sign for lg in log])
+        try:
+            fit = least_squares(lambda x: residual(values_at(x)), x0, max_nfev=EVALUATIONS)
+        except (*BROKEN, ValueError, OverflowError):
+            continue
+        yield el.rms(fit.fun), values_at(fit.x)

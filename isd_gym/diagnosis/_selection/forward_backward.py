@@ -8,15 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._estimation.gauss_newton import gap
+from .._estimation.noise import refined_noise
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import EVIDENCE, SEARCH, SELECTION, TimeLimit, TimeUp
-from .candidate import Candidate, deviance_with_noise_of, is_special_case, same_effects, simpler_structures
+from .candidate import (
+    Candidate,
+    CandidateFitter,
+    deviance_with_noise_of,
+    is_special_case,
+    same_effects,
+    simpler_structures,
+)
 from .candidate_comparison import RIVALS, CandidateComparison
-from .candidate_fitter import CandidateFitter
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .inclusion_tests import InclusionTests
-from .screening import Screening, ScreeningResult
+from .screening import Screening
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -79,10 +86,7 @@ class Search:
         stages: Sequence[list[Candidate]] = (),
         is_promising: Callable[[Candidate], bool] = lambda last: True,
     ) -> tuple[list[Candidate], list[list[Candidate]]]:
-        """Add one effect at a time.
-
-        `path`: Candidates with one more effect each; the first is the refitted nominal model.
-        """
+        """Add one effect at a time to a path, which begins with the refitted nominal model, and keep the candidates of each stage."""
         path, stages = list(path), list(stages)
         try:
             with self.clock.until(SEARCH):
@@ -138,21 +142,18 @@ class Search:
             if is_small and float(then.excess(e.noise_share(then)).mean()) < c.wide_gap:
                 break
 
-    def _hint(self, now: Candidate) -> Candidate | None:
-        """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
-        result = Screening(
-            self.problem, now.fit, self.least_noise, replace(self.settings, matches=3, finals=2)
-        ).run()
-        self._keep_places(now, result)
-        before = deviance_with_noise_of(
-            self.problem, now, now, np.maximum(self.least_noise, 0.1 * result.noise)
-        )
-        best = next(iter(result.ranked), None)
-        return best if best is not None and before - best.deviance > self.criteria.deviance_gain else None
-
-    def _keep_places(self, now: Candidate, result: ScreeningResult) -> None:
+    def _screen(self, now: Candidate, settings: SearchSettings) -> tuple[list[Candidate], float]:
+        """Return candidates with one more effect, best first, and the deviance without it."""
+        result = Screening(self.problem, now.fit, self.least_noise, settings).run()
         if not now.hypotheses:
             self.places[:] = result.places
+        noise = refined_noise(result.noise, self.least_noise)
+        return list(result.ranked), deviance_with_noise_of(self.problem, now, now, noise)
+
+    def _hint(self, now: Candidate) -> Candidate | None:
+        """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
+        ranked, before = self._screen(now, replace(self.settings, matches=3, finals=2))
+        return ranked[0] if ranked and before - ranked[0].deviance > self.criteria.deviance_gain else None
 
     def _moves_a_channel(self, candidate: Candidate, now: Candidate, score: HeldOutScore) -> bool:
         """Return whether a candidate reduces the error of a channel by a material share."""
@@ -165,12 +166,9 @@ class Search:
     def _add_best(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
         """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
         p, c = self.problem, self.criteria
-        result = Screening(p, now.fit, self.least_noise, self.settings).run()
-        self._keep_places(now, result)
-        ranked, noise = list(result.ranked), np.maximum(self.least_noise, 0.1 * result.noise)
+        ranked, before = self._screen(now, self.settings)
         if not ranked:
             return None
-        before = deviance_with_noise_of(p, now, now, noise)
         best = ranked[0]
         gain = before - best.deviance
         self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
@@ -180,10 +178,7 @@ class Search:
 
     # -- backward elimination -----------------------------------------------------------------------------
     def select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
-        """Select the effects of a path that pass the tests, and the simplest law for each.
-
-        An effect that was not compared with its rivals before the time was up is not selected.
-        """
+        """Select the effects of a path that pass the tests, and the simplest law for each; none where the time does not suffice."""
         try:
             with self.clock.until(SELECTION):
                 return self._select(path, stages)
@@ -249,10 +244,7 @@ class Search:
     def _fit_simpler(
         self, structure: Structure, chosen: Candidate, known: Sequence[Candidate]
     ) -> Candidate | None:
-        """Return the best fit of a simpler structure: a known candidate, or a new fit from the values of the chosen one.
-
-        A known candidate may have ended in a local optimum, which would make whatever was added to it look needed.
-        """
+        """Return the best fit of a simpler structure: a known candidate, or a new fit where that may be in a local optimum."""
 
         def rank(q: Candidate) -> float:
             return deviance_with_noise_of(self.problem, q, chosen, self.least_noise)
@@ -299,7 +291,10 @@ class Search:
         first = scores.stages[0][0]
         try:
             with self.clock.until(SEARCH):
-                runners = scores.runners_up()[: self.settings.turns]
+                scored = [
+                    (scores.score(r).mean_square, r) for r in scores.stages[0][1:] if scores.can_score(r)
+                ]
+                runners = sorted(scored, key=lambda t: t[0])[: self.settings.turns]
                 refitted = scores.score(scores.refitted).mean_square
         except TimeUp:
             self.clock.leave_out("further starts of the search")
@@ -338,11 +333,8 @@ class Search:
         return self._select(path, stages) if leads(path[-1]) else None
 
     def _improves(self, other: CandidateComparison, best: CandidateComparison) -> bool:
-        """Return whether another comparison's choice predicts better, or no worse with fewer effects.
-
-        Both choices are scored with the filters of the comparison whose richest candidate has the smaller deviance: filters from a poor
-        fit distinguish nothing.
-        """
+        """Return whether another comparison's choice predicts better, or no worse with fewer effects, with the filters of the richer
+        fit."""
         mine, theirs = other.chosen, best.chosen
         common = min(other, best, key=lambda scores: scores.richest.deviance)
         if not common.can_score(mine):

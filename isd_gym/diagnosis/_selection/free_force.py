@@ -23,7 +23,6 @@ from ...physics.network._frames import order_told
 from .._estimation.gauss_newton import Fit, Fitter, residuals
 from .._estimation.noise import Whitener, whitener
 from .._estimation.structure import Free, Structure, cells_beside
-from .._hypotheses.curve_matching import match_law
 from .._hypotheses.forces import PlaceForces, place_forces
 from .._hypotheses.library import hypotheses, pairs
 from .._hypotheses.motion import motions, setting
@@ -31,6 +30,7 @@ from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
 from .admissibility import travels
 from .candidate import Candidate, settle, transfer, white_noise
+from .equivalent_laws import match_law
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -116,11 +116,8 @@ def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -
 
 
 def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: float, sigma: float) -> Table:
-    """Return the refitted nominal model with a table between two nodes.
-
-    `length`: Correlation length, as a share of half the range of the motion.
-    `sigma`: Prior standard deviation of the force [N].
-    """
+    """Return the refitted nominal model with a table between two nodes. `length`: share of half the motion's range; `sigma`: deviation of
+    the force [N]."""
     network, base = fit.network, fit.structure
     motion = {"elongation": m.d, "rate": m.v}
     axes = {k: _axis(x, KNOTS[over]) for k, x in motion.items() if over in (k, "both")}
@@ -200,11 +197,8 @@ def fit_free_force(
     base: Candidate,
     gates: Callable[[float, float, float, float], tuple[Gate, ...]],
 ) -> FreeForce:
-    """Fit tables of a force between two nodes and return the table that explains the held-out records best.
-
-    `gates`: Function from the explained fraction, the error reduction, the standard errors of the gain and the explained fraction of the
-    test records to the gates of a table.
-    """
+    """Return the table of a force between two nodes that explains the held-out records best, with its gates by explained fraction, error
+    reduction, standard errors of the gain and explained fraction of the test records."""
     problem, floors = evaluator.problem, evaluator.least_noise
     forces = place_forces(problem, base.fit)
     ranked = _ranked(problem, base, floors, forces)
@@ -408,7 +402,7 @@ def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tup
             begun = generic_starts(h.kind, at)[:4]
         match = match_law(h.kind, (s.values for s in begun), _misfit(h.kind, at, target, size), mirrored=True)
         if match is not None:
-            share = 1.0 - float(np.mean(match.residual**2))
+            share = 1.0 - match[0] ** 2
             out[h.effect] = max(out.get(h.effect, 0.0), share)
     ranked = sorted(out.items(), key=lambda t: -t[1])
     return [(name, share) for name, share in ranked if share > 0.05][:3]
@@ -417,8 +411,8 @@ def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tup
 def _misfit(
     kind: type[el.Element], at: el.Setting, target: Array, size: float
 ) -> Callable[[dict[str, float]], Array]:
-    """Return the function from a law's values to its relative difference (samples,) from a force [N] of a root mean square `size`
-    [N]; it is large for values that contradict the law's name."""
+    """Return the function from a law's values to its difference (samples,) from a force [N] over `size` [N]; large for values that
+    contradict its name."""
 
     def misfit(values: dict[str, float]) -> Array:
         try:

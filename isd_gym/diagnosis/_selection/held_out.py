@@ -27,7 +27,7 @@ from .._estimation.noise import (
 )
 from .._estimation.structure import Structure, base_structure
 from .._hypotheses.forces import element_forces, place_forces, work_share
-from .._hypotheses.unmodelled_effects import simulate_unmodelled_effects
+from .._hypotheses.law_matching import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
 from .candidate import Candidate, white_noise
 from .comparison import Comparison, block_edges, compare, log_density
@@ -85,13 +85,8 @@ class HeldOutScore:
         return np.asarray(np.sqrt(np.maximum(self.nrmse**2 - noise**2, 0.0)), dtype=np.float64)
 
     def explained_on_test(self, before: HeldOutScore, noise: Array, noise_score: float) -> float:
-        """Return the share of the excess error of another score that this score removes on the test records.
-
-        The whitened error counts, or the plain error where the plain error falls by more. Where the other score is no more than noise, the
-        share is relative to a hundredth of the noise.
-
-        `noise`: Noise of the test records (channels,), as a share of a channel's deviation.
-        """
+        """Return the share of the excess error of another score that this score removes on the test records, with a floor of a hundredth
+        of the noise: of the whitened error, or of the plain error if that falls by more. `noise`: share of the deviation (channels,)."""
         whitened = before.test_mean_square - self.test_mean_square
         whitened /= max(before.test_mean_square - noise_score, 0.01 * noise_score)
         power = noise**2
@@ -115,10 +110,9 @@ class HeldOutEvaluator:
         self.validation_deviation = problem.deviation(problem.choosing)
         self.test_deviation = problem.deviation(problem.reporting)
         self.training_deviation = deviation
-        # a stored candidate keeps its identity, which is the key, in use
-        self._envelopes: dict[int, tuple[Candidate, Array]] = {}
-        self._training: dict[int, tuple[Candidate, Array]] = {}
-        self._paths: dict[tuple[int, ...], tuple[Candidate, HeldOutScore]] = {}
+        self._envelopes: dict[Candidate, Array] = {}
+        self._training: dict[Candidate, Array] = {}
+        self._paths: dict[tuple[Candidate, ...], HeldOutScore] = {}
         self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: only the last
 
     @cached_property
@@ -143,19 +137,17 @@ class HeldOutEvaluator:
         return np.asarray(np.sqrt(np.mean(r**2, axis=0)) / deviation, dtype=np.float64)
 
     def training_nrmse(self, candidate: Candidate) -> Array:
-        """Return the NRMSE on the training records (channels,), with initial states and offsets from the plain error.
-
-        A fit under coloured noise may leave slow errors that carried no weight.
-        """
-        if id(candidate) not in self._training:
+        """Return the NRMSE on the training records (channels,), with initial states from the plain error: coloured noise may leave slow
+        errors without weight."""
+        if candidate not in self._training:
             p, fit = self.problem, candidate.fit
             f = self.plain_fitter.follow(fit.structure, fit.x, p.estimation, fit.initial)
-            self._training[id(candidate)] = candidate, self.nrmse(f, p.estimation, self.training_deviation)
-        return self._training[id(candidate)][1]
+            self._training[candidate] = self.nrmse(f, p.estimation, self.training_deviation)
+        return self._training[candidate]
 
     @cached_property
     def nominal_nrmse(self) -> tuple[Array, Array]:
-        """Return the NRMSE of the nominal model on the validation and on the test records, (channels,) each; NaN where it breaks down."""
+        """The NRMSE of the nominal model on the validation and on the test records, (channels,) each; NaN where it breaks down."""
         p, structure = self.problem, base_structure(self.problem.network)
         try:
             f = self.plain_fitter.follow(structure, structure.start, p.held)
@@ -170,10 +162,8 @@ class HeldOutEvaluator:
     def score(
         self, candidate: Candidate, filters: Whitener, similar: Sequence[HeldOutScore] = ()
     ) -> HeldOutScore:
-        """Score a candidate: parameters as fitted, initial states and offsets from each held-out record.
-
-        `similar`: Scores of other candidates, whose initial states are starting points beside the candidate's own guesses.
-        """
+        """Score a candidate: parameters as fitted, initial states and offsets from each held-out record, started from guesses and from
+        those of similar scores."""
         p, fit = self.problem, candidate.fit
         nearest = self._nearest_states(similar, fit.structure)
         f = Fitter(p, filters).follow(
@@ -257,14 +247,13 @@ class HeldOutEvaluator:
         return np.array(squares), np.array(lpd)
 
     def score_path(self, path: Sequence[Candidate]) -> tuple[HeldOutScore, ...]:
-        """Score the candidates of a path, each with one effect more than the preceding one, with its own filters and the initial
-        states of the preceding one."""
+        """Score the candidates of a path, each with its own filters and the initial states of the preceding ones."""
         out: tuple[HeldOutScore, ...] = ()
         for k, candidate in enumerate(path):
-            key = tuple(id(c) for c in path[: k + 1])
+            key = tuple(path[: k + 1])
             if key not in self._paths:
-                self._paths[key] = candidate, self.score(candidate, self.whitener(candidate), out)
-            out = (*out, self._paths[key][1])
+                self._paths[key] = self.score(candidate, self.whitener(candidate), out)
+            out = (*out, self._paths[key])
         return out
 
     def score_alone(self, candidate: Candidate) -> HeldOutScore:
@@ -286,7 +275,7 @@ class HeldOutEvaluator:
         )
 
     def _nearest_states(self, scores: Sequence[HeldOutScore], structure: Structure) -> dict[int, Array]:
-        """Return, for each held-out record, the initial state of the score with the least error, in the coordinates of a structure."""
+        """Return, for each held-out record, the initial state of the score with the least error, for a structure."""
         nearest: dict[int, tuple[float, Fit]] = {}
         for fit in (s.fit for s in scores):
             for i, y in fit.outputs.items():
@@ -300,7 +289,7 @@ class HeldOutEvaluator:
         return out
 
     def _states_after_training(self, fit: Fit) -> dict[int, Array]:
-        """Return the initial states of held-out records that continue a training record: the final states of the simulation."""
+        """Return the initial states of held-out records that continue a training record."""
         p = self.problem
         continues = {j: i for j in p.held for i in p.estimation if p.records[j].follows(p.records[i])}
         if not continues or not len(next(iter(fit.initial.values()))):
@@ -310,10 +299,8 @@ class HeldOutEvaluator:
 
     # -- noise --------------------------------------------------------------------------------------------
     def channel_noise(self, score: HeldOutScore) -> list[Noise]:
-        """Return each channel's noise: as the owner or the spectrum tells, and no more than is left above the motion.
-
-        A misfit alone is no noise: the measured signal above its band is the bound. Test records take no part.
-        """
+        """Return each channel's noise: as the owner or the spectrum tells, and no more than is left above the motion of the validation
+        records."""
         p, out = self.problem, []
         first = p.records[p.choosing[0]]
         for j, known in enumerate(self.noise_estimates):
@@ -342,22 +329,16 @@ class HeldOutEvaluator:
 
     # -- sizes --------------------------------------------------------------------------------------------
     def unmodelled_responses(self, candidate: Candidate) -> dict[int, Array]:
-        """Return the responses of the training records to unmodelled effects: record -> (samples, channels, effects).
-
-        Each effect has `SMALL` of the typical force.
-        """
+        """Return the responses (samples, channels, effects) of the training records to unmodelled effects of `SMALL` of the typical force
+        each."""
         if self._responses is None or self._responses[0] is not candidate:
             self._responses = candidate, simulate_unmodelled_effects(self.problem, candidate.fit, SMALL)
         return self._responses[1]
 
     def unmodelled_envelope(self, candidate: Candidate, size: float, least: float) -> Array:
-        """Return the excess error that unmodelled effects leave beside a refitted candidate (channels,), as a share of the deviation.
-
-        Where a coordinate drifts, or has many positions of rest, a small force may cause a large error.
-
-        `size`: Force of an unmodelled effect, as a share of the typical force.
-        """
-        if id(candidate) not in self._envelopes:
+        """Return the excess error (channels,), as a share of the deviation, that unmodelled effects of a share `size` of the typical
+        force leave beside a refitted candidate."""
+        if candidate not in self._envelopes:
             p = self.problem
             change = {i: y * (size / SMALL) for i, y in self.unmodelled_responses(candidate).items()}
             envelope = np.full(len(p.channels), least)
@@ -366,8 +347,8 @@ class HeldOutEvaluator:
                 r = np.concatenate([*left.values()]) * self.least_noise[:, None]
                 shares = np.sqrt(np.mean(r**2, axis=0)) / p.deviation()[:, None]
                 envelope = np.maximum(least, np.quantile(shares, 0.95, axis=1))
-            self._envelopes[id(candidate)] = candidate, envelope
-        return self._envelopes[id(candidate)][1]
+            self._envelopes[candidate] = envelope
+        return self._envelopes[candidate]
 
     def effect_sizes(self, candidate: Candidate) -> list[float]:
         """Return the size of each effect, as a share of the force, current or signal at its place."""
@@ -375,11 +356,8 @@ class HeldOutEvaluator:
 
 
 def effect_size(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the RMS of what an element does over the RMS of what is there: force, current or signal.
-
-    In a lightly damped structure, forces that dissipate are small beside forces that store energy, and damping decides the motion all the
-    same: there an element has its share of the dissipated work, if that share is larger.
-    """
+    """Return the RMS of what an element does over that of what is there: force, current or signal; or its share of the dissipated work in
+    a lightly damped structure, if that is larger."""
     net = fit.network
     e = net.element(name)
     if e.place == "channel":
@@ -393,15 +371,10 @@ def effect_size(problem: Problem, fit: Fit, name: str) -> float:
     except InputError:
         return 1.0
     part = e.own_share([net.element(x) for x in forces])
-    total = max(rms(np.sum([*forces.values()], axis=0)), _force_around(problem, fit, e), 1e-300)
+    around = place_forces(problem, fit, without=name).at(e.where) if len(forces) == 1 else 0.0
+    total = max(rms(np.sum([*forces.values()], axis=0)), around, 1e-300)
     work = work_share(problem, fit, name) if is_lightly_damped(problem.network) else 0.0
     return part * max(rms(forces[name]) / total, work)
-
-
-def _force_around(problem: Problem, fit: Fit, e: el.Element) -> float:
-    """Return the typical force [N] of the other elements at the nodes of an element without neighbour; else 0."""
-    alone = sum(1 for x in fit.network.elements if x.place == "between" and set(x.where) == set(e.where)) == 1
-    return place_forces(problem, fit, without=e.name).at(e.where) if alone else 0.0
 
 
 def _share_of_signal(problem: Problem, fit: Fit, e: el.Element) -> float:

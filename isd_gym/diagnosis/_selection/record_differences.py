@@ -6,10 +6,14 @@ per record, removes most of the error that one value for all records leaves on t
 
 The deviation of a value comes from the scatter of the stretches of its record (sandwich estimator with one cluster per stretch; Liang and
 Zeger, Biometrika 73, 1986). A parameter that varies within the records as much as between the records does not differ between records.
+
+Parameters of a group of records have the stated uncertainty as prior, each group for itself (no pooling; Gelman and Hill, Data Analysis
+Using Regression and Multilevel/Hierarchical Models, 2007, chapter 12).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import TYPE_CHECKING
@@ -17,19 +21,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import t as student
 
+from ..._common.errors import InputError
+from .._estimation.gauss_newton import Fitter
 from .._estimation.initial_states import next_states
+from .._estimation.least_squares import bounded_step, damped_step
 from .._estimation.noise import white_filters
-from .._estimation.recordwise import RecordwiseFitter
 from .._simulation.problem import BROKEN, Problem
 from ..result import DifferingParameter, Quantity, RecordDifferences, is_far_better
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from ..._common.arrays import Array
-    from .._estimation.recordwise import RecordwiseFit
+    from .._estimation.gauss_newton import Point, Slope
     from .._estimation.structure import Structure
     from .._simulation.problem import Record
 
@@ -59,6 +65,153 @@ LEAST_DIFFERENCE = 0.02
 STATE_STEPS = 8
 #: noise of the first fit, as a share of the deviation of a channel
 FIRST_NOISE = 0.05
+#: largest step of a parameter that is a logarithm
+LARGEST_STEP = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class RecordwiseFit:
+    """A fit with some parameters of their own for each group of records."""
+
+    structure: Structure
+    #: transformed parameters of each group (groups, parameters)
+    x: Array
+    #: mask of the parameters with a value per group (parameters,)
+    own: NDArray[np.bool_]
+    #: fitted point of each group
+    points: tuple[Point, ...]
+    #: derivatives by record, of each group, at the last point at which they were computed
+    slopes: tuple[Mapping[int, Slope], ...]
+    #: sum of squares with all priors
+    cost: float
+
+
+class RecordwiseFitter(Fitter):
+    """Gauss-Newton fits of parameters that groups of records share or have for themselves."""
+
+    def fit_groups(
+        self,
+        structure: Structure,
+        x: Array,
+        groups: Sequence[Sequence[int]],
+        own: NDArray[np.bool_],
+        *,
+        iterations: int = 8,
+        tolerance: float = 1e-3,
+    ) -> RecordwiseFit:
+        """Fit a structure without shared offsets to groups of records, from transformed start values; `own` marks the parameters with a
+        value per group."""
+        layout = _Layout(structure, own, len(groups))
+        z = layout.pack(np.broadcast_to(x, (len(groups), len(own))))
+        each = layout.unpack(z)
+        points = [self.begin(structure, row, None, None, g) for row, g in zip(each, groups, strict=True)]
+        damping, cost, slopes = 1e-4, math.inf, []
+        for turn in range(iterations + 1):
+            fresh = [self.slopes(structure, p, g, True) for p, g in zip(points, groups, strict=True)]
+            if any(s is None for s in fresh):
+                if turn == 0:
+                    raise InputError("the simulation breaks down at the start values")
+                break
+            slopes = [s for s in fresh if s is not None]
+            now = self._total(points, layout, z)
+            has_converged = turn > 0 and now > (1.0 - tolerance) * cost
+            cost = now
+            if has_converged or turn == iterations:
+                break
+            found, _, damping = self._step_groups(structure, points, groups, slopes, layout, z, cost, damping)
+            if found is None:
+                break
+            z, points = found
+        return RecordwiseFit(structure, layout.unpack(z), own, tuple(points), tuple(slopes), cost)
+
+    def gradient(self, point: Point, slopes: Mapping[int, Slope]) -> dict[int, Array]:
+        """Return the descent direction of half the cost of each record (parameters,), nuisances eliminated."""
+        out = {}
+        for i, s in slopes.items():
+            down, p = self._downhill(point, i, s), len(s.gram) - len(s.own)
+            g = down[:p]
+            if len(s.own):
+                g = g - s.gram[:p, p:] @ np.linalg.solve(s.own, down[p:])
+            out[i] = g
+        return out
+
+    def information(self, slopes: Mapping[int, Slope]) -> dict[int, Array]:
+        """Return the information of each record on the parameters (parameters, parameters), nuisances eliminated."""
+        return {i: self._hessian({i: s}) for i, s in slopes.items()}
+
+    def _total(self, points: Sequence[Point], layout: _Layout, z: Array) -> float:
+        return sum(sum(p.costs.values()) for p in points) + layout.prior(z)
+
+    def _step_groups(
+        self,
+        structure: Structure,
+        points: Sequence[Point],
+        groups: Sequence[Sequence[int]],
+        slopes: Sequence[Mapping[int, Slope]],
+        layout: _Layout,
+        z: Array,
+        cost: float,
+        damping: float,
+    ) -> tuple[tuple[Array, list[Point]] | None, float, float]:
+        """Return the parameters and points with a smaller cost, or None, the cost, and the next damping."""
+        H, g = np.diag(1.0 / layout.sigma**2), (layout.mean - z) / layout.sigma**2
+        for k, (point, own) in enumerate(zip(points, slopes, strict=True)):
+            place = layout.index[k]
+            H[np.ix_(place, place)] += self._hessian(own)
+            g[place] += np.sum(list(self.gradient(point, own).values()), axis=0)
+
+        def take(damping: float) -> tuple[tuple[Array, list[Point]], float]:
+            then = z + bounded_step(H, g, z, layout.low, layout.high, layout.stride(z), damping)
+            moved = []
+            for k, (point, own, row) in enumerate(zip(points, slopes, layout.unpack(then), strict=True)):
+                p, step = len(row), row - point.x
+                moves = {
+                    i: np.linalg.solve(s.own, self._downhill(point, i, s)[p:] - s.gram[p:, :p] @ step)
+                    for i, s in own.items()
+                }
+                moved.append(self.seen(structure, self._moved(point, row, moves), groups[k]))
+            return (then, moved), self._total(moved, layout, then)
+
+        return damped_step(take, cost, damping, tries=6)
+
+
+class _Layout:
+    """Order in one vector of shared parameters, then those of each group (mask `own`)."""
+
+    def __init__(self, structure: Structure, own: NDArray[np.bool_], count: int):
+        p, shared = len(own), int(np.sum(~own))
+        each = p - shared
+        #: position of each parameter of each group (groups, parameters)
+        self.index = np.empty((count, p), dtype=int)
+        self.index[:, ~own] = np.arange(shared)
+        self.index[:, own] = shared + each * np.arange(count)[:, None] + np.arange(each)
+        size = shared + each * count
+        source = np.empty(size, dtype=int)
+        source[self.index] = np.arange(p)
+        free = [structure.free[k] for k in source]
+        self.mean, self.sigma = structure.mean[source], structure.sigma[source]
+        self.low, self.high = np.array([f.low for f in free]), np.array([f.high for f in free])
+        self._stride = np.array([min(f.stride, LARGEST_STEP if f.log else math.inf) for f in free])
+
+    def pack(self, x: Array) -> Array:
+        """Return the vector of the parameters (groups, parameters); shared parameters are those of the first group."""
+        z = np.empty(len(self.mean))
+        for place, row in zip(self.index[::-1], x[::-1], strict=True):
+            z[place] = row
+        return z
+
+    def unpack(self, z: Array) -> Array:
+        """Return the parameters of each group (groups, parameters)."""
+        return np.asarray(z[self.index])
+
+    def stride(self, z: Array) -> Array:
+        """Return the largest permitted steps."""
+        wide = 3.0 * np.maximum(np.abs(z), self.sigma)
+        return np.where(np.isfinite(self._stride), self._stride, wide)
+
+    def prior(self, z: Array) -> float:
+        """Return the cost of the prior."""
+        return float(np.sum(((z - self.mean) / self.sigma) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +238,7 @@ class _Stretches:
 
 
 def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
-    """Cut whole records into stretches of equal length; return None where fewer than two records are long enough.
-
-    `lead`: Simulated time before a stretch, without comparison [s].
-    """
+    """Cut whole records into an even number of stretches of equal length, with a lead [s]; None where fewer than two are long enough."""
     loose = whole.loose
     pieces: list[Record] = []
     groups, names, deviations = [], [], []
@@ -113,8 +263,8 @@ def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
 
 @dataclass(eq=False)
 class RecordComparison:
-    """Comparison of one value for all records with one value per record, over stretches of the whole records, from the parameters x
-    of the refitted model and the noise (channels,)."""
+    """Comparison of one value for all records with one value per record, over stretches, from refitted parameters and noise
+    (channels,)."""
 
     stretches: _Stretches
     structure: Structure
@@ -162,8 +312,7 @@ class RecordComparison:
         self.floor = np.minimum(self.floor, squares)
 
     def explained(self, squares: Array) -> float:
-        """Return the share of the squared error beyond noise of the joint fit that a fit with these squared errors (channels,) on the
-        stretches for comparison removes."""
+        """Return the share of the joint fit's squared error beyond noise that a fit with these squared errors (channels,) removes."""
         joint, noise = self.mean(self.joint_squares), self.mean(self.floor)
         return (joint - self.mean(squares)) / max(joint - noise, 1e-12)
 
@@ -204,8 +353,7 @@ class RecordComparison:
         return sorted(out, key=lambda e: (-e[0], e[1]))
 
     def estimates(self, fit: RecordwiseFit, name: int) -> tuple[Array, Array, Array]:
-        """Return the values of a parameter in the records, transformed, their deviations and degrees of freedom, each (records,),
-        from all stretches."""
+        """Return the values of a parameter in the records, transformed, their deviations and degrees of freedom, each (records,)."""
         groups = self.stretches.groups
         rows = [
             self.stretches.problem.records[i].measured - at.outputs[i]
@@ -238,8 +386,8 @@ def is_different(a: tuple[float, float, float], b: tuple[float, float, float], c
 
 
 def group_values(values: Array, deviations: Array, freedom: Array) -> tuple[int, ...]:
-    """Return the group of each record: neighbouring values that do not differ have one group, smallest values first, all zero where
-    no pair differs. Values, deviations and degrees of freedom are (records,)."""
+    """Return the group of each record, smallest values first: neighbouring values that do not differ have one; all zero where no pair
+    differs."""
     each = list(zip(values.tolist(), deviations.tolist(), freedom.tolist(), strict=True))
     pairs = len(each) * (len(each) - 1) / 2
     if not any(is_different(a, b, CHANCE / pairs) for a, b in combinations(each, 2)):
@@ -262,12 +410,8 @@ def find_record_differences(
     laws: Sequence[tuple[str, Structure, Array]] = (),
     lead: float = 0.0,
 ) -> RecordDifferences | None:
-    """Return the parameters that differ between records, with their values per record.
-
-    None where the records are too short or do not differ, and where a law explains the records better. `laws` are models with the
-    effects that explain them best: name, structure and parameters. `lead` is the simulated time before a stretch, without comparison
-    [s].
-    """
+    """Return the parameters that differ between records; None where the records are too short or do not differ, or where a law explains
+    them better."""
     stretches = cut_into_stretches(whole, lead)
     if stretches is None or not structure.free:
         return None

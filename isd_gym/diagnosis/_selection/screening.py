@@ -14,15 +14,15 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics.elements import beside
 from ...physics.network import GROUND
-from .._estimation.gauss_newton import Fit, Fitter, gap, residuals
+from .._estimation.gauss_newton import Fit, Fitter, Point, gap, residuals
 from .._estimation.initial_states import guess, transfer_states
 from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped
 from .._estimation.noise import refined_noise, whitener
 from .._hypotheses.law_forces import law_forces
 from .._hypotheses.law_matching import follows_motion
 from .._hypotheses.library import Hypothesis, hypotheses
+from .._hypotheses.missing_force import thinning_loses
 from .._hypotheses.motion import motions
-from .._hypotheses.position_spectrum import thinning_loses
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import adopt, running
 from .admissibility import admissible_matches, travels
@@ -140,10 +140,8 @@ class Screening:
         )
 
     def shortlist(self) -> list[list[Match]]:
-        """Return the laws that are fitted, each with its matches.
-
-        An element in series with a moved node always enters, since a small compliance says little about a large one.
-        """
+        """Return the laws that are fitted, each with its matches; an element in series with a moved node always enters, since a small one
+        says little about a large one."""
         moved = set(self.problem.network.moved_nodes)
         groups: dict[Hypothesis, list[Match]] = {}
         count = 0
@@ -159,10 +157,7 @@ class Screening:
         return list(groups.values())
 
     def is_sensible(self, h: Hypothesis) -> bool:
-        """Return False for hypotheses that repeat an effect already in the model, in series or in parallel.
-
-        A periodic law at a node without mass, which an element in series brought, is not sensible either.
-        """
+        """Return False for effects that the model has at the place, and for periodic laws at a node that an element in series brought."""
         if h.place != "between":
             return True
         network, found = self.current.structure.network, self.current.structure.names
@@ -172,11 +167,8 @@ class Screening:
 
     # -- fits ---------------------------------------------------------------------------------------------
     def starts(self, group: Sequence[Match]) -> list[tuple[Structure, Array]]:
-        """Return the starts of a law with the smallest error: structure and start values (parameters,), transformed.
-
-        Each match is simulated with the parameters of the model as the match moves them, as they are fitted, and with nominal values. The
-        best start with less damping is added.
-        """
+        """Return the starts of a law with the smallest error, from the parameters that the match moves, the fitted and the nominal ones,
+        and the best one with less damping: structure and start values (parameters,), transformed."""
         current, kind = self.current, group[0].hypothesis.kind
         known = {f.path: float(v) for f, v in zip(current.structure.free, current.x, strict=True)}
         nominal = {f.path: known[f.path] if f.owner >= 0 else f.mean for f in current.structure.free}
@@ -208,10 +200,8 @@ class Screening:
         return [tries[k][best[k][1]] for k in order]
 
     def starts_with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
-        """Yield starts with a share of the damping at the place of a law that dissipates, which takes over the damping's work.
-
-        The damping of a model without the law has been fitted to that work, and the law may have an optimum at either split of it.
-        """
+        """Yield starts with a share of the damping at the place of a law that dissipates, which takes over the damping's work: the law
+        may have an optimum at either split."""
         h, current = m.hypothesis, self.current
         if h.kind.mechanism not in DISSIPATING or not follows_motion(h):
             return
@@ -238,37 +228,34 @@ class Screening:
             known = transfer_states(self.problem, self.current.network, self.current.initial, structure)
             try:
                 guessed = {i: guess(self.problem, structure.at(x), i) for i in self.problem.estimation}
-                own, guess_cost = (
-                    self.fitter.cost(structure, x, s, self.current.offset, self.problem.estimation)
+                own, other = (
+                    self.fitter.seen(structure, Point(x, s, self.current.offset), self.problem.estimation)
                     for s in (known, guessed)
                 )
-                known = guessed if guess_cost < own else known
+                known = guessed if other.total < own.total else known
                 f = self.fitter.fit(structure, x, known, self.current.offset, iterations=FIRST)
             except BROKEN:
                 continue
             tries.append(self._candidate(f))
-        return [r for r in map(self._continued, self.first_of_each_law(tries)) if r is not None]
+        out = []
+        for f in (r.fit for r in self.first_of_each_law(tries)):
+            with suppress(*BROKEN):
+                g = self.fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=FURTHER)
+                out.append(self._candidate(g))
+        return out
 
     def first_of_each_law(self, found: Iterable[Candidate | None]) -> list[Candidate]:
-        """Return the fits of each set of effects with the smallest deviance and with the smallest gap, smallest deviance first.
-
-        The weights of a fit are those of another model's residuals, under which the deviance may miss the gap.
-        """
+        """Return the fits of each set of effects with the smallest deviance, and with a clearly smaller gap, which the deviance may miss;
+        smallest deviance first."""
         fitted = [r for r in found if r is not None and math.isfinite(r.deviance)]
+        fitted.sort(key=lambda r: r.deviance)
         out = []
-        for r in _best_first(fitted):
-            alike = [q for q in fitted if q.hypotheses == r.hypotheses]
-            closest = min(alike, key=lambda q: (gap(self.problem, q.fit), q.deviance))
-            is_closer = gap(self.problem, closest.fit) < CLOSER * gap(self.problem, r.fit)
-            out += [r, closest] if is_closer else [r]
+        for law in dict.fromkeys(r.hypotheses for r in fitted):
+            first, *others = (q for q in fitted if q.hypotheses == law)
+            closest = min(others, key=lambda q: gap(self.problem, q.fit), default=first)
+            is_closer = gap(self.problem, closest.fit) < CLOSER * gap(self.problem, first.fit)
+            out += [first, closest] if is_closer else [first]
         return sorted(out, key=lambda r: r.deviance)
-
-    def _continued(self, r: Candidate) -> Candidate | None:
-        f = r.fit
-        try:
-            return self._candidate(self.fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=FURTHER))
-        except BROKEN:
-            return None
 
     def leading(self, fitted: Sequence[Candidate]) -> list[Candidate]:
         """Return the fits of the first laws, and the candidate that closes most of the gap."""
@@ -279,15 +266,13 @@ class Screening:
         return first if closest is None or closest in first else [*first, closest]
 
     def closers_first(self, fitted: Sequence[Candidate]) -> list[Candidate]:
-        """Order candidates by deviance, those that close half of the gap first: the deviance under coloured noise may miss the gap."""
+        """Order candidates by deviance, those that close half of the gap, which the deviance may miss, first."""
         half = 0.5 * gap(self.problem, self.current)
         return sorted(fitted, key=lambda r: (gap(self.problem, r.fit) > half, r.deviance))
 
     def special_cases(self, r: Candidate, tried: Collection[tuple[Hypothesis, ...]]) -> list[Candidate]:
-        """Fit the special cases of the last law of a candidate that were not tried, from the candidate's values.
-
-        Friction that sticks does not follow the measured motion, and a law with more parameters may be matched in its place.
-        """
+        """Fit the special cases of the last law of a candidate that were not tried: friction that sticks may be matched by a law with
+        more parameters."""
         own = zip(r.fit.structure.free, r.fit.x, strict=True)
         known = {f.path: v for f, v in own if f.owner < len(r.hypotheses) - 1}
         out = []
@@ -351,19 +336,17 @@ class Screening:
             places.setdefault(frozenset(m.hypothesis.where), m)
         best = tuple(places.values())
         if self.coarse is not self:
-            ranked = self.first_of_each_law(map(self._transferred, ranked))
+            found = []
+            for r in ranked:
+                with suppress(*BROKEN):
+                    found.append(self._candidate(transfer(self.problem, r.fit, self.least_noise)))
+            ranked = self.first_of_each_law(found)
         if not ranked:
             return ScreeningResult((), self.first_noise, best)
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
             ranked = self.first_of_each_law(pool.map(lambda r: self.settle_noise(r, noise), ranked))
         return ScreeningResult(tuple(self.rank(ranked)), noise, best)
-
-    def _transferred(self, r: Candidate) -> Candidate | None:
-        try:
-            return self._candidate(transfer(self.problem, r.fit, self.least_noise))
-        except BROKEN:
-            return None
 
     def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:
         """Order candidates; among those that close half of the gap, or among all if none does, the simplest of the best goes first."""
@@ -373,18 +356,9 @@ class Screening:
         return [*first, *ordered[count:]]
 
 
-def _best_first(found: Iterable[Candidate | None]) -> list[Candidate]:
-    """Return the candidates that did not break down, smallest deviance first, each set of effects once."""
-    best: dict[object, Candidate] = {}
-    for r in found:
-        if r is not None and math.isfinite(r.deviance):
-            old = best.get(r.hypotheses)
-            best[r.hypotheses] = r if old is None or r.deviance < old.deviance else old
-    return sorted(best.values(), key=lambda r: r.deviance)
-
-
 def _misfit(stage: Screening, tries: Sequence[tuple[Structure, Array]]) -> Array:
-    """Return the sum over channels of the logarithm of the residual's variance (tries,): a drifting channel does not hide other channels."""
+    """Return the sum over channels of the logarithm of the residual's variance (tries,): a drifting channel does not hide other
+    channels."""
     problem, current = stage.problem, stage.current
     scores, nets = np.zeros(len(tries)), [t.at(x) for t, x in tries]
     initial = [transfer_states(problem, current.network, current.initial, t) for t, _ in tries]

@@ -43,14 +43,8 @@ ITERATIONS, TRIES, TOLERANCE = 15, 6, 1e-3
 def fit_simulation_error(
     evaluator: HeldOutEvaluator, candidate: Candidate, held_from: Sequence[float]
 ) -> tuple[Structure, Array, SimulationFit] | None:
-    """Fit a candidate to all training data for the smallest error of its simulation: the structure with its offsets, the parameters
-    (transformed), and the errors of the free runs.
-
-    Parameters and sensor offsets are free; the first samples of each record give its initial state. The fit starts at the values of
-    the candidate. Each channel is weighted by its residual. None where the error does not fall by `LEAST_GAIN` over all data, or does
-    not fall over the held-out part, which begins at `held_from` [s] in each whole record; where the motion is lost; or where a
-    simulation breaks down.
-    """
+    """Fit a candidate to all training data for the smallest error of its free runs: structure, parameters (transformed) and errors; None
+    where the error falls too little over all data or rises from `held_from` [s] on, or where the motion is lost."""
     whole, old = evaluator.whole, candidate.fit
     if whole is None or not old.structure.free or any(r.clocks for r in whole.records):
         return None
@@ -88,11 +82,7 @@ def fit_simulation_error(
 def _minimise(
     whole: Problem, structure: Structure, x: Array, noise: Array, least: Array
 ) -> tuple[Structure, Array]:
-    """Minimise the squared free-run errors of the training data, with the stated uncertainty as prior.
-
-    `noise`: Weight of each channel, as its deviation (channels,).
-    `least`: Noise of each channel (channels,), for the initial states.
-    """
+    """Minimise the squared free-run errors of the training data over the noise (channels,), with the stated uncertainty as prior."""
     own = np.flatnonzero(whole.shared_offset)
     free, p, q = structure.free, len(x), len(own)
     mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
@@ -145,8 +135,7 @@ def _minimise(
 def run_freely(
     problem: Problem, structure: Structure, x: Array, noise: Array, records: Sequence[int] | None = None
 ) -> dict[int, Array]:
-    """Return the residuals (samples, channels) of records, by default all, simulated from the initial states that their first samples
-    give; channels with an offset per record are without the mean residual of the record."""
+    """Return the residuals (samples, channels) of records, simulated from the initial states that their first samples give."""
     network = structure.at(x)
     every = list(range(len(problem.records))) if records is None else list(records)
     begun = None

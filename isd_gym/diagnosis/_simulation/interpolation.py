@@ -18,14 +18,8 @@ def through(values: Array, every: int, *, by: int = 0) -> Array:
 
 
 def interpolated(values: Array, every: int, step: float, *, held: bool, sparse: bool) -> Array:
-    """Return a record (n,) at `every` times its rate: held, linear, or through a spline.
-
-    A spline is used if the samples are `sparse`, or if noise and jumps do not dominate its slope. A straight line between the samples of a
-    smooth force reduces its amplitude by a twelfth of the squared angle between samples: 0.4 % at 30 samples per period.
-
-    `values`: Samples (n,).
-    `sparse`: Whether samples are so sparse that straight lines lose much of the amplitude.
-    """
+    """Return a record (n,) at `every` times its rate: held, linear, or through a spline if samples are sparse or smooth, since a straight
+    line reduces the amplitude by a twelfth of the squared angle between samples."""
     if held or every == 1 or not (sparse or is_smooth(values, step)):
         return upsample(values, every, hold=held)
     return through(values, every)
@@ -40,13 +34,8 @@ def differences(values: Array, step: float) -> tuple[Array, Array]:
 def splined_input(
     values: Array, slopes: tuple[Array, Array] | None, step: float, every: int, *, sparse: bool
 ) -> tuple[Array, ...]:
-    """Return an input at `every` times its sampling rate, with its first and second derivative by time.
-
-    Derivatives of a linear interpolation would jump at each sample, so the derivatives are those of a cubic spline. If noise dominates
-    the derivatives of the spline, the derivatives are differences between samples, which attenuate high frequencies.
-
-    `values`: Samples (n,).
-    """
+    """Return an input (n,) at `every` times its rate with its first and second derivative: of a spline, or differences where noise
+    dominates."""
     if slopes is None:
         slopes = differences(values, step)
         splined = [is_smooth(values, step, slopes[k], k + 1) for k in (0, 1)]

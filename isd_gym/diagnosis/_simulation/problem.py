@@ -38,10 +38,7 @@ Role = Literal["fit", "choose", "report"]
 
 @dataclass(frozen=True)
 class Record:
-    """One measured record, uniformly sampled.
-
-    `inputs` in SI units (n,); `measured` (n, channels) in the channels' units; `slopes`: (velocity, acceleration) of moved nodes.
-    """
+    """One measured record, uniformly sampled, with inputs in SI units (n,) and outputs in the channels' units (n, channels)."""
 
     name: str
     step: float  # [s]
@@ -212,11 +209,8 @@ LARGEST = 2_000_000
 
 
 class Problem:
-    """A nominal model and measured records, training records first and all of them unless `roles` say otherwise.
-
-    `step` is the largest physics step relative to the time scale of the motion, and `time` that scale [s], if known from other
-    records.
-    """
+    """A nominal model and measured records, all for training unless `roles` say otherwise. `step`: largest physics step, relative to the
+    time scale `time` [s] of the motion."""
 
     def __init__(
         self,
@@ -340,11 +334,6 @@ class Problem:
     def _unread(self) -> list[Record]:
         return [r.unread() for r in self.records]
 
-    @property
-    def free_offset(self) -> NDArray[np.bool_]:
-        """Whether a channel has an unknown offset (channels,)."""
-        return self.shared_offset | self.record_offset
-
     @cached_property
     def loose(self) -> Problem:
         """Return the problem with one offset per record in place of one offset for all records."""
@@ -353,17 +342,13 @@ class Problem:
         return Problem(network, self.records, self.roles, self.step, self.time)
 
     def deviation(self, records: Sequence[int] | None = None) -> Array:
-        """Return the deviation (channels,) within measured records, by default those to fit by, at least 1e-300.
-
-        The distance between the means of two measured records is no motion and does not count. Segments with the name of one measured
-        record count as one record.
-        """
+        """Return the deviation (channels,) within measured records, of which segments with one name are one, by default those to fit by;
+        at least 1e-300."""
         pick = [self.records[i] for i in (self.estimation if records is None else records)]
         return deviation_within([r.measured for r in pick], [r.name for r in pick])
 
     def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
-        """Return offsets (channels,) and further lags (clocks,) of a record at the start of a fit: zero but for the known offsets
-        that all records share."""
+        """Return offsets (channels,) and further lags (clocks,) of a record at the start of a fit: zero but for known shared offsets."""
         out = np.zeros(len(self.channels) + len(self.records[index].clocks))
         if shared is not None:
             out[np.flatnonzero(self.shared_offset)] = np.asarray(shared)[self.shared_offset]
@@ -409,11 +394,8 @@ class Problem:
         *,
         like: Network | None = None,
     ) -> Array:
-        """Outputs (n, channels, lanes) in the channels' units of networks of one structure over record `index`.
-
-        `initial` (states, lanes): initial state in the coordinates of the assembly of `like`, by default the first network, mapped to each
-        lane's own coordinates by the motion of the nodes. Without it everything starts at rest at the first sample.
-        """
+        """Return outputs (n, channels, lanes) of networks of one structure over a record, from an initial state (states, lanes) in the
+        coordinates of `like`, by default the first network; else from rest."""
         begun = None if initial is None else {index: initial}
         return self.simulate_all(networks, [index], begun, like=like)[index]
 

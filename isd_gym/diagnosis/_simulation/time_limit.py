@@ -45,11 +45,7 @@ class TimeLimit:
     @property
     def is_over(self) -> bool:
         """Whether the time is up."""
-        return self.is_past(1.0)
-
-    def is_past(self, share: float) -> bool:
-        """Return whether a share of the time is over."""
-        return self._limit is not None and self.seconds > share * self._limit
+        return self._limit is not None and self.seconds > self._limit
 
     def leave_out(self, what: str) -> None:
         """Note a part of the work that is left out."""

@@ -10,6 +10,7 @@ from scipy.signal import welch
 from ..._common.errors import InputError
 from ...physics.network._frames import order_told
 from .._hypotheses.motion import motions
+from .._simulation.problem import BROKEN
 from ..result import Law, Place, Quantity, Tabulated
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]
     """Return each channel's share of the excess error, with its bands and the condition of the motion, largest share first."""
     try:
         motion = motions(problem, fit)
-    except (InputError, np.linalg.LinAlgError):
+    except BROKEN:
         motion = {}
     excess, spread = [], problem.deviation()
     for j in range(len(problem.channels)):

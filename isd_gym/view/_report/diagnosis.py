@@ -121,18 +121,40 @@ def _html(view: View, shown: Mapping[str, Picture], about: Mapping[str, str]) ->
     )
 
 
-def signal_picture(diagnosis: Diagnosis) -> str:
-    """Return the picture of measured and simulated signals, with its caption, as HTML for a notebook; '' without a simulated record."""
+def notebook_page(d: Diagnosis) -> str:
+    """Return verdict, picture of the signals, effects and gap of a diagnosis as HTML for a notebook."""
+    stages = [s for s in ("before", "refit", "after", "noise_floor") if s in d.gap]
+    rows = [
+        [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
+        for e in d.effects
+        for name, q in e.parameters.items()
+    ]  # fmt: skip
+    out = f"<p><b>{escape(d.verdict)}</b>: {escape(d.summary)}</p>{_signal_picture(d)}"
+    if rows:
+        out += _plain_table(["effect", "where", "parameter", "value", "95 % interval"], rows)
+    gap = [[c, *(f"{100 * d.gap[s][c]:.1f} %" for s in stages)] for c in d.gap.get("refit", {})]
+    return out + _plain_table(["error on held-out data", *stages], gap)
+
+
+def _signal_picture(d: Diagnosis) -> str:
+    """Return the picture of the signals as HTML; '' where it cannot be drawn, since a notebook shows the tables all the same."""
     try:
-        chart = draw_time(View(diagnosis)) if diagnosis.traces else None
+        chart = draw_time(View(d)) if d.traces else None
         if chart is None:
             return ""
         with style(), tempfile.TemporaryDirectory() as place:
             made = picture(chart, Path(place))
-    except Exception as error:
-        raise ReportError("the picture", error, "the tables are complete") from error
+    except Exception:
+        return ""
     shown = f'<img src="{made.data}" alt="{escape(made.alt)}" width="{made.width}">'
     return f"<figure>{shown}<figcaption>{escape(made.caption)}</figcaption></figure>"
+
+
+def _plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    def line(tag: str, cells: Sequence[str]) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells) + "</tr>"
+
+    return f"<table><thead>{line('th', heads)}</thead><tbody>{''.join(line('td', r) for r in rows)}</tbody></table>"
 
 
 def check_target(folder: str | Path) -> None:

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..._common.errors import InputError
 from ..._common.units import convert
-from ...diagnosis._hypotheses.missing_force import Deconvolution, pair_motion
+from ...diagnosis._estimation.gauss_newton import Fitter
+from ...diagnosis._estimation.noise import white_filters
+from ...diagnosis._estimation.structure import base_structure
+from ...diagnosis._hypotheses.forces import element_forces
+from ...diagnosis._hypotheses.library import pairs
+from ...diagnosis._hypotheses.missing_force import Deconvolution
+from ...diagnosis._hypotheses.motion import motions
+from ...diagnosis._simulation.problem import Problem, Record
 from ...diagnosis.result import Law
 from ...physics import elements as el
 from ...physics.network import GROUND, Network
 from ...physics.simulate import pace
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from ..._common.arrays import Array
-    from ...diagnosis._hypotheses.missing_force import PairMotion
     from ...diagnosis.result import Diagnosis, Effect, Trace
 
 #: share of a record at either end in which the reconstruction fades out
@@ -113,7 +119,7 @@ def _cloud(
     if is_new:
         after, _ = response.force({n: trace.measured[n] - trace.after[n] for n in names}, noise)
     series = [e.element for e in effects if el.TYPES[e.effect].series]
-    seen = pair_motion(model if is_new else refitted, trace, pair, series)
+    seen = _simulated(model if is_new else refitted, trace, pair, series)
     travel, rate, whole = seen.travel, seen.rate, seen.force
     if after is not None:
         whole = whole + after
@@ -125,7 +131,7 @@ def _cloud(
     keep = slice(edge, len(trace.time) - edge)
     loops = Loops(
         "force", pair, keep, Curve(travel, rate, whole).part(keep), _nominal(base, trace, pair, keep),
-        Curve(seen.travel, seen.rate, seen.force).part(keep), is_measured=False,
+        seen.part(keep), is_measured=False,
     )  # fmt: skip
     law = None if series else _difference(refitted, model, pair, laws)
     kinds = tuple(e.effect for e in effects)
@@ -133,13 +139,39 @@ def _cloud(
     return Cloud(pair, law, kinds, travel[keep], rate[keep], before[keep], rest, loops)
 
 
+def _simulated(network: Network, trace: Trace, pair: tuple[str, str], series: Sequence[str] = ()) -> Curve:
+    """Return the motion of two nodes of a model that starts like a record, and their force with that of elements in series."""
+    network = replace(network, uncertainty={})
+    step = float(trace.time[1] - trace.time[0])
+    measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
+    problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)])
+    fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(
+        base_structure(network), frozen=True, iterations=3
+    )
+    found = motions(problem, fit, () if pair[::-1] in pairs(network) else (pair,))
+    if pair in found:
+        m, sign = found[pair], 1.0
+    elif pair[::-1] in found:
+        m, sign = found[pair[::-1]], -1.0
+    else:
+        raise InputError(f"no motion between {pair[0]} and {pair[1]}")
+    force = np.zeros(len(m.d))
+    for name, values in element_forces(problem, fit, pair).items():
+        if network.element(name).mechanism != "drive":
+            force = force + values
+    for name in series:
+        where = network.element(name).between
+        along = 1.0 if where[0] == pair[0] or where[1] == pair[1] else -1.0
+        force = force + along * element_forces(problem, fit, where)[name]
+    return Curve(sign * m.d, sign * m.v, force)
+
+
 def _nominal(base: Network, trace: Trace, pair: tuple[str, str], keep: slice) -> Curve | None:
     """Return the force of the model as given between two nodes; None where the simulation breaks down."""
     try:
-        seen = pair_motion(base, trace, pair)
+        return _simulated(base, trace, pair).part(keep)
     except (InputError, np.linalg.LinAlgError):
         return None
-    return Curve(seen.travel, seen.rate, seen.force).part(keep)
 
 
 def _over(elements: Iterable[el.Element], pair: tuple[str, str], kind: str, axis: Array) -> Array:
@@ -213,10 +245,10 @@ def _force_channels(network: Network) -> Iterator[tuple[str, tuple[str, str], fl
 def _loops_of(d: Diagnosis, trace: Trace, name: str, pair: tuple[str, str], factor: float) -> Loops:
     assert isinstance(d.base, Network) and isinstance(d.model, Network)
     step = float(trace.time[1] - trace.time[0])
-    simulated = pair_motion(d.model, trace, pair)
+    simulated = _simulated(d.model, trace, pair)
     at = _displacement(d.base, pair)
 
-    def curve(values: dict[str, Array], motion: PairMotion) -> Curve:
+    def curve(values: dict[str, Array], motion: Curve) -> Curve:
         travel, rate = motion.travel, motion.rate
         if at is not None and at[0] in values:
             travel = at[1] * values[at[0]]
@@ -224,7 +256,7 @@ def _loops_of(d: Diagnosis, trace: Trace, name: str, pair: tuple[str, str], fact
         return Curve(travel, rate, factor * values[name])
 
     try:
-        nominal = curve(trace.before, pair_motion(d.base, trace, pair))
+        nominal = curve(trace.before, _simulated(d.base, trace, pair))
     except (InputError, np.linalg.LinAlgError):
         nominal = None
     return Loops(
