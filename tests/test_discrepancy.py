@@ -519,17 +519,17 @@ def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin):
     x = 0.01 * np.sin(9.0 * t)
     still = Record("drive", 2e-3, {moved: x}, np.zeros((len(t), 1)))
     said = Problem(net, [still], ["fit"]).simulate([net], 0)[:, :, 0]
-    drive = Record("drive", 2e-3, {moved: x}, said)
+    drive = Record("drive", 2e-3, {moved: x}, said).part(1200, len(t), "drive")  # begins in mid-loop
     off = []
     for lead in (0.0, LEAD_IN * drive.pace):
         pieces, roles = split_records([drive], [drive], [], 0.1 * drive.pace, lead)
         pieces = [thinned(r, thin, ()) for r in pieces] if thin > 1 else pieces
         problem = Problem(net, pieces, roles)
-        errors = [problem.simulate([net], i)[:, :, 0] - r.measured for i, r in enumerate(pieces)][2:]
+        errors = [problem.simulate([net], i)[:, :, 0] - r.measured for i, r in enumerate(pieces)]
         off.append(max(float(np.sqrt(np.mean(e[: len(e) // 2] ** 2))) for e in errors))
         assert all(b.follows(a) for a, b in zip(pieces[1:], pieces[2:], strict=False)) or thin > 1
         np.testing.assert_allclose(pieces[-1].time, t[-len(pieces[-1]) * thin :: thin][: len(pieces[-1])])
-    assert off[0] > 50.0 and off[1] < (1e-6 if thin == 1 else 3.0)  # N; a thinner one is another step's
+    assert off[0] > 50.0 and off[1] < (1.0 if thin == 1 else 3.0)  # N; a thinner one is another step's
 
 
 def test_what_rests_again_and_again_and_goes_on_from_there_is_not_frozen():

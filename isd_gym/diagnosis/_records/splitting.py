@@ -17,6 +17,7 @@ SEGMENT = 200.0
 LEAST_SEGMENT = 40.0  # least length of the segments of a short record, as a multiple of the rig's time scale
 #: Simulated time before a segment if laws with memory have the only states, as a multiple of the rig's time scale.
 LEAD_IN = 100.0
+LED_IN = 0.125  # largest share of a record that leads in: what happened before the record is unknown to a law with memory
 WINDOWS = 8  # least number of windows in the search for the end of the motion, and of windows kept
 STILL = 4.0  # ratio to the power of the quietest window below which a window is at rest
 
@@ -41,6 +42,8 @@ def split_records(
             "held out for validation and test: the last third of the motion of the only record"
             + still * (used < len(whole))
         )
+    if lead:
+        training, held = ([_led_in(r, lead) for r in records] for records in (training, held))
     # sorted by content: sums over records do not depend on the order of the files
     held = sorted(held, key=lambda r: (r.measured.shape, r.measured.tobytes(), r.name))
     segments: list[Record] = []
@@ -57,6 +60,12 @@ def split_records(
         notes.append("too little is held out for test records: the reported figures are those of validation")
     fitted: list[Role] = ["fit"] * len(training)
     return [*training, *segments], fitted + roles
+
+
+def _led_in(record: Record, lead: float) -> Record:
+    """Return a record whose beginning, at most a share `LED_IN` of it and `lead` [s], is simulated but not compared."""
+    first = int(min(lead / record.interval, LED_IN * len(record)))
+    return record.part(first, len(record), record.name, first)
 
 
 def _choose_length(record: Record, time: float) -> float:
