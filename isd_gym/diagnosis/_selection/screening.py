@@ -118,7 +118,7 @@ class Screening:
         """The same stage on segments with initial states of their own, where the simulation may have lost the phase of a motion."""
         p, s = self.problem, self.settings
         keeps_phase = bool(p.network.inputs) and not is_lightly_damped(p.network)
-        if keeps_phase or gap(p, self.current) < s.wide_gap:
+        if keeps_phase or gap(p, self.current) < s.wide_gap**2:
             return self
         best = self
         for length in LENGTHS:
@@ -295,12 +295,20 @@ class Screening:
 
     def continued(self, r: Candidate, brief: Screening) -> Candidate | None:
         """Return a candidate of brief segments, fitted to segments that grow to whole records; None where the fit breaks down."""
-        f, least, length = r.fit, self.least_noise, brief.length
-        filters = whitener(residuals(brief.problem, f), white_noise(brief.problem, f, least))
+        f, pieces, length = r.fit, brief.problem, brief.length
+        filters = whitener(residuals(pieces, f), white_noise(pieces, f, self.least_noise))
         try:
-            while (found := in_segments(self.problem, f, least, length := GROWTH * length)) is not None:
-                f = Fitter(found[0], filters).fit(f.structure, f.x, found[1].initial, iterations=FURTHER)
-            return self._candidate(Fitter(self.problem, filters).fit(f.structure, f.x, iterations=WHOLE))
+            while (
+                found := in_segments(self.problem, f, self.least_noise, length := GROWTH * length)
+            ) is not None:
+                pieces = found[0]
+                f = Fitter(pieces, filters).fit(f.structure, f.x, found[1].initial, iterations=FURTHER)
+            begun = {(q.name, q.start): f.initial[j] for j, q in enumerate(pieces.records) if j in f.initial}
+            here = {i: (q.name, q.start) for i, q in enumerate(self.problem.records)}
+            known = {i: begun[key] for i, key in here.items() if key in begun}
+            fitter, estimation = Fitter(self.problem, filters), self.problem.estimation
+            states = fitter.follow(f.structure, f.x, estimation, about=(known,)).initial
+            return self._candidate(fitter.fit(f.structure, f.x, states, iterations=WHOLE))
         except BROKEN:
             return None
 
@@ -313,20 +321,26 @@ class Screening:
             return None
 
     def first_round(self) -> list[Candidate]:
-        """Fit the laws of the shortlist, first to segments where the phase may be lost."""
+        """Fit the laws of the shortlist: to whole records, to segments where the phase is lost, or to both where it may be lost."""
         brief = self.brief
-        groups, _ = brief.shortlist(), brief.fitter
+        if brief is self:
+            return self.fit_shortlist()
+        found = brief.fit_shortlist()
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            fitted = brief.first_of_each_law(r for found in pool.map(brief.fit, groups) for r in found)
-            ranked = brief.leading(fitted)
+            ranked = self.first_of_each_law(pool.map(lambda r: self.continued(r, brief), found))
+        if gap(self.problem, self.current) < self.settings.wide_gap:
+            ranked = self.leading(self.first_of_each_law([*ranked, *self.fit_shortlist()]))
+        return ranked
+
+    def fit_shortlist(self) -> list[Candidate]:
+        """Fit the laws of the shortlist to the records of this stage."""
+        groups, _ = self.shortlist(), self.fitter
+        with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
+            fitted = self.first_of_each_law(r for found in pool.map(self.fit, groups) for r in found)
+            ranked = self.leading(fitted)
             tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
-            plainer = [
-                r for found in pool.map(lambda r: brief.special_cases(r, tried), ranked) for r in found
-            ]
-            ranked = brief.leading(brief.first_of_each_law([*ranked, *plainer]))
-            if brief is self:
-                return ranked
-            return self.first_of_each_law(pool.map(lambda r: self.continued(r, brief), ranked))
+            plainer = [r for found in pool.map(lambda r: self.special_cases(r, tried), ranked) for r in found]
+        return self.leading(self.first_of_each_law([*ranked, *plainer]))
 
     def run(self) -> ScreeningResult:
         """Run the stage."""

@@ -13,8 +13,9 @@ class SearchSettings:
     matches: int = 8
     #: laws that are fitted with all samples and their own noise
     finals: int = 4
-    #: gap (power of the error over the power of the signal) above which a small effect says little about a large one
-    wide_gap: float = 0.01
+    #: gap (power of the error over the power of the signal) above which a small effect says little about a large one; above its square the
+    #: phase of a motion may be lost
+    wide_gap: float = 0.1
     #: largest number of effects
     depth: int = 3
     #: runners-up of the first stage from which the search starts again if the first start gives no name
