@@ -37,7 +37,6 @@ class CandidateComparison:
 
     def __post_init__(self) -> None:
         self.chosen = self.foremost = self.refitted
-        self.stages = [list(stage) for stage in self.stages]  # other comparisons keep theirs
         self._scores: dict[Candidate, HeldOutScore] = {}
         self._similar = self.evaluator.score_path(self.path)
         self.filters = self.evaluator.whitener(self.richest)

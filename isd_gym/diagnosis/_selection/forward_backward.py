@@ -1,4 +1,4 @@
-"""Search for the missing effects: forward addition, backward elimination, and further starts from the runners-up."""
+"""Search for the missing effects: forward addition and backward elimination."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from .candidate import (
     Candidate,
     CandidateFitter,
     deviance_with_noise_of,
-    is_special_case,
-    same_effects,
     simpler_structures,
 )
 from .candidate_comparison import RIVALS, CandidateComparison
@@ -73,37 +71,25 @@ class Search:
         """Decisions about two candidates."""
         return InclusionTests(self.evaluator, self.criteria)
 
-    def run(
-        self, refitted: Candidate, is_decided: Callable[[CandidateComparison], bool]
-    ) -> CandidateComparison:
+    def run(self, refitted: Candidate) -> CandidateComparison:
         """Search from the refitted nominal model."""
-        return self.try_runners_up(self.select(*self.add_effects([refitted])), is_decided)
+        return self.select(*self.add_effects(refitted))
 
     # -- forward addition ---------------------------------------------------------------------------------
-    def add_effects(
-        self,
-        path: Sequence[Candidate],
-        stages: Sequence[list[Candidate]] = (),
-        is_promising: Callable[[Candidate], bool] = lambda last: True,
-    ) -> tuple[list[Candidate], list[list[Candidate]]]:
-        """Add one effect at a time to a path, which begins with the refitted nominal model, and keep the candidates of each stage."""
-        path, stages = list(path), list(stages)
+    def add_effects(self, refitted: Candidate) -> tuple[list[Candidate], list[list[Candidate]]]:
+        """Add one effect at a time: the refitted nominal model and candidates with one more effect each, and the candidates of each stage."""
+        path, stages = [refitted], list[list[Candidate]]()
         try:
             with self.clock.until(SEARCH):
-                self._extend(path, stages, is_promising)
+                self._extend(path, stages)
         except TimeUp:
             self.clock.leave_out(f"the search for {ORDINALS[min(len(path), len(ORDINALS)) - 1]} effect")
         return path, stages
 
-    def _extend(
-        self,
-        path: list[Candidate],
-        stages: list[list[Candidate]],
-        is_promising: Callable[[Candidate], bool],
-    ) -> None:
+    def _extend(self, path: list[Candidate], stages: list[list[Candidate]]) -> None:
         """Append candidates with one more effect each to a path, and their stages."""
         c, e = self.criteria, self.evaluator
-        while len(path) <= self.settings.depth and is_promising(path[-1]):
+        while len(path) <= self.settings.depth:
             now = path[-1]
             score = e.score_path(path)[-1]
             excess = score.excess(e.noise_share(score))
@@ -280,67 +266,3 @@ class Search:
         if best is not chosen:
             stage.append(chosen)
         return best
-
-    # -- further starts -----------------------------------------------------------------------------------
-    def try_runners_up(
-        self, scores: CandidateComparison, is_decided: Callable[[CandidateComparison], bool]
-    ) -> CandidateComparison:
-        """Search again from the other candidates of the first stage that predict best, where the first search decides nothing."""
-        if is_decided(scores) or not scores.stages:
-            return scores
-        first = scores.stages[0][0]
-        try:
-            with self.clock.until(SEARCH):
-                scored = [
-                    (scores.score(r).mean_square, r) for r in scores.stages[0][1:] if scores.can_score(r)
-                ]
-                runners = sorted(scored, key=lambda t: t[0])[: self.settings.turns]
-                refitted = scores.score(scores.refitted).mean_square
-        except TimeUp:
-            self.clock.leave_out("further starts of the search")
-            return scores
-        for score, runner in runners:
-            # the first search went through a special case of the runner-up
-            if is_special_case(first.hypotheses[-1], runner.hypotheses[-1]) or score > refitted:
-                continue
-            self.say(f"starting over with {runner.hypotheses[-1].label}")
-            try:
-                with self.clock.until(SEARCH):
-                    other = self._search_from(scores, runner)
-            except BROKEN:
-                continue
-            except TimeUp:
-                self.clock.leave_out(f"a start from {runner.hypotheses[-1].label}")
-                break
-            if other is not None and self._improves(other, scores):
-                scores = other
-        return scores
-
-    def _search_from(self, scores: CandidateComparison, runner: Candidate) -> CandidateComparison | None:
-        """Search from a runner-up. Return None if the path leads to a known candidate."""
-
-        def leads(candidate: Candidate) -> bool:
-            """Return whether a candidate is new, and no worse than the first path's candidate with as many effects."""
-            count = len(candidate.hypotheses)
-            if count < 2 or count > len(scores.stages):
-                return True
-            there = scores.stages[count - 1][0]
-            if same_effects(candidate.hypotheses, there.hypotheses):  # perhaps from a better local optimum
-                return self.tests.predicts_better(scores, candidate, there)
-            return not self.tests.predicts_better(scores, there, candidate)
-
-        path, stages = self.add_effects([scores.refitted, runner], scores.stages[:1], is_promising=leads)
-        return self._select(path, stages) if leads(path[-1]) else None
-
-    def _improves(self, other: CandidateComparison, best: CandidateComparison) -> bool:
-        """Return whether another comparison's choice predicts better, or no worse with fewer effects, with the filters of the richer
-        fit."""
-        mine, theirs = other.chosen, best.chosen
-        common = min(other, best, key=lambda scores: scores.richest.deviance)
-        if not common.can_score(mine):
-            return False
-        if not common.can_score(theirs):
-            return True
-        if len(mine.hypotheses) < len(theirs.hypotheses):
-            return bool(mine.hypotheses) and not self.tests.predicts_better(common, theirs, mine)
-        return self.tests.predicts_better(common, mine, theirs)
