@@ -218,7 +218,7 @@ class ResultBuilder:
             return decision, ()
         weighted = measured.weighted
         if free.candidate is not None:
-            weighted = weigh_candidates(self.search, scores, [free.candidate], self.seed)
+            weighted = weigh_candidates(scores, [free.candidate], self.seed)
         failed = {g.name for g in decision.gates if not g.passed}
         findings = find(
             self.search,

@@ -20,7 +20,6 @@ from .candidate import (
 from .candidate_comparison import RIVALS, CandidateComparison
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
-from .inclusion_tests import InclusionTests
 from .screening import Screening
 
 if TYPE_CHECKING:
@@ -66,11 +65,6 @@ class Search:
         """Fits of candidates."""
         return CandidateFitter(self.evaluator, self.criteria)
 
-    @property
-    def tests(self) -> InclusionTests:
-        """Decisions about two candidates."""
-        return InclusionTests(self.evaluator, self.criteria)
-
     def run(self, refitted: Candidate) -> CandidateComparison:
         """Search from the refitted nominal model."""
         return self.select(*self.add_effects(refitted))
@@ -98,7 +92,9 @@ class Search:
                 k.known or x < c.wide_gap for k, x in zip(e.noise_estimates, score.nrmse, strict=True)
             )
             is_within_noise = is_known and excess.max() < c.material
-            is_unmodelled = is_known and bool(np.all(excess < self.tests.unmodelled_envelope(now)))
+            is_unmodelled = is_known and bool(
+                np.all(excess < e.unmodelled_envelope(now, c.small_effect, c.material))
+            )
             if len(path) > 1 and (is_within_noise or is_unmodelled):
                 break
             label = "; ".join(h.label for h in now.hypotheses) or "refitted model"
@@ -174,12 +170,12 @@ class Search:
                 "the comparison of the candidates" + (f" (the first was {best})" if best else "")
             )
         with self.clock.until(EVIDENCE):
-            return CandidateComparison(self.evaluator, path[:1], [])
+            return CandidateComparison(self.evaluator, self.criteria, path[:1], [])
 
     def _select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
-        scores = CandidateComparison(self.evaluator, path, stages)
+        scores = CandidateComparison(self.evaluator, self.criteria, path, stages)
         count = len(path) - 1
-        while count > 0 and not self.tests.passes_inclusion(scores, path[count - 1], path[count]):
+        while count > 0 and not scores.passes_inclusion(path[count - 1], path[count]):
             count -= 1
         if not count:
             scores.foremost = self._best_predictor(scores)
@@ -197,7 +193,7 @@ class Search:
             return scores.refitted
         first = scores.path[1]
         others = [r for r in scores.stages[0] if r is not first and scores.can_score(r)]
-        better = [r for r in others if self.tests.predicts_better(scores, r, first)]
+        better = [r for r in others if scores.predicts_better(r, first)]
         return min(better, key=lambda r: scores.score(r).mean_square, default=first)
 
     def _eliminate(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
@@ -211,7 +207,7 @@ class Search:
                 is_replaced = len(structure.hypotheses) == len(chosen.hypotheses)
                 effect = None if is_replaced else chosen.hypotheses.index(gone)
                 try:
-                    is_needed = self.tests.passes_deletion(scores, chosen, r, effect)
+                    is_needed = scores.passes_deletion(chosen, r, effect)
                 except BROKEN:
                     continue
                 if not is_needed:
@@ -247,7 +243,7 @@ class Search:
             r = self.fitter.refit(structure, chosen)
             if r is None or not r.well_formed() or not scores.can_score(r):
                 continue
-            if not self.tests.passes_deletion(scores, chosen, r, None):
+            if not scores.passes_deletion(chosen, r, None):
                 several = "; ".join(h.label for h in chosen.hypotheses)
                 scores.notes.append(f"{r.label}: predicts as well as {several} together")
                 scores.stages[len(r.hypotheses) - 1].insert(0, r)
@@ -262,7 +258,7 @@ class Search:
             if r is not None and scores.can_score(r):
                 stage.insert(1, r)
         others = [r for r in stage if r is not chosen][:RIVALS]
-        best = self.tests.simplest(scores, [chosen, *others])
+        best = scores.simplest([chosen, *others])
         if best is not chosen:
             stage.append(chosen)
         return best
