@@ -265,7 +265,7 @@ class Workflow:
                 return found
         scores = self.search.run(refitted)
         measured = self.measure(scores)
-        return self._result(scores, measured, self.decide(scores, measured))
+        return ResultBuilder(self.search, scores, measured, self).build(self.decide(scores, measured))
 
     def measure(self, scores: CandidateComparison) -> Measurements:
         """Return the measurements of a search; a candidate that cannot be measured loses."""
@@ -293,24 +293,6 @@ class Workflow:
             self.criteria,
         )
 
-    def _result(
-        self,
-        scores: CandidateComparison,
-        measured: Measurements,
-        decision: Decision,
-        over: Stretches | None = None,
-    ) -> Diagnosis:
-        return ResultBuilder(
-            self.search,
-            scores,
-            measured,
-            self.whole,
-            self.held_from,
-            self.seed,
-            self.say,
-            self.feedback,
-        ).build(decision, self.notes, over)
-
     # -- segments -----------------------------------------------------------------------------------------
     def has_free_motion(self) -> bool:
         """Return whether an input ties the motion to the record, and a motion can start anew."""
@@ -319,7 +301,7 @@ class Workflow:
     @cached_property
     def refitted(self) -> Candidate:
         """The refitted nominal model."""
-        return self.search.fitter.refit_nominal()
+        return self.search.refit_nominal()
 
     @cached_property
     def error_of_whole_records(self) -> float:
@@ -364,7 +346,7 @@ class Workflow:
         )
         try:
             with self.clock.until(SEARCH):
-                refitted = flow.search.fitter.refit_nominal()
+                refitted = flow.search.refit_nominal()
             scores = flow.search.run(refitted)
             measured = flow.measure(scores)
         except TimeUp:
@@ -375,4 +357,4 @@ class Workflow:
         decision = flow.decide(scores, measured)
         # under feedback whole records are no valid comparison
         is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
-        return flow._result(scores, measured, decision, over) if is_final else None
+        return ResultBuilder(flow.search, scores, measured, flow).build(decision, over) if is_final else None

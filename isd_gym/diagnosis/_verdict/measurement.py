@@ -158,7 +158,7 @@ def _removed_by(search: Search, scores: CandidateComparison, effect: int) -> tup
     if without is None:
         simpler = simpler_structures(search.problem, best)
         structure = next((s for _, s in simpler if list(s.hypotheses) == others), None)
-        without = search.fitter.refit(structure, best) if structure is not None else None
+        without = search.refit(structure, best) if structure is not None else None
     if without is None or not scores.can_score(without):
         return 0.0, 0.0, False
     return scores.removed(best, without)
