@@ -210,9 +210,8 @@ def relative_uncertainty(
         by_unit[q.unit] = max(old[0], size), max(old[1], half)
     if difference is not None:
         by_unit[difference.unit] = abs(difference.value), 0.5 * (difference.high - difference.low)
-    return max((_factor(size, half) for size, half in by_unit.values()), default=0.0)
-
-
-def _factor(size: float, half: float) -> float:
-    """Return the logarithm of the factor by which a value, known to plus or minus `half`, may be too large."""
-    return math.inf if half >= size else -math.log1p(-half / size)
+    # the factor by which a value, known to plus or minus half of its interval, may be too large
+    return max(
+        (math.inf if half >= size else -math.log1p(-half / size) for size, half in by_unit.values()),
+        default=0.0,
+    )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._estimation.structure import owner_pair, twin
+from .._estimation.structure import owner_pair
 from .candidate import is_special_case
 from .equivalent_laws import is_sound
 from .free_force import Table
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from ..._common.arrays import Array
-    from .._estimation.structure import Hypothesis
     from .candidate import Candidate
     from .candidate_comparison import CandidateComparison
 
@@ -62,16 +61,6 @@ class WeightedCandidate:
     statements: frozenset[Statement]
 
 
-def place_of(scores: CandidateComparison, h: Hypothesis) -> tuple[str, ...]:
-    """Return the place of a hypothesis in the nodes of the nominal model; terminals in alphabetical order."""
-    network = scores.evaluator.problem.network
-    known = {*network.nodes, "ground"}
-    pair = owner_pair(network, h)
-    if pair is None:
-        return h.where
-    return tuple(sorted(twin(n, known) for n in pair))
-
-
 def statements_of(scores: CandidateComparison, candidate: Candidate, best: Candidate) -> frozenset[Statement]:
     """Return the statements of a candidate: of a free force, of its own effects, or those of the foremost candidate with equivalent
     effects."""
@@ -90,7 +79,12 @@ def statements_of(scores: CandidateComparison, candidate: Candidate, best: Candi
         and not is_special_case(candidate.hypotheses[-1], best.hypotheses[-1])
     )
     chosen = best if alike else candidate
-    return frozenset(Statement(place_of(scores, h), h.kind.mechanism, h.effect) for h in chosen.hypotheses)
+    network = scores.evaluator.problem.network
+    places = [owner_pair(network, h) for h in chosen.hypotheses]
+    return frozenset(
+        Statement(tuple(sorted(pair)) if pair else h.where, h.kind.mechanism, h.effect)
+        for h, pair in zip(chosen.hypotheses, places, strict=True)
+    )
 
 
 def weigh_candidates(
@@ -137,9 +131,3 @@ def probability(candidates: Sequence[WeightedCandidate], **wanted: object) -> fl
             if any(all(getattr(s, k) == v for k, v in wanted.items()) for s in c.statements)
         )
     )
-
-
-def weight_of_all(candidates: Sequence[WeightedCandidate], best: Candidate) -> float:
-    """Return the sum of the weights of the candidates that state all that the foremost candidate states."""
-    own = next(c.statements for c in candidates if c.candidate is best)
-    return float(sum(c.weight for c in candidates if c.statements >= own))

@@ -24,7 +24,7 @@ from .._selection.uncertainty import (
     parameters_at_limits,
     relative_uncertainty,
 )
-from .._selection.weights import WeightedCandidate, weigh_candidates, weight_of_all
+from .._selection.weights import WeightedCandidate, weigh_candidates
 from .._simulation.problem import BROKEN
 from .evidence import EffectEvidence, Evidence, as_numbers
 
@@ -83,6 +83,7 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
     if not best.hypotheses:
         return Measurements(Evidence(after=as_numbers(refit.nrmse), **common), quantities, [], ())
     weighted = weigh_candidates(scores, seed=seed)
+    stated = next(w.statements for w in weighted if w.candidate is best)
     rivals = scores.rivals()
     indistinguishable = scores.indistinguishable()
     others = [r for r in rivals if not scores.states_the_same(r, best)]
@@ -104,7 +105,7 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
         explained=scores.explained(best),
         envelope_after=as_numbers(envelope_after),
         training_explained=scores.explained_on_training(refitted, best),
-        probability=weight_of_all(weighted, best),
+        probability=sum(w.weight for w in weighted if w.statements >= stated),
         lack_of_fit=lack_of_fit(search, scores),
         test_explained=scores.explained_on_test(best),
         test_excess_ratio=scores.test_excess_ratio(best),
@@ -131,6 +132,7 @@ def _effects(
     for k, (h, e, size) in enumerate(zip(best.hypotheses, best.elements, sizes, strict=True)):
         difference = differing_part(problem.network, best.fit.structure, best.fit.x, e, matrix)
         removed, width, is_beyond = _removed_by(search, scores, k)
+        motion = motions(problem, best.fit).get(e.between) if e.place == "between" else None
         out.append(
             EffectEvidence(
                 label=h.label,
@@ -142,7 +144,7 @@ def _effects(
                 removed=removed,
                 width=width,
                 beyond_small=is_beyond,
-                support=find_support(problem, best.fit, e),
+                support=1.0 if motion is None else e.support(motion),
             )
         )
     return tuple(out)
@@ -206,14 +208,6 @@ def find_contradiction(problem: Problem, fit: Fit, element: el.Element, c: Crite
         if el.rms(force) > LARGEST * max(typical, inertia):
             return "its force is many times the forces of the records"
     return ""
-
-
-def find_support(problem: Problem, fit: Fit, element: el.Element) -> float:
-    """Return the share of the samples on the rarer side of a law's slip, clearance or transition; 1 where the law has none."""
-    if element.place != "between":
-        return 1.0
-    motion = motions(problem, fit).get(element.between)
-    return 1.0 if motion is None else element.support(motion)
 
 
 # ------------------------------------------------------------------------------------------------- lack of fit
