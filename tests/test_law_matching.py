@@ -9,10 +9,10 @@ from builders import damper, element, fitted, oscillator, recorded, sines
 
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
-from isd_gym.diagnosis._hypotheses.law_forces import force_responses, law_forces, measured_motions
 from isd_gym.diagnosis._hypotheses.law_matching import match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._hypotheses.motion import joined, motions
+from isd_gym.diagnosis._hypotheses.pair_forces import force_responses, law_forces, measured_motions
 from isd_gym.diagnosis._selection.candidate import Candidate
 from isd_gym.diagnosis._selection.screening import Screening
 from isd_gym.diagnosis._selection.settings import SearchSettings

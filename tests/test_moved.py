@@ -12,8 +12,8 @@ from refusals import refused
 from isd_gym import simulate
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
-from isd_gym.diagnosis._hypotheses.missing_force import Deconvolution
 from isd_gym.diagnosis._hypotheses.motion import motions
+from isd_gym.diagnosis._hypotheses.pair_forces import Deconvolution
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network, assemble, cut, linearise, rejoin
 

@@ -49,12 +49,11 @@ if TYPE_CHECKING:
     from ..physics.network import Network
     from ..records.data import Table
     from ._estimation.structure import Structure
-    from ._records.feedback import Feedback
     from ._selection.candidate_comparison import CandidateComparison
     from ._selection.forward_backward import Search
-    from ._simulation.problem import Problem
     from ._verdict.findings import Finding
     from ._verdict.measurement import Measurements
+    from ._workflow import Workflow
     from .result import Law, RecordDifferences, Tabulated
 
 
@@ -68,24 +67,17 @@ class ResultBuilder:
     search: Search
     scores: CandidateComparison
     measured: Measurements
-    #: the whole records
-    whole: Problem
-    #: time from which each whole record takes no part in fitting [s]
-    held_from: tuple[float, ...]
-    seed: int
-    say: Callable[[str], None]
-    #: inputs that follow from outputs
-    feedback: tuple[Feedback, ...] = ()
+    flow: Workflow
     #: parts of the result that could not be made
     lost: list[str] = field(default_factory=list)
 
-    def build(self, decision: Decision, notes: Sequence[str], over: Stretches | None = None) -> Diagnosis:
+    def build(self, decision: Decision, over: Stretches | None = None) -> Diagnosis:
         """Build the result; `over` describes the segments over which records were compared, None for whole records."""
         search, scores, measured = self.search, self.scores, self.measured
         p, network, criteria = search.problem, search.problem.network, search.criteria
         refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable
         # under feedback a free curve would draw the controller's law
-        is_free = decision.verdict == "unknown_effect" and not self.feedback
+        is_free = decision.verdict == "unknown_effect" and not self.flow.feedback
         what = "a table of the missing force"
         free = (self._attempt(what, self._free_force) if is_free else None) or FreeForce()
         found = self._attempt("the probabilities", self._findings, decision, free)
@@ -132,7 +124,7 @@ class ResultBuilder:
             reason=decision.reason,
             remainder=self._remainder(noise, rows) if is_named else None,
             stretches=over,
-            closed_loop=self.feedback,
+            closed_loop=self.flow.feedback,
             effects=tuple(effects),
             small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
             contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
@@ -158,7 +150,7 @@ class ResultBuilder:
             record_differences=differences,
             traces=self._traces(final),
             laws=laws,
-            notes=tuple(dict.fromkeys((*notes, *self._tried(), *self.lost))),
+            notes=tuple(dict.fromkeys((*self.flow.notes, *self._tried(), *self.lost))),
             units={c.name: c.unit for c in network.outputs},
             evidence=measured.evidence,
             criteria=criteria,
@@ -206,7 +198,7 @@ class ResultBuilder:
     # -- decision -----------------------------------------------------------------------------------------
     def _free_force(self) -> FreeForce:
         """Fit a table of the missing force."""
-        self.say("no known law explains it: following the missing force")
+        self.flow.say("no known law explains it: following the missing force")
         gates = functools.partial(table_gates, c=self.search.criteria)
         free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
         return free if free.candidate is None or self.scores.can_score(free.candidate) else FreeForce()
@@ -218,7 +210,7 @@ class ResultBuilder:
             return decision, ()
         weighted = measured.weighted
         if free.candidate is not None:
-            weighted = weigh_candidates(self.search, scores, [free.candidate], self.seed)
+            weighted = weigh_candidates(scores, [free.candidate], self.flow.seed)
         failed = {g.name for g in decision.gates if not g.passed}
         findings = find(
             self.search,
@@ -228,11 +220,11 @@ class ResultBuilder:
             next(w.statements for w in weighted if w.candidate is scores.foremost),
             is_named=decision.verdict == "missing_effect",
             # a single law competes with the free force by its weight
-            is_doubted=bool(self.feedback)
+            is_doubted=bool(self.flow.feedback)
             or "predicts better" in failed
             or ("lack of fit" in failed and len(scores.foremost.hypotheses) > 1),
         )
-        if self.feedback:  # a controller imitates an element: no kind is certain
+        if self.flow.feedback:  # a controller imitates an element: no kind is certain
             return decision, findings
         return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
 
@@ -241,23 +233,23 @@ class ResultBuilder:
         scores = self.scores
         if decision.verdict not in ("missing_effect", "ambiguous", "unknown_effect"):
             return None
-        self.say("comparing the parameters of each record")
+        self.flow.say("comparing the parameters of each record")
         more = (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
         named = {c: candidate_text(_effects_of(c)) for c in more if c.hypotheses}
         if free.candidate is not None:
             named[free.candidate] = "a force without a name"
         laws = [(words, c.fit.structure, c.fit.x) for c, words in named.items()]
-        network = self.whole.network
-        lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.whole.time
+        network = self.flow.whole.network
+        lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.flow.whole.time
         refitted, noise = scores.refitted.fit, self.search.evaluator.least_noise
-        return find_record_differences(self.whole, refitted.structure, refitted.x, noise, laws, lead)
+        return find_record_differences(self.flow.whole, refitted.structure, refitted.x, noise, laws, lead)
 
     def _fit_simulation(
         self, final: Candidate, quantities: Mapping[str, Quantity]
     ) -> tuple[Structure, Array, SimulationFit | None]:
         """Return the completed model fitted to all training data, or as the search fitted it where the last fit gains nothing."""
-        self.say("fitting the completed model to all training data")
-        made = fit_simulation_error(self.search.evaluator, final, self.held_from)
+        self.flow.say("fitting the completed model to all training data")
+        made = fit_simulation_error(self.search.evaluator, final, self.flow.held_from)
         if made is None:
             return final.fit.structure, final.fit.x, None
         structure, x, last = made
@@ -316,12 +308,14 @@ class ResultBuilder:
         self, candidates: Sequence[Candidate], noise: Array
     ) -> tuple[dict[str, Any] | None, Table | None]:
         """Return the test that would decide between candidates, and its inputs."""
-        self.say("designing the test that would decide")
+        self.flow.say("designing the test that would decide")
 
         def design() -> tuple[dict[str, Any], Table] | None:
             planning = wing("forecast")
-            found = planning.next_experiment(self.whole, candidates, noise)
-            return (found.to_dict(), planning.played(self.whole.network, found.record)) if found else None
+            found = planning.next_experiment(self.flow.whole, candidates, noise)
+            return (
+                (found.to_dict(), planning.played(self.flow.whole.network, found.record)) if found else None
+            )
 
         return self._attempt("the next test", design) or (None, None)
 
@@ -383,7 +377,7 @@ class ResultBuilder:
 
     def _traces(self, final: Candidate) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
-        whole, refitted, evaluator, out = self.whole, self.scores.refitted, self.search.evaluator, []
+        whole, refitted, evaluator, out = self.flow.whole, self.scores.refitted, self.search.evaluator, []
         nominal = base_structure(whole.network)
         models = [
             (nominal, nominal.start, {}),
@@ -398,7 +392,7 @@ class ResultBuilder:
             )
             measured = {c: record.measured[:, j] for j, c in enumerate(whole.channels)}
             inputs = {k: record.seen(v) for k, v in record.inputs.items()}
-            since = self.held_from[i]
+            since = self.flow.held_from[i]
             cut = since if math.isfinite(since) else None
             held_out = since == -math.inf
             out.append(Trace(record.name, held_out, record.time, inputs, measured, before, refit, after, cut))
@@ -406,16 +400,16 @@ class ResultBuilder:
 
     def _trace(self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int) -> Array:
         """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""
-        fitter = Fitter(self.whole, white_filters(self.search.least_noise))
+        fitter = Fitter(self.flow.whole, white_filters(self.search.least_noise))
         for begun in ({}, {k: v for k, v in initial.items() if k == index}):
             try:
                 fit = fitter.fit(structure, x, begun, records=[index], frozen=True, iterations=3)
             except BROKEN:
                 continue
             return fit.outputs[index]
-        name = self.whole.records[index].name
+        name = self.flow.whole.records[index].name
         self.lost.append(f"a model does not simulate the whole record {name}: no curve is drawn there")
-        return np.full_like(self.whole.records[index].measured, np.nan)
+        return np.full_like(self.flow.whole.records[index].measured, np.nan)
 
 
 def _effects_of(candidate: Candidate) -> dict[str, Any]:

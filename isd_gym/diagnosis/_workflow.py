@@ -249,7 +249,6 @@ class Workflow:
         self.network = self.problem.network
         evaluator = HeldOutEvaluator(self.problem, self.whole)
         self.search = Search(evaluator, self.settings, self.criteria, self.say, self.clock)
-        self._measured: tuple[CandidateComparison, Measurements] | None = None
 
     def run(self) -> Diagnosis:
         """Run the diagnosis of whole records; where the refitted model loses the measured motion, that of segments first, each from an
@@ -264,32 +263,28 @@ class Workflow:
             found = self._diagnose_segments(error)
             if found is not None:
                 return found
-            scores = self.search.select(*self.search.add_effects([refitted]))
-        else:
-            scores = self.search.run(refitted, self.is_decided)
-        return self._result(scores, self.decide(scores))
+        scores = self.search.run(refitted)
+        measured = self.measure(scores)
+        return ResultBuilder(self.search, scores, measured, self).build(self.decide(scores, measured))
 
     def measure(self, scores: CandidateComparison) -> Measurements:
-        """Return the measurements of a search; they are kept for the next call."""
-        if self._measured is None or self._measured[0] is not scores:
-            best = "; ".join(h.label for h in scores.foremost.hypotheses)
-            try:
-                with self.clock.until(EVIDENCE):
-                    found = collect_evidence(self.search, scores, self.seed)
-            except (TimeUp, *BROKEN) as error:  # a candidate that cannot be measured loses
-                if isinstance(error, TimeUp):
-                    self.clock.leave_out(f"the tests of {best or 'the refitted model'}")
-                scores.chosen = scores.foremost = scores.refitted
-                with self.clock.until(1.0):
-                    found = collect_evidence(self.search, scores, self.seed)
-            self._measured = scores, found
-        return self._measured[1]
+        """Return the measurements of a search; a candidate that cannot be measured loses."""
+        best = "; ".join(h.label for h in scores.foremost.hypotheses)
+        try:
+            with self.clock.until(EVIDENCE):
+                return collect_evidence(self.search, scores, self.seed)
+        except (TimeUp, *BROKEN) as error:
+            if isinstance(error, TimeUp):
+                self.clock.leave_out(f"the tests of {best or 'the refitted model'}")
+            scores.chosen = scores.foremost = scores.refitted
+            with self.clock.until(1.0):
+                return collect_evidence(self.search, scores, self.seed)
 
-    def decide(self, scores: CandidateComparison) -> Decision:
+    def decide(self, scores: CandidateComparison, measured: Measurements) -> Decision:
         """Return the decision on a search; under feedback a name has to meet further conditions."""
-        decision, best = decide(self.measure(scores).evidence, self.criteria), scores.foremost
+        best = scores.foremost
         return decide_under_feedback(
-            decision,
+            decide(measured.evidence, self.criteria),
             self.problem,
             best.fit,
             best.elements,
@@ -297,30 +292,6 @@ class Workflow:
             self.is_segmented,
             self.criteria,
         )
-
-    def is_decided(self, scores: CandidateComparison) -> bool:
-        """Return whether a search needs no further start: where only the lack-of-fit gate fails, other names are only other curves."""
-        decision = self.decide(scores)
-        failed = {g.name for g in decision.gates if not g.passed}
-        return failed == {"lack of fit"} or decision.verdict in (
-            "missing_effect",
-            "no_discrepancy",
-            "parameters_only",
-        )
-
-    def _result(
-        self, scores: CandidateComparison, decision: Decision, over: Stretches | None = None
-    ) -> Diagnosis:
-        return ResultBuilder(
-            self.search,
-            scores,
-            self.measure(scores),
-            self.whole,
-            self.held_from,
-            self.seed,
-            self.say,
-            self.feedback,
-        ).build(decision, self.notes, over)
 
     # -- segments -----------------------------------------------------------------------------------------
     def has_free_motion(self) -> bool:
@@ -330,7 +301,7 @@ class Workflow:
     @cached_property
     def refitted(self) -> Candidate:
         """The refitted nominal model."""
-        return self.search.fitter.refit_nominal()
+        return self.search.refit_nominal()
 
     @cached_property
     def error_of_whole_records(self) -> float:
@@ -375,15 +346,15 @@ class Workflow:
         )
         try:
             with self.clock.until(SEARCH):
-                refitted = flow.search.fitter.refit_nominal()
-            scores = flow.search.run(refitted, flow.is_decided)
-            flow.measure(scores)
+                refitted = flow.search.refit_nominal()
+            scores = flow.search.run(refitted)
+            measured = flow.measure(scores)
         except TimeUp:
             self.clock.leave_out("a comparison over brief stretches")
             return None
         except BROKEN:
             return None
-        decision = flow.decide(scores)
+        decision = flow.decide(scores, measured)
         # under feedback whole records are no valid comparison
         is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
-        return flow._result(scores, decision, over) if is_final else None
+        return ResultBuilder(flow.search, scores, measured, flow).build(decision, over) if is_final else None

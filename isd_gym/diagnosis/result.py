@@ -410,7 +410,6 @@ class Stretches:
     #: - diverges: the simulation of whole records diverges.
     #: - astray: the error over whole records exceeds `limit`.
     #: - feedback: an input follows from outputs.
-    #: - unnamed: over whole records no candidate passes every gate.
     reason: Literal["diverges", "astray", "feedback"]
     #: NRMSE of the refitted model over whole records, mean over channels
     error: float

@@ -15,8 +15,7 @@ from isd_gym.diagnosis._estimation.initial_states import transfer_states
 from isd_gym.diagnosis._estimation.noise import channel_moments, predicted, white_filters
 from isd_gym.diagnosis._estimation.structure import Hypothesis, Structure, add
 from isd_gym.diagnosis._selection.candidate import is_special_case
-from isd_gym.diagnosis._selection.comparison import Comparison
-from isd_gym.diagnosis._selection.held_out import BLOCKS, effect_size
+from isd_gym.diagnosis._selection.held_out import BLOCKS, Comparison, effect_size
 from isd_gym.diagnosis._selection.uncertainty import differing_part, relative_uncertainty
 from isd_gym.diagnosis._simulation.problem import BROKEN
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence, as_numbers

@@ -96,7 +96,7 @@ def align_clocks(
         x, moved = fit.x, 0.0
         for i, r in enumerate(out):
             if r.clocks:
-                step = _clip_step(r, fit.offset[i][len(problem.channels) :])
+                step = np.clip(fit.offset[i][len(problem.channels) :], -STRIDE * r.pace, STRIDE * r.pace)
                 moved = max(moved, float(np.abs(step).max() / r.pace))
                 lags = {k: r.lags[k] + float(s) for k, s in zip(r.clocks, step, strict=True)}
                 out[i] = _apply_lags(r, lags, network)
@@ -112,11 +112,6 @@ def _apply_lags(record: Record, lags: Mapping[str, float], network: Network) -> 
     """Return a record, built again from its recording with new lags [s]."""
     assert record.source is not None
     return replace(build_record(record.source, network, lags), name=record.name)
-
-
-def _clip_step(record: Record, step: Array) -> Array:
-    """Return steps of lags [s], limited to `STRIDE` time scales."""
-    return np.clip(step, -STRIDE * record.pace, STRIDE * record.pace)
 
 
 def _estimate_lags(problem: Problem, fit: Fit, index: int, doubt: str) -> list[Lag]:
@@ -292,7 +287,7 @@ def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tu
             fit = Fitter(Problem(network, [r]), weights).fit(structure, iterations=5)
         except InputError:
             continue
-        (step,) = _clip_step(r, fit.offset[0][len(network.outputs) :])
+        (step,) = np.clip(fit.offset[0][len(network.outputs) :], -STRIDE * r.pace, STRIDE * r.pace)
         tried.append(((fit.cost + fit.prior) / len(r), r.lags[clock] + float(step)))
     if not tried:
         return record, "the model breaks down before anything is fitted"

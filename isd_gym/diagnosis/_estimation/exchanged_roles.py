@@ -16,7 +16,6 @@ References:
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -66,7 +65,14 @@ def prefer_direct_problem(
         return None
     direct = Problem(swapped, turned[:training])
     channel = [c.name for c in swapped.outputs].index(motion.name)
-    if not _refitted_error(direct, channel) < largest_error * _straight_error(direct, channel):
+    floors = np.maximum([f.deviation for f in floors_of(direct)], LEAST_NOISE * direct.deviation())
+    try:
+        fit = Fitter(direct, white_filters(floors)).fit(base_structure(swapped))
+    except BROKEN:
+        return None
+    lines = [(r.time, r.measured[:, channel]) for r in direct.records]
+    straight = rms(np.concatenate([y - np.polyval(np.polyfit(t, y, 1), t) for t, y in lines]))
+    if not rms(np.concatenate(residuals(direct, fit))[:, channel]) < largest_error * straight:
         return None
     note = (
         f"{force.name} is taken as input and {motion.name} as output: noise of {motion.name}, differentiated twice, would be "
@@ -93,25 +99,6 @@ def swap_channels(record: Record, network: Network, given: Channel, computed: Ch
     measured = record.measured.copy()
     measured[:, j] = convert(record.inputs[given.name], given.si, given.unit)
     return replace(record, inputs=inputs, measured=measured)
-
-
-def _straight_error(problem: Problem, channel: int) -> float:
-    """Return the RMS error of a straight line through each record [unit of the channel]."""
-    left = []
-    for r in problem.records:
-        y = r.measured[:, channel]
-        left.append(y - np.polyval(np.polyfit(r.time, y, 1), r.time))
-    return rms(np.concatenate(left))
-
-
-def _refitted_error(problem: Problem, channel: int) -> float:
-    """Return the RMS error of the refitted model [unit of the channel]; infinite where no fit succeeds."""
-    floors = np.maximum([f.deviation for f in floors_of(problem)], LEAST_NOISE * problem.deviation())
-    try:
-        fit = Fitter(problem, white_filters(floors)).fit(base_structure(problem.network))
-    except BROKEN:
-        return math.inf
-    return rms(np.concatenate(residuals(problem, fit))[:, channel])
 
 
 @dataclass(frozen=True)

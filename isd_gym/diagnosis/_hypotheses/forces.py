@@ -86,7 +86,7 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
     net, pair = fit.network, set(where)
     here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
     probes = tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here)
-    together = _simulate(problem, fit, probes)
+    together = np.concatenate([*watched(problem, fit, probes).values()])
     return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
 
 
@@ -148,17 +148,12 @@ def _measured_force(problem: Problem) -> float:
     return found
 
 
-def _simulate(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> Array:
-    """Simulate a fit with other outputs over all records to fit by: (samples, outputs)."""
-    return np.concatenate([*watched(problem, fit, outputs).values()])
-
-
 def _simulated(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> list[Array]:
     """Return other outputs over all training records, one array per output; zero where the simulation breaks down."""
     if not outputs:
         return []
     try:
-        together = _simulate(problem, fit, outputs)
+        together = np.concatenate([*watched(problem, fit, outputs).values()])
     except BROKEN:
         return [np.zeros(1) for _ in outputs]
     return list(np.where(np.isfinite(together), together, 0.0).T)

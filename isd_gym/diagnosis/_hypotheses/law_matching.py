@@ -19,10 +19,9 @@ from .._estimation.sensitivities import tangents
 from .._estimation.structure import Hypothesis, Structure, add
 from .._simulation.problem import BROKEN, Problem, bare
 from .forces import DISSIPATIVE, lossy_share, place_forces
-from .law_forces import force_responses, law_forces, measured_motions
 from .library import hypotheses
-from .missing_force import spectral_pitches
 from .motion import joined, loads_of, motions, setting, simulate_variants, tell_gain
+from .pair_forces import force_responses, law_forces, measured_motions, spectral_pitches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -117,10 +117,7 @@ def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
         frequency, own_power = signal.welch(y, 1 / record.interval, **options)
         xx += signal.welch(x, 1 / record.interval, **options)[1].sum(axis=0)
         yy += own_power.sum(axis=0)
-        for i, j in itertools.product(range(count), repeat=2):
-            xy[i, j] += float(
-                signal.csd(x[:, i], y[:, j], 1 / record.interval, **{**options, "axis": -1})[1].real.sum()
-            )
+        xy += signal.csd(x[:, :, None], y[:, None, :], 1 / record.interval, **options)[1].real.sum(axis=0)
         total = (
             own_power.sum(axis=1)
             if count == 1

@@ -49,7 +49,11 @@ def split_records(
     segments: list[Record] = []
     roles: list[Role] = []
     for r in held:
-        own = cut_segments(r, _choose_length(r, time), min(300, len(r) // 2), lead)
+        seconds = SEGMENT * time
+        if r.inputs:  # a short record with inputs gives two to four segments
+            duration = len(r) * r.interval
+            seconds = min(seconds, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration)
+        own = cut_segments(r, seconds, min(300, len(r) // 2), lead)
         segments += own
         roles += ["choose" if k % 2 == 0 else "report" for k in range(len(own))]
     if "report" in roles:
@@ -66,14 +70,6 @@ def _led_in(record: Record, lead: float) -> Record:
     """Return a record whose beginning, at most a share `LED_IN` of it and `lead` [s], is simulated but not compared."""
     first = int(min(lead / record.interval, LED_IN * len(record)))
     return record.part(first, len(record), record.name, first)
-
-
-def _choose_length(record: Record, time: float) -> float:
-    """Return the length [s] of the held-out segments of a record; a short record with inputs gives two to four segments."""
-    if not record.inputs:
-        return SEGMENT * time
-    duration = len(record) * record.interval
-    return min(SEGMENT * time, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration)
 
 
 def _split_record(record: Record) -> tuple[Record, Record]:

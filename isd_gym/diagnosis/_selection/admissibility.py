@@ -16,8 +16,8 @@ from ..._common.errors import InputError
 from ...physics import elements as el
 from ...physics.network import linearise
 from .._hypotheses.law_matching import match_laws
-from .._hypotheses.missing_force import RESOLVED, typical_advance
 from .._hypotheses.motion import motions
+from .._hypotheses.pair_forces import RESOLVED, typical_advance
 from .._simulation.problem import bare
 from .criteria import CRITERIA
 

@@ -134,12 +134,8 @@ CRITERIA = Criteria()
 def is_material(
     removed: float, width: float, beyond_small: bool, size: float, c: Criteria = CRITERIA
 ) -> bool:
-    """Return whether an effect is large enough to be named.
-
-    A large force is. So is a smaller force that closes a wide gap, such as slight friction in a slightly damped rig: but not a force as
-    small as those that every rig has. `removed` and `width` are those of the excess error without the effect, `beyond_small` tells whether that
-    excess is larger in a channel than unmodelled effects make it, `size` is the share of the force at the place.
-    """
+    """Return whether an effect is large enough to be named: with a large force, or a smaller one that closes a wide gap, beyond the size
+    that every rig has."""
     is_wide = width > c.wide_gap or (beyond_small and size > c.small_effect)
     return size >= c.share or (removed >= c.alone_removes and is_wide)
 

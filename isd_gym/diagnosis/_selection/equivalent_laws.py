@@ -55,7 +55,9 @@ def equivalent_structures(
         if m is None or not (is_part_of_period or _plain_curve(type(element))):
             continue
         # a part of a period is steep, whatever the stiffness beside it
-        absorbing = _uncertain_laws(problem, element) if is_part_of_period else []
+        uncertain = {path.rpartition(".")[0] for path in problem.network.uncertainty}
+        beside = [e for e in el.beside(problem.network, element.where) if e.plane == element.plane]
+        absorbing = [e for e in beside if e.name in uncertain] if is_part_of_period else []
         # special and general cases of the same law are compared elsewhere
         others = [
             h
@@ -195,13 +197,6 @@ def force_difference(problem: Problem, candidate: Candidate, other: Candidate, e
 def _plain_curve(kind: type[el.Element]) -> bool:
     """Return whether the force is a curve over the plane: without memory and without local optima of the fit."""
     return kind.plane != "time" and not kind.series and kind.curve is el.Element.curve and not kind.periodic
-
-
-def _uncertain_laws(problem: Problem, element: el.Element) -> list[el.Element]:
-    """Return the owner's uncertain laws at the place of `element` and over the same plane."""
-    uncertain = {path.rpartition(".")[0] for path in problem.network.uncertainty}
-    beside = [e for e in el.beside(problem.network, element.where) if e.plane == element.plane]
-    return [e for e in beside if e.name in uncertain]
 
 
 def _match_laws(

@@ -1,28 +1,24 @@
-"""Search for the missing effects: forward addition, backward elimination, and further starts from the runners-up."""
+"""Search for the missing effects: forward addition and backward elimination, and the fits of simpler structures that they need."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._estimation.gauss_newton import gap
-from .._estimation.noise import refined_noise
+from .._estimation.gauss_newton import Fitter, Point, gap, residuals
+from .._estimation.initial_states import transfer_states
+from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
+from .._estimation.noise import refined_noise, whitener
+from .._estimation.structure import base_structure
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import EVIDENCE, SEARCH, SELECTION, TimeLimit, TimeUp
-from .candidate import (
-    Candidate,
-    CandidateFitter,
-    deviance_with_noise_of,
-    is_special_case,
-    same_effects,
-    simpler_structures,
-)
+from .candidate import Candidate, deviance_with_noise_of, settle, simpler_structures, transfer, white_noise
 from .candidate_comparison import RIVALS, CandidateComparison
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
-from .inclusion_tests import InclusionTests
 from .screening import Screening
 
 if TYPE_CHECKING:
@@ -36,6 +32,8 @@ if TYPE_CHECKING:
     from .held_out import HeldOutEvaluator
     from .settings import SearchSettings
 
+#: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
+ASTRAY = 1.1
 #: stages of forward addition, in words
 ORDINALS = ("a first", "a second", "a third", "a further")
 
@@ -63,47 +61,25 @@ class Search:
         """Smallest noise that residuals are weighted with (channels,)."""
         return self.evaluator.least_noise
 
-    @property
-    def fitter(self) -> CandidateFitter:
-        """Fits of candidates."""
-        return CandidateFitter(self.evaluator, self.criteria)
-
-    @property
-    def tests(self) -> InclusionTests:
-        """Decisions about two candidates."""
-        return InclusionTests(self.evaluator, self.criteria)
-
-    def run(
-        self, refitted: Candidate, is_decided: Callable[[CandidateComparison], bool]
-    ) -> CandidateComparison:
+    def run(self, refitted: Candidate) -> CandidateComparison:
         """Search from the refitted nominal model."""
-        return self.try_runners_up(self.select(*self.add_effects([refitted])), is_decided)
+        return self.select(*self.add_effects(refitted))
 
     # -- forward addition ---------------------------------------------------------------------------------
-    def add_effects(
-        self,
-        path: Sequence[Candidate],
-        stages: Sequence[list[Candidate]] = (),
-        is_promising: Callable[[Candidate], bool] = lambda last: True,
-    ) -> tuple[list[Candidate], list[list[Candidate]]]:
-        """Add one effect at a time to a path, which begins with the refitted nominal model, and keep the candidates of each stage."""
-        path, stages = list(path), list(stages)
+    def add_effects(self, refitted: Candidate) -> tuple[list[Candidate], list[list[Candidate]]]:
+        """Add one effect at a time: the refitted nominal model and candidates with one more effect each, and the candidates of each stage."""
+        path, stages = [refitted], list[list[Candidate]]()
         try:
             with self.clock.until(SEARCH):
-                self._extend(path, stages, is_promising)
+                self._extend(path, stages)
         except TimeUp:
             self.clock.leave_out(f"the search for {ORDINALS[min(len(path), len(ORDINALS)) - 1]} effect")
         return path, stages
 
-    def _extend(
-        self,
-        path: list[Candidate],
-        stages: list[list[Candidate]],
-        is_promising: Callable[[Candidate], bool],
-    ) -> None:
+    def _extend(self, path: list[Candidate], stages: list[list[Candidate]]) -> None:
         """Append candidates with one more effect each to a path, and their stages."""
         c, e = self.criteria, self.evaluator
-        while len(path) <= self.settings.depth and is_promising(path[-1]):
+        while len(path) <= self.settings.depth:
             now = path[-1]
             score = e.score_path(path)[-1]
             excess = score.excess(e.noise_share(score))
@@ -112,7 +88,9 @@ class Search:
                 k.known or x < c.wide_gap for k, x in zip(e.noise_estimates, score.nrmse, strict=True)
             )
             is_within_noise = is_known and excess.max() < c.material
-            is_unmodelled = is_known and bool(np.all(excess < self.tests.unmodelled_envelope(now)))
+            is_unmodelled = is_known and bool(
+                np.all(excess < e.unmodelled_envelope(now, c.small_effect, c.material))
+            )
             if len(path) > 1 and (is_within_noise or is_unmodelled):
                 break
             label = "; ".join(h.label for h in now.hypotheses) or "refitted model"
@@ -121,16 +99,16 @@ class Search:
                 hint = self._hint(now)
                 if hint is None:
                     break
-                if not self._moves_a_channel(hint, now, score):  # reported, but too small to be named
-                    path.append(hint)
+                then = self._score_after(now, score, hint)
+                if then is None or error_reduction(score, then) < c.material:
+                    path.append(hint)  # reported, but too small to be named
                     stages.append([hint])
                     break
             best = self._add_best(now, stages)
             if best is None:
                 break
-            try:
-                then = e.score(best, e.whitener(now), (score,))
-            except BROKEN:
+            then = self._score_after(now, score, best)
+            if then is None:
                 break
             path.append(best)
             if error_reduction(score, then) < c.material:
@@ -155,13 +133,12 @@ class Search:
         ranked, before = self._screen(now, replace(self.settings, matches=3, finals=2))
         return ranked[0] if ranked and before - ranked[0].deviance > self.criteria.deviance_gain else None
 
-    def _moves_a_channel(self, candidate: Candidate, now: Candidate, score: HeldOutScore) -> bool:
-        """Return whether a candidate reduces the error of a channel by a material share."""
+    def _score_after(self, now: Candidate, score: HeldOutScore, then: Candidate) -> HeldOutScore | None:
+        """Return the score of a candidate with the filters of the preceding one; None where it breaks down."""
         try:
-            then = self.evaluator.score(candidate, self.evaluator.whitener(now), (score,))
+            return self.evaluator.score(then, self.evaluator.whitener(now), (score,))
         except BROKEN:
-            return False
-        return error_reduction(score, then) >= self.criteria.material
+            return None
 
     def _add_best(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
         """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
@@ -188,12 +165,12 @@ class Search:
                 "the comparison of the candidates" + (f" (the first was {best})" if best else "")
             )
         with self.clock.until(EVIDENCE):
-            return CandidateComparison(self.evaluator, path[:1], [])
+            return CandidateComparison(self.evaluator, self.criteria, path[:1], [])
 
     def _select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
-        scores = CandidateComparison(self.evaluator, path, stages)
+        scores = CandidateComparison(self.evaluator, self.criteria, path, stages)
         count = len(path) - 1
-        while count > 0 and not self.tests.passes_inclusion(scores, path[count - 1], path[count]):
+        while count > 0 and not scores.passes_inclusion(path[count - 1], path[count]):
             count -= 1
         if not count:
             scores.foremost = self._best_predictor(scores)
@@ -211,7 +188,7 @@ class Search:
             return scores.refitted
         first = scores.path[1]
         others = [r for r in scores.stages[0] if r is not first and scores.can_score(r)]
-        better = [r for r in others if self.tests.predicts_better(scores, r, first)]
+        better = [r for r in others if scores.predicts_better(r, first)]
         return min(better, key=lambda r: scores.score(r).mean_square, default=first)
 
     def _eliminate(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
@@ -225,18 +202,20 @@ class Search:
                 is_replaced = len(structure.hypotheses) == len(chosen.hypotheses)
                 effect = None if is_replaced else chosen.hypotheses.index(gone)
                 try:
-                    is_needed = self.tests.passes_deletion(scores, chosen, r, effect)
+                    is_needed = scores.passes_deletion(chosen, r, effect)
                 except BROKEN:
                     continue
                 if not is_needed:
-                    gain = self.fitter.deviance_gain(chosen, r)
+                    own, without = (
+                        deviance_with_noise_of(self.problem, q, chosen, self.least_noise) for q in (chosen, r)
+                    )
                     scores.notes.append(
-                        f"{gone.label}: not needed (without it, twice the log likelihood: {-gain:+.0f})"
+                        f"{gone.label}: not needed (without it, twice the log likelihood: {own - without:+.0f})"
                     )
                     chosen = r
                     break
                 stage = scores.stages[len(structure.hypotheses) - 1]
-                if is_replaced and not any(q is r for q in stage):
+                if is_replaced and r not in stage:
                     stage.insert(1, r)
             else:
                 return chosen
@@ -251,17 +230,17 @@ class Search:
 
         r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
         if r is None or rank(r) > rank(chosen) + self.settings.chance:
-            tried = [q for q in (r, self.fitter.refit(structure, chosen)) if q is not None]
+            tried = [q for q in (r, self.refit(structure, chosen)) if q is not None]
             r = min(tried, key=rank, default=None)
         return r
 
     def _merge_laws(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
         """Return one law for several laws over one plane at one place, where the several laws predict no better."""
         for structure in joint_structures(self.problem, chosen):
-            r = self.fitter.refit(structure, chosen)
+            r = self.refit(structure, chosen)
             if r is None or not r.well_formed() or not scores.can_score(r):
                 continue
-            if not self.tests.passes_deletion(scores, chosen, r, None):
+            if not scores.passes_deletion(chosen, r, None):
                 several = "; ".join(h.label for h in chosen.hypotheses)
                 scores.notes.append(f"{r.label}: predicts as well as {several} together")
                 scores.stages[len(r.hypotheses) - 1].insert(0, r)
@@ -272,75 +251,78 @@ class Search:
         """Return the simplest of the chosen candidate, its rivals, and other laws for the same force."""
         stage = scores.stages[len(chosen.hypotheses) - 1]
         for structure in equivalent_structures(self.problem, chosen, self.criteria):
-            r = self.fitter.refit(structure, chosen, self.settings.worst_equivalent)
+            r = self.refit(structure, chosen, self.settings.worst_equivalent)
             if r is not None and scores.can_score(r):
                 stage.insert(1, r)
         others = [r for r in stage if r is not chosen][:RIVALS]
-        best = self.tests.simplest(scores, [chosen, *others])
+        best = scores.simplest([chosen, *others])
         if best is not chosen:
             stage.append(chosen)
         return best
 
-    # -- further starts -----------------------------------------------------------------------------------
-    def try_runners_up(
-        self, scores: CandidateComparison, is_decided: Callable[[CandidateComparison], bool]
-    ) -> CandidateComparison:
-        """Search again from the other candidates of the first stage that predict best, where the first search decides nothing."""
-        if is_decided(scores) or not scores.stages:
-            return scores
-        first = scores.stages[0][0]
+    # -- fits -----------------------------------------------------------------------------------------------
+    def refit_nominal(self) -> Candidate:
+        """Refit the nominal model within its stated uncertainty from the nominal values and, where the motion is lightly damped, from
+        segments; the nominal model where every refit errs more on the training records."""
+        p, least = self.problem, self.least_noise
+        structure = base_structure(p.network)
+        found = [settle(p, structure, structure.start, least)]
         try:
-            with self.clock.until(SEARCH):
-                scored = [
-                    (scores.score(r).mean_square, r) for r in scores.stages[0][1:] if scores.can_score(r)
-                ]
-                runners = sorted(scored, key=lambda t: t[0])[: self.settings.turns]
-                refitted = scores.score(scores.refitted).mean_square
+            again = self.from_segments(structure, structure.start, found[0])
+            found += [again] if again is not None else []
         except TimeUp:
-            self.clock.leave_out("further starts of the search")
-            return scores
-        for score, runner in runners:
-            # the first search went through a special case of the runner-up
-            if is_special_case(first.hypotheses[-1], runner.hypotheses[-1]) or score > refitted:
-                continue
-            self.say(f"starting over with {runner.hypotheses[-1].label}")
-            try:
-                with self.clock.until(SEARCH):
-                    other = self._search_from(scores, runner)
-            except BROKEN:
-                continue
-            except TimeUp:
-                self.clock.leave_out(f"a start from {runner.hypotheses[-1].label}")
-                break
-            if other is not None and self._improves(other, scores):
-                scores = other
-        return scores
+            self.clock.leave_out("further starts of the refit")
+            return found[0]
+        gaps = [gap(p, c.fit) for c in found]
+        near = [c for c, g in zip(found, gaps, strict=True) if g <= ASTRAY * min(gaps)]
+        plainly = self.evaluator.plain_fitter.follow(structure, structure.start, p.estimation)
+        nominal = settle(p, structure, structure.start, least, plainly, iterations=0)
+        # else every refit has lost the motion
+        return min(near, key=lambda c: c.deviance) if gap(p, nominal.fit) >= min(gaps) / ASTRAY else nominal
 
-    def _search_from(self, scores: CandidateComparison, runner: Candidate) -> CandidateComparison | None:
-        """Search from a runner-up. Return None if the path leads to a known candidate."""
+    def from_segments(
+        self, structure: Structure, x: Array, similar: Candidate, noise: Array | None = None
+    ) -> Candidate | None:
+        """Fit a structure from a fit to brief segments, weighted by the residuals of a similar candidate; None where the motion is
+        strongly damped."""
+        p, least = self.problem, self.least_noise
+        if p.network.inputs and not is_lightly_damped(p.network):
+            return None
+        noise = white_noise(p, similar.fit, least) if noise is None else noise
+        try:
+            start = fit_segments(p, structure, x, Fitter(p, whitener(residuals(p, similar.fit), noise)))
+            return None if start is None else settle(p, structure, start, least, rounds=2, noise=noise)
+        except BROKEN:
+            return None
 
-        def leads(candidate: Candidate) -> bool:
-            """Return whether a candidate is new, and no worse than the first path's candidate with as many effects."""
-            count = len(candidate.hypotheses)
-            if count < 2 or count > len(scores.stages):
-                return True
-            there = scores.stages[count - 1][0]
-            if same_effects(candidate.hypotheses, there.hypotheses):  # perhaps from a better local optimum
-                return self.tests.predicts_better(scores, candidate, there)
-            return not self.tests.predicts_better(scores, there, candidate)
-
-        path, stages = self.add_effects([scores.refitted, runner], scores.stages[:1], is_promising=leads)
-        return self._select(path, stages) if leads(path[-1]) else None
-
-    def _improves(self, other: CandidateComparison, best: CandidateComparison) -> bool:
-        """Return whether another comparison's choice predicts better, or no worse with fewer effects, with the filters of the richer
-        fit."""
-        mine, theirs = other.chosen, best.chosen
-        common = min(other, best, key=lambda scores: scores.richest.deviance)
-        if not common.can_score(mine):
-            return False
-        if not common.can_score(theirs):
-            return True
-        if len(mine.hypotheses) < len(theirs.hypotheses):
-            return bool(mine.hypotheses) and not self.tests.predicts_better(common, theirs, mine)
-        return self.tests.predicts_better(common, mine, theirs)
+    def refit(self, structure: Structure, similar: Candidate, worst: float = math.inf) -> Candidate | None:
+        """Return the best fit of a simpler or equivalent structure from the values of a fitted candidate, then from nominal ones; None
+        where its error on few samples is above `worst` times the candidate's (in power)."""
+        e, p, least = self.evaluator, self.problem, self.least_noise
+        noise = white_noise(p, similar.fit, least)
+        near = deviance_with_noise_of(p, similar, similar, least) + self.criteria.deviance_gain
+        own = zip(similar.fit.structure.free, similar.fit.x, strict=True)
+        known = {f.path: v for f, v in own if f.owner < 0}
+        x = structure.start_from(known)
+        found: list[Candidate] = []
+        try:
+            initial = transfer_states(p, similar.fit.network, similar.fit.initial, structure)
+            f = e.coarse_fitter.fit(structure, x, initial, similar.fit.offset)
+            if worst < math.inf:  # the cost of the candidate on as few samples
+                s = similar.fit
+                at = e.coarse_fitter.seen(s.structure, Point(s.x, s.initial, s.offset), p.estimation)
+                if f.cost > worst * at.total:
+                    return None
+            f = f if p.rough is p else transfer(p, f, least)
+            found.append(settle(p, structure, f.x, least, f, rounds=2, noise=noise))
+        except BROKEN:
+            pass
+        try:
+            if not found or found[0].deviance > near:
+                found.append(settle(p, structure, structure.start, least, rounds=2, noise=noise))
+            if min(c.deviance for c in found) > near:
+                again = self.from_segments(structure, x, similar, noise)
+                found += [again] if again is not None else []
+            return min(found, key=lambda c: c.deviance)
+        except (*BROKEN, ValueError):
+            return None

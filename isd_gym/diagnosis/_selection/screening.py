@@ -18,11 +18,10 @@ from .._estimation.gauss_newton import Fit, Fitter, Point, gap, residuals
 from .._estimation.initial_states import guess, transfer_states
 from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped
 from .._estimation.noise import refined_noise, whitener
-from .._hypotheses.law_forces import law_forces
 from .._hypotheses.law_matching import follows_motion
 from .._hypotheses.library import Hypothesis, hypotheses
-from .._hypotheses.missing_force import thinning_loses
 from .._hypotheses.motion import motions
+from .._hypotheses.pair_forces import law_forces, thinning_loses
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import adopt, running
 from .admissibility import admissible_matches, travels

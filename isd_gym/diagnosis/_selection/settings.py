@@ -18,8 +18,6 @@ class SearchSettings:
     wide_gap: float = 0.1
     #: largest number of effects
     depth: int = 3
-    #: runners-up of the first stage from which the search starts again if the first start gives no name
-    turns: int = 2
     #: deviance (2 log L) that a law with more parameters gains by chance
     chance: float = 30.0
     #: chance decrease of the deviance (2 log L) by a law with values that contradict its name

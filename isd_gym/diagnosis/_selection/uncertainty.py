@@ -16,7 +16,7 @@ from .._estimation.gauss_newton import Fitter
 from .._estimation.sensitivities import deviations
 from .._simulation.problem import BROKEN
 from ..result import Quantity
-from .comparison import block_edges
+from .held_out import block_edges
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -149,11 +149,8 @@ def intervals(
 
 
 def with_posterior(network: Network, quantities: Mapping[str, Quantity]) -> Network:
-    """Return a fitted model whose stated uncertainties are those of the fit.
-
-    The uncertainty of a parameter is its relative standard deviation, as `base_structure` reads it: of the logarithm for a positive
-    value, of the value for a negative one. Parameters without an interval keep their uncertainty.
-    """
+    """Return a fitted model whose stated uncertainties, as relative standard deviations, are those of the fit; parameters without an
+    interval keep theirs."""
     own, found = network.parameters, {}
     for path, q in quantities.items():
         if path not in own or q.value == 0 or not math.isfinite(q.low) or not math.isfinite(q.high):
@@ -178,8 +175,8 @@ def parameters_at_limits(candidate: Candidate) -> tuple[str, ...]:
 def differing_part(
     network: Network, structure: Structure, x: Array, element: el.Element, matrix: Array | None
 ) -> Quantity | None:
-    """Return the difference, with its interval, of two parameters of a law whose common part could be a parameter of the model; None
-    for a law without two such parameters."""
+    """Return the difference, with its interval, of two parameters of a law whose common part could be one of the model; None for other
+    laws."""
     here = [e for e in el.beside(network, element.where) if e.name != element.name]
     pair = element.differing(here)
     if pair is None or matrix is None:
@@ -198,13 +195,8 @@ def differing_part(
 def relative_uncertainty(
     element: el.Element, quantities: dict[str, Quantity], difference: Quantity | None = None
 ) -> float:
-    """Return half of the widest 95 % interval of a law, as the logarithm of a factor; infinite where the interval holds zero.
-
-    Of several parameters with the same unit the largest counts: an asymmetric damper may be soft in one direction. The parameter that shapes a
-    law (`shaped_by`) does not count beside others: without a certain shape the law is close to a simpler one, with which it is compared.
-
-    `difference`: Difference of two parameters that counts in their place (`differing_part`).
-    """
+    """Return half of the widest 95 % interval of a law, as the logarithm of a factor; infinite where it holds zero. Of several parameters
+    with one unit the largest counts, and one that shapes the law only by itself; `difference` counts in place of two."""
     by_unit: dict[str, tuple[float, float]] = {}
     # a phase has no size
     sized = [f for f in el.parameter_fields(type(element)) if not f.metadata["stride"]]
@@ -218,9 +210,8 @@ def relative_uncertainty(
         by_unit[q.unit] = max(old[0], size), max(old[1], half)
     if difference is not None:
         by_unit[difference.unit] = abs(difference.value), 0.5 * (difference.high - difference.low)
-    return max((_factor(size, half) for size, half in by_unit.values()), default=0.0)
-
-
-def _factor(size: float, half: float) -> float:
-    """Return the logarithm of the factor by which a value, known to plus or minus `half`, may be too large."""
-    return math.inf if half >= size else -math.log1p(-half / size)
+    # the factor by which a value, known to plus or minus half of its interval, may be too large
+    return max(
+        (math.inf if half >= size else -math.log1p(-half / size) for size, half in by_unit.values()),
+        default=0.0,
+    )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._estimation.structure import owner_pair, twin
+from .._estimation.structure import owner_pair
 from .candidate import is_special_case
 from .equivalent_laws import is_sound
 from .free_force import Table
@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from ..._common.arrays import Array
-    from .._estimation.structure import Hypothesis
     from .candidate import Candidate
     from .candidate_comparison import CandidateComparison
-    from .forward_backward import Search
 
 #: draws of the Bayesian bootstrap: the standard error of a weight is at most 0.016
 DRAWS = 1000
@@ -63,22 +61,9 @@ class WeightedCandidate:
     statements: frozenset[Statement]
 
 
-def place_of(search: Search, h: Hypothesis) -> tuple[str, ...]:
-    """Return the place of a hypothesis in the nodes of the nominal model; terminals in alphabetical order."""
-    network = search.problem.network
-    known = {*network.nodes, "ground"}
-    pair = owner_pair(network, h)
-    if pair is None:
-        return h.where
-    return tuple(sorted(twin(n, known) for n in pair))
-
-
-def statements_of(search: Search, candidate: Candidate, best: Candidate) -> frozenset[Statement]:
-    """Return the statements of a candidate.
-
-    `candidate`: The candidate; a table states a free force at its place.
-    `best`: The foremost candidate. A candidate with equivalent effects gets the statements of the foremost candidate.
-    """
+def statements_of(scores: CandidateComparison, candidate: Candidate, best: Candidate) -> frozenset[Statement]:
+    """Return the statements of a candidate: of a free force, of its own effects, or those of the foremost candidate with equivalent
+    effects."""
     structure = candidate.fit.structure
     if isinstance(structure, Table):
         pair = structure.network.element(structure.element).between
@@ -90,27 +75,28 @@ def statements_of(search: Search, candidate: Candidate, best: Candidate) -> froz
         and best.hypotheses
         and len(candidate.hypotheses) == len(best.hypotheses)
         and candidate.hypotheses[:-1] == best.hypotheses[:-1]
-        and search.tests.states_the_same(candidate, best)
+        and scores.states_the_same(candidate, best)
         and not is_special_case(candidate.hypotheses[-1], best.hypotheses[-1])
     )
     chosen = best if alike else candidate
-    return frozenset(Statement(place_of(search, h), h.kind.mechanism, h.effect) for h in chosen.hypotheses)
+    network = scores.evaluator.problem.network
+    places = [owner_pair(network, h) for h in chosen.hypotheses]
+    return frozenset(
+        Statement(tuple(sorted(pair)) if pair else h.where, h.kind.mechanism, h.effect)
+        for h, pair in zip(chosen.hypotheses, places, strict=True)
+    )
 
 
 def weigh_candidates(
-    search: Search, scores: CandidateComparison, extra: Iterable[Candidate] = (), seed: int = 0
+    scores: CandidateComparison, extra: Iterable[Candidate] = (), seed: int = 0
 ) -> tuple[WeightedCandidate, ...]:
-    """Weigh the candidates of a search on the blocks of validation and training records.
-
-    A candidate takes part if its values agree with its names. A candidate or a table with more parameters than the foremost candidate takes
-    part only if it predicts better by more than the envelope of unmodelled effects. A candidate whose further effects close a gap within this
-    envelope makes no statement.
-    """
+    """Weigh the sound candidates of a search on the blocks of validation and training records; more parameters or effects than the
+    foremost one's take part only where they predict better by more than unmodelled effects make."""
     best = scores.foremost
 
     def is_worth_its_parameters(r: Candidate) -> bool:
         has_more = len(r.fit.x) > len(best.fit.x)
-        return not has_more or search.tests.is_worth_more_parameters(scores, r, best)
+        return not has_more or scores.is_worth_more_parameters(r, best)
 
     taking_part: list[Candidate] = [scores.refitted]
     if best is not scores.refitted:
@@ -119,20 +105,18 @@ def weigh_candidates(
         if (
             any(r is q for q in taking_part)
             or not scores.can_score(r)
-            or not is_sound(search.problem, r, search.criteria)
+            or not is_sound(scores.evaluator.problem, r, scores.criteria)
         ):
             continue
         if not is_worth_its_parameters(r):
             continue
-        if len(r.hypotheses) > len(best.hypotheses) > 0 and not search.tests.exceeds_envelope(
-            scores, r, best
-        ):
+        if len(r.hypotheses) > len(best.hypotheses) > 0 and not scores.exceeds_envelope(r, best):
             continue
         taking_part.append(r)
     taking_part += [r for r in extra if scores.can_score(r) and is_worth_its_parameters(r)]
     weights = pseudo_bma_weights(np.stack([scores.score(r).lpd for r in taking_part]), seed)
     found = [
-        WeightedCandidate(r, float(w), statements_of(search, r, best))
+        WeightedCandidate(r, float(w), statements_of(scores, r, best))
         for r, w in zip(taking_part, weights, strict=True)
     ]
     return tuple(sorted(found, key=lambda c: -c.weight))
@@ -147,9 +131,3 @@ def probability(candidates: Sequence[WeightedCandidate], **wanted: object) -> fl
             if any(all(getattr(s, k) == v for k, v in wanted.items()) for s in c.statements)
         )
     )
-
-
-def weight_of_all(candidates: Sequence[WeightedCandidate], best: Candidate) -> float:
-    """Return the sum of the weights of the candidates that state all that the foremost candidate states."""
-    own = next(c.statements for c in candidates if c.candidate is best)
-    return float(sum(c.weight for c in candidates if c.statements >= own))

@@ -7,8 +7,10 @@ in a single call of the kernel (one lane each).
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -18,19 +20,19 @@ from ..._common.errors import InputError
 from ..._common.units import HELD, convert
 from ...physics.network import Network, assemble
 from ...physics.simulate import COARSE, FINE, Plant, effective_current, pace
-from .cache import SimulationCache
 from .interpolation import interpolated, splined_input
 from .node_motion import transfer_matrix
 from .time_limit import check_time
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from ..._common.arrays import Array
     from ...records._loggers.recording import Recording
     from .._records.multirate import OutputSampler
+
 
 #: use of a record: training (fit), validation (choose) or test (report)
 Role = Literal["fit", "choose", "report"]
@@ -508,3 +510,39 @@ class Problem:
         distinct = dict(zip(keys, plant.assemblies, strict=True))
         maps = {key: transfer_matrix(source, asm, self.time) for key, asm in distinct.items()}
         return np.stack([maps[key] @ initial[:, k] for k, key in enumerate(keys)], axis=1)
+
+
+class SimulationCache:
+    """What was simulated last, to be had again without simulating: no more than `limit` bytes of it."""
+
+    def __init__(self, limit: int = 200_000_000):
+        self.limit, self.size = limit, 0
+        self._kept: OrderedDict[tuple[object, ...], tuple[object, tuple[Array, ...]]] = OrderedDict()
+        self._lock = Lock()
+
+    def get(self, key: tuple[object, ...]) -> tuple[Array, ...] | None:
+        with self._lock:
+            found = self._kept.get(key)
+            if found is not None:
+                self._kept.move_to_end(key)
+            return found[1] if found else None
+
+    def made(
+        self, key: tuple[object, ...], of: object, make: Callable[[], tuple[Array, ...]]
+    ) -> tuple[Array, ...]:
+        """Return the values of a key, made and stored if they are not there."""
+        known = self.get(key)
+        if known is None:
+            known = make()
+            self.put(key, of, known)
+        return known
+
+    def put(self, key: tuple[object, ...], of: object, values: tuple[Array, ...]) -> None:
+        """Store values. `of` is the object whose identity is part of the key; the cache keeps `of` alive."""
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = of, values
+                self.size += sum(v.nbytes for v in values)
+            while self.size > self.limit and len(self._kept) > 1:
+                _, (_, gone) = self._kept.popitem(last=False)
+                self.size -= sum(v.nbytes for v in gone)

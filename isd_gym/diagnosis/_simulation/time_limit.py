@@ -33,7 +33,7 @@ class TimeLimit:
         self._limit, self._clock = limit, clock
         self._start = clock() if start is None else start
         self._compiled = compile_seconds()
-        self._deadline: float | None = None
+        self.deadline: float | None = None
         #: parts of the work that were left out since the time was up, in words
         self.left_out: list[str] = []
 
@@ -55,21 +55,16 @@ class TimeLimit:
     @contextmanager
     def until(self, share: float) -> Iterator[None]:
         """Let simulations within the block raise `TimeUp` after a share of the time; an earlier end of an outer block stays."""
-        before = self._deadline
+        before = self.deadline
         if self._limit is not None:
             own = share * self._limit
-            self._deadline = own if before is None else min(own, before)
+            self.deadline = own if before is None else min(own, before)
         token = _RUNNING.set(self)
         try:
             yield
         finally:
-            self._deadline = before
+            self.deadline = before
             _RUNNING.reset(token)
-
-    def check(self) -> None:
-        """Raise `TimeUp` after the end of the present block."""
-        if self._deadline is not None and self.seconds > self._deadline:
-            raise TimeUp(f"{self._deadline:g} s are over")
 
 
 _RUNNING: ContextVar[TimeLimit | None] = ContextVar("time limit", default=None)
@@ -78,8 +73,8 @@ _RUNNING: ContextVar[TimeLimit | None] = ContextVar("time limit", default=None)
 def check_time() -> None:
     """Raise `TimeUp` if the time of the running stage is over."""
     limit = _RUNNING.get()
-    if limit is not None:
-        limit.check()
+    if limit is not None and limit.deadline is not None and limit.seconds > limit.deadline:
+        raise TimeUp(f"{limit.deadline:g} s are over")
 
 
 def running() -> TimeLimit | None:

@@ -42,10 +42,8 @@ def decide_under_feedback(
     brief: bool,
     c: Criteria = CRITERIA,
 ) -> Decision:
-    """Return the decision with a gate for each condition, and `unknown_effect` in place of a name that feedback may have caused.
-
-    `brief` tells whether the records were compared over brief stretches; `feedback` has the inputs that follow from outputs.
-    """
+    """Return the decision with a gate for each condition, and `unknown_effect` for a name that feedback may have caused. `brief`: whether
+    records were compared over brief stretches."""
     if not feedback or decision.verdict != "missing_effect":
         return decision
     gates = [*decision.gates]

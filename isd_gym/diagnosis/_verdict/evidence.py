@@ -138,10 +138,8 @@ class Evidence:
 
     @property
     def training_ratio(self) -> float:
-        """Error of the candidate over that of the refitted model on the training records, geometric mean over channels.
-
-        The mean hides a channel that dry friction lets drift.
-        """
+        """Error of the candidate over that of the refitted model on the training records, as a geometric mean, which hides a channel that
+        drifts."""
         pairs = list(zip(self.training_refit, self.training_after, strict=True))
         total = sum(math.log(max(after, 1e-12) / max(refit, 1e-12)) for refit, after in pairs)
         return math.exp(total / max(len(pairs), 1))

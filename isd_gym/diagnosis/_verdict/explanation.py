@@ -48,10 +48,8 @@ def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float
 
 
 def find_condition(residual: Array, width: int, conditions: Iterable[tuple[NDArray[np.bool_], str]]) -> str:
-    """Return the words of the condition under which the energy of a residual, averaged over `width` samples, is highest.
-
-    "everywhere" if no condition raises the mean energy by a factor of 1.6. A condition is a mask of samples (n,) and its words.
-    """
+    """Return the words of the condition (mask of samples (n,), words) under which a residual's energy over `width` samples is highest;
+    "everywhere" below 1.6 times the mean."""
     energy = residual**2
     if not energy.mean() > 0:
         return "everywhere"

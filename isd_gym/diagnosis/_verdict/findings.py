@@ -71,12 +71,9 @@ def find(
     is_named: bool,
     is_doubted: bool,
 ) -> tuple[Finding, ...]:
-    """Sum the weights of candidates to probabilities of places, kinds and laws; return findings, largest probability of the kind first.
-
-    A kind that several places share, and that is certain at none of them, is a further finding with an open place. `own` has the statements
-    of the foremost candidate: further effects of richer candidates did not pass the inclusion test. `is_doubted` tells whether a free curve or
-    a controller explains the force of the foremost candidate as well.
-    """
+    """Return findings, largest probability of the kind first: sums of weights as probabilities of places, kinds and laws. A kind that is
+    certain at none of several places has an open place. `own`: statements of the foremost candidate; `is_doubted`: whether a free curve
+    or a controller explains its force."""
     c = search.criteria
     share = functools.partial(share_mistaken, e=evidence, c=c, is_named=is_named)
     every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
@@ -90,11 +87,8 @@ def find(
     foremost_first = sorted(candidates, key=lambda w: w.statements != own)
 
     def of_place(place: tuple[str, ...]) -> float:
-        """Return the probability of a place.
-
-        A place beside the foremost candidate's place belongs to an effect that did not pass the inclusion test. A free force explains by
-        itself, whatever the foremost candidate explains.
-        """
+        """Return the probability of a place, less where it belongs to an effect beside the foremost candidate's that did not pass the
+        inclusion test."""
         whole = probability(candidates, place=place)
         if place in free_places:
             return whole * (1.0 - MISTAKEN["place"])

@@ -234,11 +234,8 @@ def _forces_first(e: Evidence, c: Criteria) -> Gate:
 def table_gates(
     explained: float, moved: float, errors: float, confirmed: float, c: Criteria = CRITERIA
 ) -> tuple[Gate, ...]:
-    """Return the conditions for a force without a name to be stated as a table.
-
-    `explained` and `confirmed` are shares of the excess error on held-out and test records, `moved` is the largest fall of an error as a share
-    of a channel's deviation, `errors` the difference of the log predictive density in standard errors.
-    """
+    """Return the conditions for a table of a force, by explained fraction, error reduction, standard errors of the gain and explained
+    fraction of the test records."""
     density = "standard errors by which the log predictive density exceeds the refitted model's"
     return (
         gate(

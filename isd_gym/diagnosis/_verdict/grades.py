@@ -57,11 +57,8 @@ def grade(probability: float) -> Grade:
 def share_mistaken(
     level: str, e: Evidence, c: Criteria = CRITERIA, *, is_named: bool = True, is_sum: bool = False
 ) -> float:
-    """Return the share of statements of a level (place, kind or law) that are wrong although no resampling shows it.
-
-    `is_named` tells whether the foremost candidate passed every gate, `is_sum` whether the law is the sum of two others (`Element.is_sum`):
-    no record tells them apart. Another law may remove a wide rest.
-    """
+    """Return the share of statements of a level (place, kind or law) that are wrong although no resampling shows it; `is_sum`: the law is
+    the sum of two others."""
     is_doubtful = e.explained < c.alone_removes or e.width_after > c.wide_gap or e.support < SUPPORT
     own = MISTAKEN[level]
     if (is_doubtful and (level == "law" or not is_named)) or ((is_sum or e.imitated) and level == "law"):

@@ -24,7 +24,7 @@ from .._selection.uncertainty import (
     parameters_at_limits,
     relative_uncertainty,
 )
-from .._selection.weights import WeightedCandidate, weigh_candidates, weight_of_all
+from .._selection.weights import WeightedCandidate, weigh_candidates
 from .._simulation.problem import BROKEN
 from .evidence import EffectEvidence, Evidence, as_numbers
 
@@ -64,10 +64,10 @@ class Measurements:
 
 def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0) -> Measurements:
     """Measure the foremost candidate."""
-    evaluator, tests = search.evaluator, search.tests
+    evaluator = search.evaluator
     refitted, best = scores.refitted, scores.foremost
     refit, after, richest = scores.score(refitted), scores.score(best), scores.score(scores.richest)
-    envelope = tests.unmodelled_envelope(refitted)
+    envelope = scores.unmodelled_envelope(refitted)
     matrix = covariance(evaluator, best)
     quantities = intervals(evaluator, best, matrix)
     common: dict[str, Any] = {
@@ -82,32 +82,33 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
     }
     if not best.hypotheses:
         return Measurements(Evidence(after=as_numbers(refit.nrmse), **common), quantities, [], ())
-    weighted = weigh_candidates(search, scores, seed=seed)
+    weighted = weigh_candidates(scores, seed=seed)
+    stated = next(w.statements for w in weighted if w.candidate is best)
     rivals = scores.rivals()
-    indistinguishable = tests.indistinguishable(scores)
-    others = [r for r in rivals if not tests.states_the_same(r, best)]
-    forces = [r for r in rivals if not is_sensor_fault(r)] + [refitted]
-    own = scores.excess_loss(best)
+    indistinguishable = scores.indistinguishable()
+    others = [r for r in rivals if not scores.states_the_same(r, best)]
+    forces = [r for r in rivals if all(h.place != "channel" for h in r.hypotheses)] + [refitted]
+    own = max(after.mean_square - scores.noise_score, 0.01 * scores.noise_score)
 
     def loss_ratio(candidates: list[Candidate]) -> float:
         """Return the smallest excess loss of candidates over that of the foremost one."""
         losses = (scores.score(r).mean_square - scores.noise_score for r in candidates)
         return min(losses, default=math.inf) / own
 
-    envelope_after = tests.unmodelled_envelope(best)
+    envelope_after = scores.unmodelled_envelope(best)
     comparison = after.compare_with(refit)
     evidence = Evidence(
         after=as_numbers(after.nrmse),
         effects=_effects(search, scores, quantities, matrix),
         elpd_diff=comparison.elpd_diff,
         elpd_dse=comparison.dse,
-        explained=scores.explained(best, envelope),
+        explained=scores.explained(best),
         envelope_after=as_numbers(envelope_after),
-        training_explained=scores.explained_on_training(refit, after, envelope),
-        probability=weight_of_all(weighted, best),
+        training_explained=scores.explained_on_training(refitted, best),
+        probability=sum(w.weight for w in weighted if w.statements >= stated),
         lack_of_fit=lack_of_fit(search, scores),
         test_explained=scores.explained_on_test(best),
-        test_excess_ratio=scores.test_excess_ratio(best, envelope_after),
+        test_excess_ratio=scores.test_excess_ratio(best),
         rival_loss=loss_ratio(others),
         indistinguishable=tuple(r.label for r in indistinguishable),
         force_loss=loss_ratio(forces),
@@ -131,6 +132,7 @@ def _effects(
     for k, (h, e, size) in enumerate(zip(best.hypotheses, best.elements, sizes, strict=True)):
         difference = differing_part(problem.network, best.fit.structure, best.fit.x, e, matrix)
         removed, width, is_beyond = _removed_by(search, scores, k)
+        motion = motions(problem, best.fit).get(e.between) if e.place == "between" else None
         out.append(
             EffectEvidence(
                 label=h.label,
@@ -142,14 +144,14 @@ def _effects(
                 removed=removed,
                 width=width,
                 beyond_small=is_beyond,
-                support=find_support(problem, best.fit, e),
+                support=1.0 if motion is None else e.support(motion),
             )
         )
     return tuple(out)
 
 
 def _removed_by(search: Search, scores: CandidateComparison, effect: int) -> tuple[float, float, bool]:
-    """Return what one effect of the foremost candidate removes of the error without it (`InclusionTests.removed`)."""
+    """Return what one effect of the foremost candidate removes of the error without it (`CandidateComparison.removed`)."""
     best = scores.foremost
     others = [h for k, h in enumerate(best.hypotheses) if k != effect]
     without = next(
@@ -158,10 +160,10 @@ def _removed_by(search: Search, scores: CandidateComparison, effect: int) -> tup
     if without is None:
         simpler = simpler_structures(search.problem, best)
         structure = next((s for _, s in simpler if list(s.hypotheses) == others), None)
-        without = search.fitter.refit(structure, best) if structure is not None else None
+        without = search.refit(structure, best) if structure is not None else None
     if without is None or not scores.can_score(without):
         return 0.0, 0.0, False
-    return search.tests.removed(scores, best, without)
+    return scores.removed(best, without)
 
 
 def is_imitated(search: Search, scores: CandidateComparison) -> bool:
@@ -172,14 +174,9 @@ def is_imitated(search: Search, scores: CandidateComparison) -> bool:
         and len(r.hypotheses) == len(best.hypotheses)
         and same_effects(r.hypotheses, best.hypotheses)
         and scores.can_score(r)
-        and bool(np.all(scores.score(r).excess(scores.noise) <= search.tests.unmodelled_envelope(r)))
+        and bool(np.all(scores.score(r).excess(scores.noise) <= scores.unmodelled_envelope(r)))
         for r in scores.candidates()
     )
-
-
-def is_sensor_fault(candidate: Candidate) -> bool:
-    """Return whether an effect of a candidate is a fault of a sensor."""
-    return any(h.place == "channel" for h in candidate.hypotheses)
 
 
 # ------------------------------------------------------------------------------------------------- values of a law
@@ -213,27 +210,15 @@ def find_contradiction(problem: Problem, fit: Fit, element: el.Element, c: Crite
     return ""
 
 
-def find_support(problem: Problem, fit: Fit, element: el.Element) -> float:
-    """Return the share of the samples on the rarer side of a law's characteristic point; 1 where the law has none.
-
-    A law whose slip, clearance or transition lies at the edge of the data is weakly supported.
-    """
-    if element.place != "between":
-        return 1.0
-    motion = motions(problem, fit).get(element.between)
-    return 1.0 if motion is None else element.support(motion)
-
-
 # ------------------------------------------------------------------------------------------------- lack of fit
 
 
 def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
-    """Return the share of the remaining excess error that a free curve in the place of the foremost effect removes.
+    """Return the share of the remaining excess error that a free curve in the place of the foremost effect removes; 0 where unmodelled
+    effects make that error.
 
-    A single effect is tested if its error exceeds the envelope of unmodelled effects; otherwise the share is 0. The share is 1 if the number of
-    effects at one place, but for elements in series, reaches the number of bends of a curve (`BENDS`). Laws of the model at their limits over the same
-    plane count as effects. The share is also 1 if one free curve
-    explains the gap (`Criteria.least_explained`) in place of the same number of effects at several places.
+    The share is 1 for as many effects at one place as a curve has bends (`BENDS`), laws of the model at their limits over the same plane
+    included, and where one free curve explains the gap (`Criteria.least_explained`) in place of as many effects at several places.
     """
     c, best = search.criteria, scores.foremost
     if len(best.hypotheses) > 1:
@@ -250,7 +235,7 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
         shares = (share for e in best.elements for share in _removed_by_curves(search, scores, refit, e))
         return float(any(share >= c.least_explained(1) for share in shares))
     after = scores.score(best)
-    if after.excess(scores.noise).max() < c.wide_gap and search.tests.leaves_unmodelled_only(scores, best):
+    if after.excess(scores.noise).max() < c.wide_gap and scores.leaves_unmodelled_only(best):
         return 0.0
     found = 0.0
     for share in _removed_by_curves(search, scores, after, best.elements[0]):
@@ -263,10 +248,8 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
 def _removed_by_curves(
     search: Search, scores: CandidateComparison, without: HeldOutScore, named: el.Element
 ) -> Iterator[float]:
-    """Yield the shares of an error that free curves in an effect's place remove: over the law's argument, and over both.
-
-    A curve whose force differs by less than that of an unmodelled effect is no other law.
-    """
+    """Yield the shares of an error that free curves in an effect's place remove, over the law's argument and over both; a curve with
+    nearly the same force is no other law."""
     for over in (None, "both"):
         curve = fit_in_place_of(search.evaluator, scores.refitted, named, over)
         try:
@@ -293,10 +276,8 @@ def _force_difference(problem: Problem, one: Candidate, other: Candidate, named:
 
 
 def _laws_over_one_plane(search: Search, best: Candidate) -> list[str]:
-    """Return the effects and the laws of the model at their limits, if all effects are at one place over one plane.
-
-    Elements in series along a chain without masses are at one place.
-    """
+    """Return the effects and the laws of the model at their limits, if all effects are at one place (or along one chain) over one
+    plane."""
     network = search.problem.network
     where = {frozenset(owner_pair(network, h) or h.where) for h in best.hypotheses}
     planes = {e.plane for e in best.elements}

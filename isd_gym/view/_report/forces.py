@@ -14,8 +14,8 @@ from ...diagnosis._estimation.noise import white_filters
 from ...diagnosis._estimation.structure import base_structure
 from ...diagnosis._hypotheses.forces import element_forces
 from ...diagnosis._hypotheses.library import pairs
-from ...diagnosis._hypotheses.missing_force import Deconvolution
 from ...diagnosis._hypotheses.motion import motions
+from ...diagnosis._hypotheses.pair_forces import Deconvolution
 from ...diagnosis._simulation.problem import Problem, Record
 from ...diagnosis.result import Law
 from ...physics import elements as el

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...diagnosis._estimation.structure import Hypothesis
-from ...diagnosis._hypotheses.law_forces import law_forces
+from ...diagnosis._hypotheses.pair_forces import law_forces
 from ...physics import elements as el
 from ...physics.network import Network
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule
