@@ -82,8 +82,6 @@ class RecordwiseFit:
     points: tuple[Point, ...]
     #: derivatives by record, of each group, at the last point at which they were computed
     slopes: tuple[Mapping[int, Slope], ...]
-    #: sum of squares with all priors
-    cost: float
 
 
 class RecordwiseFitter(Fitter):
@@ -122,7 +120,7 @@ class RecordwiseFitter(Fitter):
             if found is None:
                 break
             z, points = found
-        return RecordwiseFit(structure, layout.unpack(z), own, tuple(points), tuple(slopes), cost)
+        return RecordwiseFit(structure, layout.unpack(z), own, tuple(points), tuple(slopes))
 
     def gradient(self, point: Point, slopes: Mapping[int, Slope]) -> dict[int, Array]:
         """Return the descent direction of half the cost of each record (parameters,), nuisances eliminated."""
