@@ -1,10 +1,11 @@
-"""The families: their integrator against what can be worked out by hand, and what a case promises."""
+"""The families: their integrator against what can be worked out by hand, and what a case promises; cars with hidden effects."""
 
 import json
 
 import numpy as np
 import pytest
 from builders import damper, element, model, spring
+from rigs import hidden
 from rigs.families import FAMILIES, make_case
 from rigs.families.plant import Signal, integrate
 from rigs.reference import simulate
@@ -75,3 +76,51 @@ def test_seeds_decide_everything():
     for k in one.estimation:
         np.testing.assert_array_equal(one.estimation[k], same.estimation[k])
     assert one.model == same.model != other.model
+
+
+# ------------------------------------------------------------------------------------- cars and device rigs
+
+
+def gaps(model, case):
+    record = case.estimation
+    y = simulate(model, record["time"], record, step=2e-5)
+    return {k: float(np.sqrt(np.mean((y[k] - record[k]) ** 2)) / np.std(record[k])) for k in y}
+
+
+@pytest.mark.parametrize("kind", hidden.ALL_KINDS)
+def test_every_kind_makes_records(kind):
+    case = hidden.make_case(kind, 1, duration=1.0, step=1e-4, moving=False)
+    channels = [c["name"] for c in case.model["inputs"] + case.model["outputs"]]
+    for table in (case.estimation, case.validation):
+        assert list(table) == ["time", *channels]
+        assert all(len(column) == 501 and np.isfinite(column).all() for column in table.values())
+        np.testing.assert_allclose(np.diff(table["time"]), 2e-3)
+    assert set(case.model["uncertainty"].values()) == {case.spread}
+    clean = kind.split("_")[-1] == "none" or kind.startswith("none")
+    assert (case.answer == []) == clean
+    assert (case.answer == "unknown") == ("out" in kind.split("_"))
+    json.dumps([case.model, case.record()])
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["friction_strut", "current_lag", "sensor_delay_acc", "rig_stribeck", "mass_cubic", "two_mass_inertance"],
+)
+def test_the_truth_explains_the_record_to_the_noise_and_the_owners_model_does_not(kind):
+    case = hidden.make_case(kind, 3, duration=6.0, snr_db=30.0, spread=0.02, moving=False)
+    floor = 10 ** (-30 / 20)
+    explained, believed = gaps(case.truth["model"], case), gaps(case.model, case)
+    # the owner's record of the current is late by up to one sample, which the device's travel feels
+    assert max(explained.values()) < 1.5 * floor
+    assert max(believed.values()) > 2.0 * floor
+    assert max(case.visibility.values()) > 1.5
+
+
+def test_a_force_cell_reads_what_stands_beside_its_element():
+    case = hidden.make_case("damping_tyre", 4, duration=3.0, snr_db=60.0, moving=False, nuisances=0)
+    record, true = case.estimation, case.truth["model"]
+    cell = {"name": "tyre_force", "quantity": "force", "element": ["tyre", "hidden_1"]}
+    both = simulate({**true, "outputs": [cell]}, record["time"], record, step=2e-5)["tyre_force"]
+    alone = simulate(true, record["time"], record, step=2e-5)["tyre_force"]
+    near, far = (np.std(record["tyre_force"] - y) / np.std(record["tyre_force"]) for y in (both, alone))
+    assert near < 0.04 < 0.08 < far
