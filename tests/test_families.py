@@ -78,9 +78,6 @@ def test_seeds_decide_everything():
     assert one.model == same.model != other.model
 
 
-# ------------------------------------------------------------------------------------- cars and device rigs
-
-
 def gaps(model, case):
     record = case.estimation
     y = simulate(model, record["time"], record, step=2e-5)
