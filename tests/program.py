@@ -1,4 +1,4 @@
-"""The program `isd-gym` within the process of the tests: a start of its own takes seconds of imports."""
+"""The program `isd-gym` within the process of the tests, where a start of its own takes seconds of imports; what is wrong is refused in one line."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 import typer
+
+from isd_gym._common.errors import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -70,3 +72,12 @@ def with_wings(**commands: Any) -> typer.Typer:
     for name, command in commands.items():
         whole.command(name=name, cls=cli.FiniteCommand)(command)
     return whole
+
+
+def refused(words, call, /, *given, **options):
+    """Assert that a call ends in an `InputError` of one harmless line with these words (any if none are given), and return the line."""
+    with pytest.raises(InputError, match=words or None) as error:
+        call(*given, **options)
+    text = str(error.value)
+    assert text.isprintable() and len(text) < 1500
+    return text

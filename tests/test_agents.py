@@ -11,8 +11,7 @@ from itertools import pairwise
 import gymnasium
 import numpy as np
 import pytest
-from program import python
-from refusals import refused
+from program import python, refused
 
 from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Memory

@@ -4,7 +4,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, friction, spring
-from refusals import refused
+from program import refused
 
 from isd_gym.diagnosis import _workflow as workflow
 from isd_gym.diagnosis import diagnose

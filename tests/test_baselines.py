@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym import baselines
 from isd_gym.baselines._estimator import Estimator

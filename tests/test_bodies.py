@@ -8,7 +8,7 @@ import builders
 import numpy as np
 import pytest
 from builders import damper, decoupled_half_car
-from refusals import refused
+from program import refused
 from rigs import reference
 
 import isd_gym.physics.simulate

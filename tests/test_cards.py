@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tracks
-from program import assert_one_line, run
-from refusals import refused
+from program import assert_one_line, refused, run
 
 from isd_gym._commands._card_table import print_track
 from isd_gym.benchmark import _cards as cards

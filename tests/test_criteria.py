@@ -12,8 +12,9 @@ from isd_gym.diagnosis._selection.equivalent_laws import repeats
 from isd_gym.diagnosis._selection.free_force import FreeForce
 from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
-from isd_gym.diagnosis._verdict.gates import confidence, decide, gates_of, table_gates
+from isd_gym.diagnosis._verdict.gates import Decision, confidence, decide, gates_of, table_gates
 from isd_gym.diagnosis._verdict.grades import MISTAKEN
+from isd_gym.diagnosis._workflow import Workflow
 from isd_gym.physics.elements import TYPES, Motion
 
 SEEN = {"share": 0.4, "spread": 0.05, "removed": 0.995, "width": 0.3, "beyond_small": True}
@@ -79,6 +80,19 @@ def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either():
     rival = {"indistinguishable": ("hysteresis at mass-ground",), "rival_loss": 1.0}
     d = decide(replace(GOOD, **rival, probability=0.4))
     assert d.verdict == "ambiguous"
+
+
+@pytest.mark.parametrize(("alone", "is_named"), [("missing_effect", True), ("unknown_effect", False)])
+def test_effects_that_all_rivals_share_are_named_if_they_pass_alone(alone, is_named):
+    pair, rival, part = (SimpleNamespace(hypotheses=h) for h in (("a", "b"), ("a", "c"), ("a",)))
+    scores = SimpleNamespace(foremost=pair, chosen=pair, candidates=lambda: [pair, rival, part])
+    open_gate = gates_of(replace(GOOD, indistinguishable=("c",)))
+    flow = SimpleNamespace(
+        measure=lambda s: SimpleNamespace(indistinguishable=[rival] if s.foremost is pair else []),
+        decide=lambda s, m: Decision("ambiguous", open_gate) if s.foremost is pair else Decision(alone, ()),
+    )
+    found, _, decision = Workflow.conclude(flow, scores)
+    assert (found.foremost, decision.verdict) == ((part, alone) if is_named else (pair, "ambiguous"))
 
 
 def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_itself():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusals import refused
+from program import refused
 from scipy import io, signal
 
 from isd_gym._common.errors import InputError

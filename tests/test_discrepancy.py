@@ -7,7 +7,7 @@ import builders
 import numpy as np
 import pytest
 from builders import damper, element, named, table
-from refusals import refused
+from program import refused
 from rigs import families
 from rigs.hidden import make_case
 from scipy.integrate import solve_ivp

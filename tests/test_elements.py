@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import cart, channel, damper, element, network
-from refusals import refused
+from program import refused
 from scipy.integrate import solve_ivp
 
 from isd_gym._common.errors import InputError

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from builders import element, friction
-from refusals import refused
+from program import refused
 
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.physics.cost import StageCost

@@ -7,7 +7,7 @@ import zipfile
 import builders
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.physics.network import Network

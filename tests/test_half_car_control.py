@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from builders import decoupled_half_car
-from refusals import refused
+from program import refused
 
 from isd_gym import baselines
 from isd_gym._common.errors import InputError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from builders import decoupled_half_car, element
 from gymnasium.utils.env_checker import check_env
-from refusals import refused
+from program import refused
 from scipy.integrate import trapezoid
 from scipy.special import k1
 

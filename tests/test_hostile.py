@@ -20,8 +20,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from builders import channel, damper, spring
-from program import assert_one_line, python, run
-from refusals import refused
+from program import assert_one_line, python, refused, run
 
 from isd_gym._common.errors import InputError, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder

@@ -8,7 +8,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, model, network, spring
-from refusals import refused
+from program import refused
 from scipy.integrate import solve_ivp
 
 from isd_gym.diagnosis import diagnose

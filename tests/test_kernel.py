@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from builders import friction, network, spring
-from refusals import refused
+from program import refused
 from rigs import reference
 from scipy.signal import lsim, sawtooth
 

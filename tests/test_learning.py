@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
-from refusals import refused
+from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym._common.seeds import generators, scoring_generator

@@ -6,7 +6,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, friction, spring
-from refusals import refused
+from program import refused
 from rigs import reference
 
 from isd_gym import simulate

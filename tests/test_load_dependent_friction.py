@@ -4,7 +4,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, element
-from refusals import refused
+from program import refused
 
 from isd_gym.contrib.forecast import plan
 from isd_gym.diagnosis import diagnose

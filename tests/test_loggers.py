@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from builders import QUARTER_CAR as CAR
 from builders import channel, drive_quarter_car
-from refusals import refused
+from program import refused
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.clock_lag import align_clocks

@@ -7,7 +7,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, element, friction, spring
-from refusals import refused
+from program import refused
 
 from isd_gym import simulate
 from isd_gym._common.errors import InputError

@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 from builders import channel, element, friction, network, spring
-from refusals import refused
+from program import refused
 from scipy.integrate import solve_ivp, trapezoid
 
 from isd_gym.physics import elements as el

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import channel, fitted, oscillator, recorded, sines
-from refusals import refused
+from program import refused
 from scipy.optimize import least_squares
 
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter

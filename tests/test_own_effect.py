@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from builders import oscillator
-from refusals import refused
+from program import refused
 from scipy.integrate import solve_ivp
 
 from isd_gym.diagnosis import diagnose

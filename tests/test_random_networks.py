@@ -4,7 +4,7 @@ import builders
 import numpy as np
 import pytest
 from builders import damper, element, friction, spring
-from refusals import refused
+from program import refused
 from rigs import random_networks
 
 from isd_gym._common.errors import InputError

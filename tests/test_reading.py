@@ -6,8 +6,7 @@ import re
 import numpy as np
 import pytest
 from builders import channel, damper, network, spring
-from program import run
-from refusals import refused
+from program import refused, run
 from scipy.io import savemat
 
 from isd_gym._common.errors import InputError

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import picture_checks
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym._common.errors import InputError, how_to_install
 from isd_gym.view import _rendering as rendering

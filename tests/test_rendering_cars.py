@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import picture_checks
 import pytest
-from refusals import refused
+from program import refused
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli

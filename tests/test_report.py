@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from builders import element, fitted, sines
 from html_page import Page
-from refusals import refused
+from program import refused
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli

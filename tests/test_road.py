@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 from scipy.signal import welch
 
 from isd_gym.physics.road import ISO_CLASSES, PAPER_KAPPA, bump, iso_road, paper_road, pothole, road, sweep

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 from scipy.special import kv
 
 from isd_gym._common.errors import InputError

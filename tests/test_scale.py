@@ -4,7 +4,7 @@ import builders
 import numpy as np
 import pytest
 from builders import damper, friction, oscillator, sines
-from refusals import refused
+from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._records.reading import read_record

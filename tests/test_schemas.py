@@ -6,7 +6,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from refusals import refused
+from program import refused
 from typer.testing import CliRunner
 
 from isd_gym._commands import app

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 import builders
 import pytest
 from builders import channel, damper, element, model, spring
-from refusals import refused
+from program import refused
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli

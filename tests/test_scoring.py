@@ -6,7 +6,7 @@ import shutil
 import gymnasium as gym
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym.agents.policy import SHIPPED
 from isd_gym.benchmark import scoring

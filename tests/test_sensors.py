@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.env._sensors import NOISE, Sensors

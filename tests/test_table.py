@@ -5,7 +5,7 @@ import json
 import gymnasium
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym import baselines, simulate
 from isd_gym.physics.network import Network, linearise

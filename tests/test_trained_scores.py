@@ -9,8 +9,7 @@ import zipfile
 import gymnasium as gym
 import numpy as np
 import pytest
-from program import run
-from refusals import refused
+from program import refused, run
 
 from isd_gym._common.errors import InputError
 from isd_gym.agents.policy import Policy

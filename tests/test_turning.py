@@ -7,7 +7,7 @@ import builders
 import numpy as np
 import pytest
 from builders import cart, channel, damper, element, spring
-from refusals import refused
+from program import refused
 from scipy.integrate import solve_ivp
 
 from isd_gym import simulate

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import decoupled_half_car
-from refusals import refused
+from program import refused
 
 from isd_gym import baselines
 from isd_gym.baselines._car import CarWeights, car_model, car_regulator

@@ -7,7 +7,7 @@ import builders
 import numpy as np
 import pytest
 from builders import friction
-from refusals import refused
+from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import _result_builder as builder

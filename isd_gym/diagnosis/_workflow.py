@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time as clock
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -263,9 +264,27 @@ class Workflow:
             found = self._diagnose_segments(error)
             if found is not None:
                 return found
-        scores = self.search.run(refitted)
+        scores, measured, decision = self.conclude(self.search.run(refitted))
+        return ResultBuilder(self.search, scores, measured, self).build(decision)
+
+    def conclude(self, scores: CandidateComparison) -> tuple[CandidateComparison, Measurements, Decision]:
+        """Return a search, its measurements and the decision on it. Where candidates cannot be told apart, the effects that they share are
+        named if they pass every gate by themselves."""
         measured = self.measure(scores)
-        return ResultBuilder(self.search, scores, measured, self).build(self.decide(scores, measured))
+        decision, rivals = self.decide(scores, measured), measured.indistinguishable
+        failed = {g.name for g in decision.gates if not g.passed}
+        if rivals and failed <= {"distinguishable", "probable"}:
+            own = scores.foremost.hypotheses
+            shared = tuple(h for h in own if all(h in r.hypotheses for r in rivals))
+            part = next((r for r in scores.candidates() if shared and r.hypotheses == shared), None)
+            if part is not None:
+                fewer = copy(scores)
+                fewer.chosen = fewer.foremost = part
+                again = self.measure(fewer)
+                named = self.decide(fewer, again)
+                if named.verdict == "missing_effect":
+                    return fewer, again, named
+        return scores, measured, decision
 
     def measure(self, scores: CandidateComparison) -> Measurements:
         """Return the measurements of a search; a candidate that cannot be measured loses."""
@@ -347,14 +366,12 @@ class Workflow:
         try:
             with self.clock.until(SEARCH):
                 refitted = flow.search.refit_nominal()
-            scores = flow.search.run(refitted)
-            measured = flow.measure(scores)
+            scores, measured, decision = flow.conclude(flow.search.run(refitted))
         except TimeUp:
             self.clock.leave_out("a comparison over brief stretches")
             return None
         except BROKEN:
             return None
-        decision = flow.decide(scores, measured)
         # under feedback whole records are no valid comparison
         is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
         return ResultBuilder(flow.search, scores, measured, flow).build(decision, over) if is_final else None

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
-from refusals import refused
+from program import refused
 
 import isd_gym.contrib.ceilings.ceiling as module
 from isd_gym._common.seeds import scoring_generator

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 from typer.testing import CliRunner
 
 from isd_gym._commands import app

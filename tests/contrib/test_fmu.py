@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import typer
 from builders import oscillator
-from program import python
-from refusals import refused
+from program import python, refused
 from typer.testing import CliRunner
 
 from isd_gym.contrib.fmi.command import command

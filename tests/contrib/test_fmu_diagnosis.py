@@ -7,7 +7,7 @@ import builders
 import numpy as np
 import pytest
 from builders import channel, damper, element, spring
-from refusals import refused
+from program import refused
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli

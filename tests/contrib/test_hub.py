@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym import _commands as cli
 from isd_gym.agents.policy import Policy

@@ -9,8 +9,7 @@ from builders import QUARTER_CAR as CAR
 from builders import channel, damper, drive_quarter_car, model, spring
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from program import with_wings
-from refusals import refused
+from program import refused, with_wings
 from typer.testing import CliRunner
 
 from isd_gym._common.errors import InputError

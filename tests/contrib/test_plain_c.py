@@ -8,8 +8,7 @@ import subprocess
 import gymnasium as gym
 import numpy as np
 import pytest
-from program import assert_one_line, run
-from refusals import refused
+from program import assert_one_line, refused, run
 
 from isd_gym import baselines
 from isd_gym.agents._memory import Memory

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import typer
 from builders import channel, damper, friction, spring
-from refusals import refused
+from program import refused
 from typer.testing import CliRunner
 
 from isd_gym._common.errors import InputError

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym.benchmark.policies import Idle, find, passive
 from isd_gym.benchmark.scoring import Entry

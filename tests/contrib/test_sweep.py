@@ -12,8 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from program import assert_one_line, run
-from refusals import refused
+from program import assert_one_line, refused, run
 
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Entry

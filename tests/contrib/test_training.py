@@ -9,7 +9,7 @@ from operator import attrgetter
 import numpy as np
 import pytest
 from gymnasium import spaces
-from refusals import refused
+from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym._common.files import claim_folder

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Echo, Memory, _Echo

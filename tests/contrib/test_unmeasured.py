@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import channel, element, friction
-from program import with_wings
-from refusals import refused
+from program import refused, with_wings
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli

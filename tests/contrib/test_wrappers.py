@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
-from refusals import refused
+from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import cost_of
