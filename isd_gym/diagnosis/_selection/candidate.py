@@ -48,6 +48,11 @@ class Candidate:
         network = self.fit.network
         return [network.element(name) for name in self.fit.structure.names]
 
+    @property
+    def freedom(self) -> int:
+        """Number of fitted parameters and of fitted start values of the states: an inner state that no sensor shows is free in each record."""
+        return len(self.fit.x) + sum(len(state) for state in self.fit.initial.values())
+
     def well_formed(self, last: bool = False) -> bool:
         """Return whether the values of the effects agree with the effects' names."""
         return all(e.well_formed() for e in (self.elements[-1:] if last else self.elements))

@@ -266,7 +266,7 @@ class CandidateComparison:
         """Return whether a rival predicts worse, or has more parameters and predicts no better."""
         if self.predicts_better(best, rival):
             return True
-        return len(rival.fit.x) > len(best.fit.x) and not self.is_worth_more_parameters(rival, best)
+        return rival.freedom > best.freedom and not self.is_worth_more_parameters(rival, best)
 
     def states_the_same(self, rival: Candidate, best: Candidate) -> bool:
         """Return whether the last effects are the same law at the same place or in series along the same force, or the rival's contains
@@ -281,10 +281,11 @@ class CandidateComparison:
     def indistinguishable(self) -> list[Candidate]:
         """Return the sound rivals of another kind that the foremost candidate is not distinguished from."""
         best = self.foremost
-        return [
-            r
-            for r in self.rivals()
+        found = {
+            frozenset(r.hypotheses): r
+            for r in reversed(self.rivals())  # the best of several fits of the same effects
             if is_sound(self.evaluator.problem, r, self.criteria)
             and not self.is_dominated(r, best)
             and not self.states_the_same(r, best)
-        ]
+        }
+        return [*reversed(found.values())]

@@ -259,7 +259,7 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     is_there = bool(gates) and not failed & {"predicts better", "determined"}
     if gates and not failed:
         return Decision("missing_effect", gates)
-    credible = e.has_credible_noise(c.wide_gap)
+    credible = e.has_credible_noise(c.wide_gap) and not _shown_by_training(e, failed, c)
     narrow = credible and e.width < c.wide_gap  # a wide gap is no agreement
     if credible and all(x < c.material for x in excess):
         return Decision(agreed, gates, is_there, "immaterial")
@@ -279,6 +279,14 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
             return Decision(agreed, gates, True, "doubtful_sensor")
         return Decision("ambiguous", gates)
     return Decision("unknown_effect", gates)
+
+
+def _shown_by_training(e: Evidence, failed: set[str], c: Criteria) -> bool:
+    """Return whether a found effect closes a material gap of the training records: validation records without one are no agreement."""
+    is_found = bool(e.effects) and not failed & {"predicts better", "material", "determined"}
+    is_closed = e.training_explained >= c.least_explained(len(e.effects))
+    is_told = is_found and is_closed and bool(e.training_refit)
+    return is_told and max(e.excess(e.training_refit)) >= c.material
 
 
 def with_findings(
