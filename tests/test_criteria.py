@@ -141,12 +141,8 @@ def test_agreement_needs_a_noise_that_is_known_or_a_small_error():
     quiet = replace(GOOD, before=(0.021,), refit=(0.02,), after=(0.02,), effects=(), richest=())
     assert decide(quiet).verdict == "no_discrepancy"
     assert decide(replace(quiet, before=(0.2,))).verdict == "parameters_only"
-    alone = {
-        "explained": 0.3,
-        "training_refit": (0.08,),
-        "training_after": (0.03,),
-    }  # a gap of training records
-    driven = replace(quiet, effects=(FRICTION,), **alone)
+    training = {"explained": 0.3, "training_refit": (0.08,), "training_after": (0.03,)}  # alone has a gap
+    driven = replace(quiet, effects=(FRICTION,), **training)
     assert decide(driven).verdict == "no_discrepancy"
     assert decide(replace(driven, training_explained=0.8)).verdict == "unknown_effect"
     # 99.7 % of the signal left and called noise, of which nothing is known beforehand

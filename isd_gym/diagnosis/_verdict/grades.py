@@ -42,9 +42,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (26, 26), "probable": (2, 2), "possible": (12, 8)},
-        "kind": {"certain": (21, 16), "probable": (6, 4), "possible": (29, 11)},
-        "law": {"certain": (6, 5), "probable": (10, 4), "possible": (20, 5)},
+        "place": {"certain": (27, 27), "probable": (5, 5), "possible": (13, 9)},
+        "kind": {"certain": (22, 16), "probable": (9, 5), "possible": (32, 12)},
+        "law": {"certain": (6, 5), "probable": (14, 5), "possible": (21, 6)},
     },
 }
 
