@@ -193,7 +193,7 @@ def test_neighbouring_values_that_do_not_differ_have_one_group():
 @pytest.mark.slow
 def test_a_diagnosis_states_the_payload(loaded, tmp_path):
     tables = [Table(r.time, {"push": r.inputs["push"], "position": r.measured[:, 0]}, r.name) for r in loaded]
-    found = diagnose(tables, rig(), settings=SearchSettings(depth=1, turns=0))
+    found = diagnose(tables, rig(), settings=SearchSettings(depth=1))
     assert found.verdict == "unknown_effect" and found.reason == "records_differ"
     (mass,) = found.record_differences.parameters
     assert mass.path == "mass.mass" and mass.groups == (0, 1, 0)

@@ -99,6 +99,8 @@ class Evidence:
     test_explained: float = 1.0
     #: power left on the test records over the power of unmodelled effects, largest over channels
     test_excess_ratio: float = 0.0
+    #: share of the nominal model's squared error, over all channels, that the candidate removes: on validation or on test records, the larger
+    nominal_removed: float = 1.0
     #: whether a special case of a law leaves no more than unmodelled effects, which may have made the difference
     imitated: bool = False
 
@@ -143,12 +145,6 @@ class Evidence:
         pairs = list(zip(self.training_refit, self.training_after, strict=True))
         total = sum(math.log(max(after, 1e-12) / max(refit, 1e-12)) for refit, after in pairs)
         return math.exp(total / max(len(pairs), 1))
-
-    @property
-    def nominal_removed(self) -> float:
-        """Share of the nominal model's squared error, over all channels, that the candidate removes; 1 where that model breaks down."""
-        before = sum(x**2 for x in self.before)
-        return 1.0 - sum(x**2 for x in self.after) / max(before, 1e-12) if math.isfinite(before) else 1.0
 
     @property
     def support(self) -> float:

@@ -116,10 +116,20 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
         training_after=as_numbers(evaluator.training_nrmse(best)),
         richest=as_numbers(richest.nrmse),
         richest_share=max(evaluator.effect_sizes(scores.richest), default=1.0),
+        nominal_removed=_removed_of_nominal(evaluator.nominal_nrmse, (after.nrmse, after.test_nrmse)),
         imitated=is_imitated(search, scores),
         **common,
     )
     return Measurements(evidence, quantities, indistinguishable, weighted)
+
+
+def _removed_of_nominal(nominal: tuple[Array, Array], after: tuple[Array, Array]) -> float:
+    """Return the share of the nominal model's squared error that is removed on validation or on test records, the larger; 1 where that
+    model breaks down."""
+    shares = [
+        1.0 - float(np.sum(a**2) / max(np.sum(b**2), 1e-12)) for b, a in zip(nominal, after, strict=True)
+    ]
+    return 1.0 if np.isnan(shares).any() else max(shares)
 
 
 def _effects(
