@@ -119,15 +119,6 @@ def test_detents_at_the_cars_device_are_found_with_their_pitch():
     assert found["amplitude"].value == approx(truth["amplitude"], rel=0.15)
 
 
-@pytest.mark.slow
-def test_an_effect_whose_sign_the_score_test_misses_is_begun_either_way():
-    # beside friction, small steps say little of a softening spring, and its sign wrongly: it was never begun the other way
-    d, _ = run("decay.friction_and_sine", 317)
-    laws = {f.laws[0].effect: f.laws[0] for f in d.findings}
-    assert {"coulomb_friction", "cubic_stiffness"} <= set(laws)
-    assert laws["cubic_stiffness"].parameters["stiffness"].value < 0
-
-
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins():
     def resonator(stiffness):
         parts = {"mass": 1.0, "stiffness": stiffness, "damping": 0.006}
