@@ -1,8 +1,8 @@
 """How well the lag of another logger's clock is found, on rigs of every family: python benchmarks/lags.py [--seeds 1 2] [KIND ...]
 
 The inputs are on one logger, the outputs on another whose stamps are late or early (of a rig without inputs the first output is on
-one, the rest on the other). Only the estimation record is used, with the model as its owner believes it: its parameters are off, and
-where KIND hides something the model lacks it. Without KIND every family's clean rig and one with an effect are drawn.
+one, the rest on the other). Only the estimation record is used, with the nominal model: parameters are off, and the hidden effect of KIND is missing.
+Without KIND every family's clean rig and one with an effect are drawn.
 """
 
 from __future__ import annotations

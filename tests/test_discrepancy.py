@@ -54,7 +54,7 @@ def run(kind, seed, settings=None):
     return diagnose(records[:1], case.model, validate=records[1:], settings=settings), case
 
 
-#: rigs on which one rule of the search decides: the effects at their places, and values where they matter
+#: rigs on which one rule of the search decides: effects, places and values
 RIGS = [
     # plain friction leaves 2 % of the deviation, less than small effects might; the falling curve leaves nothing
     ("shaken.stribeck", 305, {("stribeck_friction", "mass", "base")}, {"static_level": approx(88.8, rel=0.1), "level": approx(43.8, rel=0.1)}),
@@ -418,7 +418,7 @@ def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit():
     motion = np.sin(2 * np.pi * 1.1 * t) + 0.3 * np.sin(2 * np.pi * 3.7 * t)
     found = floor_of([motion + 0.02 * rng.standard_normal(n)], step)
     assert found.known and found.deviation == pytest.approx(0.02, rel=0.1)
-    # a model that misses the motion altogether changes nothing of that
+    # the misfit of a bad model would be as large as the motion
     assert found.deviation < 0.05 * motion.std()
 
 

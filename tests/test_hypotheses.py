@@ -1,4 +1,4 @@
-"""Which laws are tried, at which places, and where their fits begin."""
+"""Laws and places that the search tries, and start values of the fits."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -74,7 +74,7 @@ def test_one_sensor_has_one_offset_over_all_records():
 
 
 def test_mean_forces_show_a_stiffness_through_one_offset_only():
-    """Three mean forces deflect a spring by 6 N / k each: with an offset for each record these deflections say nothing."""
+    """Three mean forces deflect a spring by 6 N / k each: a free offset in each record hides these deflections."""
     spread = {}
     for offset in ("free", "record"):
         problem = problem_of(stand(offset), OFFSET, OFFSET, OFFSET, size=0.2)

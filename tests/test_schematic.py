@@ -1,4 +1,4 @@
-"""A network drawn: everything is there, in its place, and nothing lies on anything else."""
+"""A network drawn: all parts are drawn in the right places, without overlaps."""
 
 import re
 import xml.etree.ElementTree as ET

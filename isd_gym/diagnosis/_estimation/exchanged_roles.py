@@ -120,8 +120,8 @@ class InverseProblem:
         return [swap_channels(r, self.pushed, force, position) for r in pushed]
 
     def restore(self, found: Network) -> Network | None:
-        """Return the direct model with the parameters and added elements of a completed inverse one; None where one acts on the force
-        alone."""
+        """Return the direct model with the parameters and added elements of a completed inverse model; None for an element at a
+        channel."""
         if any(e.place != "between" for e in found.elements):
             return None
         own, known = {e.name: e for e in found.elements}, {e.name for e in self.direct.elements}

@@ -39,8 +39,8 @@ class PlaceForces:
     measured: float = 0.0
 
     def at(self, where: Sequence[str]) -> float:
-        """Return the typical force of a place: the smaller one of its nodes, of which prescribed ones count only beside each other; else
-        the largest of all."""
+        """Return the typical force of a place: the smaller force of the two nodes, without prescribed nodes beside a free node; else
+        the largest of all forces."""
         if self.measured > 0:
             return self.measured
         free = [n for n in where if n in self.by_node and n not in self.prescribed]

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import fftconvolve
+from scipy.signal.windows import tukey
 
 from ..._common.errors import InputError
 from ..._common.units import convert
@@ -41,6 +42,19 @@ if TYPE_CHECKING:
 
 
 HIGHEST = 8.0  # times the frequency of the motion
+LINES = 4  # periods that are returned
+RESOLUTION = 0.25  # step of the spectrum, in periods over the whole travel
+RESOLVED = 2.5  # samples of a period, at the typical speed, below which the period cannot be seen
+MOST_PERIODS = 20_000  # over the travel
+ALL = 1e9  # no upper limit of the band but the sampling
+BAND = 0.9  # of the thinned records' band that their low-pass keeps
+LOST = 0.25  # share of the residual's power beyond the noise that must not be lost
+#: power of the residual beyond the noise, over that of the noise, from which on the question is asked
+MATERIAL = 3.0
+#: names of the force in a model, and of the travel of a bench
+PUSH, TRAVEL = "_push", "_travel"
+#: samples of a record below which its simulated motion is used
+LEAST = 16
 
 
 @dataclass(frozen=True)
@@ -105,9 +119,6 @@ class Deconvolution:
     def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> tuple[Array, Array]:
         """Return the force [N] (n,) that explains a residual best under white noise, and the motion it makes (n, 2), by Wiener's filter
         with the force's own spectrum as prior (expectation maximisation)."""
-        from scipy.ndimage import uniform_filter1d
-        from scipy.signal.windows import tukey
-
         taper = tukey(self.samples, 0.1)
         band = slice(self.first, self.first + len(self.frequency))
         spectra = [np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band] for n in self.names]
@@ -137,18 +148,6 @@ def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str
     first, second = ((network.moved_nodes[riding[n]] if n in riding else n) for n in pair)
     out = (pair[0], first) if pair[1] == GROUND else (second, pair[1])
     return out if out[0] != out[1] else None
-
-
-LINES = 4  # periods that are returned
-RESOLUTION = 0.25  # step of the spectrum, in periods over the whole travel
-RESOLVED = 2.5  # samples of a period, at the typical speed, below which the period cannot be seen
-MOST_PERIODS = 20_000  # over the travel
-ALL = 1e9  # no upper limit of the band but the sampling
-BAND = 0.9  # of the thinned records' band that their low-pass keeps
-LOST = 0.25  # share of the residual's power beyond the noise that must not be lost
-MATERIAL = (
-    3.0  # power of the residual beyond the noise, over that of the noise, from which on the question is asked
-)
 
 
 def typical_advance(travels: Sequence[Array]) -> float:
@@ -241,12 +240,6 @@ def thinning_loses(problem: Problem, fit: Fit, floors: Array) -> bool:
         rows += len(residual)
     material = power > MATERIAL * rows * floors**2
     return bool(np.any(material & (lost > LOST * power)))
-
-
-#: names of the force in a model, and of the travel of a bench
-PUSH, TRAVEL = "_push", "_travel"
-#: samples of a record below which its simulated motion is used
-LEAST = 16
 
 
 def measured_motions(problem: Problem, fit: Fit, noise: Array) -> dict[Pair, dict[int, Motion]]:
@@ -402,9 +395,8 @@ def force_responses(problem: Problem, fit: Fit, pair: Pair, forces: Mapping[int,
 def _pushed(
     problem: Problem, network: Network, fit: Fit | None, i: int, record: Record, forces: Array
 ) -> Array:
-    mean = 0.5 * (
-        forces + np.append(forces[1:], forces[-1:], axis=0)
-    )  # an input of a motor is held over a step
+    # an input of a motor is held over a step
+    mean = 0.5 * (forces + np.append(forces[1:], forces[-1:], axis=0))
     records = [record.with_inputs({**record.inputs, PUSH: column}) for column in mean.T]
     whole = Problem(network, records, None, problem.step, problem.time)
     begun = None if fit is None else {k: fit.initial[i][:, None] for k in range(len(records))}

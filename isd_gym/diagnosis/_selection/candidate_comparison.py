@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..._common.arrays import Array
+    from .._estimation.structure import Hypothesis
     from .held_out import HeldOutScore
 
 #: candidates of a stage that are compared with the best
@@ -281,11 +282,9 @@ class CandidateComparison:
     def indistinguishable(self) -> list[Candidate]:
         """Return the sound rivals of another kind that the foremost candidate is not distinguished from."""
         best = self.foremost
-        found = {
-            frozenset(r.hypotheses): r
-            for r in reversed(self.rivals())  # the best of several fits of the same effects
-            if is_sound(self.evaluator.problem, r, self.criteria)
-            and not self.is_dominated(r, best)
-            and not self.states_the_same(r, best)
-        }
-        return [*reversed(found.values())]
+        found: dict[frozenset[Hypothesis], Candidate] = {}
+        for r in self.rivals():
+            is_sound_law = is_sound(self.evaluator.problem, r, self.criteria)
+            if is_sound_law and not self.is_dominated(r, best) and not self.states_the_same(r, best):
+                found.setdefault(frozenset(r.hypotheses), r)  # the best of several fits of the same effects
+        return [*found.values()]
