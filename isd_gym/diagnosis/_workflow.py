@@ -264,8 +264,19 @@ class Workflow:
             found = self._diagnose_segments(error)
             if found is not None:
                 return found
-        scores, measured, decision = self.conclude(self.search.run(refitted))
+        scores, measured, decision = self.explore(refitted)
         return ResultBuilder(self.search, scores, measured, self).build(decision)
+
+    def explore(self, refitted: Candidate) -> tuple[CandidateComparison, Measurements, Decision]:
+        """Return a search, its measurements and the decision on it; where it decides nothing, those of a wider search that predicts better.
+        Where only the gate of the free curve fails, other names are only other curves."""
+        scores = self.search.run(refitted)
+        found = self.conclude(scores)
+        failed = {g.name for g in found[2].gates if not g.passed}
+        if failed == {"lack of fit"} or found[2].verdict not in ("unknown_effect", "ambiguous"):
+            return found
+        wider = self.search.widen(scores)
+        return found if wider is scores else self.conclude(wider)
 
     def conclude(self, scores: CandidateComparison) -> tuple[CandidateComparison, Measurements, Decision]:
         """Return a search, its measurements and the decision on it. Where candidates cannot be told apart, the effects that they share are
@@ -366,7 +377,7 @@ class Workflow:
         try:
             with self.clock.until(SEARCH):
                 refitted = flow.search.refit_nominal()
-            scores, measured, decision = flow.conclude(flow.search.run(refitted))
+            scores, measured, decision = flow.explore(refitted)
         except TimeUp:
             self.clock.leave_out("a comparison over brief stretches")
             return None

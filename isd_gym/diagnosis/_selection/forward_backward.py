@@ -15,7 +15,15 @@ from .._estimation.noise import refined_noise, whitener
 from .._estimation.structure import base_structure
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import EVIDENCE, SEARCH, SELECTION, TimeLimit, TimeUp
-from .candidate import Candidate, deviance_with_noise_of, settle, simpler_structures, transfer, white_noise
+from .candidate import (
+    Candidate,
+    deviance_with_noise_of,
+    is_special_case,
+    settle,
+    simpler_structures,
+    transfer,
+    white_noise,
+)
 from .candidate_comparison import RIVALS, CandidateComparison
 from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
@@ -34,6 +42,8 @@ if TYPE_CHECKING:
 
 #: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
 ASTRAY = 1.1
+#: runners-up of the first stage that get a second effect where the search from the first decides nothing
+RUNNERS = 2
 #: stages of forward addition, in words
 ORDINALS = ("a first", "a second", "a third", "a further")
 
@@ -63,12 +73,48 @@ class Search:
 
     def run(self, refitted: Candidate) -> CandidateComparison:
         """Search from the refitted nominal model."""
-        return self.select(*self.add_effects(refitted))
+        return self.select(*self.add_effects([refitted], []))
+
+    def widen(self, scores: CandidateComparison) -> CandidateComparison:
+        """Add a second effect to the runners-up of the first stage, too; return the search from the pair that predicts best, or the
+        present one where no pair predicts better than its candidates."""
+        if not scores.stages:
+            return scores
+        first, known = scores.stages[0][0], scores.path[min(2, len(scores.path) - 1)]
+        pairs: list[tuple[Candidate, Candidate, list[Candidate]]] = []
+        try:
+            with self.clock.until(SEARCH):
+                for runner in self._runners_up(scores, first):
+                    self.say(f"adding a second effect to {runner.label}")
+                    stages: list[list[Candidate]] = []
+                    pair = self._add_best(runner, stages)
+                    if pair is not None and scores.can_score(pair) and scores.predicts_better(pair, known):
+                        pairs.append((runner, pair, *stages))
+        except TimeUp:
+            self.clock.leave_out("a second effect beside the runners-up")
+        if not pairs:
+            return scores
+        runner, pair, stage = min(pairs, key=lambda t: scores.score(t[1]).mean_square)
+        path, stages = [scores.refitted, runner, pair], [[*scores.stages[0]], stage]
+        return self.select(*self.add_effects(path, stages))
+
+    def _runners_up(self, scores: CandidateComparison, first: Candidate) -> list[Candidate]:
+        """Return the candidates with one effect, other than the first, that predict best, at most `RUNNERS`."""
+        h, least = first.hypotheses[-1], scores.score(scores.refitted).mean_square
+        others = [
+            r
+            for r in scores.stages[0][1:]
+            # the search from the first went through a special case of it
+            if not is_special_case(h, r.hypotheses[-1]) and scores.can_score(r)
+        ]
+        better = [r for r in others if scores.score(r).mean_square < least]
+        return sorted(better, key=lambda r: scores.score(r).mean_square)[:RUNNERS]
 
     # -- forward addition ---------------------------------------------------------------------------------
-    def add_effects(self, refitted: Candidate) -> tuple[list[Candidate], list[list[Candidate]]]:
-        """Add one effect at a time: the refitted nominal model and candidates with one more effect each, and the candidates of each stage."""
-        path, stages = [refitted], list[list[Candidate]]()
+    def add_effects(
+        self, path: list[Candidate], stages: list[list[Candidate]]
+    ) -> tuple[list[Candidate], list[list[Candidate]]]:
+        """Add one effect at a time to a path, which begins with the refitted nominal model, and append the candidates of each stage."""
         try:
             with self.clock.until(SEARCH):
                 self._extend(path, stages)
