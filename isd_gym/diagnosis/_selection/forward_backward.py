@@ -89,7 +89,7 @@ class Search:
                     stages: list[list[Candidate]] = []
                     pair = self._add_best(runner, stages)
                     if pair is not None and scores.can_score(pair) and scores.predicts_better(pair, known):
-                        pairs.append((runner, pair, *stages))
+                        pairs.append((runner, pair, stages[0]))
         except TimeUp:
             self.clock.leave_out("a second effect beside the runners-up")
         if not pairs:
