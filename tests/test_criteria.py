@@ -54,11 +54,8 @@ def test_a_name_passes_every_gate():
         ("predicts better", {"elpd_dse": 1500.0}, "unknown_effect"),
         ("material", {"effects": (replace(FRICTION, share=0.02, removed=0.7),)}, "unknown_effect"),
         ("adequate", {"explained": 0.6, "after": (0.2,), "richest": (0.2,)}, "unknown_effect"),
-        (
-            "adequate",
-            {"nominal_removed": -0.1},
-            "unknown_effect",
-        ),  # the refit errs more than the nominal model
+        # the refit errs more than the nominal model
+        ("adequate", {"nominal_removed": -0.1}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, contradiction="beyond its reach"),)}, "unknown_effect"),
         (

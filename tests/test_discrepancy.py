@@ -119,6 +119,14 @@ def test_detents_at_the_cars_device_are_found_with_their_pitch():
     assert found["amplitude"].value == approx(truth["amplitude"], rel=0.15)
 
 
+@pytest.mark.slow
+def test_a_runner_up_begins_the_pair_that_the_first_candidate_hides():
+    d, _ = run("decay.friction_and_sine", 317)
+    laws = {f.laws[0].effect: f.laws[0] for f in d.findings}
+    assert {"coulomb_friction", "cubic_stiffness"} <= set(laws)
+    assert laws["cubic_stiffness"].parameters["stiffness"].value < 0
+
+
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins():
     def resonator(stiffness):
         parts = {"mass": 1.0, "stiffness": stiffness, "damping": 0.006}
@@ -274,7 +282,7 @@ def test_a_score_is_a_function_of_its_arguments():
     evaluator = HeldOutEvaluator(problem)
     search = Search(evaluator, SearchSettings(depth=1), CRITERIA, lambda line: None)
     refitted = search.refit_nominal()
-    (_, best), _ = search.add_effects(refitted)
+    (_, best), _ = search.add_effects([refitted], [])
     filters = evaluator.whitener(best)
     alone = HeldOutEvaluator(problem).score(refitted, filters)
     evaluator.score(best, filters)
