@@ -72,7 +72,7 @@ def test_a_place_is_doubted_where_its_candidate_explains_less_than_half_or_did_n
     assert passed.kind_probability == pytest.approx(1 - MISTAKEN["kind"])
     free = Statement(FRONT, "other", FREE_FORCE)
     (table,) = found((1.0, [free]), own=[friction(FRONT)], explained=0.3)
-    assert table.place_probability == pytest.approx(1 - MISTAKEN["place"])
+    assert (table.place_probability, table.kind_probability) == (1 - MISTAKEN["place"], 1 - MISTAKEN["free"])
 
 
 def test_a_law_beside_the_foremost_candidates_law_is_doubted_and_a_rival_is_not():

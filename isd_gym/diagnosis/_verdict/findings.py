@@ -107,7 +107,8 @@ def find(
         is_passed = bool(own_here & passed)
         is_free = FREE_FORCE in laws  # the free force stands for laws outside the library
         doubt = 0.0 if is_passed or is_free else MISTAKEN["extra"]
-        mistaken = MISTAKEN["kind"] if is_free else max(doubt, share("kind"))
+        own_share = MISTAKEN["free" if kind in NAMELESS else "kind"]
+        mistaken = own_share if is_free else max(doubt, share("kind"))
         of_kind = probability(candidates, **where) * (1.0 - mistaken)
 
         def of_law(law: str) -> float:
@@ -117,7 +118,7 @@ def find(
             beside = [] if is_own else [w for w in candidates if own_here & w.statements]
             further = probability(beside, **where, law=law)
             is_sum = law in TYPES and TYPES[law].is_sum()
-            wrong = max(doubt, share("law", is_sum=is_sum))
+            wrong = max(mistaken if is_free else doubt, share("law", is_sum=is_sum))
             return (whole - further) * (1.0 - wrong) + further * (1.0 - max(MISTAKEN["extra"], wrong))
 
         entries = [
