@@ -315,6 +315,15 @@ class Facts:
         return is_gain(self.d["best_candidate"])
 
     @property
+    def is_unexplained(self) -> bool:
+        """Whether neither a known effect nor a table of a force explains half of the error, and no kind is likely."""
+        d, least = self.d, self.d["criteria"]["least_removed"]
+        tried = (d["best_candidate"], d["best_table"])
+        is_short = all(t is None or (t["explained"] or 0.0) < least for t in tried)
+        likely = self.places or [f for f in d["findings"] if f["kind_probability"] >= PERHAPS]
+        return is_short and d["best_table"] is not None and not d["not_tried"] and not likely
+
+    @property
     def bounded(self) -> dict[str, float]:
         """Channels whose noise is only bounded, with the bound."""
         e = self.d["evidence"]
