@@ -8,9 +8,9 @@ import pytest
 from builders import oscillator
 
 from isd_gym.diagnosis._selection.free_force import Table as TableStructure
-from isd_gym.diagnosis._selection.free_force import _axis, _directions, fit_in_place_of, force_over
+from isd_gym.diagnosis._selection.free_force import _axis, _directions, fit_in_place_of
 from isd_gym.diagnosis._selection.weights import statements_of
-from isd_gym.physics.elements import Motion, SensorGain, SeriesCompliance, TabulatedForce
+from isd_gym.physics.elements import SensorGain, SeriesCompliance, TabulatedForce
 
 SHAKEN = oscillator("travel displacement mass base", "felt acceleration mass", base="base")
 
@@ -48,16 +48,3 @@ def test_a_few_directions_hold_any_smooth_law(law):
     basis = _directions([x], 0.35, 10.0, 12)
     found = basis @ np.linalg.lstsq(basis, law(x), rcond=None)[0]
     assert np.abs(found - law(x)).max() < 0.02 * np.abs(law(x)).max()
-
-
-def test_the_force_of_an_element_over_a_motion():
-    net = SHAKEN
-    for extra in (
-        {"type": "coulomb_friction", "level": 2.0},
-        {"type": "asymmetric_friction", "extension": 3.0, "compression": 1.0},
-        {"type": "quadratic_damping", "damping": 4.0},
-        {"type": "linear_damping", "damping": 4.0},
-    ):
-        e = net.with_element({"name": "x", "between": ["mass", "base"], **extra}).element("x")
-        m = Motion(np.zeros(2), np.array([-0.5, 0.5]), np.zeros(2))
-        assert np.allclose(force_over(e, m), e.curve(m.v))

@@ -179,14 +179,15 @@ def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_expla
     worse = document(VAGUE)
     worse["best_candidate"]["error"]["after"]["travel"] = 0.34
     said = summary_of(worse)
-    assert "No known effect reduces the error on the test records" in said and "34.0 % (refitted 30.0 %)" in said
+    assert "No known effect reduces the error on the test records" in said
+    assert "34.0 % (refitted 30.0 %)" in said
     assert "best candidate" not in said and "explain" not in said
     unseen = document(VAGUE, verdict="unknown_effect", best_table=tried(-0.15))
     unseen["best_candidate"]["explained"] = -0.4
     said = summary_of(unseen)
     assert "No known effect reduces the error on the validation records." in said and "best" not in said
     assert "No table of a force between two nodes reduces the held-out error." in said and "-15" not in said
-    assert statements_of(unseen).title == "The model misses the records; no force between two nodes explains it"
+    assert "no force between two nodes explains it" in statements_of(unseen).title
     alone = worse | {"verdict": "ambiguous"}
     assert "no known effect reduces the error" in summary_of(alone) and "removes" not in summary_of(alone)
 

@@ -234,22 +234,17 @@ def match_law(
     kind: type[el.Element],
     starts: Iterable[Mapping[str, float]],
     residual: Callable[[dict[str, float]], Array],
-    *,
-    mirrored: bool = False,
 ) -> tuple[float, dict[str, float]] | None:
     """Return the RMS error and the values of the best match of a law's free parameters to a curve over several starts; None if no fit
     succeeds. Parameters with a minimum of zero or more are fitted by their logarithm."""
-    matches = [m for start in starts for m in _matches_from(start, kind, residual, mirrored)]
+    matches = [m for start in starts if (m := _match_from(start, kind, residual)) is not None]
     return min(matches, key=lambda m: m[0], default=None)
 
 
-def _matches_from(
-    start: Mapping[str, float],
-    kind: type[el.Element],
-    residual: Callable[[dict[str, float]], Array],
-    mirrored: bool,
-) -> Iterator[tuple[float, dict[str, float]]]:
-    """Yield the fits from one start, and from its mirror image."""
+def _match_from(
+    start: Mapping[str, float], kind: type[el.Element], residual: Callable[[dict[str, float]], Array]
+) -> tuple[float, dict[str, float]] | None:
+    """Return the fit from one start; None where it breaks down."""
     free = [f for f in el.parameter_fields(kind) if not f.metadata["fixed"] and f.name in start]
     unit = [max(abs(start[f.name]), 1e-12) for f in free]
     log = [f.metadata["minimum"] >= 0 for f in free]
@@ -258,10 +253,9 @@ def _matches_from(
         scaled = (u * math.exp(min(v, 50.0)) if lg else u * v for u, v, lg in zip(unit, x, log, strict=True))
         return {**start, **dict(zip([f.name for f in free], map(float, scaled), strict=True))}
 
-    for sign in (1.0, -1.0) if mirrored and not all(log) else (1.0,):
-        x0 = np.array([0.0 if lg else sign for lg in log])
-        try:
-            fit = least_squares(lambda x: residual(values_at(x)), x0, max_nfev=EVALUATIONS)
-        except (*BROKEN, ValueError, OverflowError):
-            continue
-        yield el.rms(fit.fun), values_at(fit.x)
+    x0 = np.array([0.0 if lg else 1.0 for lg in log])
+    try:
+        fit = least_squares(lambda x: residual(values_at(x)), x0, max_nfev=EVALUATIONS)
+    except (*BROKEN, ValueError, OverflowError):
+        return None
+    return el.rms(fit.fun), values_at(fit.x)

@@ -15,22 +15,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._common.arrays import Z95, Array
-from ..._common.errors import InputError
 from ...physics import elements as el
-from ...physics.elements._starts import generic_starts
 from ...physics.network import Network, assemble
 from ...physics.network._frames import order_told
 from .._estimation.gauss_newton import Fit, Fitter, residuals
 from .._estimation.noise import Whitener, whitener
 from .._estimation.structure import Free, Structure, cells_beside
 from .._hypotheses.forces import PlaceForces, place_forces
+from .._hypotheses.law_matching import follows_motion, starts_of
 from .._hypotheses.library import hypotheses, pairs
-from .._hypotheses.motion import motions, setting
+from .._hypotheses.motion import motions
+from .._hypotheses.pair_forces import law_forces
 from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
 from .admissibility import travels
 from .candidate import Candidate, settle, transfer, white_noise
-from .equivalent_laws import match_law
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -59,8 +58,6 @@ ENOUGH = 0.9
 BOTH = 2
 #: factor by which a table over both arguments, or with a shorter length, must err less (mean whitened square)
 RICHER = 1.15
-#: points of the motion at which laws are compared: a resolution
-POINTS = 300
 #: points of the motion at which the arguments of a table are separated: a resolution
 MARGINAL = 4000
 
@@ -378,68 +375,23 @@ def _shares(problem: Problem, best: Candidate, e: el.TabulatedForce) -> tuple[tu
 
 
 def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tuple[str, float]]:
-    """Known laws at the same place, each fitted to the table over the measured motion, with the share of it that they give."""
-    m = motions(problem, best.fit, (e.between,))[e.between]
-    pick = np.linspace(0, len(m.d) - 1, POINTS).astype(int)
-    seen = el.Motion(m.d[pick], m.v[pick], m.a[pick])
-    target = e.at(seen.d, seen.v)
-    size = el.rms(target)
-    out: dict[str, float] = {}
-    base = problem.network
-    for h in hypotheses(base):
-        if (
-            h.place != "between"
-            or h.kind.series
-            or set(h.where) != set(e.between)
-            or h.kind.plane == "time"
-            or h.kind.periodic
-        ):
+    """Return at most three known laws at the place of a table, best first, with the share of its force over the measured motion that
+    each gives with the best size."""
+    m, network = motions(problem, best.fit, (e.between,))[e.between], problem.network
+    here = [h for h in hypotheses(network) if follows_motion(h) and set(h.where) == set(e.between)]
+    laws = [h for h in here if not h.kind.periodic]
+    starts = starts_of(problem, best.fit, {(h.where[0], h.where[1]): m for h in laws}, laws)
+    step = problem.records[problem.estimation[0]].step
+    forces = law_forces(network, e.between, m, step, [(h, way) for h, start in starts for way in start.ways])
+    target, at, out = e.at(m.d, m.v), 0, dict[str, float]()
+    for h, start in starts:
+        columns = forces[:, at : at + len(start.ways)]
+        at += len(start.ways)
+        if not np.isfinite(columns).all():
             continue
-        at = setting(problem, base, h, seen, size)
-        try:
-            begun = h.kind.starts(at)[:4]
-        except (InputError, StopIteration):
-            begun = generic_starts(h.kind, at)[:4]
-        match = match_law(h.kind, (s.values for s in begun), _misfit(h.kind, at, target, size), mirrored=True)
-        if match is not None:
-            share = 1.0 - match[0] ** 2
+        size = np.linalg.lstsq(columns, target, rcond=None)[0]
+        if start.signed or np.all(size > 0):
+            share = 1.0 - float(np.sum((target - columns @ size) ** 2) / max(np.sum(target**2), 1e-300))
             out[h.effect] = max(out.get(h.effect, 0.0), share)
     ranked = sorted(out.items(), key=lambda t: -t[1])
     return [(name, share) for name, share in ranked if share > 0.05][:3]
-
-
-def _misfit(
-    kind: type[el.Element], at: el.Setting, target: Array, size: float
-) -> Callable[[dict[str, float]], Array]:
-    """Return the function from a law's values to its difference (samples,) from a force [N] over `size` [N]; large for values that
-    contradict its name."""
-
-    def misfit(values: dict[str, float]) -> Array:
-        try:
-            e = kind(name="trial", where=at.where, **values, **at.options)
-        except InputError:
-            return np.full(len(target), 1e3)
-        if not e.well_formed():
-            return np.full(len(target), 1e3)
-        return np.asarray((force_over(e, at.moves) - target) / size, dtype=np.float64)
-
-    return misfit
-
-
-def force_over(e: el.Element, m: el.Motion) -> Array:
-    """Force [N] of an element over a motion, (n,)."""
-    out = np.zeros(len(m.d))
-    for part in e.parts() or (e,):
-        p = np.array(part.law_parameters())
-        if type(part).bound is not None:
-            out += np.array([part.bound(p, d, v) * np.sign(v) for d, v in zip(m.d, m.v, strict=True)])  # type: ignore[misc]
-        elif type(part).law is not None:
-            z, last = 0.0, m.d[0]
-            for k, (d, v) in enumerate(zip(m.d, m.v, strict=True)):
-                f, z = part.law(p, d, v, last, z, 1e-3)  # type: ignore[misc]
-                out[k] += f
-                last = d
-        else:
-            k_, c, b = part.linear()
-            out += k_ * m.d + c * m.v + b * m.a
-    return out
