@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import ablation
 import numpy as np
 import pytest
 
@@ -39,6 +40,16 @@ GOOD = Evidence(
     richest=(0.021,),
     richest_share=0.4,
 )
+
+
+def test_the_stored_evidence_of_rigs_gives_their_verdicts():
+    # benchmarks/ablation.py --store keeps it: no rule changes a verdict of these rigs unseen
+    replays = [ablation.Replay.of(row) for row in ablation.rows_of(())]
+    elsewhere = ("kind_certain", "records_differ")
+    decided = [r for r in replays if r.row["diagnosis"]["reason"] not in elsewhere]
+    assert len(decided) > 80
+    for r in decided:
+        assert r.outcome(r.criteria)[0] == r.row["diagnosis"]["verdict"], r.row["name"]
 
 
 def test_a_name_passes_every_gate():
