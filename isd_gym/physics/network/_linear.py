@@ -87,15 +87,16 @@ def slowest_time(network: Network) -> float | None:
         network: The model.
 
     Returns:
-        Time constant [s]; infinite if the network only moves freely; None without states.
+        Time constant [s]; infinite if the network only moves freely, or if all its motion is prescribed; None without a state space.
     """
     poles = np.abs(_poles(network))
     if len(poles):
         return float(1.0 / poles.min())
     try:
-        return np.inf if linearise(network.with_outputs(())).A.size else None
+        linearise(network.with_outputs(()))
     except InputError:
         return None
+    return np.inf
 
 
 def _poles(network: Network) -> np.ndarray:
