@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..._common.arrays import Array
-    from .._estimation.structure import Structure
+    from .._estimation.structure import Hypothesis, Structure
     from .._hypotheses.law_matching import Match
     from .._simulation.problem import Problem
     from .criteria import Criteria
@@ -99,16 +99,16 @@ class Search:
         return self.select(*self.add_effects(path, stages))
 
     def _runners_up(self, scores: CandidateComparison, first: Candidate) -> list[Candidate]:
-        """Return the candidates with one effect, other than the first, that predict best, at most `RUNNERS`."""
-        h, least = first.hypotheses[-1], scores.score(scores.refitted).mean_square
-        others = [
-            r
-            for r in scores.stages[0][1:]
-            # the search from the first went through a special case of it
-            if not is_special_case(h, r.hypotheses[-1]) and scores.can_score(r)
-        ]
-        better = [r for r in others if scores.score(r).mean_square < least]
-        return sorted(better, key=lambda r: scores.score(r).mean_square)[:RUNNERS]
+        """Return the candidates with one effect, other than the first, that predict best, at most `RUNNERS`; each must remove as much as an
+        effect that is kept."""
+        h, refit = first.hypotheses[-1], scores.score(scores.refitted)
+        found: dict[Hypothesis, Candidate] = {}
+        # the search from the first went through a special case of it
+        others = [r for r in scores.stages[0][1:] if not is_special_case(h, r.hypotheses[-1])]
+        for r in sorted(filter(scores.can_score, others), key=lambda r: scores.score(r).mean_square):
+            if scores.explained_fraction(refit, scores.score(r)) >= self.criteria.least_removed:
+                found.setdefault(r.hypotheses[-1], r)
+        return [*found.values()][:RUNNERS]
 
     # -- forward addition ---------------------------------------------------------------------------------
     def add_effects(
