@@ -45,9 +45,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (27, 27), "probable": (5, 5), "possible": (13, 9)},
-        "kind": {"certain": (22, 16), "probable": (9, 5), "possible": (32, 12)},
-        "law": {"certain": (6, 5), "probable": (14, 5), "possible": (21, 6)},
+        "place": {"certain": (29, 29), "probable": (7, 7), "possible": (13, 9)},
+        "kind": {"certain": (25, 19), "probable": (11, 7), "possible": (34, 12)},
+        "law": {"certain": (6, 5), "probable": (19, 9), "possible": (23, 6)},
     },
 }
 
