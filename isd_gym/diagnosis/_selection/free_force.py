@@ -28,7 +28,7 @@ from .._hypotheses.motion import motions
 from .._hypotheses.pair_forces import law_forces
 from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
-from .admissibility import travels
+from .admissibility import is_admissible, travels
 from .candidate import Candidate, settle, transfer, white_noise
 
 if TYPE_CHECKING:
@@ -379,7 +379,8 @@ def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tup
     each gives with the best size."""
     m, network = motions(problem, best.fit, (e.between,))[e.between], problem.network
     here = [h for h in hypotheses(network) if follows_motion(h) and set(h.where) == set(e.between)]
-    laws = [h for h in here if not h.kind.periodic]
+    known = travels(problem, best.fit.network, {e.between: m})
+    laws = [h for h in here if not h.kind.periodic and is_admissible(h, known)]
     starts = starts_of(problem, best.fit, {(h.where[0], h.where[1]): m for h in laws}, laws)
     step = problem.records[problem.estimation[0]].step
     forces = law_forces(network, e.between, m, step, [(h, way) for h, start in starts for way in start.ways])

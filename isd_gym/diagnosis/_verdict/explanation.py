@@ -10,6 +10,7 @@ from scipy.signal import welch
 from ..._common.errors import InputError
 from ...physics.network._frames import order_told
 from .._hypotheses.motion import motions
+from .._selection.admissibility import travels
 from .._simulation.problem import BROKEN
 from ..result import Law, Place, Quantity, Tabulated
 
@@ -71,7 +72,7 @@ def conditions(
     problem: Problem, motion: dict[tuple[str, str], Motion], n: int, width: int
 ) -> Iterator[tuple[NDArray[np.bool_], str]]:
     """Yield conditions on the motion of node pairs and on currents in the first fitted record: masks of samples (n,) and their words."""
-    record = problem.records[problem.estimation[0]]
+    record, known = problem.records[problem.estimation[0]], travels(problem, problem.network, motion)
     for (a, b), m in motion.items():
         turns = {a, b} & problem.network.rotating
         scale, length, speed = (1.0, "rad", "rad/s") if turns else (1e3, "mm", "m/s")
@@ -81,13 +82,14 @@ def conditions(
         yield near_reversals(v, width), f"velocity of {a}-{b} changes sign"
         for q in (0.8, 0.95):
             level = float(np.quantile(np.abs(d), q))
-            if not order_told(problem.network, (a, b)):
+            if known[a, b].is_known() and not order_told(problem.network, (a, b)):
                 yield np.abs(d) > level, f"|travel of {a}-{b}| is beyond {scale * level:.3g} {length}"
             level = float(np.quantile(np.abs(v), q))
             yield np.abs(v) > level, f"|velocity of {a}-{b}| is above {level:.3g} {speed}"
             low, high = np.quantile(v, 1 - q), np.quantile(v, q)
-            yield v > high, f"{a}-{b} extends faster than {high:.3g} {speed}"
-            yield v < low, f"{a}-{b} compresses faster than {-low:.3g} {speed}"
+            if low < 0.0 < high:
+                yield v > high, f"{a}-{b} extends faster than {high:.3g} {speed}"
+                yield v < low, f"{a}-{b} compresses faster than {-low:.3g} {speed}"
     for c in problem.network.inputs:
         if c.quantity == "current":
             current = np.abs(record.seen(record.inputs[c.name]))
