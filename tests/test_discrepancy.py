@@ -123,8 +123,7 @@ def test_detents_at_the_cars_device_are_found_with_their_pitch():
 def test_a_runner_up_begins_the_pair_that_the_first_candidate_hides():
     d, _ = run("decay.friction_and_sine", 317)
     laws = {f.laws[0].effect: f.laws[0] for f in d.findings}
-    assert {"coulomb_friction", "cubic_stiffness"} <= set(laws)
-    assert laws["cubic_stiffness"].parameters["stiffness"].value < 0
+    assert "coulomb_friction" in laws and laws["cubic_stiffness"].parameters["stiffness"].value < 0
 
 
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins():

@@ -21,6 +21,7 @@ from isd_gym.diagnosis._verdict.wording import summary_of
 FRONT, REAR = ("body_front", "wheel_front"), ("body_rear", "wheel_rear")
 FIT = SimpleNamespace(structure=SimpleNamespace(hypotheses=(), names=()))
 NO_LAWS = SimpleNamespace(fit=FIT, elements=())
+HELD = {"test_explained": 1.0, "support": 1.0, "imitated": False}
 
 
 def friction(place):
@@ -30,7 +31,7 @@ def friction(place):
 def found(*weighted, own, is_named=False, explained=0.99, left=0.0):
     """Findings of candidates: pairs of a weight and the statements of a candidate; `own` are those of the foremost candidate."""
     candidates = [WeightedCandidate(NO_LAWS, w, frozenset(s)) for w, s in weighted]
-    evidence = SimpleNamespace(explained=explained, width_after=left, support=1.0, imitated=False)
+    evidence = SimpleNamespace(explained=explained, width_after=left, **HELD)
     search = SimpleNamespace(criteria=CRITERIA)
     return find(search, candidates, evidence, {}, frozenset(own), is_named=is_named, is_doubted=False)
 
@@ -207,7 +208,7 @@ def test_a_law_that_is_the_sum_of_two_others_is_probable_at_most():
     (one,) = found((1.0, lean), own=lean, is_named=True)
     assert one.kind_probability == pytest.approx(1.0 - MISTAKEN["kind"])
     assert one.laws[0].probability == pytest.approx(1.0 - MISTAKEN["partly"])
-    evidence = SimpleNamespace(explained=0.99, width_after=0.0, support=1.0, imitated=False, probability=1.0)
+    evidence = SimpleNamespace(explained=0.99, width_after=0.0, probability=1.0, **HELD)
     assert confidence(evidence, is_sum=True) == one.laws[0].probability < confidence(evidence)
     evidence.imitated = True  # unmodelled effects may have told the law from its special case
     assert confidence(evidence) == one.laws[0].probability
