@@ -122,7 +122,7 @@ def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_i
 def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_narrow_one_is_told():
     small = (replace(FRICTION, share=0.02),)
     assert decide(replace(GOOD, effects=small)).verdict == "missing_effect"
-    # of a gap of 8 % it is what small effects make that tells
+    # in a gap of 8 % the envelope of small effects decides
     more = (replace(FRICTION, share=0.03, width=0.08),)
     small = (replace(FRICTION, share=0.02, width=0.08),)
     assert decide(replace(GOOD, effects=more, refit=(0.08,), richest_share=0.03)).verdict == "missing_effect"

@@ -100,7 +100,7 @@ def law(effect, **parameters):
 
 
 def rivals(*beside):
-    """Two laws that predict as well, each with further effects beside it."""
+    """Two laws with equal predictions, each beside further effects."""
     names, places = [*beside, "{}"], [["ground", "mass"]] * len(beside) + [["mass", "ground"]]
     return [
         {"effects": [n.format(name) for n in names], "where": places, "excess": excess, "why_not": ""}
@@ -141,7 +141,6 @@ SPEEDS = "two or three constant speeds"
         (VAGUE, {"best_table": tried(0.6), "tabulated": TABLE}, BORNE_OUT + ".*removes 60 % of the squared held-out error beyond noise.*gas spring 88 %"),
         (VAGUE, {"best_table": tried(0.6), "tabulated": TABLE}, "distance alone 97 %, rate alone 5 %"),
         (VAGUE, {"tabulated": TABLE, "gap": errors(after=0.07)["gap"] | {"closed": -0.5}}, f"{re.escape(NOT_BORNE_OUT)}.*repeat the test"),
-        # rivals have their places and what they leave
         (ABREAST, {"alternatives": rivals(), "next_experiment": {"do": "a sine"}}, r"between 2 candidates: Coulomb friction between mass and ground \(leaves 1.0 %.*Next: run the test in next_experiment.csv.$"),
         (ABREAST, {"alternatives": rivals()[:1]}, "but 1 other law predicts as well"),
         (ABREAST, {"alternatives": rivals("backlash")}, "contains backlash between ground and mass. They differ in the further effect: Coulomb friction"),

@@ -179,7 +179,7 @@ def _split(whole: Problem, notes: list[str]) -> tuple[Problem, Problem, tuple[fl
 
 def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None:
     """Return the diagnosis of the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away;
-    None where the model has no inverse, or nothing is named. Its `whole` is the completed model."""
+    None without an inverse of the model or without a name. Its `whole` is the completed model."""
     inverse = invert(flow.network)
     if inverse is None or any(r.reading is not None for r in records):
         return None
@@ -268,12 +268,12 @@ class Workflow:
         return ResultBuilder(self.search, scores, measured, self).build(decision)
 
     def explore(self, refitted: Candidate) -> tuple[CandidateComparison, Measurements, Decision]:
-        """Return a search, its measurements and the decision on it; where it decides nothing, those of a wider search that predicts better.
+        """Return a search, its measurements and the decision. An undecided search is replaced by a wider one with better predictions.
         Where only the gate of the free curve fails, other names are only other curves."""
         scores = self.search.run(refitted)
-        found = self.conclude(scores)
-        failed = {g.name for g in found[2].gates if not g.passed}
-        if failed == {"lack of fit"} or found[2].verdict not in ("unknown_effect", "ambiguous"):
+        found = *_, decision = self.conclude(scores)
+        failed = {g.name for g in decision.gates if not g.passed}
+        if failed == {"lack of fit"} or decision.verdict not in ("unknown_effect", "ambiguous"):
             return found
         wider = self.search.widen(scores)
         return found if wider is scores else self.conclude(wider)

@@ -76,8 +76,8 @@ class Search:
         return self.select(*self.add_effects([refitted], []))
 
     def widen(self, scores: CandidateComparison) -> CandidateComparison:
-        """Add a second effect to the runners-up of the first stage, too; return the search from the pair that predicts best, or the
-        present one where no pair predicts better than its candidates."""
+        """Add a second effect to the runners-up of the first stage. Return the search from the pair with the best prediction, or the present
+        search where its own second candidate predicts as well."""
         if not scores.stages:
             return scores
         first, known = scores.stages[0][0], scores.path[min(2, len(scores.path) - 1)]
@@ -103,7 +103,7 @@ class Search:
         effect that is kept."""
         h, refit = first.hypotheses[-1], scores.score(scores.refitted)
         found: dict[Hypothesis, Candidate] = {}
-        # the search from the first went through a special case of it
+        # special cases of the first law were fitted in the first search
         others = [r for r in scores.stages[0][1:] if not is_special_case(h, r.hypotheses[-1])]
         for r in sorted(filter(scores.can_score, others), key=lambda r: scores.score(r).mean_square):
             if scores.explained_fraction(refit, scores.score(r)) >= self.criteria.least_removed:
@@ -229,7 +229,7 @@ class Search:
         return scores
 
     def _best_predictor(self, scores: CandidateComparison) -> Candidate:
-        """Return the first candidate with one effect, or another one that predicts better beyond chance."""
+        """Return the candidate with one effect and the best prediction; the first one, unless another is better beyond chance."""
         if len(scores.path) < 2:
             return scores.refitted
         first = scores.path[1]

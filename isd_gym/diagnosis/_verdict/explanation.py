@@ -111,12 +111,13 @@ def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]
         excess.append(max(float(np.mean(every**2)) - floor[j] ** 2, 0.0) / float(spread[j]) ** 2)
     total = sum(excess) or 1.0
     out = []
+    first = problem.estimation[0]
+    record = problem.records[first]
+    width = max(1, int(0.2 * problem.time / record.interval))
+    tried = list(conditions(problem, motion, len(record), width))
     for j, name in enumerate(problem.channels):
-        first = problem.estimation[0]
-        record = problem.records[first]
         r = record.measured[:, j] - fit.outputs[first][:, j]
-        width = max(1, int(0.2 * problem.time / record.interval))
-        condition = find_condition(r, width, conditions(problem, motion, len(r), width))
+        condition = find_condition(r, width, tried)
         found = tuple(bands(r, floor[j], record.interval))
         out.append(Place(name, excess[j] / total, found, condition))
     return tuple(sorted(out, key=lambda p: -p.share))

@@ -107,8 +107,8 @@ def find(
         is_passed = bool(own_here & passed)
         is_free = FREE_FORCE in laws  # the free force stands for laws outside the library
         doubt = 0.0 if is_passed or is_free else MISTAKEN["extra"]
-        own_share = MISTAKEN["free" if kind in NAMELESS else "kind"]
-        mistaken = own_share if is_free else max(doubt, share("kind"))
+        of_table = MISTAKEN["free" if kind in NAMELESS else "kind"]
+        mistaken = of_table if is_free else max(doubt, share("kind"))
         of_kind = probability(candidates, **where) * (1.0 - mistaken)
 
         def of_law(law: str) -> float:

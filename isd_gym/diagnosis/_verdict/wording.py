@@ -35,7 +35,7 @@ OVER = {"rate": "their rate", "elongation": "their distance", "both": "their dis
 CHANGES = 2
 #: probability from which on a further kind is mentioned, and from which on the title mentions a kind
 POSSIBLE, PERHAPS = 0.2, 0.4
-#: groups of records whose values are stated one by one; records of a group that are named
+#: largest number of groups with a range of values each, and of records named in a group
 MOST_GROUPS, MOST_NAMES = 4, 5
 #: ratio of the amplitudes of two groups of records from which on the groups differ in amplitude
 UNLIKE = 1.3
@@ -369,7 +369,7 @@ class Facts:
 
     @property
     def further_kinds(self) -> dict[str, list[Mapping[str, Any]]]:
-        """Kinds that are less likely, by what is said of them.
+        """Less likely kinds by the words before them.
 
         Candidates without the likeliest kind have the rest of the weight: a kind that is twice as likely stands mostly beside it.
         """
