@@ -85,10 +85,10 @@ def test_each_gate_can_fail_and_the_verdict_follows(gate, change, verdict):
     assert d.verdict == verdict
 
 
-def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either():
+@pytest.mark.parametrize("changes", [{"probability": 0.4}, {"refit": (0.08,), "envelope": (0.09,)}])
+def test_an_effect_whose_law_alone_is_open_is_told_as_open(changes):
     rival = {"indistinguishable": ("hysteresis at mass-ground",), "rival_loss": 1.0}
-    d = decide(replace(GOOD, **rival, probability=0.4))
-    assert d.verdict == "ambiguous"
+    assert decide(replace(GOOD, **rival, **changes)).verdict == "ambiguous"
 
 
 @pytest.mark.parametrize(("alone", "is_named"), [("missing_effect", True), ("unknown_effect", False)])

@@ -324,6 +324,13 @@ class RecordComparison:
         """Return the squared errors (channels,) of a model with more effects, with one value for all records."""
         return self.squares(self._fit(self.fitter, structure, x))
 
+    def is_promising(self, names: Sequence[int]) -> bool:
+        """Return whether one value per record of some parameters may, to first order, remove half of what a difference must."""
+        cost = sum(sum(at.costs.values()) for at in self.joint.points)
+        samples = sum(len(self.stretches.problem.records[i]) for at in self.joint.points for i in at.outputs)
+        beyond = cost - samples * float(np.sum(self.floor / self.weights**2))
+        return self.expected_gains(len(names))[0][0] >= 0.5 * LEAST_EXPLAINED * max(beyond, 0.0)
+
     def expected_gains(self, size: int) -> list[tuple[float, tuple[int, ...]]]:
         """Return sets of parameters with their gain of one value per record, to first order, largest gain first."""
         joint = self.joint
@@ -416,6 +423,8 @@ def find_record_differences(
     try:
         comparison = RecordComparison(stretches, structure, x, noise)
         every = tuple(range(len(structure.free)))
+        if not comparison.is_promising(every):
+            return None
         alone = comparison.fit_with_own(every)
         fits = {every: (alone, comparison.squares(alone))}
         comparison.lower_floor(fits[every][1])

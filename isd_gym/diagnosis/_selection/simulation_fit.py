@@ -112,11 +112,14 @@ def _minimise(
     z = np.append(x, np.array(structure.offsets)[own] if q else [])
     now, damping = left(z), 1e-3
     cost = float(now @ now)
-    for _ in range(ITERATIONS):
+    for turn in range(ITERATIONS):
         # a step at a limit goes inwards
         signed = np.where(z + steps > high, -steps, steps)
         columns = [(left(z + h * e) - now) / h for h, e in zip(signed, np.eye(p + q), strict=True)]
         slopes = np.stack(columns, axis=1)
+        ahead = float(np.sum((np.linalg.qr(slopes)[0].T @ now) ** 2))
+        if turn == 0 and ahead < 0.5 * LEAST_GAIN * cost:  # to first order, the error cannot fall by enough
+            break
         own_stride = [
             min(f.stride, 1.5 if f.log else 3.0 * max(abs(v), f.sigma))
             for f, v in zip(free, z[:p], strict=True)

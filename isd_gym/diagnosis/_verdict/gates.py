@@ -259,6 +259,8 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     is_there = bool(gates) and not failed & {"predicts better", "determined"}
     if gates and not failed:
         return Decision("missing_effect", gates)
+    if "distinguishable" in failed and failed <= {"distinguishable", "probable"}:
+        return Decision("ambiguous", gates)  # an effect whose law alone is open is no agreement
     credible = e.has_credible_noise(c.wide_gap) and not _shown_by_training(e, failed, c)
     narrow = credible and e.width < c.wide_gap  # a wide gap is no agreement
     if credible and all(x < c.material for x in excess):
@@ -274,10 +276,9 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
         return Decision(agreed, gates, is_there, "closed_by_small")
     if narrow and failed == {"material"}:
         return Decision(agreed, gates, True, "too_small")
-    if failed & {"distinguishable", "sensor"} and failed <= {"distinguishable", "sensor", "probable"}:
-        if narrow and "sensor" in failed:  # a doubtful sensor fault behind a narrow gap is no finding
-            return Decision(agreed, gates, True, "doubtful_sensor")
-        return Decision("ambiguous", gates)
+    if "sensor" in failed and failed <= {"distinguishable", "sensor", "probable"}:
+        # a doubtful sensor fault behind a narrow gap is no finding
+        return Decision(agreed, gates, True, "doubtful_sensor") if narrow else Decision("ambiguous", gates)
     return Decision("unknown_effect", gates)
 
 
