@@ -16,7 +16,7 @@ from ...physics.elements import beside
 from ...physics.network import GROUND
 from .._estimation.gauss_newton import Fit, Fitter, Point, gap, residuals
 from .._estimation.initial_states import guess, transfer_states
-from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped
+from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped, segments_of, states_within
 from .._estimation.noise import refined_noise, whitener
 from .._hypotheses.law_matching import follows_motion
 from .._hypotheses.library import Hypothesis, hypotheses
@@ -110,7 +110,9 @@ class Screening:
         if few is p or thinning_loses(p, self.current, self.least_noise):
             return self
         known = travels(p, self.current.network, self.motion)
-        return replace(self, problem=few, current=transfer(few, self.current, self.least_noise), known=known)
+        now = transfer(few, self.current, self.least_noise)
+        coarse = replace(self, problem=few, current=now, known=known)
+        return coarse if coarse.keeps_phase else self
 
     @cached_property
     def brief(self) -> Screening:
@@ -128,6 +130,11 @@ class Screening:
             if gap(best.problem, best.current) < s.lost_phase:
                 break
         return best
+
+    @property
+    def keeps_phase(self) -> bool:
+        """Return whether the simulation of the stage, or of its brief segments, follows the phase of the motion."""
+        return self.brief is self or gap(self.brief.problem, self.brief.current) < self.settings.lost_phase
 
     # -- hypotheses ---------------------------------------------------------------------------------------
     @cached_property
@@ -294,20 +301,18 @@ class Screening:
 
     def continued(self, r: Candidate, brief: Screening) -> Candidate | None:
         """Return a candidate of brief segments, fitted to segments that grow to whole records; None where the fit breaks down."""
-        f, pieces, length = r.fit, brief.problem, brief.length
+        f, pieces, length, whole = r.fit, brief.problem, brief.length, self.problem
         filters = whitener(residuals(pieces, f), white_noise(pieces, f, self.least_noise))
         try:
-            while (
-                found := in_segments(self.problem, f, self.least_noise, length := GROWTH * length)
-            ) is not None:
-                pieces = found[0]
-                f = Fitter(pieces, filters).fit(f.structure, f.x, found[1].initial, iterations=FURTHER)
-            begun = {(q.name, q.start): f.initial[j] for j, q in enumerate(pieces.records) if j in f.initial}
-            here = {i: (q.name, q.start) for i, q in enumerate(self.problem.records)}
-            known = {i: begun[key] for i, key in here.items() if key in begun}
-            fitter, estimation = Fitter(self.problem, filters), self.problem.estimation
-            states = fitter.follow(f.structure, f.x, estimation, about=(known,)).initial
-            return self._candidate(fitter.fit(f.structure, f.x, states, iterations=WHOLE))
+            while pieces is not whole:
+                longer = segments_of(whole, length := GROWTH * length) or whole
+                if len(longer.records) == len(pieces.records) and longer is not whole:
+                    continue
+                fitter, known = Fitter(longer, filters), states_within(pieces, f, longer)
+                states = fitter.follow(f.structure, f.x, longer.estimation, about=(known,)).initial
+                steps = WHOLE if longer is whole else FURTHER
+                f, pieces = fitter.fit(f.structure, f.x, states, iterations=steps), longer
+            return self._candidate(f)
         except BROKEN:
             return None
 
