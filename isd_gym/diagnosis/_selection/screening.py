@@ -56,6 +56,8 @@ SIZES = (1.0, 4.0, 20.0, 80.0)
 DISSIPATING, DAMPING = ("dry_friction", "viscous"), (0.5, 0.25)
 #: ratio of mean squared errors from which two fits of one law are in different optima
 CLOSER = 0.9
+#: the same ratio to the closest candidate, from which on a candidate has no prospect
+INFERIOR = 4.0
 #: lengths of segments that keep the phase, as multiples of the usual length
 LENGTHS = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
 #: Gauss-Newton steps of the first fit of each start, of the fit of the best start, and of a fit from segments to whole records
@@ -316,11 +318,14 @@ class Screening:
         except BROKEN:
             return None
 
-    def settle_noise(self, r: Candidate, noise: Array) -> Candidate | None:
-        """Fit a candidate until its own noise has converged."""
+    def settle_noise(self, r: Candidate, noise: Array, least: float) -> Candidate | None:
+        """Fit a candidate until its own noise has converged; once where its gap is far above the `least` one."""
         p = self.problem
+        rounds = 1 if gap(p, r.fit) > INFERIOR * least else 3
         try:
-            return settle(p, r.fit.structure, r.fit.x, self.least_noise, r.fit, iterations=4, noise=noise)
+            return settle(
+                p, r.fit.structure, r.fit.x, self.least_noise, r.fit, rounds=rounds, iterations=4, noise=noise
+            )
         except BROKEN:
             return None
 
@@ -362,8 +367,9 @@ class Screening:
         if not ranked:
             return ScreeningResult((), self.first_noise, best)
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
+        least = min(gap(self.problem, r.fit) for r in ranked)
         with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            ranked = self.first_of_each_law(pool.map(lambda r: self.settle_noise(r, noise), ranked))
+            ranked = self.first_of_each_law(pool.map(lambda r: self.settle_noise(r, noise, least), ranked))
         return ScreeningResult(tuple(self.rank(ranked)), noise, best)
 
     def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:
