@@ -17,7 +17,7 @@ from ...physics.network import GROUND
 from .._estimation.gauss_newton import Fit, Fitter, Point, gap, residuals
 from .._estimation.initial_states import guess, transfer_states
 from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped, segments_of, states_within
-from .._estimation.noise import refined_noise, whitener
+from .._estimation.noise import refined_noise, white_filters, whitener
 from .._hypotheses.law_matching import follows_motion
 from .._hypotheses.library import Hypothesis, hypotheses
 from .._hypotheses.motion import motions
@@ -310,10 +310,12 @@ class Screening:
                 longer = segments_of(whole, length := GROWTH * length) or whole
                 if len(longer.records) == len(pieces.records) and longer is not whole:
                     continue
-                fitter, known = Fitter(longer, filters), states_within(pieces, f, longer)
-                states = fitter.follow(f.structure, f.x, longer.estimation, about=(known,)).initial
+                known = (states_within(pieces, f, longer),)
+                plainly = Fitter(longer, white_filters(self.least_noise))
+                states = plainly.follow(f.structure, f.x, longer.estimation, about=known).initial
                 steps = WHOLE if longer is whole else FURTHER
-                f, pieces = fitter.fit(f.structure, f.x, states, iterations=steps), longer
+                f = Fitter(longer, filters).fit(f.structure, f.x, states, iterations=steps)
+                pieces = longer
             return self._candidate(f)
         except BROKEN:
             return None
