@@ -165,7 +165,8 @@ def base_structure(network: Network) -> Structure:
         if value > 0:
             s = math.log1p(sigma)
             m = math.log(value)
-            free.append(Free(path, True, m, s, m - REACH * s, m + REACH * s, -1))
+            low = FAR if REACH * sigma >= 1.0 and may_vanish(network, path) else REACH * s
+            free.append(Free(path, True, m, s, m - low, m + REACH * s, -1))
         elif value != 0:
             s = sigma * abs(value)
             free.append(Free(path, False, value, s, value - REACH * s, value + REACH * s, -1))
@@ -176,6 +177,14 @@ def base_structure(network: Network) -> Structure:
             signed = next(f.metadata["minimum"] < 0 for f in own if f.name == name)
             free.append(Free(path, False, 0.0, s, -REACH * s if signed else 0.0, REACH * s, -1))
     return Structure(network, tuple(free))
+
+
+def may_vanish(network: Network, path: str) -> bool:
+    """Return whether a parameter may be zero: that of an element, not an inertia."""
+    owner, _, name = path.rpartition(".")
+    element = next((e for e in network.elements if e.name == owner), None)
+    own = el.parameter_fields(type(element)) if element else ()
+    return any(f.name == name and f.metadata["minimum"] == 0 for f in own)
 
 
 def usual(network: Network, path: str) -> float:
