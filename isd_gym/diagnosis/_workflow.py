@@ -367,6 +367,8 @@ class Workflow:
         if not self.has_free_motion():
             return None
         flow = replace(self, problem=self._segmented(), is_segmented=True)
+        if len(flow.problem.records) == len(self.problem.records) and not self.feedback:
+            return None  # no record is long enough to be cut
         lengths = [len(r) * r.interval for r in flow.problem.records]
         reason: Literal["diverges", "astray", "feedback"]
         reason = "feedback" if self.feedback else "astray" if math.isfinite(error) else "diverges"

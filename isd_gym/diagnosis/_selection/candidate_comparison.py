@@ -197,6 +197,7 @@ class CandidateComparison:
         def lead(r: Candidate, other: Candidate) -> float:
             return self.score(r).compare_with(self.score(other)).elpd_diff
 
+        sound = [r for r in sound if not any(self.blames_needlessly(r, other) for other in sound)]
         best = sound[0]
         for r in sound[1:]:
             best = r if lead(r, best) > 0 else best
@@ -264,10 +265,20 @@ class CandidateComparison:
 
     # -- rivals -------------------------------------------------------------------------------------------
     def is_dominated(self, rival: Candidate, best: Candidate) -> bool:
-        """Return whether a rival predicts worse, or has more parameters and predicts no better."""
-        if self.predicts_better(best, rival):
+        """Return whether a rival predicts worse, has more parameters and predicts no better, or blames a sensor needlessly."""
+        if self.predicts_better(best, rival) or self.blames_needlessly(rival, best):
             return True
         return rival.freedom > best.freedom and not self.is_worth_more_parameters(rival, best)
+
+    def blames_needlessly(self, rival: Candidate, best: Candidate) -> bool:
+        """Return whether a candidate has a fault of a sensor although one with forces alone leaves nearly as little (`forces_first`)."""
+        is_blamed, *others = (any(h.place == "channel" for h in r.hypotheses) for r in (rival, best))
+        if not is_blamed or any(others) or not best.hypotheses:
+            return False
+        left, by_force = (
+            max(self.score(r).mean_square - self.noise_score, 0.01 * self.noise_score) for r in (rival, best)
+        )
+        return by_force < self.criteria.forces_first * left
 
     def states_the_same(self, rival: Candidate, best: Candidate) -> bool:
         """Return whether the last effects are the same law at the same place or in series along the same force, or the rival's contains

@@ -108,7 +108,7 @@ def weigh_candidates(
             or not is_sound(scores.evaluator.problem, r, scores.criteria)
         ):
             continue
-        if not is_worth_its_parameters(r):
+        if not is_worth_its_parameters(r) or scores.blames_needlessly(r, best):
             continue
         if len(r.hypotheses) > len(best.hypotheses) > 0 and not scores.exceeds_envelope(r, best):
             continue

@@ -177,9 +177,10 @@ def _removed_by(search: Search, scores: CandidateComparison, effect: int) -> tup
 
 
 def is_imitated(search: Search, scores: CandidateComparison) -> bool:
-    """Return whether a candidate with a special case of a law of the foremost candidate leaves no more than unmodelled effects."""
+    """Return whether a candidate with a special case of a law of the foremost candidate leaves no more than unmodelled effects, or a
+    fault of a sensor explains as much."""
     best = scores.foremost
-    return any(
+    return any(scores.blames_needlessly(r, best) for r in scores.rivals()) or any(
         len(r.fit.x) < len(best.fit.x)
         and len(r.hypotheses) == len(best.hypotheses)
         and same_effects(r.hypotheses, best.hypotheses)
