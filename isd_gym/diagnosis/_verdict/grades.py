@@ -46,9 +46,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (29, 29), "probable": (7, 7), "possible": (13, 9)},
-        "kind": {"certain": (25, 19), "probable": (11, 7), "possible": (34, 12)},
-        "law": {"certain": (6, 5), "probable": (19, 9), "possible": (23, 6)},
+        "place": {"certain": (31, 30), "probable": (10, 10), "possible": (14, 10)},
+        "kind": {"certain": (28, 20), "probable": (15, 10), "possible": (36, 13)},
+        "law": {"certain": (9, 6), "probable": (23, 12), "possible": (25, 7)},
     },
 }
 
