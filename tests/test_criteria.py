@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from isd_gym.diagnosis._result_builder import ResultBuilder
+from isd_gym.diagnosis._selection.candidate_comparison import CandidateComparison
 from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
 from isd_gym.diagnosis._selection.equivalent_laws import repeats
 from isd_gym.diagnosis._selection.free_force import FreeForce
@@ -24,22 +25,10 @@ GAIN = EffectEvidence("sensor_gain at position", share=0.2, spread=0.05, sensor=
 
 #: friction that explains a gap of 30 % down to noise of 2 %, with no rival in sight
 GOOD = Evidence(
-    channels=("position",),
-    before=(0.4,),
-    refit=(0.3,),
-    after=(0.021,),
-    noise=(0.02,),
-    noise_known=(True,),
-    envelope=(0.03,),
-    effects=(FRICTION,),
-    elpd_diff=2000.0,
-    elpd_dse=200.0,
-    explained=0.995,
-    rival_loss=50.0,
-    force_loss=50.0,
-    richest=(0.021,),
-    richest_share=0.4,
-)
+    channels=("position",), before=(0.4,), refit=(0.3,), after=(0.021,), richest=(0.021,), richest_share=0.4,
+    noise=(0.02,), noise_known=(True,), envelope=(0.03,), effects=(FRICTION,),
+    elpd_diff=2000.0, elpd_dse=200.0, explained=0.995, rival_loss=50.0, force_loss=50.0,
+)  # fmt: skip
 
 
 def test_the_stored_evidence_of_rigs_gives_their_verdicts():
@@ -102,6 +91,16 @@ def test_effects_that_all_rivals_share_are_named_if_they_pass_alone(alone, is_na
     )
     found, _, decision = Workflow.conclude(flow, scores)
     assert (found.foremost, decision.verdict) == ((part, alone) if is_named else (pair, "ambiguous"))
+
+
+@pytest.mark.parametrize(("by_force", "gives_way"), [(1.9, True), (2.1, False)])
+def test_a_fault_of_a_sensor_gives_way_to_a_force_that_explains_nearly_as_much(by_force, gives_way):
+    at = {place: (SimpleNamespace(place=place),) for place in ("channel", "between")}
+    sensor = SimpleNamespace(hypotheses=at["channel"], mean_square=2.0)
+    force = SimpleNamespace(hypotheses=at["between"], mean_square=1.0 + by_force)
+    scores = SimpleNamespace(score=lambda r: r, noise_score=1.0, criteria=CRITERIA)
+    assert CandidateComparison.blames_needlessly(scores, sensor, force) == gives_way
+    assert not CandidateComparison.blames_needlessly(scores, force, sensor)
 
 
 def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_itself():
