@@ -178,7 +178,7 @@ class CandidateComparison:
 
     def law_difference(self, chosen: Candidate, other: Candidate) -> float:
         """Return the RMS difference of the forces of the law that differs, as a share of the force at the place; infinite where
-        candidates differ by more than one law there."""
+        several laws differ at the place."""
         own = [i for i, h in enumerate(chosen.hypotheses) if h not in other.hypotheses]
         if len(own) != 1 or len(chosen.hypotheses) != len(other.hypotheses):
             return math.inf

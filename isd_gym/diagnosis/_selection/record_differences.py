@@ -482,7 +482,7 @@ def find_record_differences(
 def _best_law(
     comparison: RecordComparison, laws: Sequence[tuple[str, Structure, Array]]
 ) -> tuple[str | None, float | None]:
-    """Return the law that explains most with one value for all records, and its share; None where no law can be simulated."""
+    """Return the law with the largest explained share, one value for all records, and the share; None where no law can be simulated."""
     found = []
     for name, structure, x in laws:
         try:

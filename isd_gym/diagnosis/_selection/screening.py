@@ -85,7 +85,7 @@ class Screening:
     #: smallest noise of weights (channels,)
     least_noise: Array
     settings: SearchSettings
-    #: what all samples tell about the distance of each pair; those of the problem by default
+    #: travel of each pair according to all samples; by default according to the samples of the problem
     known: Mapping[tuple[str, str], Travel] | None = None
     #: length of the segments, as a multiple of the usual length
     length: float = math.inf
@@ -148,7 +148,7 @@ class Screening:
         )
 
     def shortlist(self) -> list[list[Match]]:
-        """Return the laws that are fitted, each with its matches; an element in series with a moved node always enters, since a small one
+        """Return the laws of the first fits with their matches; an element in series with a moved node always enters, since a small one
         says little about a large one."""
         moved = set(self.problem.network.moved_nodes)
         groups: dict[Hypothesis, list[Match]] = {}
@@ -321,7 +321,7 @@ class Screening:
             return None
 
     def settle_noise(self, r: Candidate, noise: Array, least: float) -> Candidate | None:
-        """Fit a candidate until its own noise has converged; once where its gap is far above the `least` one."""
+        """Fit a candidate until the noise has converged; only once where the gap is far above the `least` gap."""
         p = self.problem
         rounds = 1 if gap(p, r.fit) > INFERIOR * least else 3
         try:
