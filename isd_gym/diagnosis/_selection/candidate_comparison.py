@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 RIVALS = 6
 
 
+def excess_loss(score: HeldOutScore, noise: float) -> float:
+    """Return the mean whitened square of a score beyond that of noise, at least 1 % of the latter."""
+    return max(score.mean_square - noise, 0.01 * noise)
+
+
 @dataclass(eq=False)
 class CandidateComparison:
     """Scores of the candidates of a search, whitened with the filters of the candidate with most effects."""
@@ -275,9 +280,7 @@ class CandidateComparison:
         is_blamed, *others = (any(h.place == "channel" for h in r.hypotheses) for r in (rival, best))
         if not is_blamed or any(others) or not best.hypotheses:
             return False
-        left, by_force = (
-            max(self.score(r).mean_square - self.noise_score, 0.01 * self.noise_score) for r in (rival, best)
-        )
+        left, by_force = (excess_loss(self.score(r), self.noise_score) for r in (rival, best))
         return by_force < self.criteria.forces_first * left
 
     def states_the_same(self, rival: Candidate, best: Candidate) -> bool:

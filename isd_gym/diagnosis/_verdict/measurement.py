@@ -14,6 +14,7 @@ from .._estimation.structure import owner_pair
 from .._hypotheses.forces import element_forces, place_forces
 from .._hypotheses.motion import motions
 from .._selection.candidate import Candidate, same_effects, simpler_structures
+from .._selection.candidate_comparison import excess_loss
 from .._selection.criteria import CRITERIA
 from .._selection.equivalent_laws import repeats
 from .._selection.free_force import fit_in_place_of
@@ -88,7 +89,7 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
     indistinguishable = scores.indistinguishable()
     others = [r for r in rivals if not scores.states_the_same(r, best)]
     forces = [r for r in rivals if all(h.place != "channel" for h in r.hypotheses)] + [refitted]
-    own = max(after.mean_square - scores.noise_score, 0.01 * scores.noise_score)
+    own = excess_loss(after, scores.noise_score)
 
     def loss_ratio(candidates: list[Candidate]) -> float:
         """Return the smallest excess loss of candidates over that of the foremost one."""
