@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 
 #: starts of a law that are simulated, and starts that are fitted; a law over travel has an optimum per period
 TRIED, FITTED, PERIODS = 6, 2, 4
+#: laws that are simulated where the gap is wide, as a multiple of the number that is fitted
+SIMULATED = 3
 #: variants of a law at one place that are fitted, such as the sides of a stop
 VARIANTS = 2
 #: multiples of the matched size at which an effect in series, at a drive or at a sensor is tried
@@ -150,19 +152,26 @@ class Screening:
     def shortlist(self) -> list[list[Match]]:
         """Return the laws of the first fits with their matches; an element in series with a moved node always enters, since a small one
         says little about a large one."""
-        moved = set(self.problem.network.moved_nodes)
+        moved, most = set(self.problem.network.moved_nodes), self.settings.matches
         groups: dict[Hypothesis, list[Match]] = {}
-        count = 0
         for m in self.matches:
-            h = m.hypothesis
-            if h not in groups:
-                alike = sum(g.effect == h.effect and set(g.where) == set(h.where) for g in groups)
-                is_first = count < self.settings.matches and alike < VARIANTS
-                if not is_first and not (h.kind.series and set(h.where) & moved):
-                    continue
-                count += is_first
-            groups.setdefault(h, []).append(m)
-        return list(groups.values())
+            groups.setdefault(m.hypothesis, []).append(m)
+        order = list(groups)
+        if (
+            self.is_wide
+        ):  # the motion of the fit tells little about the force: every other law is the closest in simulation
+            near = order[: SIMULATED * most]
+            with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
+                misfits = list(pool.map(lambda h: self.misfit(groups[h][0]), near))
+            closest = [near[k] for k in np.argsort(misfits, kind="stable")]
+            order = list(dict.fromkeys([h for both in zip(near, closest, strict=True) for h in both] + order))
+        first: list[Hypothesis] = []
+        for h in order:
+            alike = sum(g.effect == h.effect and set(g.where) == set(h.where) for g in first)
+            if len(first) < most and alike < VARIANTS:
+                first.append(h)
+        series = [h for h in order if h.kind.series and set(h.where) & moved and h not in first]
+        return [groups[h] for h in (*first, *series)]
 
     def is_sensible(self, h: Hypothesis) -> bool:
         """Return False for effects that the model has at the place, and for periodic laws at a node that an element in series brought."""
@@ -173,14 +182,35 @@ class Screening:
         is_repeated = any(e.type == h.effect and e.name in found for e in beside(network, h.where))
         return not is_repeated and h.behind not in found and not (h.kind.periodic and is_joint)
 
+    @cached_property
+    def is_wide(self) -> bool:
+        """Return whether the gap is so wide that matches, which are linear, may miss the law or its size."""
+        return gap(self.problem, self.current) > self.settings.wide_gap**2
+
+    @cached_property
+    def bases(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Parameters of the current fit, and the nominal ones with the effects of the fit, transformed, by path."""
+        free = self.current.structure.free
+        known = {f.path: float(v) for f, v in zip(free, self.current.x, strict=True)}
+        return known, {f.path: known[f.path] if f.owner >= 0 else f.mean for f in free}
+
+    def misfit(self, m: Match) -> float:
+        """Return the smallest misfit of a match, and of larger ones, in simulation."""
+        tries = []
+        for base in (m.moved, self.bases[1]):
+            for size in SIZES[:3] if m.start.grows else (1.0,):
+                with suppress(InputError):
+                    tries.append(replace(m, moved=base).sized(size).begin(self.current.structure))
+        return float(np.min(_misfit(self, tries))) if tries else math.inf
+
     # -- fits ---------------------------------------------------------------------------------------------
     def starts(self, group: Sequence[Match]) -> list[tuple[Structure, Array]]:
         """Return the starts of a law with the smallest error, from the parameters that the match moves, the fitted and the nominal ones,
         and the best one with less damping: structure and start values (parameters,), transformed."""
         current, kind = self.current, group[0].hypothesis.kind
-        known = {f.path: float(v) for f, v in zip(current.structure.free, current.x, strict=True)}
-        nominal = {f.path: known[f.path] if f.owner >= 0 else f.mean for f in current.structure.free}
-        sizes = (1.0,) if kind.place == "between" and not kind.series else SIZES
+        known, nominal = self.bases
+        is_small = kind.place == "between" and not (kind.series or self.is_wide)
+        sizes = (1.0,) if is_small else SIZES
         tries: list[list[tuple[Structure, Array]]] = []
         for m in group[: PERIODS if kind.periodic else TRIED]:
             for size in sizes if m.start.grows else (1.0,):
