@@ -30,10 +30,7 @@ def test_what_goes_wrong_is_noticed(monkeypatch):
             pass
 
     monkeypatch.setattr(fuzz, "SECONDS", 0.1)
-    for kind, how, says in (
-        ("models", outside, "wrote outside"),
-        ("csv", broken, "KeyError"),
-        ("zips", endless, "hang"),
-    ):
+    wrong = {"models": (outside, "wrote outside"), "csv": (broken, "KeyError"), "zips": (endless, "hang")}
+    for kind, (how, says) in wrong.items():
         monkeypatch.setitem(fuzz.KINDS, kind, how)
         assert says in fuzz.block(kind, 0, 0, 1)["failures"][0]

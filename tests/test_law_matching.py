@@ -9,6 +9,7 @@ from builders import damper, element, fitted, oscillator, recorded, sines
 
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.structure import Hypothesis
 from isd_gym.diagnosis._hypotheses.law_matching import match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._hypotheses.motion import joined, motions
@@ -64,14 +65,6 @@ def test_the_law_that_is_missing_is_among_the_first_matches(effect, place, value
     assert (effect, place) in laws[:3], laws[:6]
 
 
-def test_a_match_has_the_value_of_the_law():
-    found = matches(*stage("coulomb_friction", level=1.0))
-    here = (m for m in found if m.hypothesis.where == PLACE)
-    friction = next(m for m in here if m.hypothesis.effect == "coulomb_friction")
-    assert friction.values["level"] == pytest.approx(1.0, rel=0.3)
-    assert set(friction.moved) == {"spring.stiffness", "damper.damping"}
-
-
 def test_the_measured_motion_is_nearer_to_the_truth_than_the_simulated_motion():
     problem, fit = stage("cubic_stiffness", stiffness=4e8)
     record = problem.records[0]
@@ -113,12 +106,30 @@ def test_the_response_of_a_pendulum_in_full_swing_is_the_change_by_the_element()
     assert np.std(change - (both[0] - both[1])) < 0.05 * np.std(change)
 
 
+def test_friction_that_holds_the_mass_is_found_by_simulation():
+    screening = Screening(*stage("coulomb_friction", level=5.0), np.array([NOISE]), SearchSettings())
+    near = [(g[0].hypothesis.effect, g[0].hypothesis.where) for g in screening.shortlist()]
+    assert ("coulomb_friction", PLACE) in near[:6]
+
+
+def test_a_force_that_repeats_is_read_from_one_period():
+    h, d = Hypothesis("cogging_force", PLACE), np.linspace(-0.03, 0.05, 999)
+    ways = [
+        (replace(h, where=w), {"amplitude": 10.0, "pitch": 0.02, "phase": 0.5}) for w in (PLACE, PLACE[::-1])
+    ]
+    forces = law_forces(rig(), PLACE, el.Motion(d, 0 * d, 0 * d), STEP, ways)
+    angle = 2 * np.pi * d / 0.02
+    assert forces == pytest.approx(10 * np.sin(np.array([angle + 0.5, angle - 0.5]).T), abs=0.01)
+
+
 def test_a_law_that_dissipates_starts_with_less_damping_and_the_same_work():
     """The damping of a model without the law has taken the law's work, and a staircase of optima may lie between the two."""
     problem, fit = stage("coulomb_friction", level=1.0)
     screening = Screening(problem, fit, np.array([NOISE]), SearchSettings())
     here = (m for m in screening.matches if set(m.hypothesis.where) == set(PLACE))
     match = next(m for m in here if m.hypothesis.effect == "coulomb_friction")
+    assert match.values["level"] == pytest.approx(1.0, rel=0.3)
+    assert set(match.moved) == {"spring.stiffness", "damper.damping"}
     rate = screening.motion[PLACE].v
 
     def values(begun):

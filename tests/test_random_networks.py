@@ -13,8 +13,6 @@ from isd_gym.physics.network import Channel, Network
 from isd_gym.physics.simulate import Plant, simulate
 
 STEP = 2.5e-5  # a Stribeck bound is that at the start of a step: energy closes with the first power of it
-
-
 LOSSY = ("linear_damping", "quadratic_damping", "asymmetric_damping")
 
 

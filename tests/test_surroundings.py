@@ -18,8 +18,6 @@ from isd_gym.physics._kernel.jit import _Files
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
 SCORE = f"{sys.executable} -m isd_gym score passive --episodes 1 --duration 0.1"
-
-
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
 

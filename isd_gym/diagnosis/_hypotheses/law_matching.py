@@ -74,11 +74,11 @@ class Residual:
     solve: Array
 
     def without(self, columns: Array) -> Array:
-        out = columns.copy()
+        out = columns - self.basis @ (self.basis.T @ columns)
         for i, Q in self.nuisances.items():
             first, last, _ = self.spans[i]
             out[first:last] -= Q @ (Q.T @ columns[first:last])
-        return np.asarray(out - self.basis @ (self.basis.T @ columns), dtype=np.float64)
+        return np.asarray(out, dtype=np.float64, order="F")
 
 
 def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
@@ -203,24 +203,27 @@ def _match_forces(
     whole = np.where(np.isfinite(whole).all(axis=0), whole, 0.0)
     edges = np.cumsum([len(m.d) for m in motion.values()])[:-1]
     forces = dict(zip(motion, np.split(whole, edges), strict=True))
-    columns = np.zeros((len(residual.left), len(ways)))
+    columns = np.zeros((len(residual.left), len(ways)), order="F")  # a law's columns stand together
     for i, y in force_responses(problem, fit, pair, forces).items():
         first, last, _ = residual.spans[i]
         columns[first:last] = fitter.weights(y).reshape(last - first, -1)
-    found, at = [], 0
+    found, at, whole = [], 0, residual.without(columns)
     for h, start in starts:
-        found.append(_match(fit, h, start, columns[:, at : at + len(start.ways)], residual))
+        ways = slice(at, at + len(start.ways))
+        found.append(_match(fit, h, start, columns[:, ways], residual, whole[:, ways]))
         at += len(start.ways)
     return [m for m in found if m is not None]
 
 
-def _match(fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual) -> Match | None:
+def _match(
+    fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual, own: Array | None = None
+) -> Match | None:
     if not (np.abs(s) < 1e100).all():  # the variant diverges, or its squares would overflow
         return None
     size = np.linalg.norm(s, axis=0)
     if not np.all(size > 0):
         return None
-    own = residual.without(s)
+    own = residual.without(s) if own is None else own
     if np.any(np.linalg.norm(own, axis=0) < 1e-3 * size):
         return None
     amplitude = np.asarray(np.linalg.lstsq(own, residual.left, rcond=None)[0], dtype=np.float64)

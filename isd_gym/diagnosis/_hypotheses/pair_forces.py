@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 HIGHEST = 8.0  # times the frequency of the motion
 LINES = 4  # periods that are returned
+KNOTS = 240  # per period of a force that repeats
 RESOLUTION = 0.25  # step of the spectrum, in periods over the whole travel
 RESOLVED = 2.5  # samples of a period, at the typical speed, below which the period cannot be seen
 MOST_PERIODS = 20_000  # over the travel
@@ -317,15 +318,19 @@ def law_forces(
     ways: Sequence[tuple[Hypothesis, Mapping[str, float]]],
 ) -> Array:
     """Return the force that each law adds between two nodes along a motion with a sampling step [s] (samples, laws) [N]; NaN where a law
-    has no force there. The elements between the nodes are simulated alone."""
+    has no force there. The elements between the nodes are simulated alone; a force that repeats over travel is read from one period."""
     driven, held = pair if pair[0] != GROUND else pair[::-1]
     sign = 1.0 if driven == pair[0] else -1.0
     alone = _bench(network, driven, held)
     groups: dict[tuple[object, ...], list[tuple[int, Network]]] = {}
+    periodic: dict[int, Array] = {}
     for k, (h, values) in enumerate([(None, {}), *ways]):
         try:
             built = alone
             if h is not None:
+                if h.kind.periodic:
+                    periodic[k] = _repeated(h, values, motion.d if h.where == pair else -motion.d)
+                    continue
                 where = tuple(GROUND if n == held else n for n in h.where)
                 built = add(Structure(alone, ()), replace(h, where=where), values).network
             here = [e for e in built.elements if GROUND in e.where]
@@ -345,7 +350,18 @@ def law_forces(
         except BROKEN:
             continue
         out[:, [k for k, _ in members]] = sign * np.einsum("ijk,j->ik", y, np.array(key[0]))
-    return out[:, 1:] - out[:, :1]
+    out -= out[:, :1]
+    for k, force in periodic.items():
+        out[:, k] = force if ways[k - 1][0].where == pair else -force
+    return out[:, 1:]
+
+
+def _repeated(h: Hypothesis, values: Mapping[str, float], travel: Array) -> Array:
+    """Return the force (n,) [N] of a law that repeats over travel, from its curve over one period."""
+    element = h.kind(name="alone", where=h.where, **values, **dict(h.options))
+    period = element.period() or math.inf
+    axis = np.linspace(0.0, period, KNOTS + 1)
+    return np.interp(np.mod(travel, period), axis, element.curve(axis))
 
 
 def _bench(network: Network, driven: str, held: str) -> Network:
