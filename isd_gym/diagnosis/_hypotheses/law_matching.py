@@ -209,8 +209,8 @@ def _match_forces(
         columns[first:last] = fitter.weights(y).reshape(last - first, -1)
     found, at, whole = [], 0, residual.without(columns)
     for h, start in starts:
-        ways = slice(at, at + len(start.ways))
-        found.append(_match(fit, h, start, columns[:, ways], residual, whole[:, ways]))
+        its = slice(at, at + len(start.ways))
+        found.append(_match(fit, h, start, columns[:, its], residual, whole[:, its]))
         at += len(start.ways)
     return [m for m in found if m is not None]
 

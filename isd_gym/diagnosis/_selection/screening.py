@@ -122,8 +122,7 @@ class Screening:
     def brief(self) -> Screening:
         """The same stage on segments with initial states of their own, where the simulation may have lost the phase of a motion."""
         p, s = self.problem, self.settings
-        keeps_phase = bool(p.network.inputs) and not is_lightly_damped(p.network)
-        if keeps_phase or gap(p, self.current) < s.wide_gap**2:
+        if self.is_driven or gap(p, self.current) < s.wide_gap**2:
             return self
         best = self
         for length in LENGTHS:
@@ -183,9 +182,14 @@ class Screening:
         return not is_repeated and h.behind not in found and not (h.kind.periodic and is_joint)
 
     @cached_property
+    def is_driven(self) -> bool:
+        """Return whether inputs and damping hold the phase of the motion."""
+        return bool(self.problem.network.inputs) and not is_lightly_damped(self.problem.network)
+
+    @cached_property
     def is_wide(self) -> bool:
-        """Return whether the gap is so wide that matches, which are linear, may miss the law or its size."""
-        return gap(self.problem, self.current) > self.settings.wide_gap**2
+        """Return whether the gap is so wide that matches, which are linear, may miss the law or its size, and a simulation tells more."""
+        return self.is_driven and gap(self.problem, self.current) > self.settings.wide_gap**2
 
     @cached_property
     def bases(self) -> tuple[dict[str, float], dict[str, float]]:
@@ -194,47 +198,51 @@ class Screening:
         known = {f.path: float(v) for f, v in zip(free, self.current.x, strict=True)}
         return known, {f.path: known[f.path] if f.owner >= 0 else f.mean for f in free}
 
+    def sized(
+        self, m: Match, sizes: Sequence[float], bases: Sequence[Mapping[str, float]]
+    ) -> list[tuple[Structure, Array]]:
+        """Return starts of a match of several sizes, from several values of the parameters of the fit."""
+        out = []
+        for size in sizes if m.start.grows else (1.0,):
+            for base in bases:
+                with suppress(InputError):
+                    out.append(replace(m, moved=dict(base)).sized(size).begin(self.current.structure))
+        return out
+
     def misfit(self, m: Match) -> float:
         """Return the smallest misfit of a match, and of larger ones, in simulation."""
-        tries = []
-        for base in (m.moved, self.bases[1]):
-            for size in SIZES[:3] if m.start.grows else (1.0,):
-                with suppress(InputError):
-                    tries.append(replace(m, moved=base).sized(size).begin(self.current.structure))
+        tries = self.sized(m, SIZES[:3], (m.moved, self.bases[1]))
         return float(np.min(_misfit(self, tries))) if tries else math.inf
 
     # -- fits ---------------------------------------------------------------------------------------------
     def starts(self, group: Sequence[Match]) -> list[tuple[Structure, Array]]:
         """Return the starts of a law with the smallest error, from the parameters that the match moves, the fitted and the nominal ones,
-        and the best one with less damping: structure and start values (parameters,), transformed."""
-        current, kind = self.current, group[0].hypothesis.kind
-        known, nominal = self.bases
-        is_small = kind.place == "between" and not (kind.series or self.is_wide)
-        sizes = (1.0,) if is_small else SIZES
+        the best one with less damping, and a larger one that is closer: structure and start values (parameters,), transformed."""
+        kind, (known, nominal) = group[0].hypothesis.kind, self.bases
+        is_plain = kind.place == "between" and not kind.series
         tries: list[list[tuple[Structure, Array]]] = []
         for m in group[: PERIODS if kind.periodic else TRIED]:
-            for size in sizes if m.start.grows else (1.0,):
-                own = []
-                for base in (m.moved, known) if kind.periodic else (m.moved, known, nominal):
-                    try:
-                        own.append(replace(m, moved=base).sized(size).begin(current.structure))
-                    except InputError:
-                        continue
-                tries += [own] if own else []
+            bases = (m.moved, known) if kind.periodic else (m.moved, known, nominal)
+            own = [
+                self.sized(m, [size], bases) for size in SIZES[: 1 if is_plain or not m.start.grows else None]
+            ]
+            tries += [t for t in own if t]
         if not tries:
             return []
         usual = len(tries)
-        for m in group[:TRIED]:
-            tries += [[begun] for begun in self.starts_with_less_damping(m)]
-        every = [t for own in tries for t in own]
-        scores = iter(_misfit(self, every))
+        tries += [[begun] for m in group[:TRIED] for begun in self.starts_with_less_damping(m)]
+        lighter = range(usual, len(tries))
+        if is_plain and self.is_wide and not kind.periodic:
+            tries.append(self.sized(group[0], SIZES[1:3], (group[0].moved, nominal)))
+        scores = iter(_misfit(self, [t for own in tries for t in own]))
         best = [min(((next(scores), k) for k in range(len(own))), key=lambda t: t[0]) for own in tries]
         order = list(range(usual))
         if not kind.periodic:
             order.sort(key=lambda k: best[k][0])
             order = list(dict.fromkeys([*order[: FITTED - 1], 0, *order]))[:FITTED]
-        lighter = range(usual, len(tries))
         order += [min(lighter, key=lambda k: best[k][0])] if lighter else []
+        larger = range(lighter.stop, len(tries))
+        order += [k for k in larger if best[k][0] < min(best[:usual])[0]]
         return [tries[k][best[k][1]] for k in order]
 
     def starts_with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
