@@ -10,7 +10,7 @@ class SearchSettings:
     """How far the search goes. The settings are an argument of `diagnose` and are returned with the result."""
 
     #: laws whose matches are fitted
-    matches: int = 6
+    matches: int = 8
     #: laws that are fitted with all samples and their own noise
     finals: int = 4
     #: gap (power of the error over the power of the signal) above which a small effect says little about a large one; above its square the
