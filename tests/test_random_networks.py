@@ -64,7 +64,7 @@ def test_what_breaks_down_says_when():
 def test_what_goes_in_is_stored_or_dissipated(seed):
     """Of passive networks: the road's work is what masses and springs hold and what the rest took, within 0.1 %.
 
-    And nothing that dissipates ever gave more than it had been given: friction, dampers, stops and hysteresis end with a loss.
+    No dissipating element returns more energy than was put in: friction, dampers, stops and hysteresis end with a loss.
     """
     rng = np.random.default_rng([7, seed])
     net = Network.from_dict(random_networks.draw(rng, passive=True))
@@ -79,7 +79,7 @@ def test_what_goes_in_is_stored_or_dissipated(seed):
     out = simulate(net, time, inputs, step=STEP, extra=[*channels, *speeds, load])
     dt = np.diff(time)
 
-    def work(force, rate):  # forces of friction jump: each half of a step by its own end
+    def work(force, rate):  # trapezoidal rule: forces of friction jump
         power = force * rate
         return float(np.sum(0.5 * (power[1:] + power[:-1]) * dt))
 
@@ -164,7 +164,7 @@ def test_a_motor_on_a_terminal_without_mass(law):
     else:
         over, side = np.abs(out["x"]) - more["clearance"], np.sign(out["x"])
         pushes = side * np.maximum(side * (more["stiffness"] * over * side + more["damping"] * out["v"]), 0.0)
-        met = np.abs(over) < 1e-9  # where a damped stop is met it has any force up to this
+        met = np.abs(over) < 1e-9  # at contact, a damped stop may push with any force from 0 to the full one
         np.testing.assert_allclose(
             out["law"][~met], np.where(over > 0, pushes, 0.0)[~met], rtol=1e-6, atol=1e-5
         )

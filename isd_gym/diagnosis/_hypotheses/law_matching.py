@@ -184,7 +184,10 @@ def _match_small_effects(
         for lane, member in enumerate(chunk):
             k, way = members[member]
             out[k][first:last, way] = w[:, lane]
-    found = (_match(fit, h, start, s, residual) for (h, start, _), s in zip(jobs, out, strict=True))
+    found = []
+    for (h, start, _), s in zip(jobs, out, strict=True):
+        bounded = _without_overflow(s)
+        found.append(_match(fit, h, start, bounded, residual, residual.without(bounded)))
     return [m for m in found if m is not None]
 
 
@@ -207,7 +210,7 @@ def _match_forces(
     for i, y in force_responses(problem, fit, pair, forces).items():
         first, last, _ = residual.spans[i]
         columns[first:last] = fitter.weights(y).reshape(last - first, -1)
-    found, at, whole = [], 0, residual.without(columns)
+    found, at, whole = [], 0, residual.without(_without_overflow(columns))
     for h, start in starts:
         its = slice(at, at + len(start.ways))
         found.append(_match(fit, h, start, columns[:, its], residual, whole[:, its]))
@@ -215,15 +218,17 @@ def _match_forces(
     return [m for m in found if m is not None]
 
 
-def _match(
-    fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual, own: Array | None = None
-) -> Match | None:
-    if not (np.abs(s) < 1e100).all():  # the variant diverges, or its squares would overflow
-        return None
+def _without_overflow(columns: Array) -> Array:
+    """Return columns; zeros in place of a column that diverges, or whose squares would overflow."""
+    columns[:, ~(np.abs(columns) < 1e100).all(axis=0)] = 0.0
+    return columns
+
+
+def _match(fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual, own: Array) -> Match | None:
+    """Return the match of columns `s`, with their part `own` orthogonal to the derivatives (rows, ways); None where they show nothing."""
     size = np.linalg.norm(s, axis=0)
     if not np.all(size > 0):
         return None
-    own = residual.without(s) if own is None else own
     if np.any(np.linalg.norm(own, axis=0) < 1e-3 * size):
         return None
     amplitude = np.asarray(np.linalg.lstsq(own, residual.left, rcond=None)[0], dtype=np.float64)

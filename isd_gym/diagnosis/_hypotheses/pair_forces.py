@@ -328,8 +328,9 @@ def law_forces(
         try:
             built = alone
             if h is not None:
-                if h.kind.periodic:
-                    periodic[k] = _repeated(h, values, motion.d if h.where == pair else -motion.d)
+                if h.kind.periodic and h.kind.plane == "elongation":
+                    side = 1.0 if h.where == pair else -1.0
+                    periodic[k] = side * _repeated(h, values, side * motion.d)
                     continue
                 where = tuple(GROUND if n == held else n for n in h.where)
                 built = add(Structure(alone, ()), replace(h, where=where), values).network
@@ -352,7 +353,7 @@ def law_forces(
         out[:, [k for k, _ in members]] = sign * np.einsum("ijk,j->ik", y, np.array(key[0]))
     out -= out[:, :1]
     for k, force in periodic.items():
-        out[:, k] = force if ways[k - 1][0].where == pair else -force
+        out[:, k] = force
     return out[:, 1:]
 
 

@@ -275,7 +275,7 @@ class RecordComparison:
         first = RecordwiseFitter(p, white_filters(np.maximum(self.noise, FIRST_NOISE * self.deviation)))
         joint = self._fit(first, self.structure, self.x)
         rows = [p.records[i].measured - at.outputs[i] for at in joint.points for i in at.outputs]
-        #: weight of each channel, as its deviation (channels,)
+        #: standard deviations that weight the channels (channels,)
         self.weights = np.maximum(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)), self.noise)
         self.fitter = RecordwiseFitter(p, white_filters(self.weights))
         self.joint = self._fit(self.fitter, self.structure, joint.x[0])
@@ -391,8 +391,8 @@ def is_different(a: tuple[float, float, float], b: tuple[float, float, float], c
 
 
 def group_values(values: Array, deviations: Array, freedom: Array) -> tuple[int, ...]:
-    """Return the group of each record, smallest values first: neighbouring values that do not differ have one; all zero where no pair
-    differs."""
+    """Return the group of each record, smallest values first: neighbouring values without a significant difference share a group; all zero
+    where no pair differs."""
     each = list(zip(values.tolist(), deviations.tolist(), freedom.tolist(), strict=True))
     pairs = len(each) * (len(each) - 1) / 2
     if not any(is_different(a, b, CHANCE / pairs) for a, b in combinations(each, 2)):

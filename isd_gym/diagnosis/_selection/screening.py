@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from .candidate import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from ..._common.arrays import Array
     from ...physics.elements import Motion
@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from .._simulation.problem import Problem
     from .admissibility import Travel
     from .settings import SearchSettings
+
+    T = TypeVar("T")
+    R = TypeVar("R")
 
 #: starts of a law that are simulated, and starts that are fitted; a law over travel has an optimum per period
 TRIED, FITTED, PERIODS = 6, 2, 4
@@ -74,7 +77,7 @@ class ScreeningResult:
     ranked: tuple[Candidate, ...]
     #: white noise with which the candidates were compared (channels,)
     noise: Array
-    #: the match that removes most, at each place
+    #: match with the largest share, by place
     places: tuple[Match, ...]
 
 
@@ -87,7 +90,7 @@ class Screening:
     #: smallest noise of weights (channels,)
     least_noise: Array
     settings: SearchSettings
-    #: travel of each pair according to all samples; by default according to the samples of the problem
+    #: travel of every pair over all samples (default: over the samples of the problem)
     known: Mapping[tuple[str, str], Travel] | None = None
     #: length of the segments, as a multiple of the usual length
     length: float = math.inf
@@ -139,6 +142,11 @@ class Screening:
         """Return whether the simulation of the stage, or of its brief segments, follows the phase of the motion."""
         return self.brief is self or gap(self.brief.problem, self.brief.current) < self.settings.lost_phase
 
+    def each(self, function: Callable[[T], R], items: Iterable[T]) -> list[R]:
+        """Return the function's value for every item, in order; threads share the work."""
+        with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
+            return list(pool.map(function, items))
+
     # -- hypotheses ---------------------------------------------------------------------------------------
     @cached_property
     def matches(self) -> list[Match]:
@@ -156,12 +164,10 @@ class Screening:
         for m in self.matches:
             groups.setdefault(m.hypothesis, []).append(m)
         order = list(groups)
-        if (
-            self.is_wide
-        ):  # the motion of the fit tells little about the force: every other law is the closest in simulation
+        if self.is_wide:
+            # the motion of the fit tells little about the force: every other law is the closest in simulation
             near = order[: SIMULATED * most]
-            with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-                misfits = list(pool.map(lambda h: self.misfit(groups[h][0]), near))
+            misfits = self.each(lambda h: self.misfit(groups[h][0]), near)
             closest = [near[k] for k in np.argsort(misfits, kind="stable")]
             order = list(dict.fromkeys([h for both in zip(near, closest, strict=True) for h in both] + order))
         first: list[Hypothesis] = []
@@ -199,19 +205,21 @@ class Screening:
         return known, {f.path: known[f.path] if f.owner >= 0 else f.mean for f in free}
 
     def sized(
-        self, m: Match, sizes: Sequence[float], bases: Sequence[Mapping[str, float]]
-    ) -> list[tuple[Structure, Array]]:
-        """Return starts of a match of several sizes, from several values of the parameters of the fit."""
-        out = []
+        self, m: Match, sizes: Sequence[float], bases: Sequence[dict[str, float]]
+    ) -> list[list[tuple[Structure, Array]]]:
+        """Return starts of a match, for each size a list: from several values of the parameters of the fit."""
+        out: list[list[tuple[Structure, Array]]] = []
         for size in sizes if m.start.grows else (1.0,):
+            own = []
             for base in bases:
                 with suppress(InputError):
-                    out.append(replace(m, moved=dict(base)).sized(size).begin(self.current.structure))
+                    own.append(replace(m, moved=base).sized(size).begin(self.current.structure))
+            out += [own] if own else []
         return out
 
     def misfit(self, m: Match) -> float:
         """Return the smallest misfit of a match, and of larger ones, in simulation."""
-        tries = self.sized(m, SIZES[:3], (m.moved, self.bases[1]))
+        tries = [t for own in self.sized(m, SIZES[:3], (m.moved, self.bases[1])) for t in own]
         return float(np.min(_misfit(self, tries))) if tries else math.inf
 
     # -- fits ---------------------------------------------------------------------------------------------
@@ -223,17 +231,15 @@ class Screening:
         tries: list[list[tuple[Structure, Array]]] = []
         for m in group[: PERIODS if kind.periodic else TRIED]:
             bases = (m.moved, known) if kind.periodic else (m.moved, known, nominal)
-            own = [
-                self.sized(m, [size], bases) for size in SIZES[: 1 if is_plain or not m.start.grows else None]
-            ]
-            tries += [t for t in own if t]
+            tries += self.sized(m, SIZES[:1] if is_plain else SIZES, bases)
         if not tries:
             return []
         usual = len(tries)
         tries += [[begun] for m in group[:TRIED] for begun in self.starts_with_less_damping(m)]
         lighter = range(usual, len(tries))
         if is_plain and self.is_wide and not kind.periodic:
-            tries.append(self.sized(group[0], SIZES[1:3], (group[0].moved, nominal)))
+            larger = self.sized(group[0], SIZES[1:3], (group[0].moved, nominal))
+            tries += [[t for own in larger for t in own]] if larger else []
         scores = iter(_misfit(self, [t for own in tries for t in own]))
         best = [min(((next(scores), k) for k in range(len(own))), key=lambda t: t[0]) for own in tries]
         order = list(range(usual))
@@ -241,8 +247,7 @@ class Screening:
             order.sort(key=lambda k: best[k][0])
             order = list(dict.fromkeys([*order[: FITTED - 1], 0, *order]))[:FITTED]
         order += [min(lighter, key=lambda k: best[k][0])] if lighter else []
-        larger = range(lighter.stop, len(tries))
-        order += [k for k in larger if best[k][0] < min(best[:usual])[0]]
+        order += [k for k in range(lighter.stop, len(tries)) if best[k][0] < min(best[:usual])[0]]
         return [tries[k][best[k][1]] for k in order]
 
     def starts_with_less_damping(self, m: Match) -> Iterator[tuple[Structure, Array]]:
@@ -375,8 +380,7 @@ class Screening:
         if brief is self:
             return self.fit_shortlist()
         found = brief.fit_shortlist()
-        with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            ranked = self.first_of_each_law(pool.map(lambda r: self.continued(r, brief), found))
+        ranked = self.first_of_each_law(self.each(lambda r: self.continued(r, brief), found))
         if gap(self.problem, self.current) < self.settings.wide_gap:
             ranked = self.leading(self.first_of_each_law([*ranked, *self.fit_shortlist()]))
         return ranked
@@ -384,11 +388,10 @@ class Screening:
     def fit_shortlist(self) -> list[Candidate]:
         """Fit the laws of the shortlist to the records of this stage."""
         groups, _ = self.shortlist(), self.fitter
-        with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            fitted = self.first_of_each_law(r for found in pool.map(self.fit, groups) for r in found)
-            ranked = self.leading(fitted)
-            tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
-            plainer = [r for found in pool.map(lambda r: self.special_cases(r, tried), ranked) for r in found]
+        fitted = self.first_of_each_law(r for found in self.each(self.fit, groups) for r in found)
+        ranked = self.leading(fitted)
+        tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
+        plainer = [r for found in self.each(lambda r: self.special_cases(r, tried), ranked) for r in found]
         return self.leading(self.first_of_each_law([*ranked, *plainer]))
 
     def run(self) -> ScreeningResult:
@@ -408,8 +411,7 @@ class Screening:
             return ScreeningResult((), self.first_noise, best)
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
         least = min(gap(self.problem, r.fit) for r in ranked)
-        with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
-            ranked = self.first_of_each_law(pool.map(lambda r: self.settle_noise(r, noise, least), ranked))
+        ranked = self.first_of_each_law(self.each(lambda r: self.settle_noise(r, noise, least), ranked))
         return ScreeningResult(tuple(self.rank(ranked)), noise, best)
 
     def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:

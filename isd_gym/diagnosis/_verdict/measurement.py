@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ..result import Quantity
 
 
-#: multiple of the motion beyond which a length or a rate of a law is not shown by the records: the law differs from its limit by 5 % there
+#: multiple of the motion beyond which a length or a rate of a law is beyond the records: at 20 times the motion a law and its limit differ by 5 %
 FURTHEST = 20.0
 #: multiple of the typical force from which on a law is balanced by another law: forces in parallel that cancel to a tenth
 LARGEST = 10.0
