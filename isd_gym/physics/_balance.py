@@ -34,8 +34,6 @@ class Balance:
     """
 
     laws: Sequence[el.Element]  # the laws
-    elongation: Array  # elongations without the forces of laws (laws,) [m]
-    rate: Array  # rates without the forces of laws (laws,) [m/s]
     by_elongation: Array  # elongation of each law per force of each law (laws, laws) [m/N]
     by_rate: Array  # rate of each law per force of each law (laws, laws) [m/(N s)]
     step: float  # physics step [s]
@@ -56,9 +54,16 @@ class Balance:
         """Parameters of each law."""
         return [np.array(e.law_parameters()) for e in self.laws]
 
-    def _motion(self, force: Array) -> tuple[Array, Array]:
+    @cached_property
+    def is_plain(self) -> bool:
+        """Return whether no force moves a terminal of a law at once."""
+        smooth = self.smooth
+        return not (self.by_elongation[:, smooth].any() or self.by_rate[:, smooth].any() or self.dry)
+
+    def _motion(self, unforced: tuple[Array, Array], force: Array) -> tuple[Array, Array]:
         """Return elongations [m] and rates [m/s] (laws,) under forces (laws,) [N]."""
-        return self.elongation + self.by_elongation @ force, self.rate + self.by_rate @ force
+        elongation, rate = unforced
+        return elongation + self.by_elongation @ force, rate + self.by_rate @ force
 
     def _answer(self, j: int, d: float, s: float) -> float:
         """Return the force [N] of smooth law j at an elongation [m] and rate [m/s]."""
@@ -66,41 +71,42 @@ class Balance:
         assert law is not None
         return float(law(self.numbers[j], d, s, d, 0.0, self.step)[0])
 
-    def _lacking(self, force: Array) -> Array:
+    def _lacking(self, unforced: tuple[Array, Array], force: Array) -> Array:
         """Return the answers of the smooth laws minus their forces [N]."""
-        d, s = self._motion(force)
+        d, s = self._motion(unforced, force)
         return np.array([self._answer(j, d[j], s[j]) - force[j] for j in self.smooth])
 
-    def solve(self) -> Array:
-        """Return the forces (laws,) [N] on which all laws agree, or the last ones tried.
+    def solve(self, elongation: Array, rate: Array) -> Array:
+        """Return the forces (laws,) [N] on which all laws agree, or the last ones tried, from the elongations [m] and rates [m/s] (laws,)
+        without the forces of laws.
 
         Newton steps for all smooth laws at once come first. A law that does not agree then is bisected between a too small and a too
         large force.
         """
-        force, smooth = np.zeros(len(self.laws)), self.smooth
-        if not (self.by_elongation[:, smooth].any() or self.by_rate[:, smooth].any() or self.dry):
-            force[smooth] = self._lacking(force)
+        force, smooth, unforced = np.zeros(len(self.laws)), self.smooth, (elongation, rate)
+        if self.is_plain:
+            force[smooth] = [self._answer(j, elongation[j], rate[j]) for j in smooth]
             return force
         with np.errstate(all="ignore"):  # trial forces may lead far away
-            force = self._newton(force)
+            force = self._newton(unforced, force)
             for _ in range(ROUNDS):
                 before = force.copy()
                 for j in smooth:
-                    force[j] = self._bisected(force, j)
+                    force[j] = self._bisected(unforced, force, j)
                 for j in self.dry:
-                    force[j] = self._sliding(force, j)
+                    force[j] = self._sliding(unforced, force, j)
                 if np.all(np.abs(force - before) <= TIGHT * (1.0 + np.abs(force))):
                     break
         return force
 
-    def _newton(self, force: Array) -> Array:
+    def _newton(self, unforced: tuple[Array, Array], force: Array) -> Array:
         """Return forces after Newton steps with one-sided slopes, each shortened until the error decreases."""
-        smooth, error = self.smooth, self._lacking(force)
+        smooth, error = self.smooth, self._lacking(unforced, force)
         for _ in range(STEPS):
             if np.all(np.abs(error) <= TIGHT * (1.0 + np.abs(force[smooth]))):
                 break
             try:
-                way = np.linalg.solve(self._jacobian(force), error)
+                way = np.linalg.solve(self._jacobian(unforced, force), error)
             except np.linalg.LinAlgError:
                 break
             if not np.isfinite(way).all():
@@ -108,7 +114,7 @@ class Balance:
             for k in range(HALVINGS):
                 then = force.copy()
                 then[smooth] += 0.5**k * way
-                left = self._lacking(then)
+                left = self._lacking(unforced, then)
                 if np.linalg.norm(left) < np.linalg.norm(error):
                     break
             else:
@@ -116,9 +122,9 @@ class Balance:
             force, error = then, left
         return force
 
-    def _jacobian(self, force: Array) -> Array:
+    def _jacobian(self, unforced: tuple[Array, Array], force: Array) -> Array:
         """Return the derivatives of the forces minus the answers of the smooth laws by the forces."""
-        d, s = self._motion(force)
+        d, s = self._motion(unforced, force)
         out, own = np.eye(len(self.smooth)), self.smooth
         for k, j in enumerate(own):
             here = self._answer(j, d[j], s[j])
@@ -127,9 +133,9 @@ class Balance:
             out[k] -= (self._answer(j, d[j], s[j] + ds) - here) / ds * self.by_rate[j, own]
         return out
 
-    def _bisected(self, force: Array, j: int) -> float:
+    def _bisected(self, unforced: tuple[Array, Array], force: Array, j: int) -> float:
         """Return the force of smooth law j, the others fixed."""
-        d, s = self._motion(force)
+        d, s = self._motion(unforced, force)
 
         def excess(change: float) -> float:
             there = d[j] + self.by_elongation[j, j] * change, s[j] + self.by_rate[j, j] * change
@@ -151,9 +157,9 @@ class Balance:
             middle = 0.5 * (low + high)
         return float(force[j] + middle)
 
-    def _sliding(self, force: Array, j: int) -> float:
+    def _sliding(self, unforced: tuple[Array, Array], force: Array, j: int) -> float:
         """Return the force of dry friction j, the others fixed."""
-        d, s = self._motion(force)
+        d, s = self._motion(unforced, force)
         bound = self.laws[j].bound
         assert bound is not None
         level = bound(self.numbers[j], d[j], s[j])

@@ -438,38 +438,39 @@ class Plant:
         at, order = self.at, list(self.order)
         x = state[: at.states]
         f, z, d, s = (state[row : row + at.laws] for row in (at.force, at.memory, at.elongation, at.rate))
-        shared: dict[
-            int, tuple[np.ndarray, np.ndarray]
-        ] = {}  # most lanes differ in the parameters of laws alone
+        span = self.assemblies[0].columns("f")
+        own = np.arange(span.start, span.stop)[order]
+        # most lanes differ in the parameters of laws alone, many of them only in the initial state
+        rows: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        balances: dict[tuple[int, int], Balance] = {}
         solved: dict[tuple[int, int, bytes, bytes], int] = {}  # lane with the same balance
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
-            if id(asm.rate) not in shared:
+            if id(asm.rate) not in rows:
                 still = np.array(asm.by_difference, bool)[:, None]
-                shared[id(asm.rate)] = (
-                    asm.elongation[order],
-                    np.where(still, 0.0, asm.elongation_rate)[order],
-                )
-            given = np.zeros(asm.elongation.shape[1])
+                moved = np.where(still, 0.0, asm.elongation_rate)[order]
+                rows[id(asm.rate)] = asm.elongation[order], moved
+            E, R = rows[id(asm.rate)]
+            given = np.zeros(E.shape[1])
             given[asm.columns("x")] = x[:, lane]
             given[list(self.u_columns)] = inputs[:, lane if inputs.shape[1] > 1 else 0]
             if held is not None:
                 given[asm.columns("I")] = held[:, lane if held.shape[1] > 1 else 0]
-            laws = [asm.laws[i] for i in order]
-            own = np.arange(asm.columns("f").start, asm.columns("f").stop)[order]
-            E, R = shared[id(asm.rate)]
-            key = id(asm.laws), id(asm.rate), (E @ given).tobytes(), (R @ given).tobytes()
+            network, unforced = (id(asm.laws), id(asm.rate)), (E @ given, R @ given)
+            key = (*network, unforced[0].tobytes(), unforced[1].tobytes())
             if key in solved:
                 state[at.states :, lane] = state[at.states :, solved[key]]
                 continue
             solved[key] = lane
-            f[:, lane] = Balance(laws, E @ given, R @ given, E[:, own], R[:, own], self.step).solve()
-            given[own] = f[:, lane]
+            if network not in balances:
+                laws = [asm.laws[i] for i in order]
+                balances[network] = Balance(laws, E[:, own], R[:, own], self.step)
+            balance = balances[network]
+            given[own] = f[:, lane] = balance.solve(*unforced)
             d[:, lane], s[:, lane] = E @ given, R @ given
-            for j, e in enumerate(laws):
-                if e.law is not None:
-                    p = np.array(e.law_parameters())
-                    z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)[1]
+            for j in balance.smooth:
+                law, p = balance.laws[j].law, balance.numbers[j]
+                z[j, lane] = law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)[1]  # type: ignore[misc]
 
     def order_of(self, part: str, name: str) -> int:
         """Return how often an input is differentiated for a part 'r', 'v', 'alpha' or 'F' of the base vector."""
