@@ -1,5 +1,7 @@
 """Inputs that follow from outputs: detected, told, and no reason for a name."""
 
+from dataclasses import replace
+
 import builders
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._records.feedback import find_feedback
+from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.closed_loop import imitated_share
 from isd_gym.physics.network import Network
@@ -16,9 +19,9 @@ from isd_gym.records.data import Table
 STEP, SAMPLES = 0.01, 4000
 
 
-def cart(stiffness=0.0):
-    """A mass on a guide with viscous damping, pushed by a known force; with a spring to the ground where asked."""
-    elements = [damper("cart", "ground", 2.0, "guide")]
+def cart(stiffness=0.0, *more):
+    """A mass on a guide with viscous damping, pushed by a known force; with a spring to the ground, or more, where asked."""
+    elements = [damper("cart", "ground", 2.0, "guide"), *more]
     if stiffness:
         elements.append(builders.spring("cart", "ground", stiffness))
     seen = channel("position", "displacement", "cart", offset="free")
@@ -139,13 +142,30 @@ def test_a_spring_imitates_a_controller_and_friction_does_not():
     assert here == pytest.approx(np.corrcoef(push, moved)[0, 1] ** 2, abs=0.02)
 
 
+def test_friction_under_a_linear_controller_is_less_than_half_a_multiple_of_its_input():
+    push, position = controlled("linear", seed=1, friction=0.3)
+    rate = np.gradient(np.convolve(position, np.ones(9) / 9, "same"), STEP)
+    assert np.corrcoef(push, np.sign(rate))[0, 1] ** 2 > 0.5
+    network = cart(0.0, element("dry", "coulomb_friction", "cart", "ground", level=0.3))
+    problem = Problem(network, [as_record(push, position)], ["fit"])
+    fit = builders.fitted(problem, 0.01, frozen=True)
+    assert imitated_share(problem, fit, network.element("dry"), "push") < 0.4
+
+
 @pytest.mark.slow
-def test_where_brief_stretches_decide_nothing_whole_records_under_feedback_are_not_compared():
+def test_friction_under_feedback_is_named_and_whole_records_are_not_compared():
+    """The drive works against friction: half of the friction is a multiple of the push. Given travel and rate it is a fifth."""
+
     def run(seed):
         push, position = controlled("linear", seed=seed, friction=0.3)
         return Table(np.arange(1500) * STEP, {"push": push[:1500], "position": position[:1500]}, f"run{seed}")
 
-    d = diagnose([run(0), run(1)], cart(), validate=[run(2), run(3)])
+    records = [run(0), run(1)], cart()
+    d = diagnose(*records, validate=[run(2), run(3)])
+    assert [e.effect for e in d.effects] == ["coulomb_friction"]
+    assert d.effects[0].parameters["level"].value == pytest.approx(0.3, rel=0.1)
+    # limits under which brief stretches decide nothing
+    d = diagnose(*records, validate=[run(2), run(3)], criteria=replace(CRITERIA, least_removed=0.1))
     assert d.verdict == "unknown_effect"
     assert d.stretches is not None and d.stretches.reason == "feedback"
     assert "open loop" not in {g.name for g in d.gates}

@@ -19,6 +19,7 @@ import numpy as np
 
 from ..._common.errors import InputError
 from .._hypotheses.forces import element_forces
+from .._hypotheses.motion import motions
 from .._records.feedback import LINEAR
 from .._selection.criteria import CRITERIA
 from .gates import Decision, gate
@@ -26,11 +27,16 @@ from .gates import Decision, gate
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from ..._common.arrays import Array
     from ...physics.elements import Element
     from .._estimation.gauss_newton import Fit
     from .._records.feedback import Feedback
     from .._selection.criteria import Criteria
     from .._simulation.problem import Problem
+
+
+#: share of a force's power beyond multiples of travel and rate, below which the force counts as linear in them
+NEARLY_LINEAR = 0.1
 
 
 def decide_under_feedback(
@@ -62,7 +68,8 @@ def decide_under_feedback(
 
 
 def imitated_share(problem: Problem, fit: Fit, element: Element, name: str) -> float:
-    """Return the share of an element's force that an input explains as a multiple: their squared correlation within records."""
+    """Return the share of an element's force that an input explains as a multiple: their squared correlation within records, given travel
+    and rate of the element, since a drive always works against friction; the plain one for a force that is linear in travel and rate."""
     if element.place != "between":
         return 0.0
     try:
@@ -71,6 +78,20 @@ def imitated_share(problem: Problem, fit: Fit, element: Element, name: str) -> f
         return 0.0
     inputs = [problem.records[i].inputs[name] for i in problem.estimation]
     edges = np.cumsum([len(u) for u in inputs])[:-1]
-    parts = [(f - f.mean(), u - u.mean()) for f, u in zip(np.split(force, edges), inputs, strict=True)]
-    f, u = (np.concatenate(p) for p in zip(*parts, strict=True))
-    return float(f @ u) ** 2 / max(float(f @ f) * float(u @ u), 1e-300)
+
+    def centred(values: Array) -> Array:
+        return np.concatenate([part - part.mean() for part in np.split(values, edges)])
+
+    def correlation(a: Array, b: Array) -> float:
+        return float(a @ b) ** 2 / max(float(a @ a) * float(b @ b), 1e-300)
+
+    f, u = centred(force), centred(np.concatenate(inputs))
+    motion = motions(problem, fit).get((element.where[0], element.where[1]))
+    if motion is None:
+        return correlation(f, u)
+    terms = np.stack([centred(motion.d), centred(motion.v)], axis=1)
+    beyond = [y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0] for y in (f, u)]
+    if float(beyond[0] @ beyond[0]) < NEARLY_LINEAR * float(f @ f):
+        return correlation(f, u)
+    # a controller that switches with the position imitates forces over travel
+    return correlation(*beyond) if element.plane == "rate" else max(correlation(f, u), correlation(*beyond))

@@ -173,9 +173,12 @@ def as_picture(
     fig: Figure, stem: str, title: str, alt: str, caption: str, notes: Mapping[str, str] | None = None
 ) -> Picture:
     """Return a figure as a picture of a page; equal figures give equal texts. To be called within `style`."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     whole = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    fig.savefig(whole, format="svg", dpi=DPI, metadata=nothing)
+    fig.set_dpi(DPI)
+    FigureCanvasSVG(fig).print_svg(whole, metadata=nothing)  # `savefig` would draw it twice
     text = whole.getvalue()
     text = text[text.index("<svg") :].strip()
     text = re.sub(r'<g id="[\w.]+">', "<g>", text)  # names that matplotlib gives in every figure
