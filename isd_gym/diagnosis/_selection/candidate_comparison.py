@@ -120,11 +120,6 @@ class CandidateComparison:
         refit, after = self.score(self.refitted), self.score(candidate)
         return after.explained_on_test(refit, self.test_noise, self.noise_score)
 
-    def test_excess_ratio(self, candidate: Candidate) -> float:
-        """Return the largest ratio, over channels, of the power left on the test records to the power of unmodelled effects."""
-        left = np.maximum(self.score(candidate).test_nrmse ** 2 - self.test_noise**2, 0.0)
-        return float(np.max(left / self.unmodelled_envelope(candidate) ** 2))
-
     @property
     def test_noise(self) -> Array:
         """Noise of the test records as a share of the deviation there (channels,)."""

@@ -144,18 +144,7 @@ def _predicts_better(e: Evidence, c: Criteria) -> Gate:
 
 
 def _confirmed(e: Evidence, c: Criteria) -> Gate:
-    is_so = partial(gate, "confirmed")
-    removed = f"{REMOVED} on the test records"
-    rest = f"the rest is {e.test_excess_ratio:.3g} times the power of unmodelled effects"
-    enough = f"{removed}; enough, since {rest} (limit {c.small_effects:g})"
-    left = "power left on the test records over that of unmodelled effects"
-    return any_of(
-        is_so(e.test_explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}"),
-        all_of(
-            is_so(e.test_explained, ">=", c.least_removed, enough),
-            is_so(e.test_excess_ratio, "<", c.small_effects, left),
-        ),
-    )
+    return gate("confirmed", e.test_explained, ">=", c.least_removed, f"{REMOVED} on the test records")
 
 
 def _material(e: Evidence, c: Criteria) -> Gate:
