@@ -72,6 +72,8 @@ LONGEST, SHORTEST, LONG, REST = 2.0, 8e-6, 0.4, 0.8
 #: which a finding is an error. Frozen: 3 % of the deviation, the smallest disagreement that a diagnosis calls
 #: an effect.
 CLIPPED, MISSED = 0.1, 0.001
+#: equal samples at a level of a coarse encoder near a turn of the motion
+STAIR = 5
 STILL = 0.1  # share of a channel's usual power, in spans of equal length, below which the channel rests
 GLITCHES = 3  # samples that may differ in a constant channel
 ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
@@ -410,6 +412,19 @@ def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) 
     return bool(np.median(away) < 2.0 * np.median(steps[steps > 0]))
 
 
+def _turns_on_stairs(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, value: float) -> bool:
+    """Return whether a channel rests at a value once, and at levels just before and just after it, as a coarse encoder does where the motion
+    turns; a clipped channel enters and leaves the value in motion."""
+    at = np.flatnonzero((x[starts] == value) & (lengths >= STAIR))
+    if len(at) != 1:
+        return False
+    first, length = int(starts[at[0]]), int(lengths[at[0]])
+    near = (lengths >= STAIR) & (x[starts] != value)
+    before = near & (starts < first) & (starts + lengths >= first - length)
+    after = near & (starts > first) & (starts <= first + 2 * length)
+    return bool(before.any() and after.any())
+
+
 def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int, int], bool]:
     """Return a function that tells whether one of the `others` (samples and noise) moves from a first sample for a number of samples.
 
@@ -511,7 +526,7 @@ def _check_held(
         least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))  # n equal^(least - 1) < 1e-4
         sticks = _sticks(x, starts, lengths, least)
         for value, what in _ends(x):
-            count = 0 if sticks else np.sum(x == value)
+            count = 0 if sticks or _turns_on_stairs(x, starts, lengths, value) else np.sum(x == value)
             # at neighbouring values
             beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise
             if count >= max(least, 5 + 10 * beside):

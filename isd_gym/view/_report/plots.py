@@ -178,7 +178,8 @@ def as_picture(
     whole = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     fig.set_dpi(DPI)
-    FigureCanvasSVG(fig).print_svg(whole, metadata=nothing)  # `savefig` would draw it twice
+    canvas: Any = FigureCanvasSVG(fig)
+    canvas.print_svg(whole, metadata=nothing)  # `savefig` would draw it twice
     text = whole.getvalue()
     text = text[text.index("<svg") :].strip()
     text = re.sub(r'<g id="[\w.]+">', "<g>", text)  # names that matplotlib gives in every figure
