@@ -469,7 +469,8 @@ class Problem:
                 given = np.concatenate([initial[i] for i in members], axis=1)
             start = self._start(plant, given, like)
         out = plant.run(inputs, every=every, samples=record.samples, initial=start, derivatives=slopes)
-        out = out * self.factors[:, None]
+        with np.errstate(all="ignore"):  # the caller detects a diverged simulation
+            out = out * self.factors[:, None]
         if any(e.place == "channel" for e in first.elements):
             for lane in range(out.shape[2]):
                 for e in networks[lane % wide].elements:
