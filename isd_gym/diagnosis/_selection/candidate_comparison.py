@@ -250,7 +250,7 @@ class CandidateComparison:
 
     def passes_deletion(self, chosen: Candidate, without: Candidate, effect: int | None) -> bool:
         """Return whether an effect of a candidate, by its index, is needed, or with None a parameter of a law, compared with the
-        candidate `without` it."""
+        candidate `without` it. Several effects have a part in what is explained: each must remove half of an equal part."""
         if effect is None:
             return self.is_worth_more_parameters(chosen, without)
         c, now, then = self.criteria, self.score(chosen), self.score(without)
@@ -259,7 +259,7 @@ class CandidateComparison:
         large = self.is_material(chosen, without, self.evaluator.effect_sizes(chosen)[effect])
         return (
             large
-            and self.explained_fraction(then, now) >= c.least_removed
+            and self.explained_fraction(then, now) >= c.least_removed / len(chosen.hypotheses)
             and error_reduction(then, now) >= c.material
         )
 
