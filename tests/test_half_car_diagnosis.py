@@ -81,24 +81,15 @@ def test_the_scale_of_force_is_the_inertia_of_what_the_sensor_sits_on():
     net = half()
     time = np.arange(400) * 5e-3
     roads = {"road_front": waves(time).value, "road_rear": waves(time, 0.13).value}
-    for name, inertia in (
-        ("body_acceleration_front", 690.0),
-        ("body_acceleration", 690.0),
-        ("pitch_acceleration", 0.0),
-    ):
+    for name, inertia in (("body_acceleration_front", 690.0), ("pitch_acceleration", 0.0)):
         seen = replace(net, outputs=tuple(c for c in net.outputs if c.name == name))
         y = np.sin(20.0 * time)[:, None]
         problem = Problem(seen, [Record("r", 5e-3, roads, y)], ["fit"])
         assert _measured_force(problem) == pytest.approx(inertia * np.std(y), rel=1e-6)
-    wheel = replace(net, outputs=(net.probe("hop", "acceleration", at="wheel_rear"),))
-    problem = Problem(wheel, [Record("r", 5e-3, roads, y)], ["fit"])
-    assert _measured_force(problem) == pytest.approx(45.0 * np.std(y), rel=1e-6)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind", ["friction_front", "asymmetric_rear", "bushing_front", "cubic_tyre_rear", "delay_rear"]
-)
+@pytest.mark.parametrize("kind", ["friction_front", "cubic_tyre_rear", "delay_rear"])
 def test_what_is_hidden_at_one_axle_is_named_there(kind):
     with np.errstate(over="ignore"):  # a size that is tried on the way to the right one
         case = families.make_case(f"half_car.{kind}", 1)
