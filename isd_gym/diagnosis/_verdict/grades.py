@@ -46,9 +46,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (31, 30), "probable": (10, 10), "possible": (14, 10)},
-        "kind": {"certain": (28, 20), "probable": (15, 10), "possible": (36, 13)},
-        "law": {"certain": (9, 6), "probable": (23, 12), "possible": (25, 7)},
+        "place": {"certain": (35, 34), "probable": (10, 10), "possible": (15, 11)},
+        "kind": {"certain": (31, 23), "probable": (15, 10), "possible": (39, 15)},
+        "law": {"certain": (12, 9), "probable": (23, 12), "possible": (28, 9)},
     },
 }
 
