@@ -145,7 +145,7 @@ def test_a_spring_imitates_a_controller_and_friction_does_not():
 
 @pytest.mark.slow
 def test_friction_under_feedback_is_named_and_whole_records_are_not_compared():
-    """The drive works against friction: half of the friction is a multiple of the push. Given travel and rate it is a fifth."""
+    """The drive works against friction, half of which is a multiple of the push; under the second limits brief stretches decide nothing."""
 
     def run(seed):
         push, position = controlled("linear", seed=seed, friction=0.3)
@@ -155,7 +155,7 @@ def test_friction_under_feedback_is_named_and_whole_records_are_not_compared():
     d = diagnose(*records, validate=[run(2), run(3)])
     assert [e.effect for e in d.effects] == ["coulomb_friction"]
     assert d.effects[0].parameters["level"].value == pytest.approx(0.3, rel=0.1)
-    # limits under which brief stretches decide nothing
+    assert d.findings[0].laws[0].probability == pytest.approx(d.effects[0].confidence, abs=0.01)
     d = diagnose(*records, validate=[run(2), run(3)], criteria=replace(CRITERIA, least_removed=0.1))
     assert d.verdict == "unknown_effect"
     assert d.stretches is not None and d.stretches.reason == "feedback"

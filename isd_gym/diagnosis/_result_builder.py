@@ -219,8 +219,8 @@ class ResultBuilder:
             measured.quantities,
             next(w.statements for w in weighted if w.candidate is scores.foremost),
             is_named=decision.verdict == "missing_effect",
-            # a single law competes with the free force by its weight
-            is_doubted=bool(self.flow.feedback)
+            # a name under feedback is no multiple of the controller's input; a single law competes with the free force by its weight
+            is_doubted=(bool(self.flow.feedback) and decision.verdict != "missing_effect")
             or "predicts better" in failed
             or ("lack of fit" in failed and len(scores.foremost.hypotheses) > 1),
         )
