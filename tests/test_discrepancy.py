@@ -127,7 +127,6 @@ def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins():
     found = fitter.fit(structure, there, iterations=20)
     assert found.cost < 1e-3 * lost.cost
     assert found.network.parameters["spring.stiffness"] == pytest.approx(1.0, rel=1e-4)
-    assert abs(lost.network.parameters["spring.stiffness"] - 1.0) > 0.01
     assert not shooting.is_lightly_damped(Network.load("quarter-car-isd"))
 
 
