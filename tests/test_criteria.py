@@ -261,7 +261,7 @@ def test_a_law_completes_a_model_that_it_improves_on_validation_and_on_test_reco
 def test_the_table_of_a_free_force_and_the_law_compete_on_validation_records():
     assert completes({"r": 4.0, "l": 2.0, "t": 2.5}, 0.3, 0.2, TABLE)
     assert not completes({"r": 4.0, "l": 2.0, "t": 1.5}, 0.3, 0.2, TABLE)
-    # nor does anything without a candidate, or with values that contradict its law
+    # a law without a candidate, or with contradictory values, completes nothing
     nobody = SimpleNamespace(name="l", hypotheses=(), well_formed=lambda: True)
     odd = SimpleNamespace(name="l", hypotheses=("l",), well_formed=lambda: False)
     assert not completes({"r": 4.0, "l": 2.0}, 0.3, 0.2, law=nobody)

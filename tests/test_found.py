@@ -74,7 +74,7 @@ FOUND = "import gymnasium; print(gymnasium.make('ISDSuspension-v0').reset(seed=0
 
 
 def test_found_from_the_start_of_python(place):
-    """The line that Python runs at its start: no module is loaded by it, and Gymnasium finds the environments."""
+    """The start line of Python loads no module, and Gymnasium finds the environments."""
     assert START.count("\n") == 1 and START.startswith("import ")
     loaded = f"import sys; known = set(sys.modules); exec({START!r}); print(set(sys.modules) - known)"
     assert python(loaded, place) == "set()"

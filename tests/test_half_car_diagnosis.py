@@ -78,10 +78,11 @@ def test_springs_under_both_ends_hold_a_body_still_and_under_one_do_not():
 
 
 def test_the_scale_of_force_is_the_inertia_of_what_the_sensor_sits_on():
-    net = half()
-    time = np.arange(400) * 5e-3
+    net, time = half(), np.arange(400) * 5e-3
     roads = {"road_front": waves(time).value, "road_rear": waves(time, 0.13).value}
-    for name, inertia in (("body_acceleration_front", 690.0), ("pitch_acceleration", 0.0)):
+    net = replace(net, outputs=(*net.outputs, net.probe("hop", "acceleration", at="wheel_rear")))
+    body = {"body_acceleration_front": 690.0, "body_acceleration": 690.0, "pitch_acceleration": 0.0}
+    for name, inertia in (body | {"hop": 45.0}).items():
         seen = replace(net, outputs=tuple(c for c in net.outputs if c.name == name))
         y = np.sin(20.0 * time)[:, None]
         problem = Problem(seen, [Record("r", 5e-3, roads, y)], ["fit"])

@@ -176,7 +176,7 @@ class ResultBuilder:
         return free.candidate is None or after.mean_square < scores.score(free.candidate).mean_square
 
     def _described(self, network: Network, decision: Decision, completes: bool) -> Network:
-        """Return a model whose description states that its law is not certain."""
+        """Return a model with a description of its law as uncertain."""
         if decision.verdict != "ambiguous" and not completes:
             return network
         law = "; ".join(h.label for h in self.scores.foremost.hypotheses)

@@ -236,7 +236,7 @@ class _Stretches:
 
 
 def cut_into_stretches(whole: Problem, lead: float = 0.0) -> _Stretches | None:
-    """Cut whole records into an even number of stretches of equal length, with a lead [s]; None where fewer than two are long enough."""
+    """Cut whole records into an even number of stretches of equal length, with a lead [s]; None for fewer than two records of sufficient length."""
     loose = whole.loose
     pieces: list[Record] = []
     groups, names, deviations = [], [], []
@@ -415,8 +415,7 @@ def find_record_differences(
     laws: Sequence[tuple[str, Structure, Array]] = (),
     lead: float = 0.0,
 ) -> RecordDifferences | None:
-    """Return the parameters that differ between records; None where the records are too short or do not differ, or where a law explains
-    them better."""
+    """Return the parameters with different values in the records; None for short or equal records, or where a law explains more."""
     stretches = cut_into_stretches(whole, lead)
     if stretches is None or not structure.free:
         return None

@@ -247,7 +247,7 @@ def channel_text(name: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital first letter; all other letters are unchanged (Hz stays Hz)."""
+    """Return a text with a capital first letter; the rest is unchanged (Hz stays Hz)."""
     return text[:1].upper() + text[1:]
 
 
