@@ -101,10 +101,10 @@ def recorded(model: Network, step: float, inputs: Any, samples: int = 0, initial
 def fitted(problem: Any, *noise: float, **options: Any) -> Any:
     """Return the fit of a nominal model to records whose outputs have white noise of these deviations."""
     from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-    from isd_gym.diagnosis._estimation.noise import white_filters
+    from isd_gym.diagnosis._estimation.noise import white_weights
     from isd_gym.diagnosis._estimation.structure import base_structure
 
-    return Fitter(problem, white_filters(np.array(noise))).fit(base_structure(problem.network), **options)
+    return Fitter(problem, white_weights(np.array(noise))).fit(base_structure(problem.network), **options)
 
 
 def decoupled_half_car() -> Network:

@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.least_squares import bounded_step
-from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.sensitivities import tangents
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import built_ways, starts_of
@@ -53,7 +53,7 @@ def test_records_side_by_side_say_what_each_says_alone():
 
 def test_a_fit_finds_the_values_that_made_the_record():
     problem = Problem(shaken(), [record(shaken(4400.0))], ["fit"])
-    fitter = Fitter(problem, white_filters(np.array([1e-5])))
+    fitter = Fitter(problem, white_weights(np.array([1e-5])))
     structure = base_structure(problem.network)
     fit = fitter.fit(structure)
     assert fit.network.parameters["spring.stiffness"] == pytest.approx(4400.0, rel=1e-3)
@@ -80,7 +80,7 @@ def test_of_many_records_each_finds_its_own_beginning():
     parts = [whole.part(k * 600, (k + 1) * 600, "run") for k in range(5)]
     problem = Problem(net, parts, ["fit"] * 5)
     structure = base_structure(net)
-    fit = Fitter(problem, white_filters(np.array([1e-5]))).follow(structure, structure.start, range(5))
+    fit = Fitter(problem, white_weights(np.array([1e-5]))).follow(structure, structure.start, range(5))
     for i, part in enumerate(parts):
         assert np.sqrt(np.mean((part.measured - fit.outputs[i]) ** 2)) < 0.02 * part.measured.std()
 

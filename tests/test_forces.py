@@ -6,7 +6,7 @@ from builders import damper, fitted, network, recorded, spring
 
 from isd_gym._common.arrays import rms
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import Hypothesis, rebuilt
 from isd_gym.diagnosis._hypotheses.forces import PlaceForces, dissipated_work, lossy_share, place_forces
 from isd_gym.diagnosis._hypotheses.law_matching import simulate_unmodelled_effects
@@ -81,7 +81,7 @@ def ring_down(damping, effect, values):
     measured = -1e-3 * omega * np.exp(-0.5 * damping * time) * np.sin(omega * time)
     problem = Problem(beam, [Record("ring", 2e-4, {}, measured[:, None])])
     structure = rebuilt(beam, [(Hypothesis(effect, ("beam", "ground")), values)])
-    fit = Fitter(problem, white_filters(np.array([0.01]))).follow(structure, structure.start, [0])
+    fit = Fitter(problem, white_weights(np.array([0.01]))).follow(structure, structure.start, [0])
     return problem, fit
 
 

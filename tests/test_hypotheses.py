@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import Match, match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
@@ -160,7 +160,7 @@ def test_no_pitch_is_offered_that_is_finer_than_the_samples():
     network = Network.load(DRUM | {"outputs": [angle]})
     measured = (5.0 * time + 0.1 * np.sin(9.0 * time))[:, None]
     problem = Problem(network, [Record("spin", 0.05, {}, measured)])
-    fitter = Fitter(problem, white_filters(np.array([0.01])))
+    fitter = Fitter(problem, white_weights(np.array([0.01])))
     fit = fitter.fit(base_structure(network))
     offered = [h for h in hypotheses(network) if h.kind.periodic]
     noise = np.array([0.01])

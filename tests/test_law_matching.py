@@ -8,14 +8,14 @@ import pytest
 from builders import damper, element, fitted, oscillator, recorded, sines
 
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import white_filters
-from isd_gym.diagnosis._estimation.structure import Hypothesis
+from isd_gym.diagnosis._estimation.noise import white_weights
+from isd_gym.diagnosis._estimation.structure import Hypothesis, add
 from isd_gym.diagnosis._hypotheses.law_matching import match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._hypotheses.motion import joined, motions
 from isd_gym.diagnosis._hypotheses.pair_forces import force_responses, law_forces, measured_motions
 from isd_gym.diagnosis._selection.candidate import Candidate
-from isd_gym.diagnosis._selection.screening import Screening
+from isd_gym.diagnosis._selection.screening import Screening, best_of_each_law
 from isd_gym.diagnosis._selection.settings import SearchSettings
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
@@ -44,7 +44,7 @@ def stage(effect="", place=PLACE, **values):
 
 
 def matches(problem, fit):
-    fitter = Fitter(problem, white_filters(np.array([NOISE])))
+    fitter = Fitter(problem, white_weights(np.array([NOISE])))
     return match_laws(problem, fitter, fit, np.array([NOISE]), list(hypotheses(problem.network)))
 
 
@@ -149,11 +149,11 @@ def test_a_law_that_dissipates_starts_with_less_damping_and_the_same_work():
     assert not list(screening.starts_with_less_damping(spring))
 
 
-def test_fits_of_one_law_in_different_optima_are_both_candidates():
-    """The weights of a first fit are those of another model's residuals; held-out records decide between the optima."""
-    problem, fit = stage("coulomb_friction", level=1.0)
-    screening = Screening(problem, fit, np.array([NOISE]), SearchSettings())
-    near, far = (replace(fit, outputs={i: y + e for i, y in fit.outputs.items()}) for e in (0.0, 1e-3))
-    named, closer, twin = Candidate(far, 1.0), Candidate(near, 2.0), Candidate(near, 3.0)
-    assert screening.first_of_each_law([twin, closer, None, named]) == [named, closer]
-    assert screening.first_of_each_law([Candidate(near, 1.0), named, Candidate(near, np.nan)]) != [named]
+def test_the_best_fit_of_each_law_is_a_candidate():
+    _, fit = stage("coulomb_friction", level=1.0)
+    other = replace(
+        fit,
+        structure=add(fit.structure, Hypothesis("cubic_stiffness", ("mass", "ground")), {"stiffness": 1e6}),
+    )
+    best, rival, worse = Candidate(fit, 1.0), Candidate(other, 2.0), Candidate(fit, 3.0)
+    assert best_of_each_law([worse, rival, None, Candidate(fit, np.nan), best]) == [best, rival]

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import motion_rows
-from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import residual_of
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
@@ -98,7 +98,7 @@ def test_the_joint_fit_is_that_of_all_numbers_at_once():
     """Independent check: scipy's least squares over parameters, initial states and one offset, without elimination."""
     problem = problem_of(stand(), OFFSET, OFFSET)
     structure = base_structure(problem.network)
-    fitter = Fitter(problem, white_filters(np.array([NOISE])))
+    fitter = Fitter(problem, white_weights(np.array([NOISE])))
     fit = fitter.fit(structure, iterations=30, tolerance=1e-12)
     scale = [np.linalg.cholesky(fitter._information(structure, i)).T for i in range(2)]
     mean = np.array([f.mean for f in structure.free])
@@ -128,7 +128,7 @@ def test_the_joint_fit_is_that_of_all_numbers_at_once():
 
 def test_the_residual_of_the_score_test_has_no_offset_left():
     problem = problem_of(stand(), OFFSET, OFFSET)
-    fitter = Fitter(problem, white_filters(np.array([NOISE])))
+    fitter = Fitter(problem, white_weights(np.array([NOISE])))
     fit = fitter.fit(base_structure(problem.network))
     residual = residual_of(problem, fitter, fit)
     constant = np.zeros(len(residual.left))

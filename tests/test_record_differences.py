@@ -11,7 +11,7 @@ from builders import damper, element, oscillator, recorded, sines
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis._selection.record_differences import (
     RecordwiseFitter,
@@ -157,7 +157,7 @@ def test_short_records_are_not_compared(loaded):
 def test_fits_of_groups_are_those_of_all_records_and_of_each_alone():
     network, true = rig(), rig(mass__mass=2.2, damper__damping=7.0)
     records = [measure(true, "abc"[k], 40 + k) for k in range(3)]
-    structure, problem, filters = base_structure(network), Problem(network, records), white_filters([NOISE])
+    structure, problem, filters = base_structure(network), Problem(network, records), white_weights([NOISE])
     fitter, one = RecordwiseFitter(problem, filters), Fitter(problem, filters)
     shared, every = np.zeros(3, bool), np.ones(3, bool)
     groups = [[0], [1], [2]]

@@ -13,7 +13,7 @@ from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import _result_builder as builder
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import white_filters
+from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import rebuilt
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._records.splitting import split_records
@@ -46,7 +46,7 @@ def softening(problem, stiffness):
     """A cubic spring that turns the spring over at a travel that only the start of the whole record reaches."""
     kind = next(h for h in hypotheses(problem.network) if h.effect == "cubic_stiffness")
     structure = rebuilt(problem.network, [(kind, {"stiffness": stiffness})])
-    fit = Fitter(problem, white_filters(np.array([0.01]))).fit(structure, iterations=0)
+    fit = Fitter(problem, white_weights(np.array([0.01]))).fit(structure, iterations=0)
     return Candidate(fit, 0.0)
 
 
@@ -56,16 +56,16 @@ def test_a_candidate_that_does_not_simulate_a_record_of_the_user_is_not_scored()
     problem = Problem(network, later, ["fit", "choose", "report"])
     candidate = softening(problem, -4000.0)
     known = HeldOutEvaluator(problem, whole=Problem(network, [whole], ["fit"]))
-    refused("breaks down on the record decay", lambda: known.score(candidate, known.whitener(candidate)))
+    refused("breaks down on the record decay", lambda: known.score(candidate, known.weights(candidate)))
     # the pieces alone, and a weaker spring, say nothing against it
     alone = HeldOutEvaluator(problem)
-    assert np.isfinite(alone.score(candidate, alone.whitener(candidate)).mean_square)
+    assert np.isfinite(alone.score(candidate, alone.weights(candidate)).mean_square)
     weak = softening(problem, -400.0)
-    assert np.isfinite(known.score(weak, known.whitener(weak)).mean_square)
+    assert np.isfinite(known.score(weak, known.weights(weak)).mean_square)
     # a record that the nominal model cannot simulate either is held against nobody
     spoiled = replace(whole, measured=np.where(np.arange(3000)[:, None] < 5, 1e90, whole.measured))
     blind = HeldOutEvaluator(problem, whole=Problem(network, [spoiled], ["fit"]))
-    assert np.isfinite(blind.score(candidate, blind.whitener(candidate)).mean_square)
+    assert np.isfinite(blind.score(candidate, blind.weights(candidate)).mean_square)
 
 
 def tables(count, samples=600):

@@ -12,7 +12,7 @@ import numpy as np
 from .._common.plugins import wing
 from ..physics.network import assemble
 from ._estimation.gauss_newton import Fitter
-from ._estimation.noise import white_filters
+from ._estimation.noise import white_weights
 from ._estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from ._hypotheses.library import hypotheses
 from ._hypotheses.motion import loads_of, tell_gain
@@ -400,7 +400,7 @@ class ResultBuilder:
 
     def _trace(self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int) -> Array:
         """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""
-        fitter = Fitter(self.flow.whole, white_filters(self.search.least_noise))
+        fitter = Fitter(self.flow.whole, white_weights(self.search.least_noise))
         for begun in ({}, {k: v for k, v in initial.items() if k == index}):
             try:
                 fit = fitter.fit(structure, x, begun, records=[index], frozen=True, iterations=3)

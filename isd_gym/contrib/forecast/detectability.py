@@ -12,7 +12,7 @@ import numpy as np
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.gauss_newton import Fit, Fitter
 from isd_gym.diagnosis._estimation.initial_states import transfer_states
-from isd_gym.diagnosis._estimation.noise import channel_moments, predicted, white_filters
+from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import Hypothesis, Structure, add
 from isd_gym.diagnosis._selection.candidate import is_special_case
 from isd_gym.diagnosis._selection.held_out import BLOCKS, Comparison, effect_size
@@ -47,22 +47,20 @@ class NoiseFreeResidual:
         self.prior = fitted.fit.prior
         self.parameters = len(fitted.fit.x)
         training, validation = fitted.training, fitted.validation
-        self._moments = channel_moments(training)
         self.samples = sum(map(len, training))
+        self._power = np.mean(np.concatenate(training) ** 2, axis=0)  # (channels,)
         self.validation_power = np.mean(np.concatenate(validation) ** 2, axis=0)  # (channels,)
         weight = bench.weighting_noise
-        #: mean whitened square of each validation block, at the simulated size
+        #: mean weighted square of each validation block, at the simulated size
         self._scores, _ = _blocks(validation, weight)
         #: the same of validation and training blocks, and their numbers of squares
         self._all_scores, self._all_sizes = _blocks([*validation, *training], weight)
 
     def excess_deviance(self, scale: float) -> float:
         """Return the deviance of noise plus residual minus the deviance of noise, at a multiple of the size."""
-        total = 0.0
-        for (gram, rhs, power, count), white in zip(self._moments, self.bench.weighting_noise, strict=True):
-            square = scale * scale
-            _, sigma = predicted(square * gram, square * rhs, square * power, count, float(white))
-            total += 2 * self.samples * math.log(max(sigma / white, 1.0))
+        total = self.samples * float(
+            np.sum(np.log1p(self._power * (scale / self.bench.weighting_noise) ** 2))
+        )
         return self.bench.length_factor * total + scale * scale * self.prior
 
     def excess_score(self, scale: float) -> float:
@@ -94,7 +92,7 @@ class NoiseFreeResidual:
 
 
 def _blocks(residuals: Sequence[Array], weight: Array) -> tuple[Array, Array]:
-    """Return the mean whitened square of each block (blocks,) and its number of squares (blocks,).
+    """Return the mean weighted square of each block (blocks,) and its number of squares (blocks,).
 
     Args:
         residuals: Residuals of records (samples, channels).
@@ -294,7 +292,7 @@ def refit_rival(
 
 def _fit_truth(bench: VirtualBench, truth: Problem, structure: Structure) -> tuple[Fit, Array]:
     """Return the fit of the true structure, and the covariance by noise and by small unmodelled effects."""
-    weights = white_filters(bench.weighting_noise)
+    weights = white_weights(bench.weighting_noise)
     known = transfer_states(truth, bench.network, bench.nominal.initial, structure)
     fit = Fitter(truth, weights).fit(structure, structure.start, known, iterations=0)
     if fit.hessian is None or not np.isfinite(fit.hessian).all():

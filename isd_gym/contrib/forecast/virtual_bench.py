@@ -15,7 +15,7 @@ import numpy as np
 from isd_gym._common.errors import InputError, shown
 from isd_gym.diagnosis._estimation.gauss_newton import Fit, Fitter, residuals
 from isd_gym.diagnosis._estimation.initial_states import states_along, transfer_states
-from isd_gym.diagnosis._estimation.noise import floor_of, innovations, white_filters, whitener
+from isd_gym.diagnosis._estimation.noise import deviance_of, floor_of, white_weights
 from isd_gym.diagnosis._estimation.structure import Structure, base_structure
 from isd_gym.diagnosis._hypotheses.forces import PlaceForces, place_forces
 from isd_gym.diagnosis._hypotheses.law_matching import simulate_unmodelled_effects
@@ -26,7 +26,7 @@ from isd_gym.diagnosis._records.splitting import split_records
 from isd_gym.diagnosis._selection.candidate import Candidate
 from isd_gym.diagnosis._selection.criteria import CRITERIA, LEAST_NOISE, Criteria
 from isd_gym.diagnosis._selection.held_out import SMALL, HeldOutEvaluator
-from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record, bare
+from isd_gym.diagnosis._simulation.problem import Problem, Record, bare
 from isd_gym.physics.network import Network, assemble
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ class VirtualBench:
             initial[i] = (
                 states_along(self._whole, s, x, {k: rest}, [first])[k][0] if first and len(rest) else rest
             )
-        fitter = Fitter(self.problem, white_filters(self.weighting_noise))
+        fitter = Fitter(self.problem, white_weights(self.weighting_noise))
         return fitter.fit(s, x, initial, records=[*initial], frozen=True, iterations=3)
 
     # -- the nominal model on the training records ----------------------------------------------------------
@@ -203,38 +203,27 @@ class VirtualBench:
     # -- fitting --------------------------------------------------------------------------------------------
     def deviance(self, residual: Sequence[Array]) -> float:
         """Return -2 log L of noise-free residuals [(samples, channels), ...] under white noise."""
-        return innovations(residual, self.weighting_noise)
+        return deviance_of(residual, self.weighting_noise, np.ones(len(self.noise)))
 
     def fit(self, truth: Problem, structure: Structure, x: Array, *, iterations: int = 5) -> BenchFit:
-        """Fit a structure to noise-free outputs as a diagnosis does: with white weights, then with coloured ones.
+        """Fit a structure to noise-free outputs.
 
         Args:
             truth: The problem with the outputs.
             structure: The structure.
             x: Start values of the structure's transformed parameters (parameters,).
-            iterations: Iterations with white weights.
+            iterations: Iterations at most.
 
         Returns:
-            The fit with the lower deviance.
+            The fit.
 
         Raises:
             InputError: The simulation fails at the start values.
         """
         known = transfer_states(truth, self.structure.network, self.nominal.initial, structure)
-        weights = white_filters(self.weighting_noise)
+        weights = white_weights(self.weighting_noise)
         f = Fitter(truth, weights).fit(structure, x, known, iterations=iterations, tolerance=1e-3)
         left = residuals(truth, f)
-        power = np.mean(np.concatenate(left) ** 2, axis=0)
-        if np.any(power > 0.3 * self.noise**2):  # else noise hides the residual's spectrum
-            white = np.sqrt(np.maximum(self.floors**2, 10.0 * (power + self.noise**2 - self.floors**2)))
-            coloured = Fitter(truth, whitener(left, np.hypot(white, self.noise)))
-            try:
-                again = coloured.fit(structure, f.x, f.initial, f.offset, iterations=3, tolerance=1e-3)
-                other = residuals(truth, again)
-                if self.deviance(other) + again.prior < self.deviance(left) + f.prior:
-                    f, left = again, other
-            except BROKEN:
-                pass
         held = Fitter(truth, weights).follow(structure, f.x, truth.choosing, known, iterations=2)
         return BenchFit(f, left, residuals(truth, held))
 

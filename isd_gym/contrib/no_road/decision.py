@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.diagnosis._estimation.noise import lagged, predicted
 from isd_gym.diagnosis._estimation.structure import REACH as FAR
 from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._verdict.gates import COMPARE, Gate
@@ -54,8 +53,10 @@ def compute_coloured_shares(errors: Sequence[Array], deviation: Array) -> Array:
         if not count:
             continue
         power = sum(float(e @ e) for e in series) / count
-        _, rest = predicted(*lagged(series, LAGS), 0.0)
-        share = 1.0 - rest**2 / max(power, 1e-300) - 2.0 * LAGS / count
+        rows = np.concatenate([np.lib.stride_tricks.sliding_window_view(e, LAGS + 1) for e in series])
+        past, now = rows[:, :-1], rows[:, -1]
+        rest = float(np.mean((now - past @ np.linalg.lstsq(past, now, rcond=None)[0]) ** 2))
+        share = 1.0 - rest / max(power, 1e-300) - 2.0 * LAGS / count
         if share > 0 and math.sqrt(share * power) > CRITERIA.material * deviation[j]:
             out[j] = share
     return out

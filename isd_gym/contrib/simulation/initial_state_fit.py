@@ -12,7 +12,7 @@ from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
 from isd_gym.diagnosis._estimation.clock_lag import Lag, align_clocks
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import floors_of, white_filters
+from isd_gym.diagnosis._estimation.noise import floors_of, white_weights
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.node_motion import transfer_matrix
@@ -83,7 +83,7 @@ def initial_state(
     problem = Problem(network, [record])
     structure = base_structure(network)
     noise = np.array([f.deviation for f in floors_of(problem)])
-    fit = Fitter(problem, white_filters(noise)).follow(structure, structure.start, [0], iterations=ITERATIONS)
+    fit = Fitter(problem, white_weights(noise)).follow(structure, structure.start, [0], iterations=ITERATIONS)
     if not np.isfinite(fit.outputs[0]).all():
         raise InputError(f"initial state: model '{network.name}' breaks down over {record.name}")
     over = transfer_matrix(assemble(bare(network)), assemble(Network.load(model)), problem.time)

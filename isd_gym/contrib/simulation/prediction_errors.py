@@ -11,7 +11,7 @@ from isd_gym._common.arrays import channel_rms
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.clock_lag import align_clocks
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.noise import floors_of, white_filters
+from isd_gym.diagnosis._estimation.noise import floors_of, white_weights
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._records.filtering import differentiate_inputs
 from isd_gym.diagnosis._records.reading import read_record
@@ -95,7 +95,7 @@ def prediction_errors(
     noise = np.maximum([f.deviation for f in floors], LEAST_NOISE * problem.deviation())
     structure = base_structure(network)
     try:
-        fit = Fitter(problem, white_filters(noise)).follow(
+        fit = Fitter(problem, white_weights(noise)).follow(
             structure, structure.start, problem.estimation, iterations=ITERATIONS
         )
     except BROKEN as error:

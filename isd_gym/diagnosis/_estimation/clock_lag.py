@@ -19,7 +19,7 @@ from .._records.multirate import build_record
 from .._simulation.problem import Problem, Record
 from .gauss_newton import Fit, Fitter
 from .initial_states import guess
-from .noise import white_filters
+from .noise import white_weights
 from .sensitivities import tangents
 from .structure import Structure, base_structure
 
@@ -90,7 +90,7 @@ def align_clocks(
         problem = Problem(network, out)
         deviation = problem.deviation()
         try:
-            fit = Fitter(problem, white_filters(0.5 * ROUGH * deviation)).fit(structure, x, iterations=4)
+            fit = Fitter(problem, white_weights(0.5 * ROUGH * deviation)).fit(structure, x, iterations=4)
         except InputError:  # the simulation diverges: the lags of the wide search stay
             break
         x, moved = fit.x, 0.0
@@ -282,7 +282,7 @@ def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tu
     (clock,) = record.clocks
     structure, tried = base_structure(network), []
     for r in [record, *(_apply_lags(record, {clock: lag}, network) for lag in rivals)]:
-        weights = white_filters(0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300))
+        weights = white_weights(0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300))
         try:
             fit = Fitter(Problem(network, [r]), weights).fit(structure, iterations=5)
         except InputError:

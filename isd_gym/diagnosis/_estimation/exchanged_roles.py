@@ -29,7 +29,7 @@ from .._records.feedback import find_feedback
 from .._records.filtering import find_computed_forces
 from .._simulation.problem import BROKEN, Problem, bare
 from .gauss_newton import Fitter, residuals
-from .noise import floors_of, propagate_input_noise, white_filters
+from .noise import floors_of, propagate_input_noise, white_weights
 from .structure import base_structure
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def prefer_direct_problem(
     channel = [c.name for c in swapped.outputs].index(motion.name)
     floors = np.maximum([f.deviation for f in floors_of(direct)], LEAST_NOISE * direct.deviation())
     try:
-        fit = Fitter(direct, white_filters(floors)).fit(base_structure(swapped))
+        fit = Fitter(direct, white_weights(floors)).fit(base_structure(swapped))
     except BROKEN:
         return None
     lines = [(r.time, r.measured[:, channel]) for r in direct.records]

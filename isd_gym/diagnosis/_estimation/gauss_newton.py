@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from ..._common.arrays import Array
     from .._simulation.problem import Problem
-    from .noise import Whitener
+    from .noise import Filters, Weights
     from .structure import Structure
 
 
@@ -50,7 +50,7 @@ class Point:
     initial: dict[int, Array]
     offset: dict[int, Array]
     outputs: dict[int, Array] = field(default_factory=dict)  # offsets included
-    #: whitened squares and the initial state's prior, by record
+    #: weighted squares and the initial state's prior, by record
     costs: dict[int, float] = field(default_factory=dict)
     prior: float = 0.0  # of the parameters
 
@@ -86,7 +86,7 @@ class Fit:
     initial: dict[int, Array]
     offset: dict[int, Array]
     outputs: dict[int, Array]  # record -> (n, channels), offsets included
-    cost: float  # sum of squares of whitened residuals over its records
+    cost: float  # sum of squares of weighted residuals over its records
     prior: float
     hessian: Array | None = None  # of the structure's parameters, initial states and offsets eliminated
 
@@ -98,7 +98,7 @@ class Fit:
 class Fitter:
     """Gauss-Newton fits of parameters and initial states, or of initial states alone, over the records of a problem."""
 
-    def __init__(self, problem: Problem, weights: Whitener):
+    def __init__(self, problem: Problem, weights: Weights | Filters):
         self.problem = problem
         self.weights = weights
         self._rows: dict[int, tuple[Structure, Array]] = {}
@@ -482,7 +482,7 @@ class Fitter:
         over: Array | None = None,
     ) -> tuple[Array, Array, dict[int, tuple[Array, Array]]]:
         """Return the normal equations of responses (samples, channels, m), nuisances eliminated: the matrix by parameters and shared
-        offsets (p, p) with the prior, the right-hand sides (p, m), and by record the whitened derivatives (rows, p) and responses (rows,
+        offsets (p, p) with the prior, the right-hand sides (p, m), and by record the weighted derivatives (rows, p) and responses (rows,
         m). `over`: see `tangents`."""
         problem = self.problem
         p, q = len(x), int(problem.shared_offset.sum())
@@ -508,7 +508,7 @@ class Fitter:
 
     def refit(self, fit: Fit, responses: Mapping[int, Array]) -> tuple[Array, dict[int, Array]]:
         """Return to first order how a fit would absorb responses (samples, channels, m): the shift of the parameters (parameters, m), and
-        the whitened rest by record."""
+        the weighted rest by record."""
         H, g, parts = self.normal_equations(fit.structure, fit.x, fit.initial, responses)
         shift = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         left: dict[int, Array] = {

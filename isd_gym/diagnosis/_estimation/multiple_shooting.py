@@ -17,7 +17,7 @@ from .._records.splitting import cut_segments
 from .._simulation.problem import BROKEN, Problem, bare
 from .gauss_newton import Fitter
 from .initial_states import states_along
-from .noise import white_filters
+from .noise import white_weights
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
@@ -60,7 +60,7 @@ def in_segments(
     brief = segments_of(problem, length)
     if brief is None:
         return None
-    fitter = Fitter(brief, white_filters(least_noise))
+    fitter = Fitter(brief, white_weights(least_noise))
     return brief, fitter.fit(fit.structure, fit.x, frozen=True, iterations=4)
 
 

@@ -1,4 +1,4 @@
-"""Noise: estimates from the signal, filters that whiten residuals, and the likelihood under coloured noise."""
+"""Noise: estimates from the signal, weights of residuals, and the likelihood of residuals of unknown variance."""
 
 from __future__ import annotations
 
@@ -22,14 +22,59 @@ if TYPE_CHECKING:
     from .._simulation.problem import Problem, Record
 
 
-#: order of the autoregressive filters
-ORDER = 20
+#: lags up to which samples of a residual count as dependent: the order of autoregressive filters
+LAGS = 20
 #: values that a filter handles at a time
 IN_CACHE = 1024
 
 
 @dataclass(frozen=True)
-class Whitener:
+class Weights:
+    """White noise that residuals are weighted with: its level (channels,) and the share of independent samples (channels,)."""
+
+    level: Array
+    share: Array
+
+    def __call__(self, residual: Array) -> Array:
+        """Return residuals (samples, channels, ...) over the level, so that their squares sum to the number of independent samples."""
+        scale = np.sqrt(self.share) / np.maximum(self.level, 1e-300)
+        return np.asarray(residual * scale.reshape(-1, *[1] * (residual.ndim - 2)))
+
+    def mean_square(self, deviation: Array) -> Array:
+        """Return the mean square of weighted noise of a deviation (channels,)."""
+        return np.asarray(self.share * (deviation / np.maximum(self.level, 1e-300)) ** 2)
+
+
+def white_weights(level: Array) -> Weights:
+    """Return weights for noise of a known level (channels,)."""
+    return Weights(np.asarray(level, dtype=np.float64), np.ones(len(level)))
+
+
+def weights_of(residuals: Sequence[Array], least: Array) -> Weights:
+    """Return weights by the level of residuals [(samples, channels), ...], at least `least` (channels,)."""
+    return white_weights(np.maximum(np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0)), least))
+
+
+def independent_share(residuals: Sequence[Array]) -> Array:
+    """Return the share (channels,) of the samples of residuals [(samples, channels), ...] that count as independent, from their
+    autocorrelation: the variance of a product with a signal of the same spectrum (Bartlett, J. R. Stat. Soc. Suppl. 8 (1946) 27)."""
+    lags = min(LAGS, min(map(len, residuals)) // 8)
+    power, total = np.sum([np.sum(r**2, axis=0) for r in residuals], axis=0), 1.0
+    for k in range(1, lags + 1):
+        product = np.sum([np.sum(r[k:] * r[:-k], axis=0) for r in residuals], axis=0)
+        total = total + 2.0 * (product / np.maximum(power, 1e-300)) ** 2
+    return np.asarray(1.0 / total)
+
+
+def deviance_of(residuals: Sequence[Array], least: Array, share: Array) -> float:
+    """Return -2 log L of residuals [(samples, channels), ...] of unknown variance beside noise of deviation `least` (channels,), without
+    constants: n log(variance), where the samples n are the `share` (channels,) of independent ones."""
+    r = np.concatenate(residuals)
+    return float(len(r) * np.sum(share * np.log(np.mean(r**2, axis=0) + least**2)))
+
+
+@dataclass(frozen=True)
+class Filters:
     """Autoregressive filters that turn the residuals of each channel into innovations of unit variance."""
 
     taps: tuple[Array, ...]
@@ -59,64 +104,32 @@ def _filter(taps: Array, x: Array, width: int) -> Array:
     return out
 
 
-def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, int]:
-    """Return the Gram matrix of the lags (order, order), their products with the present (order,), its power, and the number of samples."""
-    gram: Array = np.zeros((order, order))
-    rhs: Array = np.zeros(order)
-    count, total = 0, 0.0
-    for x in series:
-        lags = np.lib.stride_tricks.sliding_window_view(x, order + 1)[:, ::-1]
-        gram += lags[:, 1:].T @ lags[:, 1:]
-        rhs += lags[:, 1:].T @ lags[:, 0]
-        total += float(lags[:, 0] @ lags[:, 0])
-        count += len(lags)
-    return gram, rhs, total, count
+def filters_of(residuals: Sequence[Array], floor: Array) -> Filters:
+    """Return filters that whiten residuals [(samples, channels), ...] about the means of the records, with white noise of deviation
+    `floor` (channels,) added: a limit of the weight of quiet bands."""
+    order, taps = min(LAGS, min(map(len, residuals)) // 8), []
+    for j, least in enumerate(floor):
+        series = (r[:, j] - r[:, j].mean() for r in residuals)
+        rows = np.concatenate([np.lib.stride_tricks.sliding_window_view(x, order + 1) for x in series])
+        moments = rows.T @ rows / len(rows)
+        moments += np.eye(order + 1) * (
+            float(least) ** 2 + 1e-9 * float(np.trace(moments)) / (order + 1) + 1e-300
+        )
+        a = np.linalg.solve(moments[:order, :order], moments[:order, order])
+        variance = max(float(moments[order, order] - a @ moments[:order, order]), 1e-300)
+        taps.append(np.append(1.0, -a[::-1]) / math.sqrt(variance))
+    return Filters(tuple(taps))
 
 
-def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -> tuple[Array, float]:
-    """Return least-squares AR taps (1, -a1, ...) and the innovation deviation from the moments of `lagged`, with white noise of deviation
-    `least` added: a limit of the weight of quiet bands."""
-    order = len(rhs)
-    total += count * least**2
-    gram = gram + count * least**2 * np.eye(order)
-    ridge = 1e-9 * float(np.trace(gram)) / order + 1e-300
-    a = np.linalg.solve(gram + ridge * np.eye(order), rhs)
-    variance = max(float(total - 2 * a @ rhs + a @ gram @ a), 1e-300) / max(count, 1)
-    return np.concatenate([[1.0], -a]), math.sqrt(variance)
-
-
-def channel_moments(residuals: Sequence[Array]) -> list[tuple[Array, Array, float, int]]:
-    """Return the moments (`lagged`) of each channel of residuals [(samples, channels), ...] about the means of the records."""
-    order = min(ORDER, min(map(len, residuals)) // 8)
-    every = range(residuals[0].shape[1])
-    return [lagged([r[:, j] - r[:, j].mean() for r in residuals], order) for j in every]
-
-
-def whitener(residuals: Sequence[Array], floor: Array) -> Whitener:
-    """Return filters that whiten residuals [(samples, channels), ...], with white noise `floor` (channels,) added."""
-    found = [predicted(*m, float(s)) for m, s in zip(channel_moments(residuals), floor, strict=True)]
-    return Whitener(tuple(a / max(sigma, 1e-300) for a, sigma in found))
-
-
-def innovations(residuals: Sequence[Array], floor: Array) -> float:
-    """Return -2 log L of residuals under coloured noise: the sum over channels of n log(innovation variance)."""
-    total, samples = 0.0, sum(map(len, residuals))
-    for moments, least in zip(channel_moments(residuals), floor, strict=True):
-        _, sigma = predicted(*moments, float(least))
-        total += 2 * samples * math.log(max(sigma, 1e-300))
-    return total
-
-
-def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool = False) -> Noise:
-    """Return white plus AR(1) noise of residuals (samples,), at most the series, from the spectrum above three frequencies of a motion
-    that changes in `time` [s]; `white`: behind a low-pass, which leaves a level but no colour."""
+def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool = False) -> float:
+    """Return the deviation of white plus AR(1) noise of residuals (samples,), at most that of the series, from the spectrum above three
+    frequencies of a motion that changes in `time` [s]; `white`: behind a low-pass, which leaves a level but no colour."""
     length = min(1024, min(len(x) for x in series))
     frequency, s, _ = _density(series, step, length)
     top = frequency[-1]
     low = max(min(3.0 / (2 * math.pi * time), 0.3 * top), 2 * float(frequency[1]))
     noise, _ = _noise_above(frequency, s, step, low, (0.7 if white else 0.98) * top, white)
-    share = min(1.0, float(np.var(np.concatenate(series))) / max(noise.deviation**2, 1e-300))
-    return Noise(noise.white * share, noise.drive * share, noise.phi)
+    return min(noise, float(np.std(np.concatenate(series))))
 
 
 def _density(series: Sequence[Array], step: float, length: int) -> tuple[Array, Array, float]:
@@ -135,13 +148,13 @@ def _density(series: Sequence[Array], step: float, length: int) -> tuple[Array, 
 
 def _noise_above(
     frequency: Array, s: Array, step: float, low: float, high: float, white: bool
-) -> tuple[Noise, float]:
-    """Fit white plus AR(1) noise to a spectrum between two frequencies [Hz]; return the noise and the mean log distance."""
+) -> tuple[float, float]:
+    """Fit white plus AR(1) noise to a spectrum between two frequencies [Hz]; return the deviation and the mean log distance."""
     w = 2 * np.pi * frequency * step
     pick = (frequency > low) & (frequency < high)
     if np.sum(pick) < 4:
         pick = frequency > 0.5 * frequency[-1]
-    best: tuple[float, Noise] = (math.inf, Noise(0.0, 0.0, 0.0))
+    best = (math.inf, 0.0)
     for phi in (0.0,) if white else (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93):
         shape = 1.0 / (1 + phi**2 - 2 * phi * np.cos(w[pick]))
         for share in (1.0,) if phi == 0 else (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9):
@@ -152,34 +165,8 @@ def _noise_above(
             error = float(np.mean(np.minimum(np.abs(logs - level), 1.0)))
             if error < best[0] - 1e-9:
                 unit = math.exp(level) / (2 * step)
-                best = error, Noise(unit * share, unit * (1 - share) * (1 - phi) ** 2, phi)
+                best = error, math.sqrt(unit * (share + (1 - share) * (1 - phi) / (1 + phi)))
     return best[1], best[0]
-
-
-@dataclass(frozen=True)
-class Noise:
-    """White noise and AR(1) noise together: `white` variance, innovation variance `drive`, coefficient `phi`."""
-
-    white: float
-    drive: float
-    phi: float
-
-    @property
-    def deviation(self) -> float:
-        return math.sqrt(self.white + self.drive / (1 - self.phi**2))
-
-    def density(self, w: Array) -> Array:
-        return self.white + self.drive / (1 + self.phi**2 - 2 * self.phi * np.cos(w))
-
-
-def noise_after_filters(W: Whitener, noise: Sequence[Noise]) -> Array:
-    """Return the mean square of pure noise after the filters (channels,)."""
-    w = np.linspace(0, math.pi, 2048)
-    out = []
-    for a, n in zip(W.taps, noise, strict=True):
-        response = np.abs(np.exp(-1j * np.outer(w, np.arange(len(a)))) @ a) ** 2
-        out.append(float(np.mean(response * n.density(w))))
-    return np.array(out)
 
 
 # ------------------------------------------------------------------------------ what is known of it beforehand
@@ -209,9 +196,9 @@ def floor_of(series: Sequence[Array], step: float, *, white: bool = False) -> Fl
     for low in np.geomspace(max(0.02 * top, 3 * frequency[1]), 0.6 * top, 12):
         found, error = _noise_above(frequency, s, step, float(low), ceiling, white)
         if error < 1.35 * chance + 0.03:
-            return Floor(found.deviation, True, "spectrum")
+            return Floor(found, True, "spectrum")
     found, _ = _noise_above(frequency, s, step, 0.6 * top, ceiling, True)
-    return Floor(found.deviation, False, "bound")
+    return Floor(found, False, "bound")
 
 
 def resolution(series: Sequence[Array]) -> float:
@@ -246,21 +233,11 @@ def _floor_of_sensor(problem: Problem, channel: int) -> Floor:
     return replace(seen, deviation=max(seen.deviation, grain))
 
 
-def white_filters(floors: Array) -> Whitener:
-    """Return filters for white noise of given deviations (channels,)."""
-    return Whitener(tuple(np.array([1 / max(h, 1e-300)]) for h in floors))
-
-
 def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
     """Return the white noise of weights (channels,): that of the measurement, or missing physics as ten times its power, so that a
     crowded tenth of the band keeps its weight."""
     square = np.mean(np.concatenate(residuals) ** 2, axis=0)
     return np.asarray(np.sqrt(np.maximum(floors**2, 10.0 * (square - floors**2))), dtype=np.float64)
-
-
-def refined_noise(least: Array, floors: Array) -> Array:
-    """Return the white noise for comparing fits (channels,): a tenth of the noise of their weights."""
-    return np.asarray(np.maximum(floors, 0.1 * least), dtype=np.float64)
 
 
 def propagate_input_noise(problem: Problem) -> Array:

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 
 from ...physics import elements as el
 from .._estimation.gauss_newton import Fit, Fitter, residuals
-from .._estimation.noise import innovations, refined_noise, trusted_noise, white_filters, whitener
+from .._estimation.noise import (
+    Filters,
+    Weights,
+    deviance_of,
+    filters_of,
+    independent_share,
+    trusted_noise,
+    weights_of,
+    white_weights,
+)
 from .._estimation.structure import Hypothesis, Structure, rebuilt
 from .._hypotheses.motion import motions
 from .._simulation.problem import BROKEN
@@ -29,7 +38,7 @@ class Candidate:
     """A fitted set of effects."""
 
     fit: Fit
-    #: -2 log L on the training records, under the coloured noise of the residuals
+    #: -2 log L on the training records
     deviance: float
 
     @property
@@ -58,15 +67,26 @@ class Candidate:
         return all(e.well_formed() for e in (self.elements[-1:] if last else self.elements))
 
 
-def deviance(problem: Problem, fit: Fit, noise: Array) -> float:
-    """Return -2 log L of a fit on its records, without constants, with the prior and with white noise (channels,) added to that of the
-    residuals."""
-    return innovations(residuals(problem, fit), noise) + fit.prior
+def deviance(problem: Problem, fit: Fit, least: Array, share: Array) -> float:
+    """Return -2 log L of a fit on its records, without constants, with the prior. `least`: smallest noise (channels,); `share`: share of
+    independent samples (channels,)."""
+    return deviance_of(residuals(problem, fit), least, share) + fit.prior
 
 
-def white_noise(problem: Problem, fit: Fit, least: Array) -> Array:
-    """Return the white noise (channels,) of weights that are taken from the residuals of a fit, at least `least` (channels,)."""
-    return trusted_noise(residuals(problem, fit), least)
+def share_of(problem: Problem, fit: Fit) -> Array:
+    """Return the share of independent samples (channels,) in the residuals of a fit."""
+    return independent_share(residuals(problem, fit))
+
+
+def filters_for(problem: Problem, fit: Fit, least: Array) -> Filters:
+    """Return filters that whiten the residuals of a fit, limited by white noise of at least `least` (channels,)."""
+    left = residuals(problem, fit)
+    return filters_of(left, trusted_noise(left, least))
+
+
+def weights_for(problem: Problem, fit: Fit, least: Array) -> Weights:
+    """Return weights by the level of the residuals of a fit, at least `least` (channels,)."""
+    return weights_of(residuals(problem, fit), least)
 
 
 def settle(
@@ -78,43 +98,42 @@ def settle(
     *,
     rounds: int = 3,
     iterations: int = 6,
-    noise: Array | None = None,
+    share: Array | None = None,
 ) -> Candidate:
-    """Fit a structure repeatedly, with weights from the residuals and the white noise (channels,) of the first fit, until the deviance
-    stops falling; `fit` is the start."""
-    initial = offset = None
-    if fit is not None:
-        initial, offset = fit.initial, fit.offset
-        noise = white_noise(problem, fit, least) if noise is None else noise
-    filters = (
-        white_filters(least) if fit is None or noise is None else whitener(residuals(problem, fit), noise)
-    )
-    best: Candidate | None = None
+    """Fit a structure with filters and with weights from its residuals in turn until the deviance stops falling. Filters act like a
+    prediction over few samples and have fewer optima; where the model misses much, they lead astray.
+
+    `least`: smallest noise (channels,); `fit`: the start, or its states and offsets where it has another structure; `share`: share of independent samples (channels,), by default that of the start
+    or of the first fit."""
+    if fit is None or fit.structure is not structure:
+        weights = white_weights(least) if fit is None else weights_for(problem, fit, least)
+        initial, offset = (None, None) if fit is None else (fit.initial, fit.offset)
+        fit = Fitter(problem, weights).fit(structure, x, initial, offset, iterations=iterations)
+    share = share_of(problem, fit) if share is None else share
+    best = Candidate(fit, deviance(problem, fit, least, share))
     for _ in range(rounds):
-        f = Fitter(problem, filters).fit(structure, x, initial, offset, iterations=iterations)
-        noise = white_noise(problem, f, least) if noise is None else noise
-        value = deviance(problem, f, refined_noise(noise, least))
-        has_converged = best is not None and value > best.deviance - CONVERGED
-        if best is None or value < best.deviance:
-            best = Candidate(f, value)
-        if has_converged:
+        before = best.deviance
+        for make in (filters_for, weights_for):
+            f = best.fit
+            fitter = Fitter(problem, make(problem, f, least))
+            f = fitter.fit(structure, f.x, f.initial, f.offset, iterations=iterations)
+            value = deviance(problem, f, least, share)
+            best = Candidate(f, value) if value < best.deviance else best
+        if best.deviance > before - CONVERGED:
             break
-        x, initial, offset = f.x, f.initial, f.offset
-        filters = whitener(residuals(problem, f), noise)
-    assert best is not None
     return best
 
 
 def transfer(problem: Problem, fit: Fit, least: Array) -> Fit:
     """Return a fit, unchanged, on the samples of `problem`: other samples of the same records."""
-    return Fitter(problem, white_filters(least)).fit(
+    return Fitter(problem, white_weights(least)).fit(
         fit.structure, fit.x, fit.initial, fit.offset, records=list(fit.initial), iterations=0
     )
 
 
-def deviance_with_noise_of(problem: Problem, candidate: Candidate, best: Candidate, least: Array) -> float:
-    """Return -2 log L of a candidate, with the white noise that the candidate `best` leaves, at least `least` (channels,)."""
-    return deviance(problem, candidate.fit, refined_noise(white_noise(problem, best.fit, least), least))
+def deviance_beside(problem: Problem, candidate: Candidate, best: Candidate, least: Array) -> float:
+    """Return -2 log L of a candidate, with the independent samples in the residuals of the candidate `best`."""
+    return deviance(problem, candidate.fit, least, share_of(problem, best.fit))
 
 
 def parameter_values(element: el.Element) -> dict[str, float]:

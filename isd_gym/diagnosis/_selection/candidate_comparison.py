@@ -1,4 +1,4 @@
-"""Candidates of a search, scored on the same held-out records and whitened with the same filters: which predicts better, whether an effect
+"""Candidates of a search, scored on the same held-out records with the same weights: which predicts better, whether an effect
 is needed, and which candidates are rivals."""
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ RIVALS = 6
 
 
 def excess_loss(score: HeldOutScore, noise: float) -> float:
-    """Return the mean whitened square of a score beyond that of noise, at least 1 % of the latter."""
+    """Return the mean weighted square of a score beyond that of noise, at least 1 % of the latter."""
     return max(score.mean_square - noise, 0.01 * noise)
 
 
 @dataclass(eq=False)
 class CandidateComparison:
-    """Scores of the candidates of a search, whitened with the filters of the candidate with most effects."""
+    """Scores of the candidates of a search, weighted by the residuals of the candidate with most effects."""
 
     evaluator: HeldOutEvaluator
     criteria: Criteria
@@ -53,11 +53,11 @@ class CandidateComparison:
         self.chosen = self.foremost = self.refitted
         self._scores: dict[Candidate, HeldOutScore] = {}
         self._similar = self.evaluator.score_path(self.path)
-        self.filters = self.evaluator.whitener(self.richest)
+        self.weights = self.evaluator.weights(self.richest)
         #: noise of each channel on the validation records, as a share of the deviation (channels,)
         self.noise = self.evaluator.noise_share(self.score(self.richest))
-        #: mean whitened square of pure noise
-        self.noise_score = self.evaluator.expected_noise_score(self.score(self.richest), self.filters)
+        #: mean weighted square of pure noise
+        self.noise_score = self.evaluator.expected_noise_score(self.score(self.richest), self.weights)
 
     @property
     def refitted(self) -> Candidate:
@@ -72,7 +72,7 @@ class CandidateComparison:
     def score(self, candidate: Candidate) -> HeldOutScore:
         """Return the score of a candidate."""
         if candidate not in self._scores:
-            self._scores[candidate] = self.evaluator.score(candidate, self.filters, self._similar)
+            self._scores[candidate] = self.evaluator.score(candidate, self.weights, self._similar)
         return self._scores[candidate]
 
     def can_score(self, candidate: Candidate) -> bool:
@@ -85,15 +85,15 @@ class CandidateComparison:
 
     # -- explained fractions ------------------------------------------------------------------------------
     def explained_fraction(self, before: HeldOutScore, after: HeldOutScore) -> float:
-        """Return the share of the excess error of one score that another removes: of the whitened error, or of the plain error if that
+        """Return the share of the excess error of one score that another removes: of the weighted error, or of the plain error if that
         falls by more."""
-        whitened = (before.mean_square - after.mean_square) / max(
+        weighted = (before.mean_square - after.mean_square) / max(
             before.mean_square - self.noise_score, 1e-12
         )
         noise = np.maximum(self.noise, 1e-12)
         top = float(np.sum((before.nrmse**2 - after.nrmse**2) / noise**2))
         excess = float(np.sum(np.maximum(before.nrmse**2 - self.noise**2, 0.0) / noise**2))
-        return max(whitened, top / max(excess, 1e-12))
+        return max(weighted, top / max(excess, 1e-12))
 
     def explained(self, candidate: Candidate) -> float:
         """Return the share of the refitted model's excess error that a candidate removes, in all and in the channel with the widest gap."""
@@ -234,7 +234,7 @@ class CandidateComparison:
         # held-out records that are driven harder than training records may show more of the unmodelled effects
         removes = share >= c.least_removed or (
             self.leaves_unmodelled_only(after)
-            and self.explained_on_training(before, after) >= c.least_explained(1)
+            and self.explained_on_training(before, after) >= c.least_explained
         )
         self.notes.append(
             f"{after.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "

@@ -20,11 +20,10 @@ class Criteria:
     """The limits that decide. The metadata of each field has the unit, the reason and the source of the calibration."""
 
     deviance_gain: float = limit(
-        60.0,
+        20.0,
         "2 log L",
         "what chance, and the choice among some hundred hypotheses, gains on the training records",
-        "a hundred hypotheses of two parameters each: 2 ln 100 + 2 x 4 is 17; coloured noise that is itself estimated takes "
-        "the rest (clean rigs of the hidden suite stay below 50)",
+        "a hundred hypotheses of two parameters each: 2 ln 100 + 2 x 4 is 17",
     )
     elpd_diff: float = limit(
         4.0,
@@ -75,7 +74,7 @@ class Criteria:
     least_removed: float = limit(
         0.50,
         "share of the excess",
-        "what one more effect must remove of what is left; a name must leave half of what its effects have to leave (`least_explained`); a controller "
+        "what one more effect must remove of what is left; a name must leave half of that (`least_explained`); a controller "
         "must explain less of the force",
         "half: it leads. A spring centred in a bang-bang cycle is the controller's to 0.9, friction to less than 0.3",
     )
@@ -119,13 +118,10 @@ class Criteria:
         "four in five; calibrated on first looks",
     )
 
-    def least_explained(self, effects: int) -> float:
-        """Return the least share of the excess error that a name of so many effects must explain.
-
-        Each effect removes at least `least_removed` of what is left, which leaves half**effects. A name must leave no more than half of that: 0.75
-        must be explained with one effect, 0.875 with two.
-        """
-        return float(1.0 - self.least_removed ** (effects + 1))
+    @property
+    def least_explained(self) -> float:
+        """Least share of the excess error that a name must explain: it leaves at most half of what `least_removed` allows, 0.75."""
+        return 1.0 - 0.5 * self.least_removed
 
 
 CRITERIA = Criteria()

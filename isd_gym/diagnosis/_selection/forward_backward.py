@@ -8,21 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._estimation.gauss_newton import Fitter, Point, gap, residuals
+from .._estimation.gauss_newton import Fitter, Point, gap
 from .._estimation.initial_states import transfer_states
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
-from .._estimation.noise import refined_noise, whitener
 from .._estimation.structure import base_structure
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import EVIDENCE, SEARCH, SELECTION, TimeLimit, TimeUp
 from .candidate import (
     Candidate,
-    deviance_with_noise_of,
+    deviance,
+    deviance_beside,
+    filters_for,
     is_special_case,
     settle,
+    share_of,
     simpler_structures,
     transfer,
-    white_noise,
 )
 from .candidate_comparison import RIVALS, CandidateComparison
 from .equivalent_laws import equivalent_structures, joint_structures
@@ -171,8 +172,7 @@ class Search:
         result = Screening(self.problem, now.fit, self.least_noise, settings).run()
         if not now.hypotheses:
             self.places[:] = result.places
-        noise = refined_noise(result.noise, self.least_noise)
-        return list(result.ranked), deviance_with_noise_of(self.problem, now, now, noise)
+        return list(result.ranked), deviance(self.problem, now.fit, self.least_noise, result.share)
 
     def _hint(self, now: Candidate) -> Candidate | None:
         """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
@@ -182,7 +182,7 @@ class Search:
     def _score_after(self, now: Candidate, score: HeldOutScore, then: Candidate) -> HeldOutScore | None:
         """Return the score of a candidate with the filters of the preceding one; None where it breaks down."""
         try:
-            return self.evaluator.score(then, self.evaluator.whitener(now), (score,))
+            return self.evaluator.score(then, self.evaluator.weights(now), (score,))
         except BROKEN:
             return None
 
@@ -253,7 +253,7 @@ class Search:
                     continue
                 if not is_needed:
                     own, without = (
-                        deviance_with_noise_of(self.problem, q, chosen, self.least_noise) for q in (chosen, r)
+                        deviance_beside(self.problem, q, chosen, self.least_noise) for q in (chosen, r)
                     )
                     scores.notes.append(
                         f"{gone.label}: not needed (without it, twice the log likelihood: {own - without:+.0f})"
@@ -272,7 +272,7 @@ class Search:
         """Return the best fit of a simpler structure: a known candidate, or a new fit where that may be in a local optimum."""
 
         def rank(q: Candidate) -> float:
-            return deviance_with_noise_of(self.problem, q, chosen, self.least_noise)
+            return deviance_beside(self.problem, q, chosen, self.least_noise)
 
         r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
         if r is None or rank(r) > rank(chosen) + self.settings.chance:
@@ -327,17 +327,16 @@ class Search:
         return min(near, key=lambda c: c.deviance) if gap(p, nominal.fit) >= min(gaps) / ASTRAY else nominal
 
     def from_segments(
-        self, structure: Structure, x: Array, similar: Candidate, noise: Array | None = None
+        self, structure: Structure, x: Array, similar: Candidate, share: Array | None = None
     ) -> Candidate | None:
         """Fit a structure from a fit to brief segments, weighted by the residuals of a similar candidate; None where the motion is
         strongly damped."""
         p, least = self.problem, self.least_noise
         if p.network.inputs and not is_lightly_damped(p.network):
             return None
-        noise = white_noise(p, similar.fit, least) if noise is None else noise
         try:
-            start = fit_segments(p, structure, x, Fitter(p, whitener(residuals(p, similar.fit), noise)))
-            return None if start is None else settle(p, structure, start, least, rounds=2, noise=noise)
+            start = fit_segments(p, structure, x, Fitter(p, filters_for(p, similar.fit, least)))
+            return None if start is None else settle(p, structure, start, least, rounds=2, share=share)
         except BROKEN:
             return None
 
@@ -345,8 +344,8 @@ class Search:
         """Return the best fit of a simpler or equivalent structure from the values of a fitted candidate, then from nominal ones; None
         where its error on few samples is above `worst` times the candidate's (in power)."""
         e, p, least = self.evaluator, self.problem, self.least_noise
-        noise = white_noise(p, similar.fit, least)
-        near = deviance_with_noise_of(p, similar, similar, least) + self.criteria.deviance_gain
+        share = share_of(p, similar.fit)
+        near = deviance_beside(p, similar, similar, least) + self.criteria.deviance_gain
         own = zip(similar.fit.structure.free, similar.fit.x, strict=True)
         known = {f.path: v for f, v in own if f.owner < 0}
         x = structure.start_from(known)
@@ -360,14 +359,14 @@ class Search:
                 if f.cost > worst * at.total:
                     return None
             f = f if p.rough is p else transfer(p, f, least)
-            found.append(settle(p, structure, f.x, least, f, rounds=2, noise=noise))
+            found.append(settle(p, structure, f.x, least, f, rounds=2, share=share))
         except BROKEN:
             pass
         try:
             if not found or found[0].deviance > near:
-                found.append(settle(p, structure, structure.start, least, rounds=2, noise=noise))
+                found.append(settle(p, structure, structure.start, least, rounds=2, share=share))
             if min(c.deviance for c in found) > near:
-                again = self.from_segments(structure, x, similar, noise)
+                again = self.from_segments(structure, x, similar, share)
                 found += [again] if again is not None else []
             return min(found, key=lambda c: c.deviance)
         except (*BROKEN, ValueError):

@@ -19,7 +19,7 @@ from ...physics import elements as el
 from ...physics.network import Network, assemble
 from ...physics.network._frames import order_told
 from .._estimation.gauss_newton import Fit, Fitter, residuals
-from .._estimation.noise import Whitener, whitener
+from .._estimation.noise import Weights, weights_of
 from .._estimation.structure import Free, Structure, cells_beside
 from .._hypotheses.forces import PlaceForces, place_forces
 from .._hypotheses.law_matching import follows_motion, starts_of
@@ -29,7 +29,7 @@ from .._hypotheses.pair_forces import law_forces
 from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
 from .admissibility import is_admissible, travels
-from .candidate import Candidate, settle, transfer, white_noise
+from .candidate import Candidate, settle, share_of, transfer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ PLANES: tuple[Over, ...] = ("rate", "elongation")
 ENOUGH = 0.9
 #: number of places with a fitted table over both arguments
 BOTH = 2
-#: factor by which a table over both arguments, or with a shorter length, must err less (mean whitened square)
+#: factor by which a table over both arguments, or with a shorter length, must err less (mean weighted square)
 RICHER = 1.15
 #: points of the motion at which the arguments of a table are separated: a resolution
 MARGINAL = 4000
@@ -154,7 +154,7 @@ def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForce
     motion = motions(problem, base.fit)
     known = travels(problem, base.fit.network, motion)
     problem, base = problem.rough, _coarse(problem, base, floors)
-    fitter = Fitter(problem, whitener(residuals(problem, base.fit), white_noise(problem, base.fit, floors)))
+    fitter = Fitter(problem, weights_of(residuals(problem, base.fit), floors))
     ranked: list[tuple[float, Table]] = []
     for pair in pairs(base.fit.network):
         m = motion.get(pair)
@@ -255,23 +255,23 @@ class BestTableSoFar:
     """The best table so far."""
 
     best: Candidate
-    #: filters with which all tables are scored
-    filters: Whitener
+    #: weights with which all tables are scored
+    weights: Weights
 
     def gain_over(self, evaluator: HeldOutEvaluator, base: Candidate) -> tuple[float, float, float, float]:
         """Return what the table gains over the refitted nominal model: explained fraction, largest error reduction of a channel,
         standard errors of the gain, and explained fraction of the test records."""
-        after = evaluator.score(self.best, self.filters, (evaluator.score_alone(base),))
-        refit = evaluator.score(base, self.filters, (after,))
-        noise_score = evaluator.expected_noise_score(after, self.filters)
+        after = evaluator.score(self.best, self.weights, (evaluator.score_alone(base),))
+        refit = evaluator.score(base, self.weights, (after,))
+        noise_score = evaluator.expected_noise_score(after, self.weights)
         noise = evaluator.noise_share(after)
         weights = 1.0 / np.maximum(noise, 1e-3) ** 2
         plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
         plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - noise**2, 0.0) * weights)), 1e-12)
-        whitened = (refit.mean_square - after.mean_square) / max(refit.mean_square - noise_score, 1e-12)
+        weighted = (refit.mean_square - after.mean_square) / max(refit.mean_square - noise_score, 1e-12)
         moved = float(np.sqrt(np.maximum(refit.nrmse**2 - after.nrmse**2, 0.0)).max())
         confirmed = after.explained_on_test(refit, evaluator.test_noise(noise), noise_score)
-        return min(max(whitened, plain), 1.0), moved, after.compare_with(refit).errors, confirmed
+        return min(max(weighted, plain), 1.0), moved, after.compare_with(refit).errors, confirmed
 
 
 def _coarse(problem: Problem, base: Candidate, floors: Array) -> Candidate:
@@ -287,8 +287,8 @@ def _fit_table(problem: Problem, base: Candidate, structure: Table, floors: Arra
         found = settle(problem.rough, structure, x, floors, rough.fit, rounds=2, iterations=6)
         if problem.rough is problem:
             return found
-        f, least = transfer(problem, found.fit, floors), white_noise(problem, base.fit, floors)
-        return settle(problem, structure, f.x, floors, f, rounds=2, iterations=2, noise=least)
+        f, share = transfer(problem, found.fit, floors), share_of(problem, base.fit)
+        return settle(problem, structure, f.x, floors, f, rounds=2, iterations=2, share=share)
     except BROKEN:
         return None
 
@@ -299,15 +299,15 @@ def _select_table(
     """Return the table with the smallest score; a table over both arguments must err clearly less."""
     if not tried:
         return None
-    filters = evaluator.whitener(min(tried, key=lambda c: c.deviance))
+    weights = evaluator.weights(min(tried, key=lambda c: c.deviance))
     scored = []
     for c in tried:
         try:
             richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
-            scored.append((richer * _mean_square(evaluator, base, c, filters), c))
+            scored.append((richer * _mean_square(evaluator, base, c, weights), c))
         except BROKEN:
             continue
-    return BestTableSoFar(min(scored, key=lambda t: t[0])[1], filters) if scored else None
+    return BestTableSoFar(min(scored, key=lambda t: t[0])[1], weights) if scored else None
 
 
 def _refine_length(
@@ -322,17 +322,17 @@ def _refine_length(
         try:
             shorter = table(base.fit, pair, old.over, m, length, STRONG * forces.at(pair))
             c = _fit_table(evaluator.problem, base, shorter, evaluator.least_noise)
-            then = math.inf if c is None else _mean_square(evaluator, base, c, found.filters)
+            then = math.inf if c is None else _mean_square(evaluator, base, c, found.weights)
         except BROKEN:
             continue
-        if c is not None and RICHER * then < _mean_square(evaluator, base, found.best, found.filters):
-            found = BestTableSoFar(c, found.filters)
+        if c is not None and RICHER * then < _mean_square(evaluator, base, found.best, found.weights):
+            found = BestTableSoFar(c, found.weights)
     return found
 
 
-def _mean_square(evaluator: HeldOutEvaluator, base: Candidate, table: Candidate, filters: Whitener) -> float:
-    """Return the mean whitened square of a table on the validation records."""
-    return evaluator.score(table, filters, (evaluator.score_alone(base),)).mean_square
+def _mean_square(evaluator: HeldOutEvaluator, base: Candidate, table: Candidate, weights: Weights) -> float:
+    """Return the mean weighted square of a table on the validation records."""
+    return evaluator.score(table, weights, (evaluator.score_alone(base),)).mean_square
 
 
 # ------------------------------------------------------------------------------------------------- what is told
@@ -341,7 +341,7 @@ def _mean_square(evaluator: HeldOutEvaluator, base: Candidate, table: Candidate,
 def _tabulated(problem: Problem, floors: Array, best: Candidate, explained: float) -> Tabulated:
     structure = best.fit.structure
     assert isinstance(structure, Table)
-    W = whitener(residuals(problem, best.fit), white_noise(problem, best.fit, floors))
+    W = weights_of(residuals(problem, best.fit), floors)
     f = Fitter(problem, W).fit(structure, best.fit.x, best.fit.initial, best.fit.offset, iterations=0)
     assert f.hessian is not None
     own = len(structure.own.free)

@@ -28,19 +28,17 @@ from .._estimation.initial_states import next_states, transfer_states
 from .._estimation.multiple_shooting import is_lightly_damped
 from .._estimation.noise import (
     Floor,
-    Noise,
-    Whitener,
+    Weights,
     floors_of,
-    noise_after_filters,
     noise_of,
-    white_filters,
-    whitener,
+    weights_of,
+    white_weights,
 )
 from .._estimation.structure import Structure, base_structure
 from .._hypotheses.forces import element_forces, place_forces, work_share
 from .._hypotheses.law_matching import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
-from .candidate import Candidate, white_noise
+from .candidate import Candidate, share_of
 from .criteria import LEAST_NOISE
 
 if TYPE_CHECKING:
@@ -66,7 +64,7 @@ class HeldOutScore:
     """Score of a candidate on validation, training and test records."""
 
     candidate: Candidate
-    #: mean whitened square of the residuals on the validation records
+    #: mean weighted square of the residuals on the validation records
     mean_square: float
     #: log predictive density of the blocks of the validation records (blocks,) [nats], without constants
     validation_lpd: Array
@@ -78,9 +76,9 @@ class HeldOutScore:
     test_nrmse: Array
     #: the same on the training records, with the initial states of the fit
     training_nrmse: Array
-    #: mean whitened square on the test records
+    #: mean weighted square on the test records
     test_mean_square: float
-    #: simulation of the held-out records with initial states from the plain error
+    #: simulation of the held-out records
     fit: Fit
 
     @property
@@ -89,7 +87,7 @@ class HeldOutScore:
         return np.concatenate([self.validation_lpd, self.training_lpd])
 
     def compare_with(self, other: HeldOutScore) -> Comparison:
-        """Compare with the score of another candidate that was whitened by the same filters."""
+        """Compare with the score of another candidate that was weighted by the same noise."""
         return compare(self.lpd, other.lpd)
 
     def excess(self, noise: Array) -> Array:
@@ -98,14 +96,14 @@ class HeldOutScore:
 
     def explained_on_test(self, before: HeldOutScore, noise: Array, noise_score: float) -> float:
         """Return the share of the excess error of another score that this score removes on the test records, with a floor of a hundredth
-        of the noise: of the whitened error, or of the plain error if that falls by more. `noise`: share of the deviation (channels,)."""
-        whitened = before.test_mean_square - self.test_mean_square
-        whitened /= max(before.test_mean_square - noise_score, 0.01 * noise_score)
+        of the noise: of the weighted error, or of the plain error if that falls by more. `noise`: share of the deviation (channels,)."""
+        weighted = before.test_mean_square - self.test_mean_square
+        weighted /= max(before.test_mean_square - noise_score, 0.01 * noise_score)
         power = noise**2
         weights = 1.0 / np.maximum(power, 1e-24)
         top = float(np.sum((before.test_nrmse**2 - self.test_nrmse**2) * weights))
         excess = float(np.sum(np.maximum(before.test_nrmse**2 - power, 0.0) * weights))
-        return max(whitened, top / max(excess, 0.01))
+        return max(weighted, top / max(excess, 0.01))
 
 
 class HeldOutEvaluator:
@@ -123,24 +121,24 @@ class HeldOutEvaluator:
         self.test_deviation = problem.deviation(problem.reporting)
         self.training_deviation = deviation
         self._envelopes: dict[Candidate, Array] = {}
-        self._training: dict[Candidate, Array] = {}
         self._paths: dict[tuple[Candidate, ...], HeldOutScore] = {}
         self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: only the last
 
     @cached_property
     def plain_fitter(self) -> Fitter:
         """Fitter with white noise."""
-        return Fitter(self.problem, white_filters(self.least_noise))
+        return Fitter(self.problem, white_weights(self.least_noise))
 
     @cached_property
     def coarse_fitter(self) -> Fitter:
         """Fitter with white noise on as few samples as the motion needs."""
-        return Fitter(self.problem.rough, white_filters(self.least_noise))
+        return Fitter(self.problem.rough, white_weights(self.least_noise))
 
-    def whitener(self, candidate: Candidate) -> Whitener:
-        """Return filters that whiten the training residuals of a candidate."""
+    def weights(self, candidate: Candidate) -> Weights:
+        """Return weights by the training residuals of a candidate."""
         p = self.problem
-        return whitener(residuals(p, candidate.fit), white_noise(p, candidate.fit, self.least_noise))
+        weights = weights_of(residuals(p, candidate.fit), self.least_noise)
+        return replace(weights, share=share_of(p, candidate.fit))
 
     # -- errors -------------------------------------------------------------------------------------------
     def nrmse(self, fit: Fit, records: Sequence[int], deviation: Array) -> Array:
@@ -149,13 +147,8 @@ class HeldOutEvaluator:
         return np.asarray(np.sqrt(np.mean(r**2, axis=0)) / deviation, dtype=np.float64)
 
     def training_nrmse(self, candidate: Candidate) -> Array:
-        """Return the NRMSE on the training records (channels,), with initial states from the plain error: coloured noise may leave slow
-        errors without weight."""
-        if candidate not in self._training:
-            p, fit = self.problem, candidate.fit
-            f = self.plain_fitter.follow(fit.structure, fit.x, p.estimation, fit.initial)
-            self._training[candidate] = self.nrmse(f, p.estimation, self.training_deviation)
-        return self._training[candidate]
+        """Return the NRMSE on the training records (channels,)."""
+        return self.nrmse(candidate.fit, self.problem.estimation, self.training_deviation)
 
     @cached_property
     def nominal_nrmse(self) -> tuple[Array, Array]:
@@ -172,31 +165,29 @@ class HeldOutEvaluator:
         )
 
     def score(
-        self, candidate: Candidate, filters: Whitener, similar: Sequence[HeldOutScore] = ()
+        self, candidate: Candidate, weights: Weights, similar: Sequence[HeldOutScore] = ()
     ) -> HeldOutScore:
         """Score a candidate: parameters as fitted, initial states and offsets from each held-out record, started from guesses and from
         those of similar scores."""
         p, fit = self.problem, candidate.fit
         nearest = self._nearest_states(similar, fit.structure)
-        f = Fitter(p, filters).follow(
+        f = Fitter(p, white_weights(weights.level)).follow(
             fit.structure, fit.x, p.held, None, (self._states_after_training(fit), nearest)
         )
-        plainly = self.plain_fitter.follow(fit.structure, fit.x, p.held, f.initial, (nearest,))
-        f = self._cheaper(f, plainly, filters)
-        self._check_whole_records(fit, plainly)
-        test = np.concatenate([filters(p.records[i].measured - f.outputs[i]) ** 2 for i in p.reporting])
-        squares, validation = self._score_blocks(p.choosing, f, filters)
-        _, training = self._score_blocks(p.estimation, fit, filters)
+        self._check_whole_records(fit, f)
+        test = np.concatenate([weights(p.records[i].measured - f.outputs[i]) ** 2 for i in p.reporting])
+        squares, validation = self._score_blocks(p.choosing, f, weights)
+        _, training = self._score_blocks(p.estimation, fit, weights)
         return HeldOutScore(
             candidate=candidate,
             mean_square=float(squares[:, 0].sum() / squares[:, 1].sum()),
             validation_lpd=validation,
             training_lpd=training - len(fit.x) / len(training),
-            nrmse=self.nrmse(plainly, p.choosing, self.validation_deviation),
-            test_nrmse=self.nrmse(plainly, p.reporting, self.test_deviation),
-            training_nrmse=self.nrmse(fit, p.estimation, self.training_deviation),
+            nrmse=self.nrmse(f, p.choosing, self.validation_deviation),
+            test_nrmse=self.nrmse(f, p.reporting, self.test_deviation),
+            training_nrmse=self.training_nrmse(candidate),
             test_mean_square=float(test.mean()),
-            fit=plainly,
+            fit=f,
         )
 
     # -- whole records ------------------------------------------------------------------------------------
@@ -224,7 +215,7 @@ class HeldOutEvaluator:
     ) -> list[int]:
         """Return the whole records on which a simulation breaks down."""
         assert self.whole is not None
-        fitter = Fitter(self.whole, white_filters(self.least_noise))
+        fitter = Fitter(self.whole, white_weights(self.least_noise))
         out = []
         for i in records:  # one by one: a record that breaks down must not hide the others
             at = fitter.begin(structure, x, {k: v for k, v in initial.items() if k == i}, None, [i])
@@ -244,47 +235,32 @@ class HeldOutEvaluator:
                     f"the simulation breaks down on the record {self.whole.records[broken[0]].name}"
                 )
 
-    def _score_blocks(self, records: Sequence[int], fit: Fit, filters: Whitener) -> tuple[Array, Array]:
-        """Return sum and number of whitened squares (blocks, 2), and the log density (blocks,) [nats]."""
+    def _score_blocks(self, records: Sequence[int], fit: Fit, weights: Weights) -> tuple[Array, Array]:
+        """Return sum and number of weighted squares (blocks, 2), and the log density (blocks,) [nats]."""
         squares, lpd = [], []
-        gain = np.array([float(taps @ taps) for taps in filters.taps])
-        floor = np.minimum(gain * self.least_noise**2, 1.0)
+        floor = np.minimum(weights.mean_square(self.least_noise), 1.0)
         for i in records:
             y = self.problem.records[i].measured
-            e = filters(y - fit.outputs[i]) ** 2
+            e = weights(y - fit.outputs[i]) ** 2
             edges = block_edges(y, BLOCKS, LEAST_BLOCK)
             for a, b in pairwise(edges):
                 squares.append((float(e[a:b].sum()), e[a:b].size))
-                lpd.append(log_density(e[a:b], len(e) / (len(edges) - 1), floor))
+                lpd.append(log_density(e[a:b], len(e) / (len(edges) - 1) * weights.share, floor))
         return np.array(squares), np.array(lpd)
 
     def score_path(self, path: Sequence[Candidate]) -> tuple[HeldOutScore, ...]:
-        """Score the candidates of a path, each with its own filters and the initial states of the preceding ones."""
+        """Score the candidates of a path, each with its own weights and the initial states of the preceding ones."""
         out: tuple[HeldOutScore, ...] = ()
         for k, candidate in enumerate(path):
             key = tuple(path[: k + 1])
             if key not in self._paths:
-                self._paths[key] = self.score(candidate, self.whitener(candidate), out)
+                self._paths[key] = self.score(candidate, self.weights(candidate), out)
             out = (*out, self._paths[key])
         return out
 
     def score_alone(self, candidate: Candidate) -> HeldOutScore:
-        """Score a candidate with its own filters."""
+        """Score a candidate with its own weights."""
         return self.score_path((candidate,))[0]
-
-    def _cheaper(self, f: Fit, plainly: Fit, filters: Whitener) -> Fit:
-        """Return a fit that starts from the states of another fit in the records where the other fit has smaller whitened errors."""
-
-        def cost(found: Fit, i: int) -> float:
-            return float(np.sum(filters(self.problem.records[i].measured - found.outputs[i]) ** 2))
-
-        worse = {i: plainly.initial[i] for i in f.outputs if cost(plainly, i) < (1.0 - 1e-3) * cost(f, i)}
-        if not worse:
-            return f
-        g = Fitter(self.problem, filters).follow(f.structure, f.x, list(worse), worse)
-        return replace(
-            f, initial=f.initial | g.initial, offset=f.offset | g.offset, outputs=f.outputs | g.outputs
-        )
 
     def _nearest_states(self, scores: Sequence[HeldOutScore], structure: Structure) -> dict[int, Array]:
         """Return, for each held-out record, the initial state of the score with the least error, for a structure."""
@@ -310,34 +286,29 @@ class HeldOutEvaluator:
         return {j: ends[i] for j, i in continues.items()}
 
     # -- noise --------------------------------------------------------------------------------------------
-    def channel_noise(self, score: HeldOutScore) -> list[Noise]:
-        """Return each channel's noise: as the owner or the spectrum tells, and no more than is left above the motion of the validation
-        records."""
+    def channel_noise(self, score: HeldOutScore) -> Array:
+        """Return the deviation of the noise (channels,): as the owner or the spectrum tells, and no more than is left above the motion of the
+        validation records."""
         p, out = self.problem, []
         first = p.records[p.choosing[0]]
         for j, known in enumerate(self.noise_estimates):
             series = [p.records[i].measured[:, j] - score.fit.outputs[i][:, j] for i in p.choosing]
             left = noise_of(series, first.interval, time=p.time, white=first.filtered)
-            share = 1.0
-            if known.source in ("owner", "input") or left.deviation > known.deviation:
-                share = (known.deviation / max(left.deviation, 1e-300)) ** 2
-            out.append(Noise(left.white * share, left.drive * share, left.phi))
-        return out
+            out.append(known.deviation if known.source in ("owner", "input") else min(left, known.deviation))
+        return np.array(out)
 
     def noise_share(self, score: HeldOutScore) -> Array:
         """Return the noise as a share of each channel's deviation (channels,), at most the error itself."""
-        deviation = np.array([n.deviation for n in self.channel_noise(score)]) / self.validation_deviation
+        deviation = self.channel_noise(score) / self.validation_deviation
         return np.asarray(np.minimum(deviation, score.nrmse), dtype=np.float64)
 
     def test_noise(self, noise: Array) -> Array:
         """Return the noise as a share of the deviation on the test records, from that on the validation records (channels,)."""
         return np.asarray(noise * self.validation_deviation / self.test_deviation)
 
-    def expected_noise_score(self, score: HeldOutScore, filters: Whitener) -> float:
-        """Return the mean whitened square of pure noise."""
-        return min(
-            float(noise_after_filters(filters, self.channel_noise(score)).mean()), 0.999 * score.mean_square
-        )
+    def expected_noise_score(self, score: HeldOutScore, weights: Weights) -> float:
+        """Return the mean weighted square of pure noise."""
+        return min(float(weights.mean_square(self.channel_noise(score)).mean()), 0.999 * score.mean_square)
 
     # -- sizes --------------------------------------------------------------------------------------------
     def unmodelled_responses(self, candidate: Candidate) -> dict[int, Array]:
@@ -444,11 +415,11 @@ def compare(first: Array, second: Array) -> Comparison:
     return Comparison(float(difference.sum()), dse)
 
 
-def log_density(squares: Array, weight: float, floor: Array) -> float:
-    """Return the log predictive density [nats], without constants, of a block of squared whitened residuals (samples, channels) with
+def log_density(squares: Array, weight: Array, floor: Array) -> float:
+    """Return the log predictive density [nats], without constants, of a block of squared weighted residuals (samples, channels) with
     unknown noise variance: a Student t density, in which a gross error counts by its logarithm (Gelman et al.: Bayesian Data Analysis,
     3rd edition (2013), sections 3.2 and 17.2). `weight`: independent samples; `floor` (channels,): scale of the prior."""
-    return -weight * float(np.sum(np.log1p(squares.mean(axis=0) / floor)))
+    return -float(np.sum(weight * np.log1p(squares.mean(axis=0) / floor)))
 
 
 def block_edges(measured: Array, blocks: int, least: int) -> Array:

@@ -25,7 +25,7 @@ from ..._common.errors import InputError
 from .._estimation.gauss_newton import Fitter
 from .._estimation.initial_states import next_states
 from .._estimation.least_squares import bounded_step, damped_step
-from .._estimation.noise import white_filters
+from .._estimation.noise import white_weights
 from .._simulation.problem import BROKEN, Problem
 from ..result import DifferingParameter, Quantity, RecordDifferences, is_far_better
 
@@ -272,12 +272,12 @@ class RecordComparison:
     def __post_init__(self) -> None:
         p = self.stretches.problem
         self.deviation = p.deviation()
-        first = RecordwiseFitter(p, white_filters(np.maximum(self.noise, FIRST_NOISE * self.deviation)))
+        first = RecordwiseFitter(p, white_weights(np.maximum(self.noise, FIRST_NOISE * self.deviation)))
         joint = self._fit(first, self.structure, self.x)
         rows = [p.records[i].measured - at.outputs[i] for at in joint.points for i in at.outputs]
         #: standard deviations that weight the channels (channels,)
         self.weights = np.maximum(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)), self.noise)
-        self.fitter = RecordwiseFitter(p, white_filters(self.weights))
+        self.fitter = RecordwiseFitter(p, white_weights(self.weights))
         self.joint = self._fit(self.fitter, self.structure, joint.x[0])
         #: squared errors of one value for all records on the stretches for comparison (channels,)
         self.joint_squares = self.squares(self.joint)
@@ -366,7 +366,7 @@ class RecordComparison:
             for i in at.outputs
         ]
         noise = np.maximum(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)), np.sqrt(self.floor))
-        fitter = RecordwiseFitter(self.stretches.problem, white_filters(noise))
+        fitter = RecordwiseFitter(self.stretches.problem, white_weights(noise))
         final = fitter.fit_groups(fit.structure, fit.x, groups, fit.own)
         own = np.flatnonzero(fit.own)
         k = int(np.flatnonzero(own == name)[0])

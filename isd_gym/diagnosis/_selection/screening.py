@@ -17,7 +17,7 @@ from ...physics.network import GROUND
 from .._estimation.gauss_newton import Fit, Fitter, Point, gap, residuals
 from .._estimation.initial_states import guess, transfer_states
 from .._estimation.multiple_shooting import GROWTH, in_segments, is_lightly_damped, segments_of, states_within
-from .._estimation.noise import refined_noise, white_filters, whitener
+from .._estimation.noise import trusted_noise, white_weights
 from .._hypotheses.law_matching import follows_motion
 from .._hypotheses.library import Hypothesis, hypotheses
 from .._hypotheses.motion import motions
@@ -28,11 +28,13 @@ from .admissibility import admissible_matches, travels
 from .candidate import (
     Candidate,
     deviance,
+    filters_for,
     settle,
+    share_of,
     simpler_structures,
     simplest_first,
     transfer,
-    white_noise,
+    weights_for,
 )
 
 if TYPE_CHECKING:
@@ -59,10 +61,10 @@ VARIANTS = 2
 SIZES = (1.0, 4.0, 20.0, 80.0)
 #: kinds of laws that dissipate, and shares of the damping with which they are tried
 DISSIPATING, DAMPING = ("dry_friction", "viscous"), (0.5, 0.25)
-#: ratio of mean squared errors from which two fits of one law are in different optima
-CLOSER = 0.9
-#: the same ratio to the closest candidate, from which on a candidate has no prospect
+#: ratio of mean squared errors to the closest candidate, from which on a candidate has no prospect
 INFERIOR = 4.0
+#: laws at one place that are as good as a free curve: a polynomial of degree three fits any smooth curve with three bends
+BENDS = 3
 #: lengths of segments that keep the phase, as multiples of the usual length
 LENGTHS = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
 #: Gauss-Newton steps of the first fit of each start, of the fit of the best start, and of a fit from segments to whole records
@@ -75,8 +77,8 @@ class ScreeningResult:
 
     #: best candidate first
     ranked: tuple[Candidate, ...]
-    #: white noise with which the candidates were compared (channels,)
-    noise: Array
+    #: share of independent samples with which the candidates were compared (channels,)
+    share: Array
     #: match with the largest share, by place
     places: tuple[Match, ...]
 
@@ -96,9 +98,9 @@ class Screening:
     length: float = math.inf
 
     @cached_property
-    def first_noise(self) -> Array:
-        """White noise of the current fit (channels,)."""
-        return white_noise(self.problem, self.current, self.least_noise)
+    def share(self) -> Array:
+        """Share of independent samples in the residuals of the current fit (channels,)."""
+        return share_of(self.problem, self.current)
 
     @cached_property
     def motion(self) -> dict[tuple[str, str], Motion]:
@@ -107,8 +109,13 @@ class Screening:
 
     @cached_property
     def fitter(self) -> Fitter:
-        """Fitter with the weights of the current fit."""
-        return Fitter(self.problem, whitener(residuals(self.problem, self.current), self.first_noise))
+        """Fitter with filters that whiten the residual of the current fit."""
+        return Fitter(self.problem, filters_for(self.problem, self.current, self.least_noise))
+
+    @cached_property
+    def plain(self) -> Fitter:
+        """Fitter with weights by the level of the residual of the current fit."""
+        return Fitter(self.problem, weights_for(self.problem, self.current, self.least_noise))
 
     @cached_property
     def coarse(self) -> Screening:
@@ -153,7 +160,12 @@ class Screening:
         """Every admissible law at every place, the largest share of the residual first."""
         tried = [h for h in hypotheses(self.current.structure.network) if self.is_sensible(h)]
         return admissible_matches(
-            self.problem, self.fitter, self.current, self.first_noise, tried, self.known
+            self.problem,
+            self.fitter,
+            self.current,
+            trusted_noise(residuals(self.problem, self.current), self.least_noise),
+            tried,
+            self.known,
         )
 
     def shortlist(self) -> list[list[Match]]:
@@ -179,13 +191,16 @@ class Screening:
         return [groups[h] for h in (*first, *series)]
 
     def is_sensible(self, h: Hypothesis) -> bool:
-        """Return False for effects that the model has at the place, and for periodic laws at a node that an element in series brought."""
+        """Return False for effects that the model has at the place, for as many laws at one place as a curve has bends, and for periodic
+        laws at a node that an element in series brought."""
         if h.place != "between":
             return True
         network, found = self.current.structure.network, self.current.structure.names
         is_joint = not {*self.problem.network.nodes, GROUND}.issuperset(h.where)
         is_repeated = any(e.type == h.effect and e.name in found for e in beside(network, h.where))
-        return not is_repeated and h.behind not in found and not (h.kind.periodic and is_joint)
+        here = [q for q in self.current.structure.hypotheses if set(q.where) == set(h.where)]
+        is_curve = sum(not q.kind.series for q in (*here, h)) >= BENDS
+        return not (is_repeated or is_curve or h.behind in found or (h.kind.periodic and is_joint))
 
     @cached_property
     def is_driven(self) -> bool:
@@ -273,53 +288,35 @@ class Screening:
                 yield replace(m, moved=m.moved | less).sized(1 + taken / work).begin(current.structure)
 
     def fit(self, group: Sequence[Match]) -> list[Candidate]:
-        """Fit a law to the records from its best starts; return the fits with the smallest deviance and with the smallest gap."""
-        tries = []
+        """Fit a law to the records from its best starts; return the best fit."""
+        tries: list[tuple[Candidate, Fitter]] = []
         for structure, x in self.starts(group):
-            known = transfer_states(self.problem, self.current.network, self.current.initial, structure)
-            try:
-                guessed = {i: guess(self.problem, structure.at(x), i) for i in self.problem.estimation}
-                own, other = (
-                    self.fitter.seen(structure, Point(x, s, self.current.offset), self.problem.estimation)
-                    for s in (known, guessed)
-                )
-                known = guessed if other.total < own.total else known
-                f = self.fitter.fit(structure, x, known, self.current.offset, iterations=FIRST)
-            except BROKEN:
-                continue
-            tries.append(self._candidate(f))
+            for fitter in (self.fitter, self.plain):
+                with suppress(*BROKEN):
+                    known = self.states(fitter, structure, x)
+                    f = fitter.fit(structure, x, known, self.current.offset, iterations=FIRST)
+                    tries.append((self._candidate(f), fitter))
         out = []
-        for f in (r.fit for r in self.first_of_each_law(tries)):
+        for r in best_of_each_law(r for r, _ in tries):
+            fitter = next(own for q, own in tries if q is r)
             with suppress(*BROKEN):
-                g = self.fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=FURTHER)
-                out.append(self._candidate(g))
+                f = fitter.fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, iterations=FURTHER)
+                out.append(self._candidate(f))
         return out
 
-    def first_of_each_law(self, found: Iterable[Candidate | None]) -> list[Candidate]:
-        """Return the fits of each set of effects with the smallest deviance, and with a clearly smaller gap, which the deviance may miss;
-        smallest deviance first."""
-        fitted = [r for r in found if r is not None and math.isfinite(r.deviance)]
-        fitted.sort(key=lambda r: r.deviance)
-        out = []
-        for law in dict.fromkeys(r.hypotheses for r in fitted):
-            first, *others = (q for q in fitted if q.hypotheses == law)
-            closest = min(others, key=lambda q: gap(self.problem, q.fit), default=first)
-            is_closer = gap(self.problem, closest.fit) < CLOSER * gap(self.problem, first.fit)
-            out += [first, closest] if is_closer else [first]
-        return sorted(out, key=lambda r: r.deviance)
+    def states(self, fitter: Fitter, structure: Structure, x: Array) -> dict[int, Array]:
+        """Return the initial states of the current fit or guesses from the first samples, whichever cost less."""
+        p = self.problem
+        known = transfer_states(p, self.current.network, self.current.initial, structure)
+        guessed = {i: guess(p, structure.at(x), i) for i in p.estimation}
+        own, other = (
+            fitter.seen(structure, Point(x, s, self.current.offset), p.estimation) for s in (known, guessed)
+        )
+        return guessed if other.total < own.total else known
 
-    def leading(self, fitted: Sequence[Candidate]) -> list[Candidate]:
-        """Return the fits of the first laws, and the candidate that closes most of the gap."""
-        ordered = self.closers_first(fitted)
-        laws = list(dict.fromkeys(r.hypotheses for r in ordered))[: self.settings.finals]
-        first = [r for r in ordered if r.hypotheses in laws]
-        closest = min(fitted, key=lambda r: gap(self.problem, r.fit), default=None)
-        return first if closest is None or closest in first else [*first, closest]
-
-    def closers_first(self, fitted: Sequence[Candidate]) -> list[Candidate]:
-        """Order candidates by deviance, those that close half of the gap, which the deviance may miss, first."""
-        half = 0.5 * gap(self.problem, self.current)
-        return sorted(fitted, key=lambda r: (gap(self.problem, r.fit) > half, r.deviance))
+    def leading(self, found: Iterable[Candidate | None]) -> list[Candidate]:
+        """Return the best fit of each set of effects, smallest deviance first, at most `SearchSettings.finals`."""
+        return best_of_each_law(found)[: self.settings.finals]
 
     def special_cases(self, r: Candidate, tried: Collection[tuple[Hypothesis, ...]]) -> list[Candidate]:
         """Fit the special cases of the last law of a candidate that were not tried: friction that sticks may be matched by a law with
@@ -341,35 +338,34 @@ class Screening:
         return out
 
     def _candidate(self, fit: Fit) -> Candidate:
-        noise = refined_noise(self.first_noise, self.least_noise)
-        return Candidate(fit, deviance(self.problem, fit, noise))
+        return Candidate(fit, deviance(self.problem, fit, self.least_noise, self.share))
 
     def continued(self, r: Candidate, brief: Screening) -> Candidate | None:
         """Return a candidate of brief segments, fitted to segments that grow to whole records; None where the fit breaks down."""
         f, pieces, length, whole = r.fit, brief.problem, brief.length, self.problem
-        filters = whitener(residuals(pieces, f), white_noise(pieces, f, self.least_noise))
+        weights = filters_for(pieces, f, self.least_noise)
         try:
             while pieces is not whole:
                 longer = segments_of(whole, length := GROWTH * length) or whole
                 if len(longer.records) == len(pieces.records) and longer is not whole:
                     continue
                 known = (states_within(pieces, f, longer),)
-                plainly = Fitter(longer, white_filters(self.least_noise))
+                plainly = Fitter(longer, white_weights(self.least_noise))
                 states = plainly.follow(f.structure, f.x, longer.estimation, about=known).initial
                 steps = WHOLE if longer is whole else FURTHER
-                f = Fitter(longer, filters).fit(f.structure, f.x, states, iterations=steps)
+                f = Fitter(longer, weights).fit(f.structure, f.x, states, iterations=steps)
                 pieces = longer
             return self._candidate(f)
         except BROKEN:
             return None
 
-    def settle_noise(self, r: Candidate, noise: Array, least: float) -> Candidate | None:
-        """Fit a candidate until the noise has converged; only once where the gap is far above the `least` gap."""
+    def settle(self, r: Candidate, share: Array, least: float) -> Candidate | None:
+        """Fit a candidate until its weights have converged; only once where the gap is far above the `least` gap."""
         p = self.problem
         rounds = 1 if gap(p, r.fit) > INFERIOR * least else 3
         try:
             return settle(
-                p, r.fit.structure, r.fit.x, self.least_noise, r.fit, rounds=rounds, iterations=4, noise=noise
+                p, r.fit.structure, r.fit.x, self.least_noise, r.fit, rounds=rounds, iterations=4, share=share
             )
         except BROKEN:
             return None
@@ -380,19 +376,18 @@ class Screening:
         if brief is self:
             return self.fit_shortlist()
         found = brief.fit_shortlist()
-        ranked = self.first_of_each_law(self.each(lambda r: self.continued(r, brief), found))
+        ranked = best_of_each_law(self.each(lambda r: self.continued(r, brief), found))
         if gap(self.problem, self.current) < self.settings.wide_gap:
-            ranked = self.leading(self.first_of_each_law([*ranked, *self.fit_shortlist()]))
+            ranked = self.leading([*ranked, *self.fit_shortlist()])
         return ranked
 
     def fit_shortlist(self) -> list[Candidate]:
         """Fit the laws of the shortlist to the records of this stage."""
-        groups, _ = self.shortlist(), self.fitter
-        fitted = self.first_of_each_law(r for found in self.each(self.fit, groups) for r in found)
-        ranked = self.leading(fitted)
+        groups, _ = self.shortlist(), (self.fitter, self.plain, self.share)
+        ranked = self.leading(r for found in self.each(self.fit, groups) for r in found)
         tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
         plainer = [r for found in self.each(lambda r: self.special_cases(r, tried), ranked) for r in found]
-        return self.leading(self.first_of_each_law([*ranked, *plainer]))
+        return self.leading([*ranked, *plainer])
 
     def run(self) -> ScreeningResult:
         """Run the stage."""
@@ -406,20 +401,24 @@ class Screening:
             for r in ranked:
                 with suppress(*BROKEN):
                     found.append(self._candidate(transfer(self.problem, r.fit, self.least_noise)))
-            ranked = self.first_of_each_law(found)
+            ranked = best_of_each_law(found)
         if not ranked:
-            return ScreeningResult((), self.first_noise, best)
-        noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
+            return ScreeningResult((), self.share, best)
+        closest = min(ranked, key=lambda r: gap(self.problem, r.fit))
+        share = share_of(self.problem, closest.fit)
         least = min(gap(self.problem, r.fit) for r in ranked)
-        ranked = self.first_of_each_law(self.each(lambda r: self.settle_noise(r, noise, least), ranked))
-        return ScreeningResult(tuple(self.rank(ranked)), noise, best)
+        ranked = best_of_each_law(self.each(lambda r: self.settle(r, share, least), ranked))
+        first = simplest_first(ranked, self.settings.chance, self.settings.sure)
+        return ScreeningResult(tuple(first), share, best)
 
-    def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:
-        """Order candidates; among those that close half of the gap, or among all if none does, the simplest of the best goes first."""
-        ordered, half = self.closers_first(ranked), 0.5 * gap(self.problem, self.current)
-        count = sum(gap(self.problem, r.fit) <= half for r in ordered) or len(ordered)
-        first = simplest_first(ordered[:count], self.settings.chance, self.settings.sure)
-        return [*first, *ordered[count:]]
+
+def best_of_each_law(found: Iterable[Candidate | None]) -> list[Candidate]:
+    """Return the fit of each set of effects with the smallest deviance, smallest deviance first."""
+    out: dict[tuple[Hypothesis, ...], Candidate] = {}
+    fitted = (r for r in found if r is not None and math.isfinite(r.deviance))
+    for r in sorted(fitted, key=lambda r: r.deviance):
+        out.setdefault(r.hypotheses, r)
+    return [*out.values()]
 
 
 def _misfit(stage: Screening, tries: Sequence[tuple[Structure, Array]]) -> Array:
@@ -427,12 +426,12 @@ def _misfit(stage: Screening, tries: Sequence[tuple[Structure, Array]]) -> Array
     channels."""
     problem, current = stage.problem, stage.current
     scores, nets = np.zeros(len(tries)), [t.at(x) for t, x in tries]
-    initial = [transfer_states(problem, current.network, current.initial, t) for t, _ in tries]
-    at = {i: np.stack([b[i] for b in initial], axis=1) for i in problem.estimation}
     try:
+        initial = [transfer_states(problem, current.network, current.initial, t) for t, _ in tries]
+        at = {i: np.stack([b[i] for b in initial], axis=1) for i in problem.estimation}
         seen = problem.simulate_all(nets, problem.estimation, at, like=tries[0][0].network)
     except BROKEN:
-        return scores
+        return np.full(len(tries), math.inf)
     for i, y in seen.items():
         with np.errstate(over="ignore", invalid="ignore"):
             v = np.var(problem.records[i].measured[:, :, None] - y, axis=0)

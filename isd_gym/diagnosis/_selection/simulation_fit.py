@@ -19,7 +19,7 @@ from ..._common.arrays import channel_rms
 from ...physics.network import assemble
 from .._estimation.gauss_newton import Fitter
 from .._estimation.least_squares import bounded_step, damped_step
-from .._estimation.noise import white_filters
+from .._estimation.noise import white_weights
 from .._simulation.problem import BROKEN, bare
 from ..result import SimulationFit
 
@@ -144,7 +144,7 @@ def run_freely(
     begun = None
     if assemble(bare(network)).size[0]:
         initial = (
-            Fitter(problem.heads, white_filters(noise)).follow(structure, x, every, iterations=8).initial
+            Fitter(problem.heads, white_weights(noise)).follow(structure, x, every, iterations=8).initial
         )
         begun = {i: initial[i][:, None] for i in every}
     outputs = problem.simulate_all([network], every, begun)

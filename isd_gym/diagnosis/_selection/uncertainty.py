@@ -57,7 +57,7 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     problem, fit = evaluator.problem, candidate.fit
     if not len(fit.x):
         return None
-    fitter = Fitter(problem, evaluator.whitener(candidate))
+    fitter = Fitter(problem, evaluator.weights(candidate))
     effects = dict(evaluator.unmodelled_responses(candidate))
     responses = {
         i: np.concatenate([(problem.records[i].measured - fit.outputs[i])[:, :, None], y], axis=2)

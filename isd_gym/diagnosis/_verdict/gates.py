@@ -187,7 +187,7 @@ def _adequate(e: Evidence, c: Criteria) -> Gate:
     )
     ratio = "error on the fitted records over the refitted model's, geometric mean over channels"
     return all_of(
-        any_of(is_so(e.explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}"), by_few),
+        any_of(is_so(e.explained, ">=", c.least_explained, f"{removed}; {rest}"), by_few),
         is_so(e.training_ratio, "<=", 1.0, ratio),
         is_so(e.nominal_removed, ">", 0.0, "share of the nominal model's squared held-out error removed"),
     )
@@ -274,7 +274,7 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
 def _shown_by_training(e: Evidence, failed: set[str], c: Criteria) -> bool:
     """Return whether a found effect closes a material gap of the training records: validation records without one are no agreement."""
     is_found = bool(e.effects) and not failed & {"predicts better", "material", "determined"}
-    is_closed = e.training_explained >= c.least_explained(len(e.effects))
+    is_closed = e.training_explained >= c.least_explained
     is_told = is_found and is_closed and bool(e.training_refit)
     return is_told and max(e.excess(e.training_refit)) >= c.material
 

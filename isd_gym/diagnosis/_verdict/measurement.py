@@ -18,6 +18,7 @@ from .._selection.candidate_comparison import excess_loss
 from .._selection.criteria import CRITERIA
 from .._selection.equivalent_laws import repeats
 from .._selection.free_force import fit_in_place_of
+from .._selection.screening import BENDS
 from .._selection.uncertainty import (
     covariance,
     differing_part,
@@ -46,8 +47,6 @@ if TYPE_CHECKING:
 FURTHEST = 20.0
 #: multiple of the typical force from which on a law is balanced by another law: forces in parallel that cancel to a tenth
 LARGEST = 10.0
-#: laws over one plane at one place that are as good as a free curve: a polynomial of degree three fits any smooth curve with three bends
-BENDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,17 +176,21 @@ def _removed_by(search: Search, scores: CandidateComparison, effect: int) -> tup
 
 
 def is_imitated(search: Search, scores: CandidateComparison) -> bool:
-    """Return whether a candidate with a special case of a law of the foremost candidate leaves no more than unmodelled effects, or a
-    fault of a sensor explains as much."""
-    best = scores.foremost
-    return any(scores.blames_needlessly(r, best) for r in scores.rivals()) or any(
-        len(r.fit.x) < len(best.fit.x)
-        and len(r.hypotheses) == len(best.hypotheses)
-        and same_effects(r.hypotheses, best.hypotheses)
-        and scores.can_score(r)
-        and bool(np.all(scores.score(r).excess(scores.noise) <= scores.unmodelled_envelope(r)))
-        for r in scores.candidates()
-    )
+    """Return whether a candidate with a special case of a law of the foremost candidate leaves no more than unmodelled effects, a fault of
+    a sensor explains as much, or another law explains nearly all of the rest."""
+    best, c = scores.foremost, search.criteria
+    if any(scores.blames_needlessly(r, best) for r in scores.rivals()):
+        return True
+    others = [r for r in scores.candidates() if len(r.hypotheses) == len(best.hypotheses) and r is not best]
+    for r in filter(scores.can_score, others):
+        score, is_special = scores.score(r), len(r.fit.x) < len(best.fit.x)
+        is_special = is_special and same_effects(r.hypotheses, best.hypotheses)
+        if is_special and np.all(score.excess(scores.noise) <= scores.unmodelled_envelope(r)):
+            return True
+        closes = scores.explained_fraction(scores.score(best), score) >= c.alone_removes
+        if closes and scores.predicts_better(r, best):
+            return True
+    return False
 
 
 # ------------------------------------------------------------------------------------------------- values of a law
@@ -244,7 +247,7 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
             return 0.0
         refit = scores.score(scores.refitted)
         shares = (share for e in best.elements for share in _removed_by_curves(search, scores, refit, e))
-        return float(any(share >= c.least_explained(1) for share in shares))
+        return float(any(share >= c.least_explained for share in shares))
     after = scores.score(best)
     if after.excess(scores.noise).max() < c.wide_gap and scores.leaves_unmodelled_only(best):
         return 0.0

@@ -10,7 +10,7 @@ import numpy as np
 from ..._common.errors import InputError
 from ..._common.units import convert
 from ...diagnosis._estimation.gauss_newton import Fitter
-from ...diagnosis._estimation.noise import white_filters
+from ...diagnosis._estimation.noise import white_weights
 from ...diagnosis._estimation.structure import base_structure
 from ...diagnosis._hypotheses.forces import element_forces
 from ...diagnosis._hypotheses.library import pairs
@@ -145,7 +145,7 @@ def _simulated(network: Network, trace: Trace, pair: tuple[str, str], series: Se
     step = float(trace.time[1] - trace.time[0])
     measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
     problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)])
-    fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(
+    fit = Fitter(problem, white_weights(measured.std(axis=0))).fit(
         base_structure(network), frozen=True, iterations=3
     )
     found = motions(problem, fit, () if pair[::-1] in pairs(network) else (pair,))

@@ -241,7 +241,7 @@ def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
     before, after = (refit.residuals(m, held_out=True) for m in (c.model, found.model))
     errors = [channel_rms(r) / deviation for r in (before, after)]
     noise = np.array([
-        min(noise_of([r[:, j] for r in after], step, time=c.time_scale).deviation, k.deviation)
+        min(noise_of([r[:, j] for r in after], step, time=c.time_scale), k.deviation)
         for j, k in enumerate(known)
     ])  # fmt: skip
     rows = {

@@ -11,12 +11,11 @@ import numpy as np
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.least_squares import bounded_step, damped_step
 from isd_gym.diagnosis._estimation.noise import (
-    Whitener,
-    innovations,
-    refined_noise,
-    trusted_noise,
-    white_filters,
-    whitener,
+    Weights,
+    deviance_of,
+    independent_share,
+    weights_of,
+    white_weights,
 )
 from isd_gym.diagnosis._estimation.structure import Free, base_structure
 from isd_gym.diagnosis.result import Quantity
@@ -36,7 +35,7 @@ class FittedFmu:
 
     x: Array  # transformed parameters (parameters,)
     model: UnitModel  # the FMU with the fitted values
-    deviance: float  # -2 log L under the residual's own coloured noise, prior included
+    deviance: float  # -2 log L, prior included
 
 
 class FmuRefit:
@@ -78,15 +77,15 @@ class FmuRefit:
         """Return the squared distance from the prior mean [standard deviations squared]."""
         return float(np.sum(((x - self.mean) / self.sigma) ** 2))
 
-    def _cost(self, x: Array, weights: Whitener) -> float:
-        """Return the whitened sum of squares with the prior; infinite if the simulation fails."""
+    def _cost(self, x: Array, weights: Weights) -> float:
+        """Return the weighted sum of squares with the prior; infinite if the simulation fails."""
         try:
             left = self.residuals(self.model_at(x), held_out=False)
         except InputError:
             return math.inf
         return sum(float(np.sum(weights(r) ** 2)) for r in left) + self._prior(x)
 
-    def linearise(self, x: Array, weights: Whitener) -> tuple[Array, Array]:
+    def linearise(self, x: Array, weights: Weights) -> tuple[Array, Array]:
         """Linearise the residuals by finite differences.
 
         Args:
@@ -116,7 +115,7 @@ class FmuRefit:
         return hessian, descent
 
     def fit(self, floors: Array, progress: Progress, rounds: int = 3, iterations: int = 6) -> FittedFmu:
-        """Fit the parameters; reweight by the residual's own spectrum until the deviance stops falling.
+        """Fit the parameters; reweight by the level of the residuals until the deviance stops falling.
 
         Args:
             floors: Noise floor of each channel (channels,) [unit of the channel].
@@ -127,25 +126,25 @@ class FmuRefit:
         Returns:
             The fit with the lowest deviance.
         """
-        x, weights, best = self.mean.copy(), white_filters(floors), None
-        least: Array | None = None
+        x, weights, best = self.mean.copy(), white_weights(floors), None
+        share: Array | None = None
         for number in range(rounds):
             runs = self.comparison.fmu.runs
             progress(f"refitting {len(x)} parameters (round {number + 1}, {runs} runs of the FMU so far)")
             x = self._minimise(x, weights, iterations)
             left = self.residuals(self.model_at(x), held_out=False)
-            least = trusted_noise(left, floors) if least is None else least
-            deviance = innovations(left, refined_noise(least, floors)) + self._prior(x)
+            share = independent_share(left) if share is None else share
+            deviance = deviance_of(left, floors, share) + self._prior(x)
             is_converged = best is not None and deviance > best.deviance - 2.0
             if best is None or deviance < best.deviance:
                 best = FittedFmu(x, self.model_at(x), deviance)
             if is_converged or not len(x):
                 break
-            weights = whitener(left, least)
+            weights = weights_of(left, floors)
         assert best is not None
         return best
 
-    def _minimise(self, x: Array, weights: Whitener, iterations: int) -> Array:
+    def _minimise(self, x: Array, weights: Weights, iterations: int) -> Array:
         """Minimise the cost by damped Gauss-Newton steps from `x` (parameters,); return the minimum."""
         damping, cost = 1e-4, self._cost(x, weights)
         if not math.isfinite(cost):
@@ -161,7 +160,7 @@ class FmuRefit:
         return x
 
     def _step(
-        self, x: Array, cost: float, weights: Whitener, damping: float
+        self, x: Array, cost: float, weights: Weights, damping: float
     ) -> tuple[Array | None, float, float]:
         """Take a damped Gauss-Newton step from `x`; return the values of `damped_step`."""
         hessian, descent = self.linearise(x, weights)
@@ -175,7 +174,7 @@ class FmuRefit:
         return damped_step(take, cost, damping, tries=5)
 
     def intervals(self, found: FittedFmu, floors: Array) -> dict[str, Quantity]:
-        """Return each parameter with a 95 % interval under the residual's coloured noise.
+        """Return each parameter with a 95 % interval by the independent samples among the residuals.
 
         Args:
             found: The fit.
@@ -185,7 +184,8 @@ class FmuRefit:
             Values with intervals by parameter path.
         """
         left = self.residuals(found.model, held_out=False)
-        hessian, _ = self.linearise(found.x, whitener(left, trusted_noise(left, floors)))
+        weights = replace(weights_of(left, floors), share=independent_share(left))
+        hessian, _ = self.linearise(found.x, weights)
         prior = np.diag(1 / self.sigma**2)
         variance = np.diag(np.linalg.inv(hessian + prior)) if len(found.x) else np.zeros(0)
         out, model = {}, self.comparison.model

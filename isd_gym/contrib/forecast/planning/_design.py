@@ -12,7 +12,7 @@ import numpy as np
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter, residuals
-from isd_gym.diagnosis._estimation.noise import innovations, white_filters
+from isd_gym.diagnosis._estimation.noise import deviance_of, white_weights
 from isd_gym.diagnosis._selection.criteria import LEAST_NOISE
 from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record, bare
 from isd_gym.physics.network import assemble
@@ -144,7 +144,7 @@ class RivalComparison:
 
     def linear_distance(self) -> float:
         """Return the smallest linearised distance of two rivals [standard deviations of the noise]."""
-        least, fitter = math.inf, Fitter(self.problem, white_filters(self.noise))
+        least, fitter = math.inf, Fitter(self.problem, white_weights(self.noise))
         for b, r in enumerate(self.rivals):
             fit = fitter.fit(r.structure, r.x, {0: _rest_state(r.structure)}, iterations=0)
             others = [y for k, y in enumerate(self.outputs) if k != b]
@@ -160,17 +160,17 @@ class RivalComparison:
             with the largest difference.
         """
         best: tuple[float, tuple[str, str], int] = (math.inf, ("", ""), 0)
-        level = math.sqrt(2.0) * self.noise
+        level, one = math.sqrt(2.0) * self.noise, np.ones(len(self.noise))
         for a, truth in enumerate(self.rivals):
             record = replace(self.problem.records[0], measured=self.outputs[a])
             p = Problem(self.problem.network, [record], time=self.problem.time)
-            fitter = Fitter(p, white_filters(self.noise))
+            fitter = Fitter(p, white_weights(self.noise))
             for b, r in enumerate(self.rivals):
                 if a == b:
                     continue
                 start = {0: _rest_state(r.structure)}
                 (left,) = residuals(p, fitter.fit(r.structure, r.x, start, iterations=6, tolerance=1e-3))
-                deviance = innovations([left], level) - innovations([0.0 * left], level)
+                deviance = deviance_of([left], level, one) - deviance_of([0.0 * left], level, one)
                 distance = math.sqrt(max(deviance, 0.0))
                 if distance < best[0]:
                     power = np.sum((left / self.noise) ** 2, axis=0)
