@@ -46,9 +46,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (35, 34), "probable": (10, 10), "possible": (15, 11)},
-        "kind": {"certain": (31, 23), "probable": (15, 10), "possible": (39, 15)},
-        "law": {"certain": (12, 9), "probable": (23, 12), "possible": (28, 9)},
+        "place": {"certain": (41, 40), "probable": (12, 12), "possible": (16, 12)},
+        "kind": {"certain": (35, 27), "probable": (17, 12), "possible": (53, 20)},
+        "law": {"certain": (12, 9), "probable": (28, 16), "possible": (45, 16)},
     },
 }
 
