@@ -97,14 +97,6 @@ def test_detents_at_the_cars_device_are_found_with_their_pitch():
     assert found["amplitude"].value == approx(truth["amplitude"], rel=0.15)
 
 
-@pytest.mark.slow
-def test_friction_and_the_sine_of_gravity_are_the_foremost_pair_of_a_decay():
-    d, _ = run(
-        "decay.friction_and_sine", 317
-    )  # told with little confidence, since other pairs predict nearly as well
-    assert set(d.best_candidate.effects) == {"coulomb_friction", "cubic_stiffness"}
-
-
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins():
     def resonator(stiffness):
         parts = {"mass": 1.0, "stiffness": stiffness, "damping": 0.006}
