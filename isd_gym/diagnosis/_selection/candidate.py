@@ -101,9 +101,9 @@ def settle(
     share: Array | None = None,
 ) -> Candidate:
     """Fit a structure with filters and with weights from its residuals in turn until the deviance stops falling. Filters act like a
-    prediction over few samples and have fewer optima; where the model misses much, they lead astray.
+    prediction over few samples, with fewer optima; levels suit a model that misses much.
 
-    `least`: smallest noise (channels,); `fit`: the start, or its states and offsets where it has another structure; `share`: share of independent samples (channels,), by default that of the start
+    `least`: smallest noise (channels,); `fit`: the start, or only initial states and offsets if of another structure; `share`: share of independent samples (channels,), by default that of the start
     or of the first fit."""
     if fit is None or fit.structure is not structure:
         weights = white_weights(least) if fit is None else weights_for(problem, fit, least)

@@ -124,7 +124,7 @@ class Search:
         return path, stages
 
     def _extend(self, path: list[Candidate], stages: list[list[Candidate]]) -> None:
-        """Append candidates with one more effect each to a path, and their stages."""
+        """Append candidates with one more effect each to a path, and the stages."""
         c, e = self.criteria, self.evaluator
         while len(path) <= self.settings.depth:
             now = path[-1]

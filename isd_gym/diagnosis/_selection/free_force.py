@@ -18,8 +18,7 @@ from ..._common.arrays import Z95, Array
 from ...physics import elements as el
 from ...physics.network import Network, assemble
 from ...physics.network._frames import order_told
-from .._estimation.gauss_newton import Fit, Fitter, residuals
-from .._estimation.noise import Weights, weights_of
+from .._estimation.gauss_newton import Fit, Fitter
 from .._estimation.structure import Free, Structure, cells_beside
 from .._hypotheses.forces import PlaceForces, place_forces
 from .._hypotheses.law_matching import follows_motion, starts_of
@@ -29,11 +28,12 @@ from .._hypotheses.pair_forces import law_forces
 from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
 from .admissibility import is_admissible, travels
-from .candidate import Candidate, settle, share_of, transfer
+from .candidate import Candidate, settle, share_of, transfer, weights_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from .._estimation.noise import Weights
     from .._verdict.gates import Gate
     from .held_out import HeldOutEvaluator
 
@@ -154,7 +154,7 @@ def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForce
     motion = motions(problem, base.fit)
     known = travels(problem, base.fit.network, motion)
     problem, base = problem.rough, _coarse(problem, base, floors)
-    fitter = Fitter(problem, weights_of(residuals(problem, base.fit), floors))
+    fitter = Fitter(problem, weights_for(problem, base.fit, floors))
     ranked: list[tuple[float, Table]] = []
     for pair in pairs(base.fit.network):
         m = motion.get(pair)
@@ -341,7 +341,7 @@ def _mean_square(evaluator: HeldOutEvaluator, base: Candidate, table: Candidate,
 def _tabulated(problem: Problem, floors: Array, best: Candidate, explained: float) -> Tabulated:
     structure = best.fit.structure
     assert isinstance(structure, Table)
-    W = weights_of(residuals(problem, best.fit), floors)
+    W = weights_for(problem, best.fit, floors)
     f = Fitter(problem, W).fit(structure, best.fit.x, best.fit.initial, best.fit.offset, iterations=0)
     assert f.hessian is not None
     own = len(structure.own.free)

@@ -23,7 +23,7 @@ import numpy as np
 from ..._common.arrays import rms
 from ..._common.errors import InputError
 from ...physics.simulate import effective_current
-from .._estimation.gauss_newton import Fit, Fitter, residuals
+from .._estimation.gauss_newton import Fit, Fitter
 from .._estimation.initial_states import next_states, transfer_states
 from .._estimation.multiple_shooting import is_lightly_damped
 from .._estimation.noise import (
@@ -31,14 +31,13 @@ from .._estimation.noise import (
     Weights,
     floors_of,
     noise_of,
-    weights_of,
     white_weights,
 )
 from .._estimation.structure import Structure, base_structure
 from .._hypotheses.forces import element_forces, place_forces, work_share
 from .._hypotheses.law_matching import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
-from .candidate import Candidate, share_of
+from .candidate import Candidate, share_of, weights_for
 from .criteria import LEAST_NOISE
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ class HeldOutEvaluator:
     def weights(self, candidate: Candidate) -> Weights:
         """Return weights by the training residuals of a candidate."""
         p = self.problem
-        weights = weights_of(residuals(p, candidate.fit), self.least_noise)
+        weights = weights_for(p, candidate.fit, self.least_noise)
         return replace(weights, share=share_of(p, candidate.fit))
 
     # -- errors -------------------------------------------------------------------------------------------
@@ -339,7 +338,7 @@ class HeldOutEvaluator:
 
 
 def effect_size(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the RMS of what an element does over that of what is there: force, current or signal; or its share of the dissipated work in
+    """Return the RMS of the force, current or signal of an element over that at its place; or its share of the dissipated work in
     a lightly damped structure, if that is larger."""
     net = fit.network
     e = net.element(name)

@@ -406,7 +406,7 @@ class Screening:
             return ScreeningResult((), self.share, best)
         closest = min(ranked, key=lambda r: gap(self.problem, r.fit))
         share = share_of(self.problem, closest.fit)
-        least = min(gap(self.problem, r.fit) for r in ranked)
+        least = gap(self.problem, closest.fit)
         ranked = best_of_each_law(self.each(lambda r: self.settle(r, share, least), ranked))
         first = simplest_first(ranked, self.settings.chance, self.settings.sure)
         return ScreeningResult(tuple(first), share, best)
