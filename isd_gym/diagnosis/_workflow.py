@@ -264,19 +264,8 @@ class Workflow:
             found = self._diagnose_segments(error)
             if found is not None:
                 return found
-        scores, measured, decision = self.explore(refitted)
+        scores, measured, decision = self.conclude(self.search.run(refitted))
         return ResultBuilder(self.search, scores, measured, self).build(decision)
-
-    def explore(self, refitted: Candidate) -> tuple[CandidateComparison, Measurements, Decision]:
-        """Return a search, its measurements and the decision. An undecided search is replaced by a wider one with better predictions.
-        Where only the gate of the free curve fails, other names are only other curves."""
-        scores = self.search.run(refitted)
-        found = *_, decision = self.conclude(scores)
-        failed = {g.name for g in decision.gates if not g.passed}
-        if failed == {"lack of fit"} or decision.verdict not in ("unknown_effect", "ambiguous"):
-            return found
-        wider = self.search.widen(scores)
-        return found if wider is scores else self.conclude(wider)
 
     def conclude(self, scores: CandidateComparison) -> tuple[CandidateComparison, Measurements, Decision]:
         """Return a search, its measurements and the decision on it. Where candidates cannot be told apart, the effects that they share are
@@ -379,7 +368,7 @@ class Workflow:
         try:
             with self.clock.until(SEARCH):
                 refitted = flow.search.refit_nominal()
-            scores, measured, decision = flow.explore(refitted)
+            scores, measured, decision = flow.conclude(flow.search.run(refitted))
         except TimeUp:
             self.clock.leave_out("a comparison over brief stretches")
             return None

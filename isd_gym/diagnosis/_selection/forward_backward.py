@@ -19,7 +19,6 @@ from .candidate import (
     deviance,
     deviance_beside,
     filters_for,
-    is_special_case,
     settle,
     share_of,
     simpler_structures,
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..._common.arrays import Array
-    from .._estimation.structure import Hypothesis, Structure
+    from .._estimation.structure import Structure
     from .._hypotheses.law_matching import Match
     from .._simulation.problem import Problem
     from .criteria import Criteria
@@ -43,8 +42,6 @@ if TYPE_CHECKING:
 
 #: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
 ASTRAY = 1.1
-#: runners-up of the first stage that get a second effect where the search from the first decides nothing
-RUNNERS = 2
 #: stages of forward addition, in words
 ORDINALS = ("a first", "a second", "a third", "a further")
 
@@ -73,56 +70,17 @@ class Search:
         return self.evaluator.least_noise
 
     def run(self, refitted: Candidate) -> CandidateComparison:
-        """Search from the refitted nominal model."""
-        return self.select(*self.add_effects([refitted], []))
-
-    def widen(self, scores: CandidateComparison) -> CandidateComparison:
-        """Add a second effect to the runners-up of the first stage. Return the search from the pair with the best prediction, or the present
-        search where its own second candidate predicts as well."""
-        if not scores.stages:
-            return scores
-        first, known = scores.stages[0][0], scores.path[min(2, len(scores.path) - 1)]
-        pairs: list[tuple[Candidate, Candidate, list[Candidate]]] = []
-        try:
-            with self.clock.until(SEARCH):
-                for runner in self._runners_up(scores, first):
-                    self.say(f"adding a second effect to {runner.label}")
-                    stages: list[list[Candidate]] = []
-                    pair = self._add_best(runner, stages)
-                    if pair is not None and scores.can_score(pair) and scores.predicts_better(pair, known):
-                        pairs.append((runner, pair, stages[0]))
-        except TimeUp:
-            self.clock.leave_out("a second effect beside the runners-up")
-        if not pairs:
-            return scores
-        runner, pair, stage = min(pairs, key=lambda t: scores.score(t[1]).mean_square)
-        path, stages = [scores.refitted, runner, pair], [[*scores.stages[0]], stage]
-        return self.select(*self.add_effects(path, stages))
-
-    def _runners_up(self, scores: CandidateComparison, first: Candidate) -> list[Candidate]:
-        """Return the candidates with one effect, other than the first, that predict best, at most `RUNNERS`; each must remove as much as an
-        effect that is kept."""
-        h, refit = first.hypotheses[-1], scores.score(scores.refitted)
-        found: dict[Hypothesis, Candidate] = {}
-        # special cases of the first law were fitted in the first search
-        others = [r for r in scores.stages[0][1:] if not is_special_case(h, r.hypotheses[-1])]
-        for r in sorted(filter(scores.can_score, others), key=lambda r: scores.score(r).mean_square):
-            if scores.explained_fraction(refit, scores.score(r)) >= self.criteria.least_removed:
-                found.setdefault(r.hypotheses[-1], r)
-        return [*found.values()][:RUNNERS]
-
-    # -- forward addition ---------------------------------------------------------------------------------
-    def add_effects(
-        self, path: list[Candidate], stages: list[list[Candidate]]
-    ) -> tuple[list[Candidate], list[list[Candidate]]]:
-        """Add one effect at a time to a path, which begins with the refitted nominal model, and append the candidates of each stage."""
+        """Search from the refitted nominal model: add one effect at a time, then select."""
+        path: list[Candidate] = [refitted]
+        stages: list[list[Candidate]] = []
         try:
             with self.clock.until(SEARCH):
                 self._extend(path, stages)
         except TimeUp:
             self.clock.leave_out(f"the search for {ORDINALS[min(len(path), len(ORDINALS)) - 1]} effect")
-        return path, stages
+        return self.select(path, stages)
 
+    # -- forward addition ---------------------------------------------------------------------------------
     def _extend(self, path: list[Candidate], stages: list[list[Candidate]]) -> None:
         """Append candidates with one more effect each to a path, and the stages."""
         c, e = self.criteria, self.evaluator
