@@ -286,7 +286,7 @@ def test_a_score_is_a_function_of_its_arguments():
     evaluator = HeldOutEvaluator(problem)
     search = Search(evaluator, SearchSettings(depth=1), CRITERIA, lambda line: None)
     refitted = search.refit_nominal()
-    (_, best), _ = search.add_effects([refitted], [])
+    _, best = search.run(refitted).path
     filters = evaluator.weights(best)
     alone = HeldOutEvaluator(problem).score(refitted, filters)
     evaluator.score(best, filters)
