@@ -15,7 +15,7 @@ from isd_gym.diagnosis._selection.free_force import FreeForce
 from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
 from isd_gym.diagnosis._verdict.gates import Decision, confidence, decide, gates_of, table_gates
-from isd_gym.diagnosis._verdict.grades import MISTAKEN
+from isd_gym.diagnosis._verdict.grades import MISTAKEN, grade
 from isd_gym.diagnosis._workflow import Workflow
 from isd_gym.physics.elements import TYPES, Motion
 
@@ -62,7 +62,7 @@ def test_a_name_passes_every_gate():
         ),
         ("lack of fit", {"lack_of_fit": 0.8}, "unknown_effect"),
         ("probable", {"probability": 0.4}, "unknown_effect"),
-        ("confirmed", {"test_explained": 0.4}, "unknown_effect"),
+        ("confirmed", {"test_explained": 0.4, "test_gap": 1.2}, "unknown_effect"),
         ("sensor", {"effects": (GAIN,), "force_loss": 1.2}, "ambiguous"),
         ("sensor", {"effects": (replace(GAIN, fault=0.4),), "force_loss": 10.0}, "ambiguous"),
     ],
@@ -71,6 +71,12 @@ def test_each_gate_can_fail_and_the_verdict_follows(gate, change, verdict):
     d = decide(replace(GOOD, **change))
     assert [g.name for g in d.gates if not g.passed] == [gate]
     assert d.verdict == verdict
+
+
+def test_test_records_without_a_gap_neither_confirm_a_name_nor_take_it_away():
+    silent = replace(GOOD, test_explained=-0.5, test_gap=0.8)
+    assert decide(silent).verdict == "missing_effect"
+    assert grade(confidence(silent)) == "probable" and grade(confidence(GOOD)) == "certain"
 
 
 @pytest.mark.parametrize("changes", [{"probability": 0.4}, {"refit": (0.08,), "envelope": (0.09,)}])
@@ -92,7 +98,7 @@ def test_effects_that_all_rivals_share_are_named_if_they_pass_alone(alone, is_na
     assert (found.foremost, decision.verdict) == ((part, alone) if is_named else (pair, "ambiguous"))
 
 
-@pytest.mark.parametrize(("by_force", "gives_way"), [(1.9, True), (2.1, False)])
+@pytest.mark.parametrize(("by_force", "gives_way"), [(3.9, True), (4.1, False)])
 def test_a_fault_of_a_sensor_gives_way_to_a_force_that_explains_nearly_as_much(by_force, gives_way):
     at = {place: (SimpleNamespace(place=place),) for place in ("channel", "between")}
     sensor = SimpleNamespace(hypotheses=at["channel"], mean_square=2.0)
@@ -226,7 +232,7 @@ def test_the_limit_of_a_doubtful_sensor_is_the_one_it_was_held_against():
     def forces_first(fault):
         return gates_of(replace(GOOD, effects=(replace(GAIN, fault=fault),), force_loss=10.0))[-1]
 
-    assert (forces_first(0.1).passed, forces_first(0.1).limit) == (True, 2.0)
+    assert (forces_first(0.1).passed, forces_first(0.1).limit) == (True, 4.0)
     assert (forces_first(0.4).passed, forces_first(0.4).limit) == (False, 20.0)
 
 

@@ -481,6 +481,15 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is():
     assert len(records[0]) < 0.2 * len(rested)
     assert sum(map(len, records)) < 0.5 * len(rested)
     assert "nothing moves" in notes[-2]
+    # a wheel that friction stops after a tenth of the record, whose pace is that of its rest
+    rng = np.random.default_rng(0)
+    speed = np.maximum(1.0 - t[:800] / 0.8, 0.0) + 3e-3 * rng.standard_normal(800)
+    stopped = Record("stopped", 1e-2, {}, speed[:, None])
+    (first, rest), _ = split_records([stopped], [], notes, stopped.pace)
+    assert len(first) < 70 and len(rest) < 300 and np.ptp(rest.measured) > 0.1
+    # a slow decay has no rest
+    slow = Record("slow", 1e-2, {}, (np.exp(-0.03 * t) * np.cos(6.0 * t))[:, None])
+    assert sum(map(len, split_records([slow], [], notes, slow.pace)[0])) == len(slow)
 
 
 def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out():

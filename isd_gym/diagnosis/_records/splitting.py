@@ -19,7 +19,8 @@ LEAST_SEGMENT = 40.0  # least length of the segments of a short record, as a mul
 LEAD_IN = 100.0
 LED_IN = 0.125  # largest share of a record that leads in: what happened before the record is unknown to a law with memory
 WINDOWS = 8  # least number of windows in the search for the end of the motion, and of windows kept
-STILL = 4.0  # ratio to the power of the quietest window below which a window is at rest
+STILL = 4.0  # ratio to the power of the quietest quarter of the windows below which a window is at rest
+MOVES = 25.0  # least ratio of the largest power to that of a rest; a decay without rest of a larger ratio keeps more than half of its record
 
 
 def split_records(
@@ -88,13 +89,17 @@ def _split_record(record: Record) -> tuple[Record, Record]:
 
 def _find_rest(record: Record, y: Array) -> int:
     """Return the sample at which the rest of a record with outputs (n, channels) begins, if the rest is more than half of the record."""
-    length = max(16, math.ceil(6 * record.pace / record.interval))
+    # the pace of a record at rest is the rest's
+    length = max(16, min(math.ceil(6 * record.pace / record.interval), len(y) // (4 * WINDOWS)))
     count = len(y) // length
     if count < WINDOWS:
         return len(y)
     power = y[: count * length].reshape(count, length, -1).var(axis=1)
-    moving = np.flatnonzero((power > STILL * power.min(axis=0)).any(axis=1))
-    last = (int(moving[-1]) + 1 if len(moving) else count) * length
+    rest = np.sort(power, axis=0)[: max(1, count // 4)].mean(axis=0)
+    moving = np.flatnonzero((power > STILL * rest).any(axis=1))
+    if not (power.max(axis=0) > MOVES * rest).any():
+        return len(y)
+    last = (int(moving[-1]) + 1) * length
     # a part of the rest is kept: a model must predict the rest, too
     return len(y) if last > len(y) // 2 else max(last + last // 4, WINDOWS * length)
 

@@ -120,6 +120,11 @@ class CandidateComparison:
         refit, after = self.score(self.refitted), self.score(candidate)
         return after.explained_on_test(refit, self.test_noise, self.noise_score)
 
+    def test_excess(self, candidate: Candidate) -> Array:
+        """Return the error beyond noise on the test records (channels,), as a share of the deviation there."""
+        power = self.score(candidate).test_nrmse ** 2 - self.test_noise**2
+        return np.asarray(np.sqrt(np.maximum(power, 0.0)), dtype=np.float64)
+
     @property
     def test_noise(self) -> Array:
         """Noise of the test records as a share of the deviation there (channels,)."""

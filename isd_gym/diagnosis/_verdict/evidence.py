@@ -97,6 +97,8 @@ class Evidence:
     lack_of_fit: float = 0.0
     #: share of the refitted model's excess error that the candidate removes on the test records
     test_explained: float = 1.0
+    #: excess error of the refitted model on the test records over that of unmodelled effects, largest over channels
+    test_gap: float = math.inf
     #: share of the nominal model's squared error, over all channels, that the candidate removes: on validation or on test records, the larger
     nominal_removed: float = 1.0
     #: whether a special case of a law leaves no more than unmodelled effects, which may have made the difference
