@@ -49,14 +49,16 @@ def split_records(
     held = sorted(held, key=lambda r: (r.measured.shape, r.measured.tobytes(), r.name))
     segments: list[Record] = []
     roles: list[Role] = []
-    for r in held:
+    for n, r in enumerate(held):
         seconds = SEGMENT * time
         if r.inputs:  # a short record with inputs gives two to four segments
             duration = len(r) * r.interval
             seconds = min(seconds, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration)
         own = cut_segments(r, seconds, min(300, len(r) // 2), lead)
         segments += own
-        roles += ["choose" if k % 2 == 0 else "report" for k in range(len(own))]
+        # the first half of every run may be driven and the second coast: neither half is for one purpose alone
+        first = n % 2 if len(own) > 1 else 0
+        roles += ["choose" if (first + k) % 2 == 0 else "report" for k in range(len(own))]
     if "report" in roles:
         notes.append(
             f"{len(segments)} held-out segments, alternately for validation (choice of effects) and test (reported figures)"

@@ -1,7 +1,8 @@
 """Admissibility of a law at a place: whether the motion of the records can show the law at all.
 
 A force of travel is told from a force of time only if the travel is known or returns. In a coast-down whose speed is measured, the
-angle of each record counts from an unknown start and never returns: a spring with a free start angle is any smooth function of time.
+angle of each record counts from an unknown start and never returns: a spring with a free start angle is any smooth function of time, and
+so is the deflection of a compliance in line with a damper.
 A force that repeats over travel shows its period only where the samples resolve the period.
 """
 
@@ -50,6 +51,8 @@ class Travel:
     span: float
     #: typical change of the distance between samples [m]
     advance: float
+    #: whether an input drives the motion
+    is_driven: bool = True
 
     def is_known(self, c: Criteria = CRITERIA) -> bool:
         """Return whether the travel is observed, or returns within the records."""
@@ -93,6 +96,7 @@ def _travel(network: Network, pair: Pair, parts: list[Array]) -> Travel:
         passes=sum(ways) / max(sum(spans), 1e-300),
         span=max(spans),
         advance=typical_advance(parts),
+        is_driven=bool(network.inputs),
     )
 
 
@@ -113,10 +117,10 @@ def has_period(kind: type[el.Element]) -> bool:
 
 def is_admissible(h: Hypothesis, known: Mapping[Pair, Travel], c: Criteria = CRITERIA) -> bool:
     """Return whether the motion of the records can show an effect at a place."""
-    if not needs_travel(h.kind) or has_period(h.kind):
+    if has_period(h.kind) or not (h.kind.series or needs_travel(h.kind)):
         return True
     travel = travel_of(h.where, known)
-    return travel is None or travel.is_known(c)
+    return travel is None or travel.is_known(c) or (h.kind.series and travel.is_driven)
 
 
 def admissible_matches(

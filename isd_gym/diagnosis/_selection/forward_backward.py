@@ -109,7 +109,7 @@ class Search:
                     path.append(hint)  # reported, but too small to be named
                     stages.append([hint])
                     break
-            best = self._add_best(now, stages)
+            best = self._add_best(now, stages, is_wide=float(excess.mean()) > c.wide_gap)
             if best is None:
                 break
             then = self._score_after(now, score, best)
@@ -144,8 +144,9 @@ class Search:
         except BROKEN:
             return None
 
-    def _add_best(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
-        """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
+    def _add_best(self, now: Candidate, stages: list[list[Candidate]], *, is_wide: bool) -> Candidate | None:
+        """Return the best candidate with one more effect, or None without gain; append the candidates to the stages. Where the held-out
+        error `is_wide`, the held-out records decide about a small gain."""
         p, c = self.problem, self.criteria
         ranked, before = self._screen(now, self.settings)
         if not ranked:
@@ -154,7 +155,8 @@ class Search:
         gain = before - best.deviance
         self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
         stages.append(ranked)
-        is_weak = gain < c.deviance_gain and c.least_removed * gap(p, now.fit) < gap(p, best.fit)
+        least = 0.0 if is_wide else c.deviance_gain
+        is_weak = gain <= least and c.least_removed * gap(p, now.fit) < gap(p, best.fit)
         return None if is_weak else best
 
     # -- backward elimination -----------------------------------------------------------------------------
