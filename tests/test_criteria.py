@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from isd_gym.diagnosis._result_builder import ResultBuilder
+from isd_gym.diagnosis._selection import forward_backward
 from isd_gym.diagnosis._selection.candidate_comparison import CandidateComparison
 from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
 from isd_gym.diagnosis._selection.equivalent_laws import repeats
@@ -96,6 +97,26 @@ def test_effects_that_all_rivals_share_are_named_if_they_pass_alone(alone, is_na
     )
     found, _, decision = Workflow.conclude(flow, scores)
     assert (found.foremost, decision.verdict) == ((part, alone) if is_named else (pair, "ambiguous"))
+
+
+@pytest.mark.parametrize(
+    ("is_wide", "gain", "goes_on"),
+    [(False, 25, True), (False, 15, False), (True, 15, True), (True, -1, False)],
+)
+def test_held_out_records_decide_about_a_small_gain_where_their_gap_is_wide(
+    monkeypatch, is_wide, gain, goes_on
+):
+    best = SimpleNamespace(deviance=-gain, fit=0.8, hypotheses=[SimpleNamespace(label="friction")])
+    monkeypatch.setattr(forward_backward, "gap", lambda problem, fit: fit)
+    search = SimpleNamespace(
+        problem=None,
+        criteria=CRITERIA,
+        settings=None,
+        say=lambda line: None,
+        _screen=lambda now, settings: ([best], 0.0),
+    )
+    found = forward_backward.Search._add_best(search, SimpleNamespace(fit=1.0), [], is_wide=is_wide)
+    assert (found is best) == goes_on
 
 
 @pytest.mark.parametrize(("by_force", "gives_way"), [(3.9, True), (4.1, False)])

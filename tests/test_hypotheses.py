@@ -17,7 +17,7 @@ from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import Match, match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
-from isd_gym.diagnosis._selection.admissibility import Travel, admissible_matches, is_observed
+from isd_gym.diagnosis._selection.admissibility import Travel, admissible_matches, is_admissible, is_observed
 from isd_gym.diagnosis._selection.equivalent_laws import _places_alike, _series_alone
 from isd_gym.diagnosis._selection.screening import Screening
 from isd_gym.diagnosis._simulation.problem import Problem, Record
@@ -152,6 +152,16 @@ def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed()
     offset = DRUM | {"outputs": [angle | {"offset": "record"}]}
     told = [is_observed(Network.load(m), pair) for m in (DRUM, held, seen, offset)]
     assert told == [False, True, True, False]
+
+
+@pytest.mark.parametrize(("is_driven", "passes"), [(True, 1.0), (False, 1.0), (False, 2.0)])
+def test_a_coast_down_without_a_known_travel_shows_no_compliance(is_driven, passes):
+    """The deflection of a compliance in line with a damper may start anywhere: it is any smooth function of time, as a spring's force is."""
+    travel = Travel(is_observed=False, passes=passes, span=10.0, advance=0.1, is_driven=is_driven)
+    kinds = {h.effect: h for h in hypotheses(Network.load(DRUM))}
+    told = {name: is_admissible(kinds[name], {kinds[name].where: travel}) for name in kinds}
+    assert told["series_compliance"] == (is_driven or passes > 1.5)
+    assert told["linear_stiffness"] == (passes > 1.5) and told["coulomb_friction"]
 
 
 def test_no_pitch_is_offered_that_is_finer_than_the_samples():

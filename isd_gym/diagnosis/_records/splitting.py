@@ -57,8 +57,8 @@ def split_records(
         own = cut_segments(r, seconds, min(300, len(r) // 2), lead)
         segments += own
         # the first half of every run may be driven and the second coast: neither half is for one purpose alone
-        first = n % 2 if len(own) > 1 else 0
-        roles += ["choose" if (first + k) % 2 == 0 else "report" for k in range(len(own))]
+        after = n % 2 if len(own) > 1 else 0
+        roles += ["choose" if (after + k) % 2 == 0 else "report" for k in range(len(own))]
     if "report" in roles:
         notes.append(
             f"{len(segments)} held-out segments, alternately for validation (choice of effects) and test (reported figures)"

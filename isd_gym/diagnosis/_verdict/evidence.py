@@ -97,7 +97,7 @@ class Evidence:
     lack_of_fit: float = 0.0
     #: share of the refitted model's excess error that the candidate removes on the test records
     test_explained: float = 1.0
-    #: excess error of the refitted model on the test records over that of unmodelled effects, largest over channels
+    #: excess error on the test records over that of unmodelled effects, largest over channels, of the refitted model or of the candidate
     test_gap: float = math.inf
     #: share of the nominal model's squared error, over all channels, that the candidate removes: on validation or on test records, the larger
     nominal_removed: float = 1.0

@@ -145,7 +145,7 @@ def _predicts_better(e: Evidence, c: Criteria) -> Gate:
 
 def _confirmed(e: Evidence, c: Criteria) -> Gate:
     is_so = partial(gate, "confirmed")
-    silent = "error of the refitted model beyond noise on the test records over that of small effects: they show no gap"
+    silent = "error beyond noise on the test records over that of small effects, without and with the effect: they show no gap"
     return any_of(
         is_so(e.test_explained, ">=", c.least_removed, f"{REMOVED} on the test records"),
         is_so(e.test_gap, "<", 1.0, silent),

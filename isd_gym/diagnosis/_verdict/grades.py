@@ -46,9 +46,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (41, 40), "probable": (12, 12), "possible": (16, 12)},
-        "kind": {"certain": (35, 27), "probable": (17, 12), "possible": (53, 20)},
-        "law": {"certain": (12, 9), "probable": (28, 16), "possible": (45, 16)},
+        "place": {"certain": (43, 42), "probable": (13, 13), "possible": (17, 13)},
+        "kind": {"certain": (37, 28), "probable": (18, 13), "possible": (56, 22)},
+        "law": {"certain": (12, 9), "probable": (31, 17), "possible": (51, 18)},
     },
 }
 

@@ -108,7 +108,10 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
         probability=sum(w.weight for w in weighted if w.statements >= stated),
         lack_of_fit=lack_of_fit(search, scores),
         test_explained=scores.explained_on_test(best),
-        test_gap=float(np.max(scores.test_excess(refitted) / envelope)),
+        test_gap=max(
+            float(np.max(scores.test_excess(r) / w))
+            for r, w in ((refitted, envelope), (best, envelope_after))
+        ),
         rival_loss=loss_ratio(others),
         indistinguishable=tuple(r.label for r in indistinguishable),
         force_loss=loss_ratio(forces),
