@@ -146,6 +146,15 @@ def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
     by = ChannelMap.from_dict({"schema": "isd-map/1", "channels": channels})
     (run,) = runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS, by=by)
     assert run.clocks == ["1 a.csv", "2 b.csv"]
+    write_table(tmp_path / "c.csv", Table(t, {c.name: np.sin(t) for c in CHANNELS if c.name != "travel"}))
+    refused(
+        r"travel in logger 2; name the files of one run together, as in .*\+",
+        runs,
+        f"{tmp_path}/c.csv",
+        NETWORK,
+        CHANNELS,
+        by=by,
+    )
 
 
 def test_absolute_stamps_of_two_loggers_share_their_origin(tmp_path):

@@ -334,6 +334,11 @@ def _find(
             f"{told}: no column {shown(source.column)}; {helps} (name the column with --map FILE or --rename COLUMN={channel.name}; "
             f"isd-gym inspect suggests a map){without(network, channel.name)}"
         )
+    if source.logger > len(files):
+        raise InputError(
+            f"{told}: {by.source} has {channel.name} in logger {source.logger}; name the files of one run together, as in "
+            f"FIRST.csv{JOIN}SECOND.csv"
+        )
     raise InputError(
         f"{told}: no column {shown(source.column)}, which {by.source} names for {channel.name}; {helps} "
         f"(isd-gym inspect makes a map){without(network, channel.name)}"
