@@ -67,9 +67,8 @@ INFERIOR = 4.0
 BENDS = 3
 #: lengths of segments that keep the phase, as multiples of the usual length
 LENGTHS = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
-#: Gauss-Newton steps of the first fit of each start, of the best start with each kind of weights, of the better one of the two, and of a
-#: fit from segments to whole records
-FIRST, BEST, FURTHER, WHOLE = 1, 2, 5, 8
+#: Gauss-Newton steps of the first fit of each start, of the fit of the best start, and of a fit from segments to whole records
+FIRST, FURTHER, WHOLE = 3, 5, 8
 
 
 @dataclass(frozen=True)
@@ -288,29 +287,22 @@ class Screening:
             with suppress(InputError):
                 yield replace(m, moved=m.moved | less).sized(1 + taken / work).begin(current.structure)
 
-    def fit(self, group: Sequence[Match]) -> Candidate | None:
-        """Fit a law to the records: briefly from its best starts, longer from the best of them with each kind of weights, and to the end
-        from the better one; None where every fit breaks down."""
-        starts, found = self.starts(group), []
-        for fitter in (self.fitter, self.plain):
-            begun = [self._begin(fitter, structure, x) for structure, x in starts]
-            found += [(self._go_on(fitter, r, BEST), fitter) for r in best_of_each_law(begun)[:1]]
-        best = next(iter(best_of_each_law(r for r, _ in found)), None)
-        return best and self._go_on(next(own for r, own in found if r is best), best, FURTHER)
-
-    def _begin(self, fitter: Fitter, structure: Structure, x: Array) -> Candidate | None:
-        try:
-            known = self.states(fitter, structure, x)
-            return self._candidate(fitter.fit(structure, x, known, self.current.offset, iterations=FIRST))
-        except BROKEN:
-            return None
-
-    def _go_on(self, fitter: Fitter, r: Candidate, iterations: int) -> Candidate | None:
-        f = r.fit
-        try:
-            return self._candidate(fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=iterations))
-        except BROKEN:
-            return None
+    def fit(self, group: Sequence[Match]) -> list[Candidate]:
+        """Fit a law to the records from its best starts; return the best fit."""
+        tries: list[tuple[Candidate, Fitter]] = []
+        for structure, x in self.starts(group):
+            for fitter in (self.fitter, self.plain):
+                with suppress(*BROKEN):
+                    known = self.states(fitter, structure, x)
+                    f = fitter.fit(structure, x, known, self.current.offset, iterations=FIRST)
+                    tries.append((self._candidate(f), fitter))
+        out = []
+        for r in best_of_each_law(r for r, _ in tries):
+            fitter = next(own for q, own in tries if q is r)
+            with suppress(*BROKEN):
+                f = fitter.fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, iterations=FURTHER)
+                out.append(self._candidate(f))
+        return out
 
     def states(self, fitter: Fitter, structure: Structure, x: Array) -> dict[int, Array]:
         """Return the initial states of the current fit or guesses from the first samples, whichever cost less."""
@@ -339,7 +331,7 @@ class Screening:
             x = structure.start_from(known)
             try:
                 states = transfer_states(self.problem, r.fit.network, r.fit.initial, structure)
-                f = self.fitter.fit(structure, x, states, r.fit.offset, iterations=WHOLE)
+                f = self.fitter.fit(structure, x, states, r.fit.offset, iterations=FIRST + FURTHER)
             except BROKEN:
                 continue
             out.append(self._candidate(f))
@@ -392,7 +384,7 @@ class Screening:
     def fit_shortlist(self) -> list[Candidate]:
         """Fit the laws of the shortlist to the records of this stage."""
         groups, _ = self.shortlist(), (self.fitter, self.plain, self.share)
-        ranked = self.leading(self.each(self.fit, groups))
+        ranked = self.leading(r for found in self.each(self.fit, groups) for r in found)
         tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
         plainer = [r for found in self.each(lambda r: self.special_cases(r, tried), ranked) for r in found]
         return self.leading([*ranked, *plainer])
