@@ -65,7 +65,6 @@ RIGS = [
     ("shaken.play", 305, {("backlash", "mass", "base")}, {"gap": approx(0.0542, rel=0.02)}),  # play in the spring alone, beside a damper
     ("none_passive", 31, set(), {}),  # 3 % of the damper's force moves the device, which dry friction nearly holds, by a fifth of its travel
     ("decay2.none", 315, set(), {}),  # a clean one: the fit of the owner's model had stuck
-    ("stribeck_strut", 311, {("stribeck_friction", "body", "wheel")}, {}),  # steps of a 45th of a period made as much as falls between a law and its special case
     ("stiffness_device", 316, {("linear_stiffness", "piston", "joint")}, {}),  # a wave that is not seen to repeat gives way to a spring
     # fits of segments hand their state to the whole decay, whose frequency the refit had taken up
     ("coast.cubic_shaft", 1801, {("cubic_stiffness", "rim", "hub")}, {"stiffness": approx(9.454e8, rel=0.02)}),
