@@ -480,7 +480,7 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is():
     assert len(records[0]) < 0.2 * len(rested)
     assert sum(map(len, records)) < 0.5 * len(rested)
     assert "nothing moves" in notes[-2]
-    # a wheel that friction stops after a tenth of the record, whose pace is that of its rest
+    # friction stops a wheel after a tenth of the record: the pace is the rest's
     rng = np.random.default_rng(0)
     speed = np.maximum(1.0 - t[:800] / 0.8, 0.0) + 3e-3 * rng.standard_normal(800)
     stopped = Record("stopped", 1e-2, {}, speed[:, None])

@@ -85,8 +85,7 @@ class CandidateComparison:
 
     # -- explained fractions ------------------------------------------------------------------------------
     def explained_fraction(self, before: HeldOutScore, after: HeldOutScore) -> float:
-        """Return the share of the excess error of one score that another removes: of the weighted error, or of the plain error if that
-        falls by more."""
+        """Return the share of a score's excess error that the second score removes: the larger one of weighted and plain error."""
         weighted = (before.mean_square - after.mean_square) / max(
             before.mean_square - self.noise_score, 1e-12
         )
@@ -119,11 +118,6 @@ class CandidateComparison:
         """Return the share of the refitted model's excess error that a candidate removes on the test records."""
         refit, after = self.score(self.refitted), self.score(candidate)
         return after.explained_on_test(refit, self.test_noise, self.noise_score)
-
-    def test_excess(self, candidate: Candidate) -> Array:
-        """Return the error beyond noise on the test records (channels,), as a share of the deviation there."""
-        power = self.score(candidate).test_nrmse ** 2 - self.test_noise**2
-        return np.asarray(np.sqrt(np.maximum(power, 0.0)), dtype=np.float64)
 
     @property
     def test_noise(self) -> Array:

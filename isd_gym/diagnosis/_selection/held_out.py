@@ -91,7 +91,11 @@ class HeldOutScore:
 
     def excess(self, noise: Array) -> Array:
         """Return the error beyond noise (channels,), both as shares of a channel's deviation."""
-        return np.asarray(np.sqrt(np.maximum(self.nrmse**2 - noise**2, 0.0)), dtype=np.float64)
+        return _beyond(self.nrmse, noise)
+
+    def test_excess(self, noise: Array) -> Array:
+        """Return the error beyond noise on the test records (channels,), both as shares of a channel's deviation there."""
+        return _beyond(self.test_nrmse, noise)
 
     def explained_on_test(self, before: HeldOutScore, noise: Array, noise_score: float) -> float:
         """Return the share of the excess error of another score that this score removes on the test records, with a floor of a hundredth
@@ -335,6 +339,11 @@ class HeldOutEvaluator:
     def effect_sizes(self, candidate: Candidate) -> list[float]:
         """Return the size of each effect, as a share of the force, current or signal at its place."""
         return [effect_size(self.problem, candidate.fit, name) for name in candidate.fit.structure.names]
+
+
+def _beyond(error: Array, noise: Array) -> Array:
+    """Return the part of an RMS error (channels,) beyond independent noise."""
+    return np.asarray(np.sqrt(np.maximum(error**2 - noise**2, 0.0)), dtype=np.float64)
 
 
 def effect_size(problem: Problem, fit: Fit, name: str) -> float:

@@ -109,8 +109,8 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
         lack_of_fit=lack_of_fit(search, scores),
         test_explained=scores.explained_on_test(best),
         test_gap=max(
-            float(np.max(scores.test_excess(r) / w))
-            for r, w in ((refitted, envelope), (best, envelope_after))
+            float(np.max(s.test_excess(scores.test_noise) / w))
+            for s, w in ((refit, envelope), (after, envelope_after))
         ),
         rival_loss=loss_ratio(others),
         indistinguishable=tuple(r.label for r in indistinguishable),
