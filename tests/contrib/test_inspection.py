@@ -21,6 +21,7 @@ from isd_gym.contrib.inspection.map_file import save_map
 from isd_gym.contrib.simulation.command import command as simulate_command
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.physics.network import Network
+from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._loggers import ChannelMap, Column, Logger, Raster, mended, runs
 from isd_gym.records._loggers.record_reading import records_of, road_of
@@ -80,6 +81,18 @@ def test_a_column_without_a_unit_gets_the_one_that_fits_the_model_and_a_sign(tmp
     pick, _ = made.suggestion.channels["travel"]
     assert (pick.facts.name, pick.unit, pick.sign) == ("stroke", "mm", -1)
     assert chosen(made) == NAMES
+
+
+def test_a_column_of_an_input_s_own_name_is_in_the_input_s_unit_whatever_the_model_lacks(tmp_path):
+    rig = Network.load("quarter-car-isd")
+    rng = np.random.default_rng(1)
+    time = 2.5e-3 * np.arange(2400)
+    heights = road("paper").heights(time[-1], speed=20.0, step=2.5e-3, rng=rng)
+    driven = {"road": heights, "current": np.repeat(rng.uniform(-3, 3, 120), 20)}
+    file = tmp_path / "rec.csv"
+    write_table(file, Table(time, driven | simulate(rig, time, driven)))
+    made = inspect([file], rig.without_element("seal")).suggestion.channels
+    assert {name: pick.unit for name, (pick, _) in made.items()}["current"] == "A"
 
 
 def test_two_columns_that_could_be_it_are_not_called_sure(tmp_path, run):

@@ -34,6 +34,7 @@ LAG = 0.5  # largest lag between loggers [s]
 GIVEN = 50.0  # score of the column that the user names for a channel
 NOTHING = -3.0  # score below which a channel has no column
 PHYSICS = 9.0  # score of a perfect match with a simulation
+EXACT = 5.0  # score of a column's name that is the channel's
 DERIVATIVE = 2.0  # score of a column that is the derivative of another column
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
@@ -313,7 +314,9 @@ def _choices(
             if prior[i, k] < NOTHING:
                 continue
             for unit, cost in _units(live[k], c):
-                rows.append((float(prior[i, k]) - cost, (int(k), unit, signs.get(c.name, 1))))
+                # `diagnose` reads a column of the channel's name in the channel's unit: what a model lacks is no reason for another one
+                if unit == c.unit or alike(live[k].name, c, network) < EXACT:
+                    rows.append((float(prior[i, k]) - cost, (int(k), unit, signs.get(c.name, 1))))
         rows.append((NOTHING, (-1, c.unit, 1)))
         options.append(sorted(rows, reverse=True)[:8])
     every = sorted(itertools.product(*options), key=lambda row: -sum(s for s, _ in row))
@@ -477,7 +480,7 @@ def _weighed(
 
 def _reasons(f: Facts, c: Channel, network: Network) -> tuple[str, ...]:
     out = []
-    if alike(f.name, c, network) >= 5:
+    if alike(f.name, c, network) >= EXACT:
         out.append("its name")
     elif alike(f.name, c, network) > 1:
         out.append("like its name")
