@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import fitted, friction, network, oscillator, recorded, sines, spring
+from builders import element, fitted, friction, network, oscillator, recorded, sines, spring
 from scipy.optimize import lsq_linear
 
 from isd_gym._common.errors import InputError
@@ -49,6 +49,30 @@ def test_records_side_by_side_say_what_each_says_alone():
     assert list(together) == list(range(5))
     for i in range(5):
         np.testing.assert_array_equal(together[i], problem.simulate(nets, i, begun[i], like=net))
+
+
+def errors_of_decays(*starts):
+    """Errors, as shares of the deviation, of a softening oscillator whose decays from these states are followed over forty periods."""
+    soft = element("soft", "cubic_stiffness", "mass", "ground", stiffness=-16.6)
+    net = oscillator("mass displacement mass", mass=1.0, stiffness=72.7, damping=0.0124, beside=[soft])
+    rng, records = np.random.default_rng(0), []
+    for state in starts:
+        made = recorded(net, 1 / 21, {"push": np.zeros(629)}, initial=state)
+        records.append(replace(made, measured=made.measured + 0.002 * rng.standard_normal((629, 1))))
+    problem, structure = Problem(net, records), base_structure(net)
+    fitter = Fitter(problem, white_weights(np.array([0.002])))
+    fit = fitter.follow(structure, structure.start, range(len(records)), iterations=12)
+    return [np.std(r.measured - fit.outputs[i]) / np.std(r.measured) for i, r in enumerate(records)]
+
+
+def test_a_record_is_followed_whatever_records_stand_beside_it():
+    # a full step of one record overshoots, that of the other does not
+    assert errors_of_decays([0.4, 0.2], [1.5, 3.0])[0] < 0.02
+    assert errors_of_decays([1.5, 3.0], [0.4, 0.2])[1] < 0.02
+
+
+def test_a_motion_whose_phase_follows_its_amplitude_is_followed_from_its_first_samples():
+    assert errors_of_decays([1.5, 3.0])[0] < 0.05
 
 
 def test_a_fit_finds_the_values_that_made_the_record():

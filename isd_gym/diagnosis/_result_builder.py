@@ -80,20 +80,20 @@ class ResultBuilder:
         is_free = decision.verdict == "unknown_effect" and not self.flow.feedback
         what = "a table of the missing force"
         free = (self._attempt(what, self._free_force) if is_free else None) or FreeForce()
-        found = self._attempt("the probabilities", self._findings, decision, free)
-        decision, findings = found or (decision, ())
         what = "a comparison of the parameters of each record"
         differences = self._attempt(what, self._record_differences, decision, free)
         if differences is not None and decision.verdict == "missing_effect" and differences.is_tied:
             differences = None
         if differences is not None and not differences.is_tied:
             decision, free = replace(decision, verdict="unknown_effect", reason="records_differ"), FreeForce()
+        found = self._attempt("the probabilities", self._findings, decision, free)
+        decision, findings = found or (decision, ())
         is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
         if is_ambiguous:  # a law of the library stands for the force
             free = FreeForce()
-        # where the records differ, no law stands for the difference
-        is_unknown = decision.verdict == "unknown_effect" and decision.reason == "gates"
-        completes = is_unknown and self._is_supported(free)
+        # where the records differ, only a law that passes every gate for a name stands for a part of the difference
+        is_open = decision.reason == "gates" or all(g.passed for g in decision.gates)
+        completes = decision.verdict == "unknown_effect" and is_open and self._is_supported(free)
         if completes:
             free = FreeForce(free.best)
         # the likeliest law of several that the records do not tell apart, or the best supported one
@@ -221,6 +221,7 @@ class ResultBuilder:
             is_named=decision.verdict == "missing_effect",
             # a name under feedback is no multiple of the controller's input; a single law competes with the free force by its weight
             is_doubted=(bool(self.flow.feedback) and decision.verdict != "missing_effect")
+            or decision.reason == "records_differ"
             or "predicts better" in failed
             or ("lack of fit" in failed and len(scores.foremost.hypotheses) > 1),
         )

@@ -19,6 +19,7 @@ from ...physics.network import Network, assemble
 from .._simulation.problem import BROKEN, Problem, bare
 from .initial_states import guess, motion_rows, next_states
 from .least_squares import bounded_step, damped_step
+from .noise import white_weights
 from .sensitivities import tangents
 
 if TYPE_CHECKING:
@@ -37,6 +38,9 @@ CHORDS = 2
 #: ratio of the cost per sample above which a record is restarted from the final state of the preceding record; largest number of rounds;
 #: largest cost of such a start, as a multiple of the cost of the fit
 UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
+#: error, as a share of the deviation, above which a record is restarted from the state that its first samples give; noise of those, as a
+#: share of the deviation; steps of their fit
+LOST, HEAD_NOISE, HEAD_STEPS = 0.5, 0.01, 8
 #: ratio of the cost per sample above which a record is restarted near its initial state; smallest number of records; distances of these
 #: starts, as multiples of the deviation over records
 ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
@@ -341,22 +345,24 @@ class Fitter:
             if slopes is None or not iterations or not any(len(s.own) for s in slopes.values()):
                 break
             before, there = dict(at.costs), dict.fromkeys(left, False)
-            going, share = left, 1.0
+            going, share = left, dict.fromkeys(left, 1.0)
             for _ in range(1 + CHORDS):
-                moves = {
-                    i: share * np.linalg.solve(slopes[i].own, self._downhill(at, i, slopes[i])) for i in going
-                }
+                down = {i: self._downhill(at, i, slopes[i]) for i in going}
+                moves = {i: share[i] * np.linalg.solve(slopes[i].own, down[i]) for i in going}
+                promised = {i: float(down[i] @ moves[i]) / max(at.costs[i], 1e-300) for i in going}
                 then = self.seen(structure, self._moved(at, at.x, moves), going)
                 gains = {i: 1.0 - then.costs[i] / max(at.costs[i], 1e-300) for i in going}
-                better = [i for i in going if gains[i] > 0]
-                for i in better:
-                    at.take(then, i)
-                    there[i] = gains[i] < 0.1 * tolerance
-                onward = [i for i in better if gains[i] > tolerance]
-                if not onward:  # records whose cost a full step increases take a part of the step
-                    onward = [i for i in going if i not in better and at.costs[i] == before[i]]
-                    share *= 0.3
-                going = onward
+                for i in going:
+                    if gains[i] > 0:
+                        at.take(then, i)
+                        there[i] = gains[i] < 0.1 * tolerance
+                    elif at.costs[i] == before[i]:  # the full step increases the cost of this record
+                        share[i] *= 0.3
+                going = [
+                    i
+                    for i in going
+                    if gains[i] > tolerance or (at.costs[i] == before[i] and promised[i] > tolerance)
+                ]
                 if not going:
                     break
             left = [i for i in left if not there[i] and at.costs[i] < (1.0 - tolerance) * before[i]]
@@ -429,8 +435,28 @@ class Fitter:
             before = {j: i for j, i in before.items() if i in better}
             if not before:
                 break
+        self._follow_heads(structure, at, iterations)
         self._recover(structure, at, iterations)
         return self._result(structure, at)
+
+    def _follow_heads(self, structure: Structure, at: Point, iterations: int) -> None:
+        """Restart records whose motion is lost from the states that their first samples give, where these are closer: over many periods
+        the phase of a nonlinear motion follows its amplitude, and a fit does not find back from a rough guess."""
+        problem, net = self.problem, structure.at(at.x)
+        lost = [i for i in at.costs if len(at.initial[i]) and not self._error(at, i) < LOST]
+        if not lost:
+            return
+        heads = problem.heads
+        few = Fitter(heads, white_weights(HEAD_NOISE * problem.deviation(lost)))
+        begun = {i: [guess(heads, net, i, offsets=structure.offsets), at.initial[i]] for i in lost}
+        started = few._cheapest(structure, at.x, begun)
+        found = few._states(structure, started, lost, HEAD_STEPS, tolerance=1e-4).initial
+        self._again(structure, at, {i: [found[i]] for i in lost}, iterations, near=1.0)
+
+    def _error(self, at: Point, i: int) -> float:
+        """Return the RMS error of a record as a share of its deviation, over all channels."""
+        y = self.problem.records[i].measured
+        return float(np.sqrt(np.mean((y - at.outputs[i]) ** 2 / np.maximum(y.var(axis=0), 1e-300))))
 
     def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
         """Restart the records with far larger errors than the others near their initial states: with play or sticking friction, a few of
@@ -447,15 +473,21 @@ class Fitter:
         self._again(structure, at, {i: [at.initial[i] + step for step in steps] for i in astray}, iterations)
 
     def _again(
-        self, structure: Structure, at: Point, begun: Mapping[int, Sequence[Array]], iterations: int
+        self,
+        structure: Structure,
+        at: Point,
+        begun: Mapping[int, Sequence[Array]],
+        iterations: int,
+        near: float = NEAR,
     ) -> list[int]:
-        """Restart records from the cheapest of several initial states; return the records whose fit has a smaller cost."""
+        """Restart records from the cheapest of several initial states, where its cost is below a multiple of the present one; return the
+        records whose fit has a smaller cost."""
         there = self._cheapest(structure, at.x, begun)
-        near = [j for j in begun if there.costs[j] < NEAR * at.costs[j]]
-        if not near:
+        tried = [j for j in begun if there.costs[j] < near * at.costs[j]]
+        if not tried:
             return []
-        other = self._states(structure, there, near, iterations, tolerance=1e-4)
-        better = [j for j in near if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
+        other = self._states(structure, there, tried, iterations, tolerance=1e-4)
+        better = [j for j in tried if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
         for j in better:
             at.take(other, j)
         return better

@@ -74,8 +74,7 @@ class Criteria:
     least_removed: float = limit(
         0.50,
         "share of the excess",
-        "what one more effect must remove of what is left; a name must leave half of that (`least_explained`); a controller "
-        "must explain less of the force",
+        "what a name must remove of the gap, and one more effect of what is left; a controller must explain less of the force",
         "half: it leads. A spring centred in a bang-bang cycle is the controller's to 0.9, friction to less than 0.3",
     )
     small_effects: float = limit(
@@ -121,7 +120,7 @@ class Criteria:
 
     @property
     def least_explained(self) -> float:
-        """Least share of the excess error that a name must explain: it leaves at most half of what `least_removed` allows, 0.75."""
+        """Share of the excess error from which on a gap counts as explained: half of what `least_removed` allows is left, 0.75."""
         return 1.0 - 0.5 * self.least_removed
 
 

@@ -181,18 +181,14 @@ def _adequate(e: Evidence, c: Criteria) -> Gate:
     rest = f"the rest is {e.excess_ratio:.3g} times the power that small effects leave"
     excused = f"enough, since {rest} (limit {c.small_effects:g})"
     fitted = f"{REMOVED} on the training records; {excused}; held out: {100 * e.explained:.0f} %"
-    # unmodelled effects may leave the rest, unless the rest is a wide gap itself
-    part = all_of(
-        is_so(e.explained, ">=", c.least_removed, f"{removed}; {excused}"),
-        is_so(e.width_after, "<", c.wide_gap, "mean excess error over channels that the candidate leaves"),
-    )
+    # where the training records are explained, unmodelled effects may leave the rest
     by_few = all_of(
-        any_of(part, is_so(e.training_explained, ">=", c.alone_removes, fitted)),
+        is_so(e.training_explained, ">=", c.alone_removes, fitted),
         is_so(e.excess_ratio, "<", c.small_effects, "remaining power over that which small effects leave"),
     )
     ratio = "error on the fitted records over the refitted model's, geometric mean over channels"
     return all_of(
-        any_of(is_so(e.explained, ">=", c.least_explained, f"{removed}; {rest}"), by_few),
+        any_of(is_so(e.explained, ">=", c.least_removed, f"{removed}; {rest}"), by_few),
         is_so(e.training_ratio, "<=", 1.0, ratio),
         is_so(e.nominal_removed, ">", 0.0, "share of the nominal model's squared held-out error removed"),
     )

@@ -22,9 +22,10 @@ MISTAKEN = {
     "law": 0.06,
     "kind": 0.05,
     "place": 0.03,
-    # a law that leaves more than `Criteria.alone_removes` or a wide gap, or places and kinds of such a candidate without a name: 9 of 26
-    # such names (seeds 310 to 317), 9 of 32 such places and kinds; a law whose special case leaves no more than unmodelled effects; a law
-    # that leaves more than `Criteria.alone_removes` on the test records: 1 of 3 names, against 3 of 190 (seeds 1801 and 1901, measured rigs)
+    # a law that leaves more than `Criteria.alone_removes` or a wide gap, or places and kinds of such a candidate without a name, or that
+    # leaves more than `Criteria.least_explained`: 9 of 26 such names (seeds 310 to 317), 9 of 32 such places and kinds, 2 of 10 names that
+    # remove half to three quarters (eleven measured and simulated rigs); a law whose special case leaves no more than unmodelled effects;
+    # a law that leaves more than `Criteria.alone_removes` on the test records: 1 of 3 names, against 3 of 190 (seeds 1801 and 1901)
     "partly": 0.36,
     # kinds and laws that did not pass the inclusion test, or whose force a free curve or a controller explains too: 7 of 10 such kinds on
     # sixteen measured rigs
@@ -66,7 +67,8 @@ def share_mistaken(
     explained = min(e.explained, e.test_explained) if level == "law" else e.explained
     is_doubtful = explained < c.alone_removes or e.width_after > c.wide_gap or e.support < SUPPORT
     own = MISTAKEN[level]
-    if (is_doubtful and (level == "law" or not is_named)) or ((is_sum or e.imitated) and level == "law"):
+    is_part = not is_named or e.explained < c.least_explained
+    if (is_doubtful and (level == "law" or is_part)) or ((is_sum or e.imitated) and level == "law"):
         own = max(own, MISTAKEN["partly"])
     return max(own, MISTAKEN["weak"]) if e.explained < c.least_removed else own
 
