@@ -24,7 +24,7 @@ MISTAKEN = {
     "place": 0.03,
     # a law that leaves more than `Criteria.alone_removes` or a wide gap, or places and kinds of such a candidate without a name, or that
     # leaves more than `Criteria.least_explained`: 9 of 26 such names (seeds 310 to 317), 9 of 32 such places and kinds, 2 of 10 names that
-    # remove half to three quarters (eleven measured and simulated rigs); a law whose special case leaves no more than unmodelled effects;
+    # remove half to three quarters; a law whose special case leaves no more than unmodelled effects;
     # a law that leaves more than `Criteria.alone_removes` on the test records: 1 of 3 names, against 3 of 190 (seeds 1801 and 1901)
     "partly": 0.36,
     # kinds and laws that did not pass the inclusion test, or whose force a free curve or a controller explains too: 7 of 10 such kinds on
@@ -47,9 +47,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
         "law": {"certain": (224, 223), "probable": (6, 4), "possible": (145, 25)},
     },
     "measured": {
-        "place": {"certain": (43, 42), "probable": (13, 13), "possible": (17, 13)},
-        "kind": {"certain": (37, 28), "probable": (18, 13), "possible": (56, 22)},
-        "law": {"certain": (12, 9), "probable": (31, 17), "possible": (51, 18)},
+        "place": {"certain": (46, 45), "probable": (17, 17), "possible": (20, 15)},
+        "kind": {"certain": (40, 30), "probable": (21, 16), "possible": (63, 25)},
+        "law": {"certain": (13, 10), "probable": (36, 21), "possible": (58, 21)},
     },
 }
 
