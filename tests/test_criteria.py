@@ -119,6 +119,19 @@ def test_held_out_records_decide_about_a_small_gain_where_their_gap_is_wide(
     assert (found is best) == goes_on
 
 
+def test_a_law_of_an_earlier_stage_competes_with_a_pair(monkeypatch):
+    """On training records friction with a static level and asymmetric damping won; friction alone erred less on the others."""
+    stribeck, coulomb, pair, rival = (SimpleNamespace(hypotheses=h) for h in ((1,), (2,), (1, 3), (1, 4)))
+    monkeypatch.setattr(forward_backward, "equivalent_structures", lambda *given: [])
+    held = {id(stribeck): 173.0, id(coulomb): 58.0, id(pair): 90.0, id(rival): 150.0}
+    scores = SimpleNamespace(
+        stages=[[stribeck, coulomb], [pair, rival]],
+        simplest=lambda several: min(several, key=lambda r: held[id(r)]),
+    )
+    search = SimpleNamespace(problem=None, criteria=CRITERIA)
+    assert forward_backward.Search._take_simplest(search, scores, pair) is coulomb
+
+
 @pytest.mark.parametrize(("by_force", "gives_way"), [(3.9, True), (4.1, False)])
 def test_a_fault_of_a_sensor_gives_way_to_a_force_that_explains_nearly_as_much(by_force, gives_way):
     at = {place: (SimpleNamespace(place=place),) for place in ("channel", "between")}

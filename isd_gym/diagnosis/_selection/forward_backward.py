@@ -254,14 +254,17 @@ class Search:
         return chosen
 
     def _take_simplest(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
-        """Return the simplest of the chosen candidate, its rivals, and other laws for the same force."""
-        stage = scores.stages[len(chosen.hypotheses) - 1]
+        """Return the simplest of the chosen candidate, its rivals, those with fewer effects, and other laws for the same force."""
+        count = len(chosen.hypotheses)
+        stage = scores.stages[count - 1]
         for structure in equivalent_structures(self.problem, chosen, self.criteria):
             r = self.refit(structure, chosen, self.settings.worst_equivalent)
             if r is not None and scores.can_score(r):
                 stage.insert(1, r)
+        # the path was found on the training records: a law beside it may predict better without a further effect
+        fewer = [r for own in scores.stages[: count - 1] for r in own[:RIVALS]]
         others = [r for r in stage if r is not chosen][:RIVALS]
-        best = scores.simplest([chosen, *others])
+        best = scores.simplest([chosen, *others, *fewer])
         if best is not chosen:
             stage.append(chosen)
         return best
