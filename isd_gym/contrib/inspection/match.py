@@ -314,7 +314,7 @@ def _choices(
             if prior[i, k] < NOTHING:
                 continue
             for unit, cost in _units(live[k], c):
-                # `diagnose` reads a column of the channel's name in the channel's unit: what a model lacks is no reason for another one
+                # `diagnose` reads a column with the name of a channel in the channel's unit; a missing effect must not change that
                 if unit == c.unit or alike(live[k].name, c, network) < EXACT:
                     rows.append((float(prior[i, k]) - cost, (int(k), unit, signs.get(c.name, 1))))
         rows.append((NOTHING, (-1, c.unit, 1)))
