@@ -41,6 +41,8 @@ UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
 #: error, as a share of the deviation, above which a record is restarted from the state that its first samples give; noise of those, as a
 #: share of the deviation; steps of their fit
 LOST, HEAD_NOISE, HEAD_STEPS = 0.5, 0.01, 8
+#: deviation below which a channel stands still
+STILL = 1e-100
 #: ratio of the cost per sample above which a record is restarted near its initial state; smallest number of records; distances of these
 #: starts, as multiples of the deviation over records
 ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
@@ -442,21 +444,24 @@ class Fitter:
     def _follow_heads(self, structure: Structure, at: Point, iterations: int) -> None:
         """Restart records whose motion is lost from the states that their first samples give, where these are closer: over many periods
         the phase of a nonlinear motion follows its amplitude, and a fit does not find back from a rough guess."""
-        problem, net = self.problem, structure.at(at.x)
-        lost = [i for i in at.costs if len(at.initial[i]) and not self._error(at, i) < LOST]
+        problem, net, heads = self.problem, structure.at(at.x), self.problem.heads
+        longer = [i for i in at.costs if len(heads.records[i]) < len(problem.records[i])]
+        lost = [i for i in longer if len(at.initial[i]) and not self._error(at, i) < LOST]
         if not lost:
             return
-        heads = problem.heads
-        few = Fitter(heads, white_weights(HEAD_NOISE * problem.deviation(lost)))
+        deviation = problem.deviation(lost)
+        few = Fitter(heads, white_weights(np.where(deviation > STILL, HEAD_NOISE * deviation, np.inf)))
         begun = {i: [guess(heads, net, i, offsets=structure.offsets), at.initial[i]] for i in lost}
         started = few._cheapest(structure, at.x, begun)
         found = few._states(structure, started, lost, HEAD_STEPS, tolerance=1e-4).initial
         self._again(structure, at, {i: [found[i]] for i in lost}, iterations, near=1.0)
 
     def _error(self, at: Point, i: int) -> float:
-        """Return the RMS error of a record as a share of its deviation, over all channels."""
-        y = self.problem.records[i].measured
-        return float(np.sqrt(np.mean((y - at.outputs[i]) ** 2 / np.maximum(y.var(axis=0), 1e-300))))
+        """Return the error of a record as a share of its deviation, geometric mean over the channels that move."""
+        record, deviation = self.problem.records[i], self.problem.deviation([i])
+        moves = deviation > STILL
+        power = np.mean((record.measured - at.outputs[i])[:, moves] ** 2, axis=0) / deviation[moves] ** 2
+        return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if moves.any() else 0.0
 
     def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
         """Restart the records with far larger errors than the others near their initial states: with play or sticking friction, a few of
