@@ -188,6 +188,14 @@ def test_a_name_that_leaves_a_part_is_less_probable(explained, law, kind):
     assert stated == pytest.approx({"law": law, "kind": kind})
 
 
+@pytest.mark.parametrize(("gap", "verdict"), [(0.08, "no_discrepancy"), (0.12, "unknown_effect")])
+def test_a_wide_gap_of_the_training_records_is_no_agreement(gap, verdict):
+    """A cart erred by 18 % while it was fitted, and by 3 % on held-out records, in which it moved little."""
+    small = replace(FRICTION, share=0.02, removed=0.7)
+    quiet = replace(GOOD, before=(0.03,), refit=(0.03,), after=(0.025,), richest=(0.025,), effects=(small,))
+    assert decide(replace(quiet, training_refit=(gap,), training_after=(0.1,))).verdict == verdict
+
+
 def test_agreement_needs_a_noise_that_is_known_or_a_small_error():
     quiet = replace(GOOD, before=(0.021,), refit=(0.02,), after=(0.02,), effects=(), richest=())
     assert decide(quiet).verdict == "no_discrepancy"

@@ -114,6 +114,11 @@ class Evidence:
         return sum(self.excess(self.refit)) / len(self.channels)
 
     @property
+    def training_width(self) -> float:
+        """Excess error of the refitted model on the training records, mean over channels."""
+        return sum(self.excess(self.training_refit)) / len(self.channels) if self.training_refit else 0.0
+
+    @property
     def width_after(self) -> float:
         """Excess error of the candidate, mean over channels."""
         return sum(self.excess(self.after)) / len(self.channels)
