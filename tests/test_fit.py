@@ -66,7 +66,7 @@ def errors_of_decays(*starts):
 
 
 def test_a_record_is_followed_whatever_records_stand_beside_it():
-    # a full step of one record overshoots, that of the other does not
+    # full steps overshoot in the record of large motion alone
     assert errors_of_decays([0.4, 0.2], [1.5, 3.0])[0] < 0.02
     assert errors_of_decays([1.5, 3.0], [0.4, 0.2])[1] < 0.02
 

@@ -38,8 +38,8 @@ CHORDS = 2
 #: ratio of the cost per sample above which a record is restarted from the final state of the preceding record; largest number of rounds;
 #: largest cost of such a start, as a multiple of the cost of the fit
 UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
-#: error, as a share of the deviation, above which a record is restarted from the state that its first samples give; noise of those, as a
-#: share of the deviation; steps of their fit
+#: error, as a share of the deviation, of a lost record, to be restarted from a fit of its first samples; noise of the first samples, as a
+#: share of the deviation; steps of the fit
 LOST, HEAD_NOISE, HEAD_STEPS = 0.5, 0.01, 8
 #: deviation below which a channel stands still
 STILL = 1e-100
@@ -442,8 +442,8 @@ class Fitter:
         return self._result(structure, at)
 
     def _follow_heads(self, structure: Structure, at: Point, iterations: int) -> None:
-        """Restart records whose motion is lost from the states that their first samples give, where these are closer: over many periods
-        the phase of a nonlinear motion follows its amplitude, and a fit does not find back from a rough guess."""
+        """Restart lost records from a fit of their first samples, if closer: over many periods the phase of a nonlinear motion follows the
+        amplitude, and a fit from a rough guess ends in another optimum."""
         problem, net, heads = self.problem, structure.at(at.x), self.problem.heads
         longer = [i for i in at.costs if len(heads.records[i]) < len(problem.records[i])]
         lost = [i for i in longer if len(at.initial[i]) and not self._error(at, i) < LOST]
@@ -460,8 +460,9 @@ class Fitter:
         """Return the error of a record as a share of its deviation, geometric mean over the channels that move."""
         record, deviation = self.problem.records[i], self.problem.deviation([i])
         moves = deviation > STILL
-        power = np.mean((record.measured - at.outputs[i])[:, moves] ** 2, axis=0) / deviation[moves] ** 2
-        return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if moves.any() else 0.0
+        if not moves.any():
+            return 0.0
+        return math.sqrt(_mean_power((record.measured - at.outputs[i])[:, moves], deviation[moves]))
 
     def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
         """Restart the records with far larger errors than the others near their initial states: with play or sticking friction, a few of
@@ -580,6 +581,10 @@ def residuals(problem: Problem, fit: Fit) -> list[Array]:
 def gap(problem: Problem, fit: Fit) -> float:
     """Return the geometric mean over channels, which limits the influence of a drifting one, of the residual's power over the signal's
     power."""
-    r = np.concatenate(residuals(problem, fit))
-    share = np.mean(r**2, axis=0) / problem.deviation(list(fit.outputs)) ** 2
+    return _mean_power(np.concatenate(residuals(problem, fit)), problem.deviation(list(fit.outputs)))
+
+
+def _mean_power(residual: Array, deviation: Array) -> float:
+    """Return the power of a residual (samples, channels) over the square of a deviation (channels,), geometric mean over channels."""
+    share = np.mean(residual**2, axis=0) / deviation**2
     return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))

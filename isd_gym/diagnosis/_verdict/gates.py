@@ -251,9 +251,7 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
         return Decision("missing_effect", gates)
     if "distinguishable" in failed and failed <= {"distinguishable", "probable"}:
         return Decision("ambiguous", gates)  # an effect whose law alone is open is no agreement
-    # validation records without a gap are no agreement where the training records show one
-    is_shown = e.training_width >= c.wide_gap or _shown_by_training(e, failed, c)
-    credible = e.has_credible_noise(c.wide_gap) and not is_shown
+    credible = e.has_credible_noise(c.wide_gap) and not _shown_by_training(e, failed, c)
     narrow = credible and e.width < c.wide_gap  # a wide gap is no agreement
     if credible and all(x < c.material for x in excess):
         return Decision(agreed, gates, is_there, "immaterial")
@@ -275,7 +273,10 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
 
 
 def _shown_by_training(e: Evidence, failed: set[str], c: Criteria) -> bool:
-    """Return whether a found effect closes a material gap of the training records."""
+    """Return whether the training records have a wide gap, or a material one closed by a found effect: no agreement, even if validation
+    records have none."""
+    if e.training_width >= c.wide_gap:
+        return True
     is_found = bool(e.effects) and not failed & {"predicts better", "material", "determined"}
     is_closed = e.training_explained >= c.least_explained
     is_told = is_found and is_closed and bool(e.training_refit)

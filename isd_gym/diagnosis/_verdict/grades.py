@@ -22,10 +22,10 @@ MISTAKEN = {
     "law": 0.06,
     "kind": 0.05,
     "place": 0.03,
-    # a law that leaves more than `Criteria.alone_removes` or a wide gap, or places and kinds of such a candidate without a name, or that
-    # leaves more than `Criteria.least_explained`: 9 of 26 such names (seeds 310 to 317), 9 of 32 such places and kinds, 2 of 10 names that
-    # remove half to three quarters; a law whose special case leaves no more than unmodelled effects;
-    # a law that leaves more than `Criteria.alone_removes` on the test records: 1 of 3 names, against 3 of 190 (seeds 1801 and 1901)
+    # a law that leaves more than `Criteria.alone_removes` or a wide gap; places and kinds of such a candidate, without a name or below
+    # `Criteria.least_explained`. Wrong: 9 of 26 names and 9 of 32 places and kinds (seeds 310 to 317), 2 of 10 names that remove half to
+    # three quarters. Also a law whose special case leaves no more than unmodelled effects, and a law that leaves more than
+    # `Criteria.alone_removes` on the test records: 1 of 3 names wrong, against 3 of 190 (seeds 1801 and 1901, measured rigs)
     "partly": 0.36,
     # kinds and laws that did not pass the inclusion test, or whose force a free curve or a controller explains too: 7 of 10 such kinds on
     # sixteen measured rigs
