@@ -22,16 +22,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import grading
 import stock as stock_study
 import study
 import tracks as tracks_of
+from table import table
 
 from isd_gym.benchmark import _cards as cards
 from isd_gym.contrib.ceilings.ceiling import known
-from isd_gym.contrib.hub.card_table import table
 from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
 from isd_gym.env._task import Options

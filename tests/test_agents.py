@@ -19,7 +19,6 @@ from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.baselines import make
 from isd_gym.benchmark.policies import conventional
 from isd_gym.contrib.exports.archives import read_torch
-from isd_gym.contrib.exports.onnx import export_onnx
 from isd_gym.contrib.training.settings import MEMORY
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
@@ -280,20 +279,3 @@ def test_weights_are_read_as_torch_reads_them(sb3, tmp_path):
     ours = read_torch(buffer.getvalue(), "here")
     for name, value in state.items():
         np.testing.assert_array_equal(ours[name], value.numpy())
-
-
-@pytest.mark.parametrize("mode", ["increment", "target", "residual"])
-@pytest.mark.parametrize("output", ["clip", "tanh"])
-def test_onnx_is_the_policy(rng, tmp_path, mode, output):
-    runtime = pytest.importorskip("onnxruntime")
-    pytest.importorskip("onnx")
-    policy = small_policy(rng, Head(mode), filtered() if mode == "residual" else MEMORY)
-    policy.output = output
-    session = runtime.InferenceSession(export_onnx(policy, tmp_path / "p.onnx"))
-    memory, first = np.zeros((2, policy.memory.width(6)), np.float32), np.ones((2, 1), np.float32)
-    x = rng.normal(size=(8, 2, 6)).astype(np.float32) * np.array(MEMORY.scale, np.float32)
-    policy.reset_batch(2)
-    for row in x:
-        current, memory = session.run(None, {"observation": row, "memory": memory, "first": first})
-        first = np.zeros((2, 1), np.float32)
-        np.testing.assert_allclose(current[:, 0], policy.act_batch(row), atol=2e-5)

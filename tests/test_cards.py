@@ -13,7 +13,6 @@ from isd_gym._commands._card_table import print_track
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark.scoring import fingerprints, score
 from isd_gym.contrib.ceilings.ceiling import known
-from isd_gym.contrib.hub.card_table import table
 from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
 ON = {"episodes": 4, "duration": 0.5}
@@ -23,6 +22,14 @@ ON = {"episodes": 4, "duration": 0.5}
 def card():
     held = score(["passive", "isd-passive", "skyhook"], **ON).to_dict()
     return cards.make("ISDSuspension-v0", [cards.track(held, "brief", "isd-gym score ...")], "2026-01-01")
+
+
+def _script():
+    """The script that writes the page's tables."""
+    spec = importlib.util.spec_from_file_location("table", Path(__file__).parents[1] / "docs" / "table.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    return script
 
 
 def test_a_submitted_score_is_paired_as_if_all_had_driven_together(card):
@@ -36,7 +43,7 @@ def test_a_submitted_score_is_paired_as_if_all_had_driven_together(card):
         assert own["cost"][key] == pytest.approx(expected[key], rel=1e-7, abs=1e-8)
     ratio = np.mean(together.raw["add"]["cost"]) / np.mean(together.raw["skyhook"]["cost"]) - 1
     assert own["against"]["skyhook"]["change"] == pytest.approx(ratio, rel=1e-6)
-    assert "passive" in own["against"] and "| 1 | `" in table(card, "brief", [theirs])
+    assert "passive" in own["against"] and "| 1 | `" in _script().table(card, "brief", [theirs])
 
 
 def test_a_reference_driven_again_is_the_reference(card):
@@ -187,8 +194,6 @@ def test_the_card_of_a_score_is_the_card_of_its_car(tmp_path):
 
 @pytest.mark.tools
 def test_the_page_carries_the_cards_figures():
-    spec = importlib.util.spec_from_file_location("table", Path(__file__).parents[1] / "docs" / "table.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = _script()
     page = script.PAGE.read_text(encoding="utf-8")
     assert script.fill(page) == page, "run python docs/table.py"

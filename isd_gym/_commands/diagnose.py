@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._common.errors import InputError, shown
-from .._common.plugins import wing
 from ._diagnose_result import print_diagnosis, write_result
 from ._options import (
     ColumnsOption,
     ElementsOption,
-    EngineOption,
     FileRateOption,
     JsonOption,
     MapOption,
@@ -25,13 +23,11 @@ from ._options import (
     SignOption,
     UnitOption,
     channel_names,
-    check_channels,
     check_records,
     complete,
     network_names,
     option,
     pairs,
-    read_names,
 )
 from .console import check_file, lines
 
@@ -56,8 +52,7 @@ NominalModelOption = Annotated[
     str | None,
     option(
         "--model",
-        "Nominal model: a file, a built-in network, or an FMU (.fmu). Required, except for a folder of cases with "
-        "their own model.json.",
+        "Nominal model: a file or a built-in network. Required, except for a folder with its own model.json.",
         autocompletion=complete(network_names),
     ),
 ]
@@ -83,9 +78,6 @@ UncertainOption = Annotated[
         "Relative standard deviation of a parameter (0.05 or 5%). The parameter is then refitted. Overrides the model file.",
     ),
 ]
-TrustOption = Annotated[
-    bool, option("--trust-fmu", "Run the compiled code of an .fmu. The code has your rights.")
-]
 CutOption = Annotated[
     str | None,
     option(
@@ -94,21 +86,12 @@ CutOption = Annotated[
         "the node. The part below (tyre, road) is left out.",
     ),
 ]
-UnmeasuredOption = Annotated[
-    str | None,
-    option(
-        "--unmeasured INPUT",
-        "Without a measured road: the unmeasured input, taken as white velocity in the likelihood of a linear model. Default: "
-        'the input with "measured": false in the model file.',
-    ),
-]
 TimeLimitOption = Annotated[
     float | None,
     option(
         "--max-seconds SECONDS",
         "Time after which the diagnosis ends [s], with what was found; the summary lists what was not tried. The first "
-        "compilation of the kernels (isd-gym warm) does not count. The result then depends on the speed of the machine. "
-        "Default: no limit; with --unmeasured 120 s of processor time.",
+        "compilation of the kernels (isd-gym warm) does not count. The result then depends on the speed of the machine.",
         min=1.0,
     ),
 ]
@@ -116,12 +99,7 @@ LagOption = Annotated[
     float, option("--max-lag", "Largest offset between the clocks of two loggers [s].", min=0.0)
 ]
 ThreadsOption = Annotated[
-    int | None,
-    option(
-        "--jobs",
-        "Threads of a diagnosis (default 2), or processes of a fleet (default 1). The result is the same for any number.",
-        min=1,
-    ),
+    int, option("--jobs", "Number of threads. The result is the same for any number.", min=1)
 ]
 
 
@@ -139,13 +117,10 @@ def command(
     accept: AcceptOption = None,
     elements: ElementsOption = None,
     uncertain: UncertainOption = None,
-    trust_fmu: TrustOption = False,
     cut: CutOption = None,
-    unmeasured: UnmeasuredOption = None,
     max_seconds: TimeLimitOption = None,
     max_lag: LagOption = 0.5,
-    jobs: ThreadsOption = None,
-    engine: EngineOption = "local",
+    jobs: ThreadsOption = 2,
     seed: Annotated[int, option("--seed", "Seed of the bootstrap that gives the probabilities.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
@@ -154,15 +129,9 @@ def command(
     Writes DIR/diagnosis.json, DIR/model.json (the model with the effects found) and DIR/report.html. Without --validate
     whole records of DATA are held out, or the last third of a single record.
 
-    For an .fmu the parameters are refitted (DIR/parameters.ssv). The equations inside an .fmu are hidden, so no effect is named.
+    In place of DATA, --validate and --model, a folder may hold them: records, validation*.csv and model.json.
 
-    A folder with records, validation*.csv and model.json is one case. A folder of such folders (VEHICLE_2024-05-01) is a
-    fleet: every case is diagnosed, and the table is DIR/fleet.html. The same command continues an interrupted fleet.
-
-    A folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only.
-
-    Without a measured road, --cut diagnoses the part above a node with an accelerometer, and --unmeasured refits the
-    model by its likelihood (DIR/unmeasured.json, DIR/model.json).
+    Without a measured road, --cut diagnoses the part above a node with an accelerometer.
 
     Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found
 
@@ -174,18 +143,8 @@ def command(
 
     check_file(json_file)
     accept, validate = accept or [], validate or []
-    if len(data) == 1 and data[0].is_dir() and not validate:
-        data, validate, model = _files_of_case(data[0], model)
     if len(data) == 1 and data[0].is_dir():
-        if any(
-            (validate, rename, unit, sign, rate, columns, elements, cut, unmeasured, uncertain, max_seconds)
-        ):
-            raise InputError(
-                "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
-            )
-        steps = {"map": map_file and str(map_file), "accept": accept, "seed": seed, "max_lag": max_lag}
-        wing("fleet").diagnose_fleet(data[0], out, model, steps, jobs or 1, engine, json_file)
-        return
+        data, validate, model = _files_of_case(data[0], validate, model)
     if model is None:
         raise InputError("--model is missing: name the model to compare the records with")
     shares = _shares(uncertain)
@@ -193,31 +152,14 @@ def command(
     about = {"Model": model, "Data": ", ".join(map(str, data))}
     if validate:
         about["Validation"] = ", ".join(map(str, validate))
-    if Path(model).suffix.lower() == ".fmu":
-        _check_fmu_options(elements, cut, unmeasured, map_file, max_seconds, rate)
-        check_target(out)
-        named = read_names(rename, unit, columns, sign)
-        named["header"] = named.pop("columns")
-        result = wing("fmi").diagnose_unit(model, trust_fmu, data, validate, accept, named, shares)
-        print_diagnosis(result, json_file, write_result(result, out, about))
-        return
     network = _load_network(model, elements, shares)
     options = channel_names(network, rename, unit, map_file, columns, sign, rate)
     if "by" in options:
         network = options["by"].measured(network)
-    unmeasured = unmeasured or next((c.name for c in network.inputs if not c.measured and cut is None), None)
-    if unmeasured is not None:
-        check_channels([unmeasured], [c.name for c in network.inputs], "--unmeasured")
-        if cut is not None:
-            raise InputError("--cut and --unmeasured exclude each other: use one of them")
-        wing("no_road").identify_without_road(
-            [*data, *validate], network, unmeasured, accept, options, max_seconds, out, json_file
-        )
-        return
     check_target(out)
     with lines() as say, _time_limit(max_seconds, begun):
         fitted, held = (_read_records(files, network, cut, options) for files in (data, validate))
-        settings = SearchSettings(max_lag=max_lag, jobs=jobs or 2, max_seconds=max_seconds)
+        settings = SearchSettings(max_lag=max_lag, jobs=jobs, max_seconds=max_seconds)
         result = diagnose(
             fitted, network, validate=held, accept=accept, progress=say, seed=seed, cut=cut, settings=settings
         )
@@ -226,20 +168,19 @@ def command(
     print_diagnosis(result, json_file, page)
 
 
-def _files_of_case(folder: Path, model: str | None) -> tuple[list[Path], list[Path], str | None]:
-    """Return the records, the held-out records and the model of a folder. A fleet remains the folder itself."""
-    case = wing("fleet").case_itself(folder, model)
-    if case is None:
-        return [folder], [], model
-    return [*map(Path, case.data)], [*map(Path, case.validate)], model or case.model
+def _files_of_case(
+    folder: Path, validate: list[Path], model: str | None
+) -> tuple[list[Path], list[Path], str | None]:
+    """Return the records, the held-out records and the model of a folder. Options have priority."""
+    from ..records.data._table import suffix_of, suffixes
 
-
-def _check_fmu_options(*values: object) -> None:
-    """Raise `InputError` for an option that an FMU does not take."""
-    names = ("--elements", "--cut", "--unmeasured", "--map", "--max-seconds", "--rate")
-    for name, value in zip(names, values, strict=True):
-        if value:
-            raise InputError(f"{name} wants a network (isd-model/1): the inside of an FMU is hidden")
+    records = sorted(p for p in folder.iterdir() if suffix_of(p) in suffixes())
+    held = [p for p in records if p.name.startswith("validation")]
+    fitted = [p for p in records if p not in held]
+    if not fitted:
+        raise InputError(f"{folder}: holds no records to fit (tables: {' '.join(suffixes())})")
+    own = folder / "model.json"
+    return fitted, validate or held, model or (str(own) if own.is_file() else None)
 
 
 def _load_network(model: str, elements: list[Path] | None, uncertainty: dict[str, float]) -> Network:

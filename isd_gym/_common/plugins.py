@@ -47,11 +47,7 @@ OWN = {
     WINGS: {
         "bench_files": "isd_gym.contrib.bench_files.writing",
         "ceilings": "isd_gym.contrib.ceilings.beside",
-        "fleet": "isd_gym.contrib.fleet.command",
-        "fmi": "isd_gym.contrib.fmi.command",
         "forecast": "isd_gym.contrib.forecast.planning",
-        "hub": "isd_gym.contrib.hub",
-        "no_road": "isd_gym.contrib.no_road.command",
         "own_controllers": "isd_gym.contrib.own_controllers",
     },
 }

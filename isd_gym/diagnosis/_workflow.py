@@ -127,7 +127,7 @@ def diagnose(
         notes=(*found.notes, *map(str, lags)),
         seconds=clock.perf_counter() - start,
     )
-    if cut is not None and isinstance(found.model, Network):
+    if cut is not None:
         found = replace(found, whole=rejoin(network, found.model))
     return found
 
@@ -150,7 +150,7 @@ def _aligned_again(
 ) -> list[Lag]:
     """Return the lags under a completed model, since the missing effect had a part in them; those of the nominal model where the new
     ones cannot be found in time."""
-    if found.verdict == "missing_effect" and isinstance(found.model, Network):
+    if found.verdict == "missing_effect":
         with contextlib.suppress(TimeUp, *BROKEN), limit.until(RESULT):
             known = replace(found.model, uncertainty=network.uncertainty)
             return align_clocks(records, known, previous=lags)[1]
@@ -205,8 +205,8 @@ def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None
         return None
     except (InputError, *BROKEN):
         return None
-    model = inverse.restore(found.model) if isinstance(found.model, Network) else None
-    return replace(found, whole=model) if found.verdict == "missing_effect" and model is not None else None
+    model = inverse.restore(found.model)
+    return replace(found, whole=model) if found.verdict == "missing_effect" else None
 
 
 def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from .._common.files import claim_folder, write_text
-from ..physics.network import Network
 from ..records.data import Table, write_table
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from .._common.arrays import Array
-    from ..contrib.fmi.cosimulation import UnitModel
+    from ..physics.network import Network
     from ._estimation.clock_lag import Lag
     from ._records.feedback import Feedback
     from ._selection.criteria import Criteria
@@ -42,7 +41,7 @@ SCHEMA = "isd-diagnosis/1"
 #: entries of the JSON document in their order: fields of `Diagnosis`, or made of them
 _DOCUMENT = (
     "schema", "verdict", "summary", "effects", "findings", "small_effects", "alternatives", "where", "places", "parameters", "gap", "gates", "reason",
-    "best_candidate", "best_table", "remainder", "record_differences", "simulation_fit", "stretches", "constant", "closed_loop",
+    "best_candidate", "best_table", "remainder", "record_differences", "simulation_fit", "stretches", "closed_loop",
     "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
 )  # fmt: skip
 #: share of the gain of values per record from which on a law is nearly as good
@@ -55,7 +54,7 @@ Over = Literal["rate", "elongation", "both"]
 FOLDER = (
     "diagnosis",
     "diagnosis.json",
-    ("report.html", "diagnosis.json", "model.json", "parameters.ssv", "next_experiment.csv", "*.svg"),
+    ("report.html", "diagnosis.json", "model.json", "next_experiment.csv", "*.svg"),
 )
 
 
@@ -445,11 +444,11 @@ class Diagnosis:
     #: test that would decide between the candidates
     next_experiment: dict[str, Any] | None
     #: nominal model
-    base: Network | UnitModel
+    base: Network
     #: nominal model with refitted parameters
-    refitted: Network | UnitModel
+    refitted: Network
     #: new model
-    model: Network | UnitModel
+    model: Network
     #: measured and simulated signals of each record
     traces: tuple[Trace, ...]
     #: forces of the named effects, for figures
@@ -488,8 +487,6 @@ class Diagnosis:
     remainder: Remainder | None = None
     #: stretches of the comparison, if records were not compared whole
     stretches: Stretches | None = None
-    #: share of the squared error that is constant, by channel (FMU only)
-    constant: dict[str, float] = field(default_factory=dict)
     #: last fit, whose values `model` has; None where the model has the values of the search
     simulation_fit: SimulationFit | None = None
     #: parameters that differ between records; None where the records do not differ, or where differences were not searched
@@ -539,7 +536,7 @@ class Diagnosis:
     def save(self, folder: str | Path, *, report: bool = True) -> None:
         """Write the result to a folder. Each file is written completely or not at all.
 
-        Files: `diagnosis.json`, `model.json` (for an FMU `parameters.ssv`), `next_experiment.csv` if a test would decide, and
+        Files: `diagnosis.json`, `model.json`, `next_experiment.csv` if a test would decide, and
         `report.html` with its figures.
 
         Args:
@@ -557,8 +554,7 @@ class Diagnosis:
             return
         folder = claim_folder(folder, *FOLDER)
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
-        model = self.whole or self.model
-        model.save(folder / ("model.json" if isinstance(model, Network) else "parameters.ssv"))
+        (self.whole or self.model).save(folder / "model.json")
         if self.test is not None:
             write_table(folder / "next_experiment.csv", self.test)
 

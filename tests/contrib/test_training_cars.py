@@ -237,26 +237,6 @@ def test_a_spoilt_echo_is_one_line(spoil, says):
     refused("both", Memory.from_dict, {**data, "ahead": 3})
 
 
-def test_onnx_commands_several_currents(tmp_path):
-    runtime = pytest.importorskip("onnxruntime")
-    pytest.importorskip("onnx")
-    from isd_gym.contrib.exports.onnx import export_onnx
-
-    refused("--c DIR", export_onnx, policy_of("half-car-isd"), tmp_path / "p.onnx")
-    network = Network.load("half-car-isd")
-    own, rng = Memory.of(vehicle(network)), np.random.default_rng(1)
-    sizes = [own.width(12), 8, 2]
-    layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
-    policy = Policy(layers, memory=own, head=Head("increment"), network=network)
-    session = runtime.InferenceSession(export_onnx(policy, tmp_path / "p.onnx"))
-    kept, first = np.zeros((2, sizes[0]), np.float32), np.ones((2, 1), np.float32)
-    policy.reset_batch(2)
-    for row in rng.normal(size=(8, 2, 12)).astype(np.float32) * np.array(own.scale, np.float32):
-        current, kept = session.run(None, {"observation": row, "memory": kept, "first": first})
-        first = np.zeros((2, 1), np.float32)
-        np.testing.assert_allclose(current, policy.act_batch(row), atol=2e-5)
-
-
 @pytest.fixture
 def brief(monkeypatch):
     """Settings of a training of a few thousand steps, and nothing scored that takes long."""

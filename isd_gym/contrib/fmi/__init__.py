@@ -1,1 +1,1 @@
-"""Functional mock-up units (FMI): units of users as models (`cosimulation`), and networks written as units (`export`)."""
+"""Networks written as functional mock-up units (FMI)."""

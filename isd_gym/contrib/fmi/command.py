@@ -1,16 +1,15 @@
-"""`isd-gym export`: a model as an FMU for co-simulation; `isd-gym diagnose --model FILE.fmu`: the diagnosis of an FMU."""
+"""`isd-gym export`: a model as an FMU for co-simulation."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sized
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from isd_gym._commands._options import ModelArgument, check_channels
-from isd_gym._commands.console import lines, tell
+from isd_gym._commands._options import ModelArgument
+from isd_gym._commands.console import tell
 
 
 def command(
@@ -39,40 +38,3 @@ def command(
         f"{number_of(network.inputs, 'input')}, {number_of(network.outputs, 'output')} and "
         f"{number_of(network.parameters, 'parameter')} of {network.name} in {fmu}"
     )
-
-
-def diagnose_unit(
-    model: str,
-    trust: bool,
-    data: list[Any],
-    validate: list[Any],
-    accept: list[str],
-    named: dict[str, Any],
-    shares: dict[str, float],
-) -> Any:
-    """Return the diagnosis of an FMU. Warn that compiled code runs.
-
-    Args:
-        model: File of the FMU.
-        trust: Whether its compiled code may run.
-        data: Files of the records.
-        validate: Files of the held-out records.
-        accept: Checks that the user accepts.
-        named: How the files are read: columns, units, signs.
-        shares: Relative uncertainty of parameters by name.
-
-    Returns:
-        The diagnosis.
-    """
-    from isd_gym.records.data import read_table
-
-    from .cosimulation import WHY_TRUST, Unit
-    from .identification import diagnose_unit
-
-    if trust and os.path.exists(model):
-        typer.echo(f"isd-gym: warning: {model}: {WHY_TRUST}", err=True)
-    with lines() as say, Unit(model, trust=trust) as fmu:
-        known = [p.name for p in (*fmu.model.inputs, *fmu.model.outputs)]
-        check_channels(named["rename"].values(), ["time", *known], "--rename")
-        data, validate = ([read_table(f, **named) for f in files] for files in (data, validate))
-        return diagnose_unit(data, fmu, validate=validate, accept=accept, uncertainty=shares, progress=say)

@@ -60,16 +60,16 @@ class Statements:
         return " ".join([*self.finding, *self.remarks, *(f"Next: {step}" for step in self.next_steps)])
 
 
-def summary_of(document: Mapping[str, Any], *, is_fmu: bool = False) -> str:
+def summary_of(document: Mapping[str, Any]) -> str:
     """Return the summary of a diagnosis: the finding, the limits of the data, and what to do next."""
-    return statements_of(document, is_fmu=is_fmu).text
+    return statements_of(document).text
 
 
-def statements_of(document: Mapping[str, Any], *, is_fmu: bool = False) -> Statements:
+def statements_of(document: Mapping[str, Any]) -> Statements:
     """Return the sentences about the JSON document of a diagnosis (`isd-diagnosis/1`); its `summary` is not read."""
     d = {"not_tried": [], "closed_loop": [], "record_differences": None, "simulation_fit": None, **document}
     uses: dict[str, dict[str, None]] = {"title": {}, "finding": {}, "remark": {}, "next": {}}
-    rendered = _template().render(d=d, facts=Facts(d), is_fmu=is_fmu)
+    rendered = _template().render(d=d, facts=Facts(d))
     for use, text in re.findall(
         r"^(title|finding|remark|next):(.*?)(?=^(?:title|finding|remark|next):|\Z)", rendered, re.M | re.S
     ):

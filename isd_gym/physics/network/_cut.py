@@ -98,12 +98,9 @@ def without(network: Network, name: str) -> str:
     if road is None:
         return ""
     places = cut_nodes(network)
-    ways = (
-        f"--cut {places[0]} compares what it moves, "
-        if places
-        else "--cut NODE wants an output that sees the node's motion, "
-    )
-    return f"; where nobody measured it, isd-gym diagnose {ways}--unmeasured {name} takes it as white in velocity"
+    if not places:
+        return "; where nobody measured it, isd-gym diagnose --cut NODE wants an output that sees the node's motion"
+    return f"; where nobody measured it, isd-gym diagnose --cut {places[0]} compares what it moves"
 
 
 def rejoin(whole: Network, part: Network) -> Network:

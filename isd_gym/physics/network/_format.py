@@ -57,7 +57,7 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
             raise InputError(f"cannot read {where}: it is a folder")
         if text_name.lower().endswith(".fmu"):
             raise InputError(
-                f"{where}: the content of an FMU is hidden; only `isd-gym diagnose --model` accepts an FMU"
+                f"{where}: the equations inside an FMU are hidden; describe the model as a network (isd-model/1)"
             )
         data = parse_json(read_bytes(source), where)
     try:

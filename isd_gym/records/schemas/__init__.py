@@ -25,7 +25,6 @@ NAMES = (
     "isd-card-1",
     "isd-diagnosis-1",
     "isd-plan-1",
-    "isd-unmeasured-1",
     "isd-map-1",
 )
 

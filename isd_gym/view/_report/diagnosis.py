@@ -21,7 +21,6 @@ from ...diagnosis._verdict.grades import grade, observed
 from ...diagnosis._verdict.wording import is_gain, statements_of
 from ...diagnosis.result import FOLDER, Effect
 from ...physics import elements as el
-from ...physics.network import Network
 from ...physics.simulate import pace
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
 from .forces import clouds, loops_of
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
 
     from ..._common.arrays import Array
     from ...diagnosis import Contender, Diagnosis, Quantity, Trace
+    from ...physics.network import Network
     from .forces import Curve, Loops
 
     Panels = Callable[["View", Trace, Mapping[str, slice]], list[Panel]]
@@ -187,9 +187,8 @@ class View:
         # whether the new model differs from the given model
         completes = d.best_candidate is not None and d.best_candidate.completes
         self.changed = self.named or d.tabulated is not None or d.verdict == "ambiguous" or completes
-        self.inside = isinstance(d.base, Network)
         document = d.to_dict()
-        told = statements_of(document, is_fmu=not self.inside)
+        told = statements_of(document)
         self.title = self.printed(told.title)
         self.finding, self.remarks, self.steps = (
             [self.printed(s) for s in part] for part in (told.finding, told.remarks, told.next_steps)
@@ -237,8 +236,6 @@ class View:
 
     def drawings(self) -> list[tuple[str, str]]:
         """Return drawings of the network: as given, and with the result in colour."""
-        if not isinstance(self.d.base, Network) or not isinstance(self.d.model, Network):
-            return []
         known = {e.name for e in self.d.base.elements}
         # fitted offsets of sensors are no additions
         offsets = {e.name for c in self.d.model.outputs for e in offsets_of(self.d.model, c)}
@@ -253,12 +250,10 @@ class View:
 
     def turns(self, pair: Sequence[str]) -> bool:
         """Return whether two nodes rotate relative to each other: torque over angle instead of force over travel."""
-        return isinstance(self.d.base, Network) and any(n in self.d.base.rotating for n in pair)
+        return any(n in self.d.base.rotating for n in pair)
 
     def lights(self, c: Contender) -> str:
         """Return the highlighted parts of the drawing for a rival."""
-        if not isinstance(self.d.base, Network):
-            return "[]"
         return json.dumps([part for where in c.where for part in place_parts(self.d.base, where)])
 
     def printed(self, sentence: str) -> str:

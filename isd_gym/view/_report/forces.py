@@ -107,8 +107,6 @@ def _cloud(
     d: Diagnosis, trace: Trace, pair: tuple[str, str], laws: list[Law], effects: list[Effect]
 ) -> Cloud | None:
     base, refitted, model = d.base, d.refitted, d.model
-    if not (isinstance(base, Network) and isinstance(refitted, Network) and isinstance(model, Network)):
-        return None
     if not set(pair) <= {*refitted.nodes, GROUND}:
         return None
     names = [c.name for c in refitted.outputs if c.name in trace.refit]
@@ -218,14 +216,13 @@ def _difference(refitted: Network, model: Network, pair: tuple[str, str], laws: 
 def measured_loops(d: Diagnosis, trace: Trace) -> list[Loops]:
     """Return the loops of every measured force whose terminals have a measured or simulated motion."""
     out = []
-    if isinstance(d.base, Network) and isinstance(d.model, Network):
-        for name, pair, factor in _force_channels(d.base):
-            if name not in trace.measured:
-                continue
-            try:
-                out.append(_loops_of(d, trace, name, pair, factor))
-            except (InputError, np.linalg.LinAlgError):
-                continue
+    for name, pair, factor in _force_channels(d.base):
+        if name not in trace.measured:
+            continue
+        try:
+            out.append(_loops_of(d, trace, name, pair, factor))
+        except (InputError, np.linalg.LinAlgError):
+            continue
     return out
 
 
@@ -243,7 +240,6 @@ def _force_channels(network: Network) -> Iterator[tuple[str, tuple[str, str], fl
 
 
 def _loops_of(d: Diagnosis, trace: Trace, name: str, pair: tuple[str, str], factor: float) -> Loops:
-    assert isinstance(d.base, Network) and isinstance(d.model, Network)
     step = float(trace.time[1] - trace.time[0])
     simulated = _simulated(d.model, trace, pair)
     at = _displacement(d.base, pair)

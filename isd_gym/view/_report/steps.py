@@ -10,7 +10,6 @@ import numpy as np
 from ...diagnosis._estimation.structure import Hypothesis
 from ...diagnosis._hypotheses.pair_forces import law_forces
 from ...physics import elements as el
-from ...physics.network import Network
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule
 from .plots import BLUE, COLOURS, INK, MUTED, Look, caption, percent
 
@@ -115,7 +114,7 @@ def _force(view: View, cloud: Cloud, kind: str) -> Panel:
 def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
     """Yield the curve of each candidate at the place of the missing force."""
     base, trace = view.d.refitted, view.trace
-    if not isinstance(base, Network) or trace is None:
+    if trace is None:
         return
     factor, _ = law_axis(kind, view.turns(cloud.pair))
     step = float(trace.time[1] - trace.time[0])

@@ -1,1 +1,0 @@
-"""A diagnosis of each of many cases: `isd-gym diagnose FOLDER`."""
