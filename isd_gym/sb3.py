@@ -92,7 +92,6 @@ class BatchedVecEnv(VecEnv):
         self.render_mode = self.env.render_mode
         super().__init__(count, self.env.single_observation_space, action_space)
         self._stagger = stagger
-        self._nothing: list[dict[str, Any]] = [{} for _ in range(count)]
         self._returns, self._lengths = np.zeros(count), np.zeros(count, np.int64)
         self._begun = time.time()
 
@@ -115,12 +114,12 @@ class BatchedVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         obs, rewards, terminated, truncated, info = self.env.step(self._actions)
         done = terminated | truncated
-        infos = self._nothing
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         ended = "final_obs" in info
         self._returns -= np.where(done, info["final_info"]["cost"], info["cost"]) if ended else info["cost"]
         self._lengths += 1
         if ended:
-            infos, now = list(self._nothing), time.time() - self._begun
+            now = time.time() - self._begun
             hold = self.env.task.options.hold
             for i in np.flatnonzero(done):
                 statistics = {"r": hold * float(self._returns[i]), "l": int(self._lengths[i]), "t": now}
@@ -139,7 +138,7 @@ class BatchedVecEnv(VecEnv):
         if seed is None:
             seed = int(np.random.default_rng().integers(2**31))
         self._seeds = [seed + i // self.env.cars_per_road for i in range(self.num_envs)]
-        return self._seeds
+        return list(self._seeds)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         value = getattr(self.env, attr_name)

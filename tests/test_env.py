@@ -97,9 +97,10 @@ def test_autoreset_as_gymnasium_has_it():
     env = gym.make_vec("ISDSuspension-v0", 3, max_episode_steps=5)
     assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
     env.reset(seed=0)
-    truncated = [env.step(np.zeros((3, 1), np.float32))[3].all() for _ in range(13)]
-    # after a truncated step one more that resets, then five of the new episode
-    assert [k for k, t in enumerate(truncated) if t] == [4, 10]
+    steps = [env.step(np.ones((3, 1), np.float32)) for _ in range(13)]
+    # after a truncated step one more that resets, without a reward, then five of the new episode
+    assert [k for k, step in enumerate(steps) if step[3].all()] == [4, 10]
+    assert [k for k, step in enumerate(steps) if not step[1].any()] == [5, 11]
     env = gym.make_vec("ISDSuspension-v0", 3, max_episode_steps=5, autoreset_mode="same_step")
     env.reset(seed=0)
     for _ in range(5):

@@ -401,10 +401,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._oldest = 0
         self._onlookers = [Onlooker(self.task, i) for i in range(num_envs if render_mode is not None else 0)]
         self._zeros = np.zeros(num_envs)
-        everywhere = np.ones(num_envs, bool)
-        everywhere.setflags(write=False)
         names = ("speed", "cost", *self.task.step_info, *self.task.batch.drawn)
-        self._masks = {f"_{name}": everywhere for name in names}  # every car has every number
+        self._info_names = (*names, *(f"_{name}" for name in names))
         self._lock = Lock()
 
     @property
@@ -425,10 +423,9 @@ class ISDSuspensionVectorEnv(VectorEnv):
                 )
             self._rngs = fresh
             self._restart(np.flatnonzero(mask))
-            obs = self._last.copy()  # the other cars keep their observations
-            obs[mask] = self.task.first(np.flatnonzero(mask))
-            self._last = obs
-            return obs, self._info(self.task.batch.judged.copy())
+            # the other cars keep their observations
+            self._last[mask] = self.task.first(np.flatnonzero(mask))
+            return self._last.copy(), self._info()
 
     def _mask(self, given: Any) -> np.ndarray:
         """Return the mask of the cars that a reset restarts (num_envs,)."""
@@ -484,19 +481,20 @@ class ISDSuspensionVectorEnv(VectorEnv):
         finally:
             self._lock.release()
 
-    def _info(self, judged: np.ndarray) -> dict[str, Any]:
-        """Return the `info` of all cars from the rows of `Batch.judged`."""
-        told = dict(zip(self.task.step_info, judged[1:], strict=True))
-        drawn = {name: values.copy() for name, values in self.task.batch.drawn.items()}
-        return {"speed": self._speeds, "cost": -judged[0], **told, **drawn, **self._masks}
+    def _info(self) -> dict[str, Any]:
+        """Return the `info` of all cars."""
+        batch = self.task.batch
+        judged = batch.judged.copy()
+        drawn = [values.copy() for values in batch.drawn.values()]
+        masks = np.ones((len(self._info_names) // 2, self.num_envs), bool)  # every car has every number
+        values = (batch.speeds.copy(), -judged[0], *judged[1:], *drawn, *masks)
+        return dict(zip(self._info_names, values, strict=True))
 
     def _restart(self, which: np.ndarray) -> None:
         batch = self.task.batch
         for i in which:
             self.task.begin(int(i), self._rngs[i])
         batch.forget(which)
-        self._speeds = batch.speeds.copy()
-        self._speeds.setflags(write=False)  # one array is handed out until a car restarts
         for i in which if self._onlookers else ():
             self._onlookers[i].start()
         self.steps[which] = 0
@@ -531,10 +529,9 @@ class ISDSuspensionVectorEnv(VectorEnv):
             if self._any_done and self.autoreset_mode is AutoresetMode.NEXT_STEP
             else None
         )
-        batch.renew()
         if task.is_plain:
             batch.step()
-            reward = batch.judged[0]
+            reward = batch.judged[0].copy()
         else:
             reward = task.advance()
         self.steps += 1
@@ -545,9 +542,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
             self._restart(revived)
             obs[revived] = self.task.first(revived)
             terminated[revived] = False
-            if not task.is_plain:
-                reward[revived] = 0.0
-        info = self._info(batch.judged)
+            reward[revived] = 0.0
+        info = self._info()
         for i in (
             np.flatnonzero(self.steps) if self._onlookers else ()
         ):  # except for cars that have just restarted
@@ -561,31 +557,24 @@ class ISDSuspensionVectorEnv(VectorEnv):
             self._done = terminated | truncated
             self._any_done = bool(self._done.any())
             if self._any_done and self.autoreset_mode is AutoresetMode.SAME_STEP:
-                obs = self._restart_now(obs, info)
+                self._restart_now(obs, info)
         else:
             truncated = np.zeros(self.num_envs, bool)
         self._last = obs
-        return obs, reward, terminated, truncated, info
+        return obs.copy(), reward, terminated, truncated, info
 
-    def _restart_now(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-        which = np.flatnonzero(self._done)
+    def _restart_now(self, obs: np.ndarray, info: dict[str, Any]) -> None:
+        """Restart the cars whose episode ended, and replace their observations and numbers."""
         done = self._done.copy()
         final = np.empty(self.num_envs, object)
+        which = np.flatnonzero(done)
         for i in which:
             final[i] = obs[i].copy()
-        info["final_obs"], info["_final_obs"] = final, done
-        info["final_info"] = {
-            k: v.copy() for k, v in info.items() if isinstance(v, np.ndarray) and not k.startswith("_")
-        } | self._masks
-        info["_final_info"] = done
+        last = info.copy()
         self._restart(which)
         obs[which] = self.task.first(which)
-        info["speed"] = self._speeds
-        for name, values in self.task.batch.drawn.items():
-            info[name] = values.copy()
-        for name in ("cost", *self.task.step_info):
-            info[name][which] = 0.0
-        return obs
+        info |= self._info()
+        info |= {"final_obs": final, "final_info": last, "_final_obs": done, "_final_info": done.copy()}
 
     def get_state(self, car: int) -> dict[str, Any]:
         """Return the state of a car's episode, see `ISDSuspensionEnv.get_state`.
@@ -621,8 +610,6 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._rngs[car], self.steps[car] = copy.deepcopy(state["rng"]), state["steps"]
         self._done[car], self._oldest = False, int(self.steps.max())
         self._any_done = bool(self._done.any())
-        self._speeds = self.task.batch.speeds.copy()
-        self._speeds.setflags(write=False)
         if self._onlookers:
             self._onlookers[car].start()
 

@@ -350,7 +350,7 @@ class Task:
         if hold > 1:
             results[:means], results[of.exceeds :] = sums / hold, marks
             batch.broken = broken
-        reward = batch.judged[0]
+        reward = batch.judged[0].copy()
         if self.options.reward == "relative":
             if self.group > 1:
                 by_road = reward.reshape(-1, self.group)
@@ -412,7 +412,7 @@ class Task:
     def get_state(self, i: int) -> dict[str, Any]:
         """Return all that the future of a car depends on, except the actions and the generator of its next roads."""
         return {
-            "made": self.made,
+            "made": copy.deepcopy(self.made),
             "car": self.batch.get_state(i),
             "reference": None if self._reference is None else self._reference.get_state(i),
             "sight": None if self._sight is None else self._sight.get_state(i),

@@ -121,7 +121,8 @@ class Batch:
         self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_RATE * control_step
         self._settings[of.bounds : of.bounds + of.measured] = math.inf
         self.seen = np.zeros((count, of.measured + of.currents), np.float32)
-        self._results = np.zeros((of.results, wide))
+        #: results of the last step, with the cars that complete the last group (`layout`)
+        self.results = np.zeros((of.results, wide))
         self.speeds = np.full(count, self.speed)
         self.threads = 1
         self._arguments()
@@ -174,7 +175,7 @@ class Batch:
         """Create the arguments of the kernel, and the views of them."""
         at, count = self.plant.at, self.count
         self._drive: Callable[..., int] | None = None
-        self._drive_arguments = (
+        arguments = (
             *(self._mats.reshape(-1), self._ints, self._states.reshape(-1), self._cars.reshape(-1)),
             *(
                 self._ways.reshape(-1),
@@ -184,16 +185,16 @@ class Batch:
                 self._ahead,
             ),
             *(self._history.reshape(-1), self._settings),
+            *(self.results.reshape(-1), self.seen),
         )
         threads = max(1, min(self.threads, self.groups))
         late = min(LATE, self.groups // threads)
         ends = [0, *(late + (self.groups - late) * i // threads for i in range(1, threads + 1))]
         inputs = (self.substeps + 1) * at.inputs + self.substeps * (at.currents + 2 + self.of.tracks)
-        self._shares = [
-            (aligned(TOGETHER, inputs, WIDTH).ravel(), begin, stop)
+        self._calls = [
+            (*arguments, aligned(TOGETHER, inputs, WIDTH).ravel(), begin, stop)
             for begin, stop in zip(ends[:-1], ends[1:], strict=True)
         ]
-        self._calls: list[tuple[Any, ...]] = []
         self._crew: tuple[int, ThreadPoolExecutor] | None = None  # process and its threads
         of = self.of
         self.cars, self.out = self._cars[:, :count], self._cars[of.outputs :, :count]
@@ -201,20 +202,11 @@ class Batch:
         self.counters = self._ways[of.counter :].view(np.uint64)  # (tracks, cars)
         #: commanded currents [A] (currents, count)
         self.target = self.cars[of.target : of.target + of.currents]
-        self._write_to(self._results, self.seen)
-
-    def _write_to(self, results: np.ndarray, seen: np.ndarray) -> None:
-        self._results, self.seen = results, seen
-        self._first_results, self.first_seen = results[:, 0], seen[0]
-        self._calls = [(*self._drive_arguments, results.reshape(-1), seen, *share) for share in self._shares]
-
-    def renew(self) -> None:
-        """Release the results of the last step to the caller; the next step writes to new arrays."""
-        self._write_to(np.empty(self._results.shape), np.empty(self.seen.shape, np.float32))
+        self._first_results, self.first_seen = self.results[:, 0], self.seen[0]
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("cars", "out", "counters", "target", "_setup", "_first_results", "first_seen")
-        made = (*views, "_drive", "_drive_arguments", "_shares", "_calls", "_crew")
+        made = (*views, "_drive", "_calls", "_crew")
         return {k: v for k, v in self.__dict__.items() if k not in made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -372,7 +364,7 @@ class Batch:
             "rings": np.roll(self._rings[:, :, :, i], -now, axis=2),
             "ahead": np.roll(self._ahead[i].reshape(tracks, self.points), -now, axis=1),
             "history": np.roll(self._history[group, :, :, lane], -kept, axis=1),
-            "results": self._results[:, i].copy(),
+            "results": self.results[:, i].copy(),
             "seen": self.seen[i].copy(),
             "speed": float(self.speeds[i]),
             "drawn": {name: values[i] for name, values in self.drawn.items()},
@@ -403,10 +395,8 @@ class Batch:
         self._rings[:, :, :, i] = np.roll(state["rings"], now, axis=2)
         self._ahead[i] = np.roll(state["ahead"], now, axis=1).ravel()
         self._history[group, :, :, lane] = np.roll(state["history"], kept, axis=1)
-        results, seen = self._results.copy(), self.seen.copy()  # arrays that were handed out stay unchanged
-        results[:, i], seen[i] = state["results"], state["seen"]
+        self.results[:, i], self.seen[i] = state["results"], state["seen"]
         self.speeds[i] = state["speed"]
-        self._write_to(results, seen)
 
     # ----------------------------------------------------------------------------------------- step
 
@@ -448,27 +438,20 @@ class Batch:
         return self._first_results.tolist()
 
     @property
-    def results(self) -> np.ndarray:
-        """All rows of the last step's results, with the cars that complete the last group (`layout`)."""
-        return self._results
-
-    @property
     def judged(self) -> np.ndarray:
         """Results of the last step (rows, count): minus the cost, terms of the cost, dynamic tyre loads [N], and
         whether acceleration and travel are beyond the limits of Table 5."""
-        return self._results[: self.of.broken, : self.count]
+        return self.results[: self.of.broken, : self.count]
 
     def forget(self, which: np.ndarray | slice) -> None:
-        """Clear the results of restarted cars; arrays that were handed out stay unchanged."""
-        results = self._results.copy()
-        results[: self.of.broken, which] = 0.0
+        """Clear the results of restarted cars."""
+        self.judged[:, which] = 0.0
         self.out[:, which] = 0.0
-        self._write_to(results, self.seen)
 
     @property
     def gone(self) -> np.ndarray:
         """Whether each car left its bounds, or became not finite, in the last step (count,)."""
-        return self._results[self.of.broken, : self.count] != 0.0
+        return self.results[self.of.broken, : self.count] != 0.0
 
     @property
     def levels(self) -> np.ndarray:
