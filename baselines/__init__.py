@@ -72,8 +72,8 @@ def _previewing(home: Any, control_step: float, options: dict[str, Any]) -> Any:
 
 def _robust(home: Any, control_step: float, options: dict[str, Any]) -> Any:
     """Return the settings of the friction-aware MPC for noisy sensors."""
-    # mean change of J against the same car without current, 96 cars of the robust track's ranges
-    # (`benchmarks/tune.py mpc-friction noise=... --randomize`): 0 -22.29 %, 0.25 -23.61, 0.5 -23.76, 1
+    # mean change of J against the same car without current, 96 cars of the robust track's ranges,
+    # by the assumed noise of the sensors: 0 -22.29 %, 0.25 -23.61, 0.5 -23.76, 1
     # -23.70
     return home.FrictionMpcSettings(sensors=noisy(0.5))
 

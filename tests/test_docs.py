@@ -28,7 +28,6 @@ SLOW = {
     "docs/guides/own-algorithm.md",
     "docs/guides/other-library.md",
     "docs/tutorials/diagnose.md",
-    "docs/tutorials/plan.md",
     "docs/tutorials/effect.md",
     "docs/explanation/study.md",  # its table, by bootstrap
     "docs/validation/learning.md",

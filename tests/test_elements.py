@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
 from isd_gym.contrib.fmi.export import Running
-from isd_gym.contrib.forecast.planning import infer_rig
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure, free_of
+from isd_gym.diagnosis._planning.excitation import infer_rig
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.env._environment import ISDSuspensionEnv
 from isd_gym.physics import elements as el
@@ -424,7 +424,7 @@ ZONE = {"name": "zone", "type": "drive_dead_zone", "element": "motor", "threshol
         ("'early': no sensor of an environment can lead", ISDSuspensionEnv, CAR.with_element({**EARLY, "channel": CAR.outputs[0].name})),
         ("'early': no sensor of a running model can lead", Running, with_effects().with_element({**EARLY, "channel": "speed"})),
         ("the environment has no logged channels", ISDSuspensionEnv, replace(CAR, inputs=(*CAR.inputs, Network.load(logged()).inputs[1]))),
-        ("no test can drive a logged temperature", infer_rig, Network.load(logged(THINS))),
+        ("no test can drive a logged temperature", lambda net: infer_rig(net, []), Network.load(logged(THINS))),
     ],
 )  # fmt: skip
 def test_who_cannot_do_what_a_model_asks_says_so_in_a_line(words, use, model):

@@ -6,7 +6,6 @@ import pytest
 from builders import channel, damper, element
 from program import refused
 
-from isd_gym.contrib.forecast import plan
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._selection.settings import SearchSettings
 from isd_gym.physics import elements as el
@@ -222,17 +221,3 @@ def test_two_loads_name_the_friction_with_its_gain():
     assert effect.parameters["level"].low < LEVEL < effect.parameters["level"].high
     assert found.model.element(effect.element).load == "gear"
     assert found.closed > 0.95
-
-
-def test_a_plan_asks_for_a_second_load():
-    def planned(*loads):
-        records = [measured(f"r{k}", w, k, under("gear")) for k, w in enumerate(loads)]
-        return plan(nominal(), records, only=["load_dependent_friction", "rotor"], add_sensors=False)
-
-    one = planned(30.0, 30.0, 30.0)
-    (forecast,) = one.effects
-    assert forecast.status == "confused" and forecast.confused_with == ("coulomb_friction at rotor-ground",)
-    assert any("add a training record under a second load" in note for note in one.notes)
-    two = planned(5.0, 60.0, 30.0)
-    assert not any("second load" in note for note in two.notes)
-    assert two.effects[0].status != "confused"

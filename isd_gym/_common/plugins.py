@@ -28,7 +28,6 @@ OWN = {
         "convert": "isd_gym.contrib.exports.command:command",
         "export": "isd_gym.contrib.fmi.command:command",
         "inspect": "isd_gym.contrib.inspection.command:command",
-        "plan": "isd_gym.contrib.forecast.command:command",
         "record": "isd_gym.contrib.minari.command:command",
         "simulate": "isd_gym.contrib.simulation.command:command",
         "sweep": "isd_gym.contrib.sweep.command:command",
@@ -47,7 +46,6 @@ OWN = {
     WINGS: {
         "bench_files": "isd_gym.contrib.bench_files.writing",
         "ceilings": "isd_gym.contrib.ceilings.beside",
-        "forecast": "isd_gym.contrib.forecast.planning",
         "own_controllers": "isd_gym.contrib.own_controllers",
     },
 }

@@ -10,7 +10,7 @@ Data go one way, from the first of these packages to the last:
 - `_verdict`: evidence, what it allows to say, and the words.
 
 `_workflow` runs all of it, and `_result_builder` makes the `result` of what it found.
-`isd_gym.contrib.forecast` designs the test that would decide between candidates.
+`_planning` designs the test that would decide between candidates.
 """
 
 from ._hypotheses.library import Hypothesis, hypotheses

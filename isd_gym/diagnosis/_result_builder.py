@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from .._common.plugins import wing
 from ..physics.network import assemble
 from ._estimation.gauss_newton import Fitter
 from ._estimation.noise import white_weights
 from ._estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from ._hypotheses.library import hypotheses
 from ._hypotheses.motion import loads_of, tell_gain
+from ._planning.design import next_experiment, played
 from ._records.splitting import LEAD_IN
 from ._selection.candidate import Candidate, parameter_values
 from ._selection.free_force import FreeForce, fit_free_force
@@ -312,11 +312,10 @@ class ResultBuilder:
         self.flow.say("designing the test that would decide")
 
         def design() -> tuple[dict[str, Any], Table] | None:
-            planning = wing("forecast")
-            found = planning.next_experiment(self.flow.whole, candidates, noise)
-            return (
-                (found.to_dict(), planning.played(self.flow.whole.network, found.record)) if found else None
-            )
+            found = next_experiment(self.flow.whole, candidates, noise)
+            if found is None:
+                return None
+            return found.to_dict(), played(self.flow.whole.network, found.record)
 
         return self._attempt("the next test", design) or (None, None)
 

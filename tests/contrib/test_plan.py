@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import typer
 from builders import channel, damper, friction, spring
+from isd_gym.contrib.forecast.command import command
 from program import refused
 from typer.testing import CliRunner
 
 from isd_gym._common.errors import InputError
 from isd_gym.contrib.forecast import plan, read_rivals
-from isd_gym.contrib.forecast.command import command
 from isd_gym.contrib.forecast.planning import (
     KINDS,
     Excitation,

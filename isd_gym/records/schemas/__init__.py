@@ -24,7 +24,6 @@ NAMES = (
     "isd-score-1",
     "isd-card-1",
     "isd-diagnosis-1",
-    "isd-plan-1",
     "isd-map-1",
 )
 

@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym._common.errors import InputError
-from isd_gym.diagnosis._estimation.gauss_newton import Fitter, residuals
-from isd_gym.diagnosis._estimation.noise import deviance_of, white_weights
-from isd_gym.diagnosis._selection.criteria import LEAST_NOISE
-from isd_gym.diagnosis._simulation.problem import BROKEN, Problem, Record, bare
-from isd_gym.physics.network import assemble
-from isd_gym.records.data import Table, write_table
-
-from ._excitation import Excitation, Rig, infer_rig, list_excitations, make_record, make_table
+from ..._common.errors import InputError
+from ...physics.network import assemble
+from .._estimation.gauss_newton import Fitter, residuals
+from .._estimation.noise import deviance_of, white_weights
+from .._selection.criteria import LEAST_NOISE
+from .._simulation.problem import BROKEN, Problem, Record, bare
+from .excitation import Excitation, Rig, infer_rig, list_excitations, make_record, make_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from isd_gym._common.arrays import Array
-    from isd_gym.diagnosis._estimation.structure import Structure
-    from isd_gym.diagnosis._selection.candidate import Candidate
-    from isd_gym.physics.network import Network
+    from ..._common.arrays import Array
+    from ...physics.network import Network
+    from ...records.data import Table
+    from .._estimation.structure import Structure
+    from .._selection.candidate import Candidate
 
 FINALISTS = 5  # tests for which rivals are refitted in full
-#: receives the stage and the finished share
-Progress = Callable[[str, float], None]
-
 MAX_RIVALS = 3  # rivals that are compared
 SAMPLES = 12000  # of a test in the linearised comparison of rivals
 
@@ -59,24 +53,6 @@ class Design:
     watch: str = ""  # channel with the largest difference
     usual: float = 0.0  # separation by a multisine over the whole band
     tried: int = 0  # number of compared tests
-    #: hypotheses that the test distinguishes, that the multisine distinguishes, and number of hypotheses
-    told: tuple[int, int, int] = (0, 0, 0)
-
-    @property
-    def sentence(self) -> str:
-        """The choice and its reason."""
-        usual = "a multisine over the whole band"
-        if self.closest[0]:
-            return (
-                f"The best of {self.tried} tests to distinguish {' from '.join(self.closest)}: {self.text}. "
-                f"Their distance is {self.separation:.3g} standard deviations of the noise ({self.usual:.3g} under {usual}). "
-                f"Watch {self.watch}."
-            )
-        told, before, count = self.told
-        return (
-            f"The best of {self.tried} tests: {self.text}. At a twentieth of the force, {told} of {count} hypotheses are "
-            f"distinguishable from all rivals ({before} under {usual})."
-        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the test as `next_experiment` of a diagnosis."""
@@ -89,16 +65,6 @@ class Design:
             "tried": self.tried,
             "excitation": self.excitation.to_dict(),
         }
-
-    def save(self, path: str | Path, network: Network) -> None:
-        """Write the inputs as a table for a rig or for `simulate`.
-
-        Args:
-            path: Path of the table. Text files have a column ``name [unit]`` per input.
-            network: The model with the inputs.
-        """
-        is_text = Path(path).suffix.lower() in (".csv", ".txt", ".tsv")
-        write_table(path, (played if is_text else make_table)(network, self.record))
 
 
 def played(network: Network, record: Record) -> Table:
@@ -190,7 +156,6 @@ def design_test(
     noise: Array,
     *,
     tests: Iterable[Excitation] | None = None,
-    progress: Progress | None = None,
 ) -> Design | None:
     """Choose the test that maximises the distance of the two closest rivals.
 
@@ -200,19 +165,16 @@ def design_test(
         rig: The rig.
         noise: RMS noise (channels,) [unit of the channel].
         tests: Tests to be compared. Default: `list_excitations`.
-        progress: Function that receives the stage and the finished share.
 
     Returns:
         The test, or None for fewer than two rivals or if no test can be simulated.
     """
-    progress = progress or (lambda name, share: None)
     rivals = list(rivals)[:MAX_RIVALS]
     if len(rivals) < 2:
         return None
     every = list(list_excitations(network, rig) if tests is None else tests)
     ranked = []
     for k, e in enumerate(every):
-        progress("tests", k / len(every))
         try:
             record = make_record(network, rig, e, samples=SAMPLES)
             ranked.append((RivalComparison(network, record, rivals, noise).linear_distance(), k))
@@ -223,8 +185,7 @@ def design_test(
     reference = [0] if any(k == 0 for _, k in ranked) else []
     best: Design | None = None
     usual = 0.0
-    for n, k in enumerate(dict.fromkeys([*finalists, *reference])):
-        progress("refits", n / (FINALISTS + 1))
+    for k in dict.fromkeys([*finalists, *reference]):
         e = every[k]
         record = make_record(network, rig, e, "next experiment")
         try:
@@ -235,8 +196,6 @@ def design_test(
         if best is None or distance > best.separation:
             watch = network.outputs[channel].name
             best = Design(e, rig, record, e.describe(network, rig), distance, pair, watch, tried=len(every))
-    progress("tests", 1.0)
-    progress("refits", 1.0)
     return None if best is None else replace(best, usual=usual)
 
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym._common.errors import InputError, shown
-from isd_gym._common.units import convert
-from isd_gym.diagnosis._simulation.problem import Record, bare
-from isd_gym.physics.network import Channel, Network, assemble
-from isd_gym.records.data import Table
+from ..._common.errors import InputError, shown
+from ..._common.units import convert
+from ...records.data import Table
+from .._simulation.problem import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from isd_gym._common.arrays import Array
+    from ..._common.arrays import Array
+    from ...physics.network import Channel, Network
 
 KINDS = ("multisine", "sweep", "steps", "triangle")
 #: amplitude [SI unit] and rate [SI unit/s] of a typical rig
@@ -64,7 +64,7 @@ class Rig:
         if not self.length / self.step < MOST_SAMPLES:
             raise InputError(
                 f"a test of {self.length:g} s at {1 / self.step:g} Hz has {self.length / self.step:.3g} samples, at most "
-                f"{MOST_SAMPLES} are simulated: a smaller --length, --rate or --band"
+                f"{MOST_SAMPLES} are simulated"
             )
         if high * self.step > 0.25:
             raise InputError(
@@ -211,64 +211,31 @@ def _amount(value: float, c: Channel) -> str:
 # ------------------------------------------------------------------------------------------------- limits of a rig
 
 
-def infer_rig(
-    network: Network,
-    records: Sequence[Record] = (),
-    *,
-    limits: Mapping[str, Limits] | None = None,
-    band: tuple[float, float] | None = None,
-    length: float | None = None,
-    rate: float | None = None,
-    notes: list[str] | None = None,
-) -> Rig:
-    """Infer the capabilities of a rig: as stated, else as in records, else typical.
+def infer_rig(network: Network, records: Sequence[Record]) -> Rig:
+    """Infer the capabilities of a rig from its records. An input that stands in all records has typical limits.
 
     Args:
         network: The model with the inputs.
         records: Records measured on the rig.
-        limits: Stated limits by input.
-        band: Stated lowest and highest frequency [Hz].
-        length: Stated length of a test [s].
-        rate: Stated sampling rate [Hz].
-        notes: List that receives a line per assumption.
 
     Returns:
         The rig.
 
     Raises:
-        InputError: The statements contradict each other or the model, or a limit cannot be inferred.
+        InputError: The limits of an input cannot be inferred, or no test can drive the input.
     """
-    if not network.inputs:
-        raise InputError(f"model '{network.name}' has no inputs: a test is not possible")
-    notes = notes if notes is not None else []
+    given = {}
     for c in network.inputs:
         if c.quantity == "condition":
             raise InputError(
                 f"input '{c.name}': no test can drive a logged {c.spoken}; leave out the input and what reads it"
             )
-    given, names = dict(limits or {}), [c.name for c in network.inputs]
-    for name in given:
-        if name not in names:
-            raise InputError(f"--limit: the model has no input {shown(name)} (it has: {', '.join(names)})")
-    for c in network.inputs:
-        if c.name not in given:
-            given[c.name] = _measured_limits(c, records) or _typical_limits(c, network, notes)
-    if band is not None and not 0 < band[0] < band[1] < math.inf:
-        raise InputError(f"the band must have frequencies 0 < LOW < HIGH, not {band[0]:g}:{band[1]:g}")
-    if rate is not None and not 0 < rate < math.inf:
-        raise InputError(f"the sampling rate must be positive and finite, not {rate:g} Hz")
-    low, high = band or (_measured_band(records, network) if records else _natural_band(network))
-    if band is None and not records:
-        notes.append(
-            f"band: {low:.3g} to {high:.3g} Hz, from the model's natural frequencies (change with --band)"
-        )
-    step = 1 / rate if rate else records[0].step if records else 1.0 / (SAMPLES * high)
-    if band is None:
-        low, high = min(low, 0.1 / step), min(high, 0.25 / step)
-    seconds = length or (max(r.samples * r.step for r in records) if records else max(LENGTH, 6.0 / low))
-    if band is None:
-        low = max(low, 1.0 / seconds)
-    return Rig(given, (low, high), seconds, step)
+        given[c.name] = _measured_limits(c, records) or _typical_limits(c, network)
+    low, high = _measured_band(records, network)
+    step = records[0].step
+    low, high = min(low, 0.1 / step), min(high, 0.25 / step)
+    seconds = max(r.samples * r.step for r in records)
+    return Rig(given, (max(low, 1.0 / seconds), high), seconds, step)
 
 
 def _measured_limits(c: Channel, records: Sequence[Record]) -> Limits | None:
@@ -283,28 +250,13 @@ def _measured_limits(c: Channel, records: Sequence[Record]) -> Limits | None:
     return Limits(reach, slope if c.quantity != "current" and slope > 0 else math.inf)
 
 
-def _typical_limits(c: Channel, network: Network, notes: list[str]) -> Limits:
+def _typical_limits(c: Channel, network: Network) -> Limits:
     """Return the limits of a typical rig at an input. Raise `InputError` for an unusual unit."""
     weight = WEIGHT * network.total_mass if c.si == "N" else 0.0
     reach = REACH.get(c.si) or weight
     if not reach:
-        raise InputError(
-            f"the largest value of {c.name} is unknown: state it with --limit {c.name}=VALUE [{c.unit}]"
-        )
-    notes.append(f"{c.name}: assumed amplitude {_amount(reach, c)} (change with --limit {c.name}=VALUE)")
+        raise InputError(f"the largest value of {c.name} [{c.unit}] is unknown")
     return Limits(reach, SLOPE.get(c.si, math.inf))
-
-
-def _natural_band(network: Network) -> tuple[float, float]:
-    """Return the band [Hz] from 0.25 of the lowest to 1.5 of the highest natural frequency."""
-    asm = assemble(bare(network))
-    poles = np.linalg.eigvals(asm.rate[:, asm.columns("x")]) if asm.size[0] else np.zeros(0)
-    frequencies = np.abs(poles[(np.abs(poles.imag) > 0.05 * np.abs(poles))]) / (2 * math.pi)
-    frequencies = frequencies[np.isfinite(frequencies) & (frequencies > 1e-3)]
-    if not len(frequencies):
-        return 0.25, 15.0
-    low, high = 0.25 * float(frequencies.min()), 1.5 * float(frequencies.max())
-    return max(low, high / 200.0), high
 
 
 def _measured_band(records: Sequence[Record], network: Network) -> tuple[float, float]:
