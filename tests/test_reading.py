@@ -14,6 +14,7 @@ from isd_gym._common.units import convert
 from isd_gym.contrib.inspection import inspect
 from isd_gym.contrib.inspection.map_file import save_map
 from isd_gym.contrib.simulation.command import command
+from isd_gym.physics.simulate import simulate
 from isd_gym.records._loggers import ChannelMap, Recording
 from isd_gym.records._loggers.record_reading import records_of
 from isd_gym.records.data import Table, read_table
@@ -254,8 +255,8 @@ def test_a_sign_turns_a_channel(tmp_path):
 def test_inspect_takes_columns_signs_and_maps(tmp_path):
     """A named column is taken whatever the other columns look like; a sign against the physics is remarked."""
     RIG.save(tmp_path / "rig.json")
-    data = np.c_[DATA, DATA[:, 2]]
-    (tmp_path / "a.csv").write_text("time [s],table [mm],acc [g],left [g]\n" + text(data * [1, 1, 1, -1]))
+    turned = -simulate(RIG, TIME, {"table": DATA[:, 1] - 900.0})["acc"]
+    (tmp_path / "a.csv").write_text("time [s],table [mm],acc [g],left [g]\n" + text(np.c_[DATA, turned]))
 
     def go(*words):
         done = run("inspect", tmp_path / "a.csv", "--model", tmp_path / "rig.json", *words)
@@ -266,10 +267,10 @@ def test_inspect_takes_columns_signs_and_maps(tmp_path):
     found = ChannelMap.load(tmp_path / "map.json").channels["acc"]
     assert (found.column, found.sign) == ("left", -1)
     code, said = go("--rename", "left=acc", "--sign", "acc=1", *made)
-    assert code == 0 and "acc follows the model, turned round: is its sign +1?" in " ".join(said.split())
+    assert code == 0 and "acc follows the model turned round (0.99): --sign acc=-1?" in " ".join(said.split())
     assert ChannelMap.load(tmp_path / "map.json").channels["acc"].sign == 1
     code, said = go("--map", tmp_path / "map.json")
-    assert code == 0 and "is its sign +1?" in " ".join(said.split())
+    assert code == 0 and "--sign acc=-1?" in " ".join(said.split())
     for words, says in (
         (["--rename", "lefd=acc"], "did you mean 'left'?"),
         (["--rename", "left=table"], "unit 'g' is none of m"),

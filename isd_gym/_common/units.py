@@ -93,6 +93,11 @@ def practical(value: float, unit: str) -> tuple[float, str]:
     return 1.0, unit
 
 
+def units_of(si: str) -> list[str]:
+    """Return the units that convert to an SI unit."""
+    return list(_FACTORS[si])
+
+
 def si_of(unit: str) -> str:
     """Return the SI unit of the quantity that a unit measures."""
     return _entry(unit)[0]

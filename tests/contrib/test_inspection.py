@@ -16,7 +16,7 @@ from isd_gym._common.errors import InputError
 from isd_gym.contrib.inspection import head, inspect, lines, page
 from isd_gym.contrib.inspection.command import command
 from isd_gym.contrib.inspection.consistency import integral_consistency
-from isd_gym.contrib.inspection.facts import sparkline
+from isd_gym.contrib.inspection.facts import sparkline, unit_in_name
 from isd_gym.contrib.inspection.map_file import save_map
 from isd_gym.contrib.simulation.command import command as simulate_command
 from isd_gym.diagnosis._records.reading import read_record
@@ -76,11 +76,81 @@ def test_names_that_say_nothing_are_told_by_physics_alone(tmp_path, run):
     assert all(sure > 0.9 for _, sure in made.suggestion.channels.values())
 
 
-def test_a_column_without_a_unit_gets_the_one_that_fits_the_model_and_a_sign(tmp_path, run):
-    _, made = found(tmp_path, run, NAMES, factors={"travel": -1e3})
+def test_a_column_without_a_unit_keeps_the_channel_s_and_another_is_asked_for(tmp_path, run):
+    file, made = found(tmp_path, run, NAMES, factors={"travel": -1e3})
     pick, _ = made.suggestion.channels["travel"]
-    assert (pick.facts.name, pick.unit, pick.sign) == ("stroke", "mm", -1)
+    assert (pick.facts.name, pick.unit, pick.sign) == ("stroke", "m", -1)
     assert chosen(made) == NAMES
+    assert "--unit stroke=mm?" in made.suggestion.remarks[0]
+    told = inspect([file], Network.load(CAR), units={"stroke": "mm"})
+    assert not told.suggestion.remarks
+    assert told.map("car.json").channels["travel"].unit == "mm"
+
+
+ANGLE = {"name": "phi", "quantity": "angle", "at": "arm", "unit": "deg"}
+PENDULUM = model("pendulum", [damper("arm", "ground", 0.01)], [], [ANGLE], inertias={"arm": 0.01})
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"), [("phi", "deg"), ("winkel", "deg"), ("enc_arm_rad", "rad"), ("Winkel mrad", "mrad")]
+)
+def test_the_unit_is_that_of_the_model_or_of_the_column_s_name(tmp_path, column, unit):
+    """A swing of 100 is plausible in deg, and in mrad too: nothing is guessed from the size."""
+    time = 0.01 * np.arange(600)
+    file = written(tmp_path / "rec.csv", f"time,{column}", time, 100 * np.exp(-0.2 * time) * np.cos(6 * time))
+    made = inspect([file], Network.load(PENDULUM))
+    assert made.map("pendulum.json").channels["phi"].unit == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("speed_load_rad_s", "rad/s"),
+        ("acc_m_s^2", "m/s^2"),
+        ("torque_Nm", "Nm"),
+        ("travel_mm", "mm"),
+        ("travel", ""),
+        ("mm", ""),
+    ],
+)
+def test_names_of_columns_end_with_units(name, unit):
+    assert unit_in_name(name) == unit
+
+
+def test_a_sign_that_the_physics_leaves_open_is_not_turned(tmp_path, run):
+    """In one file a channel of another time follows the model neither as it is nor turned round."""
+    time, columns = run
+    late = np.roll(columns["travel"], 300)
+    file = tmp_path / "rec.csv"
+    write_table(file, Table(time, columns | {"travel": late}))
+    pick, _ = inspect([file], Network.load(CAR)).suggestion.channels["travel"]
+    assert (pick.facts.name, pick.sign) == ("travel", 1)
+
+
+def test_an_input_whose_outputs_are_all_turned_is_asked_for(tmp_path, run):
+    _, made = found(tmp_path, run, NAMES, factors={"road": -1.0})
+    assert {pick.sign for pick, _ in made.suggestion.channels.values()} == {1}
+    assert made.suggestion.remarks == ["all outputs follow the model turned round: --sign road=-1?"]
+
+
+@pytest.mark.parametrize("cell", ["OVERLOAD", "\u22120.5"])
+def test_a_text_among_the_numbers_is_told_and_the_column_stays(tmp_path, run, program, cell):
+    time, columns = run
+    file = written(tmp_path / "rec.csv", ",".join(["time", *columns]), time, *columns.values())
+    rows = file.read_text().splitlines()
+    at = 1 + list(columns).index("travel")
+    cells = rows[200].split(",")
+    rows[200] = ",".join([*cells[:at], cell, *cells[at + 1 :]])
+    file.write_text("\n".join(rows), encoding="utf-8")
+    made = inspect([file], Network.load(CAR))
+    assert chosen(made)["travel"] == "travel"
+    assert [str(o) for o in made.oddities] == [
+        f"travel: line 201: '{cell}' is not a number; correct the file"
+    ]
+    save_map(made.map("car.json"), tmp_path / "map.json")
+    by = ChannelMap.load(tmp_path / "map.json")
+    network = Network.load(CAR)
+    refused(f"column 'travel', line 201: '{cell}' is", runs, file, network, network.outputs, by=by)
 
 
 def test_a_column_of_an_input_s_own_name_is_in_the_input_s_unit_whatever_the_model_lacks(tmp_path):

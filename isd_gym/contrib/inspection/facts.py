@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,11 +13,12 @@ from scipy.signal import welch
 from isd_gym._common.errors import InputError
 from isd_gym._common.units import TABLE, UNITS, convert, si_of
 from isd_gym.records._loggers.recording import GAP, Raster, even, rounded
+from isd_gym.records.data._columns import unit_known
 from isd_gym.records.data._quality import QUANTITIES, held_samples
 from isd_gym.records.data._signals import even_stamps, stamp_rounding
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 FEW = 5.0  # samples per period below which the motion is poorly resolved
 
@@ -80,13 +82,14 @@ class Facts:
         return not self.deviation > 1e-12 * max(abs(self.largest), abs(self.least), 1e-300)
 
 
-def facts_of(raster: Raster, file: int, number: int) -> list[Facts]:
+def facts_of(raster: Raster, file: int, number: int, units: Mapping[str, str]) -> list[Facts]:
     """Return the properties of every column of a raster.
 
     Args:
         raster: The raster.
         file: Index of the file.
         number: Index of the raster in the file.
+        units: Unit by column, with priority over the units in the file.
 
     Returns:
         One entry per column.
@@ -102,7 +105,7 @@ def facts_of(raster: Raster, file: int, number: int) -> list[Facts]:
         rate = 1.0 / raster.step if raster.step > 0 else math.nan
         band = _band(good, rate) if len(good) > 63 and sd > 0 and math.isfinite(rate) else math.nan
         missing = len(x) - len(good)
-        unit = raster.units.get(name, "")
+        unit = units.get(name) or raster.units.get(name, "")
         out.append(Facts(file, number, name, unit, rate, len(x), missing, lo, hi, mean, sd, band))
     return out
 
@@ -218,7 +221,9 @@ def odd_values(raster: Raster, facts: Facts) -> list[Oddity]:
     def say(text: str, advice: str = "") -> None:
         out.append(Oddity(raster.name, facts.name, text, advice))
 
-    if facts.missing:
+    if facts.name in raster.texts:
+        say(raster.texts[facts.name], "correct the file")
+    elif facts.missing:
         say(
             f"{facts.missing} samples are missing or not finite",
             "" if facts.missing == facts.samples else "the record is split there",
@@ -233,7 +238,7 @@ def odd_values(raster: Raster, facts: Facts) -> list[Oddity]:
         for f in held_samples(facts.name, x, raster.time):
             say(f.message)
     if quantity is not None:
-        out += _odd_scale(raster, facts, x[good], quantity)
+        out += odd_scale(raster, facts, quantity)
     if facts.band > facts.rate / FEW and _smooth(x[good]):
         say(
             f"{facts.rate / facts.band:.1f} samples a period: too slow for the motion, which half of lies above {facts.band:.3g} Hz",
@@ -248,7 +253,36 @@ def _smooth(x: np.ndarray) -> bool:
     return bool(abs(np.dot(x[1:], x[:-1])) > 0.2 * np.dot(x, x))
 
 
-def _odd_scale(raster: Raster, facts: Facts, x: np.ndarray, quantity: str) -> list[Oddity]:
+def unit_in_name(name: str) -> str:
+    """Return the unit at the end of a column's name, such as rad/s for ``speed_rad_s``.
+
+    Args:
+        name: Name of a column.
+
+    Returns:
+        Unit; '' for a name without a unit.
+    """
+    words = re.split(r"[_\s]+", name)
+    for first in range(1, len(words)):
+        unit = "/".join(words[first:])
+        if unit_known(unit):
+            return unit
+    return ""
+
+
+def odd_scale(raster: Raster, facts: Facts, quantity: str) -> list[Oddity]:
+    """Return a remark on a column whose size or speed is implausible for its quantity.
+
+    Args:
+        raster: The raster.
+        facts: Properties of the column, with its unit.
+        quantity: Quantity, of `QUANTITIES`.
+
+    Returns:
+        A remark, or an empty list.
+    """
+    x = raster.columns[facts.name]
+    x = x[np.isfinite(x)]
     si, doubtful, impossible, least = QUANTITIES[quantity]
     factor = convert(1.0, facts.unit, si)
     spread = factor * float(np.quantile(np.abs(x - np.median(x)), 0.995))
@@ -274,27 +308,6 @@ def _odd_scale(raster: Raster, facts: Facts, x: np.ndarray, quantity: str) -> li
         else "which is implausible"
     )
     return [Oddity(raster.name, facts.name, text, advice)]
-
-
-def factor_hint(gain: float) -> str:
-    """Return a hint for a factor between a measured and an expected signal.
-
-    Args:
-        gain: Measured over expected [-].
-
-    Returns:
-        A clause on a factor of 1000, on g or on a sign; '' near one.
-    """
-    size = abs(gain)
-    for k, text in (
-        (1e3, "a factor of 1000 too large"),
-        (1e-3, "a factor of 1000 too small"),
-        (9.81, "a factor of g too large"),
-        (1 / 9.81, "a factor of g too small"),
-    ):
-        if 0.6 < size / k < 1.6:
-            return text
-    return ""
 
 
 # ------------------------------------------------------------------------------------------------- pictures

@@ -13,12 +13,12 @@ from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
 from isd_gym._common.errors import InputError, shown
-from isd_gym._common.units import TABLE, convert
+from isd_gym._common.units import convert, units_of
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._loggers.mapping import ChannelMap, Column, Logger
 
 from .consistency import integral_consistency
-from .facts import Facts, factor_hint, si_unit
+from .facts import Facts, odd_scale, si_unit, unit_in_name
 from .name_matching import alike
 
 if TYPE_CHECKING:
@@ -36,6 +36,10 @@ NOTHING = -3.0  # score below which a channel has no column
 PHYSICS = 9.0  # score of a perfect match with a simulation
 EXACT = 5.0  # score of a column's name that is the channel's
 DERIVATIVE = 2.0  # score of a column that is the derivative of another column
+CLEAR = 0.85  # correlation with the turned simulation above which a sensor is turned
+DOUBT = 0.7  # correlation above which the sign and the unit are questioned
+ALIKE = 3.0  # ratio of measured and simulated amplitude above which the unit is questioned
+FITS = 1.6  # the same ratio below which a unit fits
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
@@ -48,7 +52,8 @@ class Candidate:
         unit: Assumed unit.
         sign: Factor 1 or -1.
         score: Score; larger is better.
-        follows: Correlation with the simulation.
+        follows: Correlation with the simulation, with the sign.
+        against: Correlation with the simulation, with the opposite sign.
         gain: Measured over simulated amplitude, in the unit.
         why: Reasons.
     """
@@ -58,6 +63,7 @@ class Candidate:
     sign: int = 1
     score: float = 0.0
     follows: float = math.nan
+    against: float = math.nan
     gain: float = math.nan
     why: tuple[str, ...] = ()
 
@@ -98,7 +104,7 @@ class Suggestion:
             name: Column(
                 c.facts.name,
                 c.facts.file + 1,
-                c.unit if c.unit != c.facts.unit or not c.facts.unit else None,
+                c.unit if c.unit != files[c.facts.file][c.facts.raster].units.get(c.facts.name) else None,
                 c.sign,
                 sure,
                 "; ".join(c.why),
@@ -162,8 +168,8 @@ def suggest(
         out.remarks.append("the columns have no time in common: names and units alone were compared")
     else:
         prior = prior + _derivatives(wanted, live, window, prior)
-    choices = _choices(network, live, prior, signs)
-    solved = [_solve(network, wanted, live, prior, window, choice) for choice in choices]
+    choices = _choices(network, prior)
+    solved = [_solve(network, wanted, live, prior, window, choice, signs) for choice in choices]
     # a constant column may be an unused input
     best = max(solved, key=lambda s: s.total)
     for i, c in enumerate(wanted):
@@ -172,7 +178,7 @@ def suggest(
             idle = [f for f in facts if f.constant and _prior(f, c, network) > 2.5]
             if c in network.inputs and idle:
                 out.channels[c.name] = (
-                    Candidate(idle[0], idle[0].unit or c.unit, why=("by its name", "constant")),
+                    Candidate(idle[0], _unit(idle[0], c), why=("by its name", "constant")),
                     0.6,
                 )
                 continue
@@ -180,19 +186,13 @@ def suggest(
             continue
         others = [s.total for s in solved if s.place(i) != best.place(i)]
         others.append(best.without(i))
-        known = signs.get(c.name, found.sign)
-        if known != found.sign and found.follows > 0.7:
-            way = "" if found.sign > 0 else ", turned round"
-            out.remarks.append(f"{c.name} follows the model{way}: is its sign {known:+d}?")
-        found = replace(found, sign=known)
         sure = 1.0 / (1.0 + math.exp(-min(max(best.total - max(others), -30.0), 30.0)))
         out.channels[c.name] = (found, sure)
-    for name, (pick, _) in out.channels.items():
-        hint = factor_hint(pick.gain) if pick.follows > 0.7 and pick.facts.unit else ""
-        if hint:
-            out.remarks.append(
-                f"{pick.facts.name} as {name}: {hint} against the model: is it in another unit than {pick.unit}?"
-            )
+    out.remarks += _of_the_input(network, out.channels, signs)
+    for c in wanted:
+        if c.name in out.channels:
+            pick, _ = out.channels[c.name]
+            out.remarks += _doubts(c, pick, files[pick.facts.file][pick.facts.raster])
     if best.failed:
         out.remarks.append(
             f"the model could not be driven ({best.failed}): names and units alone were compared"
@@ -205,7 +205,56 @@ def _prior(f: Facts, c: Channel, network: Network) -> float:
     score = alike(f.name, c, network)
     if known := si_unit(f.unit):
         return score + 2.0 if known == c.si else -20.0
-    return score - (4.0 if f.unit and f.unit not in ("-", "1") else 0.0)  # a unit of no mechanical quantity
+    if f.unit and f.unit not in ("-", "1"):  # a unit of no mechanical quantity
+        return score - 4.0
+    return score + 2.0 if si_unit(unit_in_name(f.name)) == c.si else score
+
+
+def _unit(f: Facts, c: Channel) -> str:
+    """Return the unit of a column as a channel: of the file or the user, else of the column's name, else of the channel.
+
+    A column with the name of the channel has the unit of the channel, as in a diagnosis without a map.
+    """
+    if si_unit(f.unit):
+        return f.unit
+    named = unit_in_name(f.name)
+    is_named = si_unit(named) == c.si and f.name.lower() != c.name.lower()
+    return named if is_named else c.unit
+
+
+def _of_the_input(
+    network: Network, channels: dict[str, tuple[Candidate, float]], signs: Mapping[str, int]
+) -> list[str]:
+    """Unturn several outputs that are all turned: return a question to the user on the sign of the only input."""
+    found = [c.name for c in network.outputs if c.name in channels]
+    is_of_input = len(found) > 1 and len(network.inputs) == 1 and not signs
+    if not (is_of_input and all(channels[name][0].sign < 0 for name in found)):
+        return []
+    for name in found:
+        pick, sure = channels[name]
+        channels[name] = (replace(pick, sign=1, why=pick.why[:-1], follows=math.nan), sure)
+    return [f"all outputs follow the model turned round: --sign {network.inputs[0].name}=-1?"]
+
+
+def _doubts(c: Channel, pick: Candidate, raster: Raster) -> list[str]:
+    """Return questions to the user on the sign and the unit of a column as a channel."""
+    out: list[str] = []
+    name = pick.facts.name
+    if pick.against > DOUBT > pick.follows:
+        out.append(
+            f"{c.name} follows the model turned round ({pick.against:.2f}): --sign {c.name}={-pick.sign:+d}?"
+        )
+    if pick.follows > DOUBT and not 1 / ALIKE < pick.gain < ALIKE:
+        gains = {unit: pick.gain * convert(1.0, unit, pick.unit) for unit in units_of(c.si)}
+        fitting = [unit for unit, gain in gains.items() if 1 / FITS < gain < FITS]
+        if fitting:
+            out.append(
+                f"{name} as {c.name} is {pick.gain:.3g} times the model in {pick.unit}: --unit {name}={fitting[0]}?"
+            )
+    elif math.isnan(pick.gain) and not pick.facts.unit:
+        odd = odd_scale(raster, replace(pick.facts, unit=pick.unit), c.spoken)
+        out += [f"{c.name}: {remark}" for remark in odd]
+    return out
 
 
 # ------------------------------------------------------------------------------------------------- physics
@@ -218,10 +267,12 @@ class Window:
     Attributes:
         time: Time stamps (n,) [s].
         values: Samples of every column (columns, n).
+        lag: Largest lag between columns [s]; 0 for columns of one clock.
     """
 
     time: np.ndarray
     values: np.ndarray
+    lag: float
 
     @property
     def step(self) -> float:
@@ -256,7 +307,7 @@ def _window(files: Sequence[Sequence[Raster]], live: Sequence[Facts]) -> Window 
         x = r.columns[f.name]
         fine = np.isfinite(x)
         rows.append(np.interp(time, r.time[fine], x[fine]))
-    return Window(time - time[0], np.array(rows))
+    return Window(time - time[0], np.array(rows), LAG if len({f.file for f in live}) > 1 else 0.0)
 
 
 def _derivatives(
@@ -299,58 +350,25 @@ def _derivatives(
     return out
 
 
-#: a choice of inputs: index of the column, unit and sign for each input
-Drive = tuple[tuple[int, str, int], ...]
+#: a choice of inputs: index of the column of each input; -1 without a column
+Drive = tuple[int, ...]
 
 
-def _choices(
-    network: Network, live: Sequence[Facts], prior: np.ndarray, signs: Mapping[str, int]
-) -> list[Drive]:
+def _choices(network: Network, prior: np.ndarray) -> list[Drive]:
     """Return candidate choices of input columns, most probable first."""
-    options: list[list[tuple[float, tuple[int, str, int]]]] = []
-    for i, c in enumerate(network.inputs):
-        rows = []
-        for k in np.argsort(-prior[i])[:6]:
-            if prior[i, k] < NOTHING:
-                continue
-            for unit, cost in _units(live[k], c):
-                # `diagnose` reads a column with the name of a channel in the channel's unit; a missing effect must not change that
-                if unit == c.unit or alike(live[k].name, c, network) < EXACT:
-                    rows.append((float(prior[i, k]) - cost, (int(k), unit, signs.get(c.name, 1))))
-        rows.append((NOTHING, (-1, c.unit, 1)))
-        options.append(sorted(rows, reverse=True)[:8])
-    every = sorted(itertools.product(*options), key=lambda row: -sum(s for s, _ in row))
-    out = [tuple(x for _, x in row) for row in every]
-    return [row for row in out if len({k for k, _, _ in row if k >= 0}) == sum(k >= 0 for k, _, _ in row)][
-        :DRIVES
-    ]
+    options: list[list[tuple[float, int]]] = []
+    for row in prior[: len(network.inputs)]:
+        best = [(float(row[k]), int(k)) for k in np.argsort(-row)[:6] if row[k] >= NOTHING]
+        options.append(sorted([*best, (NOTHING, -1)], reverse=True))
+    every = sorted(itertools.product(*options), key=lambda choice: -sum(score for score, _ in choice))
+    drives = [tuple(k for _, k in choice) for choice in every]
+    return [drive for drive in drives if _is_distinct(drive)][:DRIVES]
 
 
-def _units(f: Facts, c: Channel) -> list[tuple[str, float]]:
-    """Return candidate units of a column as a channel, with the penalty of each unit."""
-    if si_unit(f.unit):
-        return [(f.unit, 0.0)]
-    from isd_gym.records.data._quality import QUANTITIES
-
-    si = c.si
-    _, doubtful, _, least = QUANTITIES[c.spoken if c.quantity == "condition" else c.quantity]
-    out = []
-    for unit in dict.fromkeys([c.unit, si, *(u for u, (s, _) in TABLE.items() if s == si)]):
-        factor = convert(1.0, unit, si)
-        spread = 3 * factor * f.deviation
-        fast = c.quantity == "displacement" and math.isfinite(f.band) and spread * 2 * math.pi * f.band > 15
-        if least < spread < doubtful and not fast:
-            out.append(
-                (
-                    unit,
-                    0.0
-                    if unit == c.unit
-                    else 0.3
-                    if unit == si
-                    else 1.0 + 0.2 * (unit in ("in", "in/s", "lbf", "um")),
-                )
-            )
-    return out[:3] or [(c.unit, 3.0)]
+def _is_distinct(drive: Drive) -> bool:
+    """Return whether no column serves two inputs."""
+    used = [k for k in drive if k >= 0]
+    return len(set(used)) == len(used)
 
 
 @dataclass
@@ -399,83 +417,88 @@ def _solve(
     prior: np.ndarray,
     window: Window | None,
     drive: Drive,
+    signs: Mapping[str, int],
 ) -> _Solved:
     ni, failed = len(network.inputs), ""
     base: float = 0.0
     picks: list[Candidate | None] = []
-    for i, (k, unit, sign) in enumerate(drive):
+    for i, (c, k) in enumerate(zip(network.inputs, drive, strict=True)):
         if k < 0:
             base += NOTHING
             picks.append(None)
             continue
-        base += prior[i, k] - dict(_units(live[k], wanted[i])).get(unit, 0.0)
-        picks.append(
-            Candidate(live[k], unit, sign, float(prior[i, k]), why=_reasons(live[k], wanted[i], network))
-        )
+        base += prior[i, k]
+        picks.append(_by_name(c, live[k], float(prior[i, k]), network, signs))
     said: Mapping[str, np.ndarray] = {}
     if window is not None and network.inputs:
         try:
-            said = _driven(network, window, drive)
+            said = _driven(network, window, drive, picks)
         except InputError as error:
             failed = str(error)
-    taken = {k for k, _, _ in drive if k >= 0}
     ny = len(network.outputs)
     table = np.full((ny, len(live) + ny), -1e5)
     made: dict[tuple[int, int], Candidate] = {}
     for j, c in enumerate(network.outputs):
         table[j, len(live) + j] = NOTHING
         for k, f in enumerate(live):
-            if k in taken or prior[ni + j, k] < -10:
+            if k in drive or prior[ni + j, k] < -10:
                 continue
-            made[j, k] = one = _weighed(c, f, float(prior[ni + j, k]), window, k, said.get(c.name), network)
+            one = _by_name(c, f, float(prior[ni + j, k]), network, signs)
+            if window is not None and c.name in said and said[c.name].std() > 0:
+                one = _compared(c, one, window, k, said[c.name], signs)
+            made[j, k] = one
             table[j, k] = one.score
     total, columns = _assigned(table)
     picks += [made.get((j, int(k))) for j, k in enumerate(columns)]
     return _Solved(base + total, picks, table, base, drive, ni, failed)
 
 
-def _driven(network: Network, window: Window, drive: Drive) -> dict[str, np.ndarray]:
+def _driven(
+    network: Network, window: Window, drive: Drive, picks: Sequence[Candidate | None]
+) -> dict[str, np.ndarray]:
     inputs = {}
-    for c, (k, unit, sign) in zip(network.inputs, drive, strict=True):
-        x = np.zeros(len(window.time)) if k < 0 else sign * window.values[k]
-        x = convert(x, unit, c.unit)
+    for c, k, pick in zip(network.inputs, drive, picks, strict=True):
+        x = np.zeros(len(window.time))
+        if pick is not None:
+            x = pick.sign * convert(window.values[k], pick.unit, c.unit)
         inputs[c.name] = x - x.mean() if c.quantity != "current" else x
     return simulate(network, window.time, inputs, step=min(1e-3, window.step))
 
 
-def _weighed(
-    c: Channel,
-    f: Facts,
-    prior: float,
-    window: Window | None,
-    k: int,
-    said: np.ndarray | None,
-    network: Network,
+def _by_name(c: Channel, f: Facts, prior: float, network: Network, signs: Mapping[str, int]) -> Candidate:
+    """Return a column as candidate of a channel, by name and unit alone."""
+    return Candidate(f, _unit(f, c), signs.get(c.name, 1), prior, why=_reasons(f, c, network))
+
+
+def _compared(
+    c: Channel, by_name: Candidate, window: Window, k: int, said: np.ndarray, signs: Mapping[str, int]
 ) -> Candidate:
-    """Return a column as candidate of an output: score of name, unit and correlation with the simulation."""
-    why = _reasons(f, c, network)
-    options = _units(f, c)
-    unit = options[0][0]
-    if window is None or said is None or not said.std() > 0:
-        return Candidate(f, unit, 1, prior - options[0][1], why=why)
-    x = window.values[k]
-    lag = min(int(LAG / window.step), len(x) // 4)
+    """Return a candidate of an output with the score of its correlation with the simulation.
+
+    The sign is turned only where the turned column follows the simulation clearly and the column itself does not.
+    """
+    f, x = by_name.facts, window.values[k]
+    lag = min(int(window.lag / window.step), len(x) // 4)
     skip = len(x) // 8  # start-up from rest
     a, b = said[skip:] - said[skip:].mean(), x[skip:] - x[skip:].mean()
     r = correlate(b, a, mode="full", method="fft")[len(a) - 1 - lag : len(a) + lag]
     r = r / (len(a) * max(a.std() * b.std(), 1e-300))
-    at = int(np.argmax(np.abs(r)))
-    follows, sign = float(min(abs(r[at]), 1.0)), 1 if r[at] >= 0 else -1
+    follows, against = min(float(r.max()), 1.0), min(float(-r.min()), 1.0)
+    strength = max(follows, against)
+    is_turned = against > CLEAR > follows
+    sign = signs.get(c.name, -1 if is_turned else 1)
+    if sign < 0:
+        follows, against = against, follows
     size = b.std() / a.std()  # measured over simulated, in their units
-    choice = []
-    for u, cost in options if not f.unit else [(unit, 0.0)]:
-        gain = float(convert(size, u, c.unit))
-        choice.append((min(1.5 * abs(math.log(max(gain, 1e-12))), 4.0) * follows + cost, u, gain))
-    cost, unit, gain = min(choice)
-    score = prior + PHYSICS * (follows**2 - 0.3) - cost - (1.0 if sign < 0 else 0.0)
+    units = [f.unit] if si_unit(f.unit) else units_of(c.si)
+    misfit = min(abs(math.log(max(float(convert(size, u, c.unit)), 1e-12))) for u in units)
+    score = by_name.score + PHYSICS * (strength**2 - 0.3) - min(1.5 * misfit, 4.0) * strength
+    why = by_name.why
     if follows > 0.5:
-        why = (*why, f"follows the model: {follows:.2f}" + (", turned round" if sign < 0 else ""))
-    return Candidate(f, unit, sign, score, follows, gain, why)
+        turned = ", turned round" if sign < 0 else ""
+        why = (*why, f"follows the model: {follows:.2f}{turned}")
+    gain = float(convert(size, by_name.unit, c.unit))
+    return replace(by_name, sign=sign, score=score, follows=follows, against=against, gain=gain, why=why)
 
 
 def _reasons(f: Facts, c: Channel, network: Network) -> tuple[str, ...]:
@@ -484,6 +507,6 @@ def _reasons(f: Facts, c: Channel, network: Network) -> tuple[str, ...]:
         out.append("its name")
     elif alike(f.name, c, network) > 1:
         out.append("like its name")
-    if si_unit(f.unit) == c.si:
+    if c.si in (si_unit(f.unit), si_unit(unit_in_name(f.name))):
         out.append("its unit")
     return tuple(out)

@@ -142,17 +142,13 @@ def inspect(
             raise InputError(
                 f"--unit: no column {shown(name)} (there are {', '.join(sorted(map(plain, known))[:12])})"
             )
-    groups = [
-        [replace(r, units={**r.units, **{k: v for k, v in units.items() if k in r.columns}}) for r in group]
-        for group in groups
-    ]
     facts: list[Facts] = []
     odd: list[Oddity] = []
-    groups = [[_continuous(raster, odd) for raster in group] for group in groups]
+    groups = [[_continuous(raster, units, odd) for raster in group] for group in groups]
     for i, group in enumerate(groups):
         for k, raster in enumerate(group):
             odd += odd_stamps(raster)
-            for f in facts_of(raster, i, k):
+            for f in facts_of(raster, i, k, units):
                 facts.append(f)
                 odd += odd_values(raster, f)
     odd += _twins(groups, facts)
@@ -164,11 +160,12 @@ def inspect(
     return Inspection(groups, facts, odd, network, found, tuple(columns or ()), rate)
 
 
-def _continuous(raster: Raster, odd: list[Oddity]) -> Raster:
+def _continuous(raster: Raster, units: Mapping[str, str], odd: list[Oddity]) -> Raster:
     """Return a raster with continuous angles, and add a remark for each changed column."""
     smooth = dict(raster.columns)
     for name, values in raster.columns.items():
-        smooth[name], note = continuous(name, values, raster.units.get(name, ""))
+        unit = units.get(name) or raster.units.get(name, "")
+        smooth[name], note = continuous(name, values, unit)
         if note:
             odd.append(Oddity(raster.name, name, note.removeprefix(f"{name}: ")))
     return replace(raster, columns=smooth)

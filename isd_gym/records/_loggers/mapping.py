@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping as Dict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -218,6 +218,9 @@ def _run(
             i, k = at
             used = [by.channels[n].column for n, (_, other) in place.items() if other == at]
             raster = found[i][k]
+            for name in used:
+                if name in raster.texts:
+                    raise InputError(f"{raster.source}: column {shown(name)}, {raster.texts[name]}")
             thin = Raster(
                 raster.source, raster.time, {c: raster.columns[c] for c in used}, raster.units, raster.stamp
             )
@@ -282,7 +285,7 @@ def _common_origin(found: list[list[Raster]], notes: list[str]) -> None:
                 f"{group[0].name}: its stamps are not absolute; taken to begin with the other logger's"
             )
         if origin:
-            group[:] = [Raster(r.source, r.time - origin, r.columns, r.units, r.stamp) for r in group]
+            group[:] = [replace(r, time=r.time - origin) for r in group]
 
 
 def _by_name(

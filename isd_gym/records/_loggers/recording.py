@@ -43,6 +43,9 @@ class Raster:
     columns: Mapping[str, np.ndarray]  # samples (n,) by column
     units: Mapping[str, str] = field(default_factory=dict)  # unit by column, for columns with a unit
     stamp: str = "time"  # name of the column of time stamps
+    texts: Mapping[str, str] = field(
+        default_factory=dict
+    )  # first text among the numbers (NaN there), by column
 
     def __len__(self) -> int:
         return len(self.time)
@@ -108,7 +111,14 @@ def rasters(
         if len(time) == 0:
             raise InputError(f"{path}: no samples")
         out.append(
-            Raster(str(path), time, values, {n: u for n, u in found.units.items() if n in values}, name)
+            Raster(
+                str(path),
+                time,
+                values,
+                {n: u for n, u in found.units.items() if n in values},
+                name,
+                found.texts,
+            )
         )
     return out
 

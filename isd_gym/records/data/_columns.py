@@ -52,6 +52,8 @@ class Columns:
     units: dict[str, str]  # unit by column name, for columns with a unit
     #: line number of each sample in a text file; empty for other formats
     lines: list[int] = field(default_factory=list)
+    #: first text among the numbers, such as "line 201: 'OVERLOAD' is not a number", by column; the texts are NaN
+    texts: dict[str, str] = field(default_factory=dict)
 
     def line(self, sample: int) -> str:
         """Return the position of a sample for messages, such as 'line 12'."""

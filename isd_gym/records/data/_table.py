@@ -230,7 +230,7 @@ def read_table(
         raise InputError(f"{path}: two columns are renamed to one channel")
     wanted = None if expected is None else [inverse.get(c, c) for c in expected]
     found = read_columns(path, wanted, axis=inverse.get(TIME, TIME), resample=resample, columns=header)
-    columns, file_units = found.values, found.units
+    columns, file_units = {n: x for n, x in found.values.items() if n not in found.texts}, found.units
     try:
         rename = _by_unit(rename, columns, units, expected)
     except InputError as error:

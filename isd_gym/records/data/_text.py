@@ -305,9 +305,13 @@ def _cell_by_cell(
     used: list[int],
     needed: set[str],
     like: Dialect,
-) -> dict[str, np.ndarray]:
-    """Return the columns `used`; a column with text is omitted as remarks, unless it is `needed`."""
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Return the columns `used`, with NaN for text, and the first text by column.
+
+    A column without a number is omitted as remarks. Text in a `needed` column is an error.
+    """
     delimiter, comma, width = like
+    texts: dict[str, str] = {}
     columns = {names[i]: array("d") for i in used}
     marks = {names[i]: _Marks() for i in used}
     for k, (number, line) in enumerate(rows):
@@ -315,17 +319,20 @@ def _cell_by_cell(
         if len(row) != width:
             raise InputError(f"{path}: line {number} has {len(row)} fields, the header has {width}")
         for i in used:
-            value = number_in(row[i], comma)
-            if value is None and names[i] in needed:
-                raise InputError(
-                    f"{path}: line {number}, column {shown(names[i])}: {shown(row[i].strip())} is not a number"
-                )
-            if value is None:
-                columns.pop(names[i], None)
-            elif names[i] in columns:
-                columns[names[i]].append(value)
-                marks[names[i]].add(k, row[i], comma)
+            name, value = names[i], number_in(row[i], comma)
+            if value is not None:
+                columns[name].append(value)
+                marks[name].add(k, row[i], comma)
+                continue
+            text = f"{shown(row[i].strip())} is not a number"
+            if name in needed:
+                raise InputError(f"{path}: line {number}, column {shown(name)}: {text}")
+            columns[name].append(math.nan)
+            texts.setdefault(name, f"line {number}: {text}")
     out = {name: np.array(values) for name, values in columns.items()}
+    for name in texts:
+        if np.isnan(out[name]).all():
+            del out[name]
     for i in used:
         name = names[i]
         if name not in out:
@@ -334,7 +341,7 @@ def _cell_by_cell(
             raise _two_meanings(path, rows[doubt], name, i, delimiter)
         if grouped := marks[name].thousands():
             out[name][grouped] = np.round(1e3 * out[name][grouped])
-    return out
+    return out, {name: text for name, text in texts.items() if name in out}
 
 
 def _two_meanings(path: Path, row: tuple[int, str], name: str, place: int, delimiter: str) -> InputError:
@@ -463,7 +470,8 @@ def _columns(path: Path, text: _Text, wanted: Choice, time: str) -> Columns:
     needed = {time}
     if wanted is not None:
         needed |= {n for n in names if n in wanted or split_header(n)[0] in wanted or n.lower() in TIME_NAMES}
-    return Columns(_cell_by_cell(path, rows, names, used, needed, like), units, numbers)
+    values, texts = _cell_by_cell(path, rows, names, used, needed, like)
+    return Columns(values, units, numbers, texts)
 
 
 def read_text_rasters(
@@ -477,7 +485,7 @@ def read_text_rasters(
         return [_columns(path, text, None, TIME)]
     # unique names while the cells are read
     keys = [str(i) for i in range(len(bare))]
-    found = _cell_by_cell(
+    found, texts = _cell_by_cell(
         path, text.rows, keys, list(range(len(bare))), {str(t[0][0]) for t in tables}, text.like
     )
     out = []
@@ -489,5 +497,6 @@ def read_text_rasters(
             for i, n in zip(places, names, strict=True)
         }
         lines = [line for (line, _), good in zip(text.rows, there, strict=True) if good]
-        out.append(Columns(values, {n: u for n, u in units.items() if u}, lines))
+        odd = {n: texts[str(i)] for i, n in zip(places, names, strict=True) if str(i) in texts}
+        out.append(Columns(values, {n: u for n, u in units.items() if u}, lines, odd))
     return out
