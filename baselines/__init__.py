@@ -30,8 +30,7 @@ _PREVIEW = 0.25  # default preview of the controllers with preview [s]
 def noisy(share: float) -> Any:
     """Return the standard deviations that an estimator should assume for a share of the robust track's noise (`isd_gym.env._sensors.NOISE`)."""
     from isd_gym.env._sensors import NOISE
-
-    from ._model import Sensors
+    from isd_gym.physics._prediction import Sensors
 
     clean = Sensors()
     return Sensors(**{k: (getattr(clean, k) ** 2 + (share * v) ** 2) ** 0.5 for k, v in NOISE.items()})

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._model import Model, Sensors, kalman_gain
+from isd_gym.physics._prediction import Model, Sensors, kalman_gain
+
 from .controller import CURRENT
 
 if TYPE_CHECKING:
-    from ._car import CarModel
+    from isd_gym.physics._car_prediction import CarModel
 
 
 class Estimator:

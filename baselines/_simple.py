@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isd_gym.physics import elements as el
+from isd_gym.physics._prediction import SLIDING
 from isd_gym.physics._vehicle import require_quarter_car
 
-from ._model import SLIDING
 from .controller import DesignedController
 
 if TYPE_CHECKING:

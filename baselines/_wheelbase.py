@@ -18,20 +18,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isd_gym._common.errors import InputError
+from isd_gym.physics._car_prediction import CarWeights, car_model, car_regulator
+from isd_gym.physics._prediction import prediction_model
 from isd_gym.physics.cost import StageCost
 
-from ._car import CarWeights, car_model, car_regulator
 from ._decentralised import Decentralised, corner_cost
 from ._estimator import Estimator
-from ._model import prediction_model
 from .controller import DesignedController, clean
 from .friction import FrictionMpc, FrictionMpcSettings, with_preview
 from .lqg import STEEPEST, LawSettings
 
 if TYPE_CHECKING:
+    from isd_gym.physics._car_prediction import CarModel
     from isd_gym.physics.network import Network
-
-    from ._car import CarModel
 
 DESIGN_SPEED = 20.0  # m/s, at which `ROAD_INTENSITY` holds
 

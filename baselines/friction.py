@@ -24,10 +24,7 @@ import numpy as np
 from isd_gym._common.errors import InputError
 from isd_gym.physics import elements as el
 from isd_gym.physics._kernel import jit
-from isd_gym.physics._vehicle import CURRENT_LIMIT
-
-from ._estimator import Estimator
-from ._model import (
+from isd_gym.physics._prediction import (
     ROAD_INTENSITY,
     Model,
     Sensors,
@@ -37,6 +34,9 @@ from ._model import (
     move_regulator,
     prediction_model,
 )
+from isd_gym.physics._vehicle import CURRENT_LIMIT
+
+from ._estimator import Estimator
 from .controller import CURRENT, DesignedController, rises, steps_ahead
 
 __all__ = [

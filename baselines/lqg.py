@@ -6,10 +6,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from isd_gym.physics._prediction import (
+    ROAD_INTENSITY,
+    Sensors,
+    Weights,
+    device_reach,
+    prediction_model,
+    preview_regulator,
+)
 from isd_gym.physics._vehicle import state_channels
 
 from ._estimator import Estimator
-from ._model import ROAD_INTENSITY, Sensors, Weights, device_reach, prediction_model, preview_regulator
 from .controller import DesignedController, rises
 
 __all__ = [

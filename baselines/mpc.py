@@ -20,10 +20,7 @@ import numpy as np
 from scipy.special import erf
 
 from isd_gym._common.errors import InputError
-from isd_gym.physics._vehicle import CURRENT_LIMIT
-
-from ._estimator import Estimator
-from ._model import (
+from isd_gym.physics._prediction import (
     ROAD_INTENSITY,
     Model,
     Sensors,
@@ -33,6 +30,9 @@ from ._model import (
     prediction_model,
     statistical_linearisation,
 )
+from isd_gym.physics._vehicle import CURRENT_LIMIT
+
+from ._estimator import Estimator
 from ._qp import Osqp, Program
 from .controller import CURRENT, DesignedController
 

@@ -28,9 +28,9 @@ KEPT = ("cost", "body_acceleration_rms", "pitch_acceleration_rms", "weighted_acc
 def entry(name: str, network: Any, speed: float) -> Any:
     """A controller that knows the speed."""
     from isd_gym import baselines
-    from isd_gym.baselines._model import ROAD_INTENSITY
     from isd_gym.benchmark.policies import find
     from isd_gym.benchmark.scoring import Entry
+    from isd_gym.physics._prediction import ROAD_INTENSITY
 
     if name in ("isd-passive", "skyhook"):
         return find(name, network)

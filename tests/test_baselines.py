@@ -11,7 +11,14 @@ from program import refused
 
 from isd_gym import baselines
 from isd_gym.baselines._estimator import Estimator
-from isd_gym.baselines._model import (
+from isd_gym.baselines._qp import Osqp, Outcome
+from isd_gym.baselines.controller import clean, limit
+from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _forces, _plan, _roll
+from isd_gym.baselines.lqg import Lqg, LqgSettings
+from isd_gym.baselines.mpc import Mpc, MpcSettings
+from isd_gym.benchmark.scoring import Entry, score
+from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.physics._prediction import (
     Sensors,
     Weights,
     device_reach,
@@ -22,13 +29,6 @@ from isd_gym.baselines._model import (
     stationary,
     statistical_linearisation,
 )
-from isd_gym.baselines._qp import Osqp, Outcome
-from isd_gym.baselines.controller import clean, limit
-from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _forces, _plan, _roll
-from isd_gym.baselines.lqg import Lqg, LqgSettings
-from isd_gym.baselines.mpc import Mpc, MpcSettings
-from isd_gym.benchmark.scoring import Entry, score
-from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network, linearise

@@ -8,7 +8,6 @@ from builders import decoupled_half_car
 from program import refused
 
 from isd_gym import baselines
-from isd_gym.baselines._car import CarWeights, car_model, car_regulator
 from isd_gym.benchmark.driving import Crew, Entry, travel
 from isd_gym.benchmark.policies import find
 from isd_gym.contrib.ceilings.bounds import (
@@ -20,6 +19,7 @@ from isd_gym.contrib.ceilings.bounds import (
     wheelbase_bound,
 )
 from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.physics._car_prediction import CarWeights, car_model, car_regulator
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network

@@ -10,13 +10,13 @@ from program import refused
 
 import isd_gym.contrib.ceilings.ceiling as module
 from isd_gym._common.seeds import scoring_generator
-from isd_gym.baselines._model import Weights, prediction_model, preview_regulator, regulator
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive
 from isd_gym.contrib.ceilings import bounds
 from isd_gym.contrib.ceilings import clairvoyant as oracle
 from isd_gym.contrib.ceilings.ceiling import CeilingSettings, NewsValue, ceiling, known, passive_cost, stitch
 from isd_gym.contrib.ceilings.clairvoyant import Episode, Schedule
+from isd_gym.physics._prediction import Weights, prediction_model, preview_regulator, regulator
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import paper_road, road

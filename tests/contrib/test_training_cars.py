@@ -14,10 +14,10 @@ from program import refused
 from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Echo, Memory, _Echo
 from isd_gym.agents.policy import Head, Policy
-from isd_gym.baselines._model import prediction_model
 from isd_gym.contrib.training.settings import PPOSettings, SACSettings, tuned
 from isd_gym.contrib.training.wheelbase import car_filter, road_model
 from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.physics._prediction import prediction_model
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from isd_gym.baselines._car import CarModel, CarWeights
+    from isd_gym.physics._car_prediction import CarModel, CarWeights
 
 # ============================================================================================ the causal bound
 
@@ -498,8 +498,8 @@ def wheelbase_bound(
     Raises:
         InputError: The road is not white in velocity, or the car has two tracks, whose coherence the model leaves out.
     """
-    from isd_gym.baselines._car import CarWeights, car_model, car_regulator
     from isd_gym.benchmark.policies import conventional
+    from isd_gym.physics._car_prediction import CarWeights, car_model, car_regulator
 
     network, ground = Network.load(network), find_road(road)
     car = vehicle(network)
@@ -554,7 +554,7 @@ def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float
     Returns:
         Mean cost per step [-].
     """
-    from isd_gym.baselines._model import stationary
+    from isd_gym.physics._prediction import stationary
 
     q, r = weights.of(model)
     loop = model.A - model.inputs @ K

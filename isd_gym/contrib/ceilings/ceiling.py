@@ -42,10 +42,16 @@ import typer
 from scipy.linalg import expm
 
 from isd_gym._common.errors import InputError
-from isd_gym.baselines._model import Model, Weights, device_reach, prediction_model, statistical_linearisation
 from isd_gym.baselines.controller import steps_ahead
 from isd_gym.benchmark.policies import conventional
 from isd_gym.physics import elements as el
+from isd_gym.physics._prediction import (
+    Model,
+    Weights,
+    device_reach,
+    prediction_model,
+    statistical_linearisation,
+)
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road

@@ -9,9 +9,9 @@ import numpy as np
 from isd_gym._common.errors import InputError
 from isd_gym.agents._memory import Filter, tuples
 from isd_gym.baselines import noisy
-from isd_gym.baselines._model import N_SENSORS
 from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.env._environment import ISDSuspensionVectorEnv
+from isd_gym.physics._prediction import N_SENSORS
 from isd_gym.physics._vehicle import SLEW_LIMIT
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 The model is the whole car: states of the network, heights of the road under the wheels, and the last heights
 under the leading wheels. A steady Kalman filter estimates all states from the measured signals. The smoothed
 rise under a leading wheel, delayed by the distance between the axles over the speed, is the rise under the
-following wheel (`isd_gym.agents._memory.Echo`). The delay line is outside of the model, unlike that of `isd_gym.baselines._car`: it
+following wheel (`isd_gym.agents._memory.Echo`). The delay line is outside of the model, unlike that of `isd_gym.physics._car_prediction`: it
 can be set for another speed without a change of a policy's features. The law is the linear-quadratic
 regulator with preview of the rear road (Tomizuka and Whitney, ASME Journal of Dynamic Systems, Measurement,
 and Control 97, 1975), with a friction compensation as in `isd_gym.baselines.lqg`.
@@ -20,11 +20,11 @@ from scipy.linalg import block_diag, expm
 
 from isd_gym._common.errors import InputError
 from isd_gym.agents._memory import Echo, Filter, Memory, tuples
-from isd_gym.baselines._car import CarWeights, WholeCar, columns, continuous, drifts, of_currents
-from isd_gym.baselines._model import dry, equations, riccati, white_covariance
 from isd_gym.baselines.lqg import LawSettings
 from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.env._sensors import ANGULAR_NOISE, NOISE
+from isd_gym.physics._car_prediction import CarWeights, WholeCar, columns, continuous, drifts, of_currents
+from isd_gym.physics._prediction import dry, equations, riccati, white_covariance
 from isd_gym.physics._vehicle import SLEW_LIMIT, state_channels, vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.road import paper_road

@@ -14,20 +14,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from isd_gym._common.errors import InputError
-from isd_gym.physics import elements as el
-from isd_gym.physics._vehicle import require_quarter_car, state_channels, vehicle
-from isd_gym.physics.network import Network, assemble
-from isd_gym.physics.network._linear import slopes
-from isd_gym.physics.road import paper_road
+from .._common.errors import InputError
+from . import elements as el
+from ._vehicle import require_quarter_car, state_channels, vehicle
+from .network import Network, assemble
+from .network._linear import slopes
+from .road import paper_road
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from isd_gym.physics.cost import StageCost
-    from isd_gym.physics.network import Channel
-
-    from ._car import CarModel
+    from ._car_prediction import CarModel
+    from .cost import StageCost
+    from .network import Channel
 
 PAPER_CAR = "quarter-car-isd"
 # typical rate of the device on the paper's road, at which the level of a friction is evaluated [m/s]

@@ -19,9 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import expm
 
-from isd_gym.physics._vehicle import Vehicle, state_channels, vehicle
-
-from ._model import (
+from ._prediction import (
     ROAD_INTENSITY,
     Laws,
     Sensors,
@@ -32,13 +30,15 @@ from ._model import (
     steady_gain,
     white_covariance,
 )
+from ._vehicle import Vehicle, state_channels, vehicle
 
 if TYPE_CHECKING:
-    from isd_gym.physics import elements as el
-    from isd_gym.physics.cost import StageCost
-    from isd_gym.physics.network import Network
+    from collections.abc import Mapping
 
-    from ._model import Equations
+    from . import elements as el
+    from ._prediction import Equations
+    from .cost import StageCost
+    from .network import Network
 
 
 class WholeCar(Laws):
@@ -195,6 +195,7 @@ def car_model(
     speed: float,
     *,
     wheelbase: bool = True,
+    damping: Mapping[str, float] | None = None,
     road_intensity: float = ROAD_INTENSITY,
 ) -> CarModel:
     """Return the model of a car at a control step.
@@ -205,7 +206,7 @@ def car_model(
     """
     car = vehicle(network)
     channels = [*car.channels, *state_channels(network)]
-    parts = equations(network, channels, {})
+    parts = equations(network, channels, damping or {})
     count, corners = len(car.channels), len(car.corners)
     tracks = list(car.wheels.track) if wheelbase else list(range(corners))
     behind = car.wheels.delays(speed, step)
