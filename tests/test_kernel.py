@@ -37,6 +37,7 @@ CASES = {
     "sliding": ({}, 5.0, 1.0),
     "rough, on the end stop": ({}, 5.0, 4.0),
     "equation 8": ("quarter-car-eq8", 3.0, 1.0),
+    "damper set by a current": ("quarter-car-semiactive", 3.0, 1.0),
     "quadratic damping": ({"type": "quadratic_damping", "between": ["piston", "joint"], "damping": 8000.0}, 4.0, 1.0),
     "asymmetric damper": (
         {"type": "asymmetric_damping", "between": ["joint", "wheel"], "extension": 400.0, "compression": -700.0}, 4.0, 1.0

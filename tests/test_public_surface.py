@@ -68,12 +68,13 @@ isd_gym.physics.cost
     also LARGEST MOTIONS Signal
 isd_gym.physics.elements
     ActuatorDelay ActuatorLag AsymmetricDamping AsymmetricFriction Backlash BumpStop CoggingForce
-    ConstantForce CoulombFriction CubicStiffness DRIVE_ORDER DegressiveDamping DriveDeadZone Element GROUND
-    GasSpring GravitySine Hysteresis Inertance LinearDamping LinearStiffness LoadDependentFriction MECHANISMS
-    Motion Motor PERIODS PROBE QuadraticDamping QuadraticThrust ScheduledDamping ScheduledFriction SensorBias
-    SensorDeadZone SensorDelay SensorGain SensorMagnitude SeriesCompliance Setting Start StribeckFriction
-    TYPES TabulatedForce TerminalInertia ThrustSaturation TyreLiftOff beside delayed discover parameter
-    parameter_fields plausible register register_file rms spoken transmits
+    ConstantForce ControlledDamper CoulombFriction CubicStiffness DRIVE_ORDER DegressiveDamping DriveDeadZone
+    Element GROUND GasSpring GravitySine Hysteresis Inertance LinearDamping LinearStiffness
+    LoadDependentFriction MECHANISMS Motion Motor PERIODS PROBE QuadraticDamping QuadraticThrust
+    ScheduledDamping ScheduledFriction SensorBias SensorDeadZone SensorDelay SensorGain SensorMagnitude
+    SeriesCompliance Setting Start StribeckFriction TYPES TabulatedForce TerminalInertia ThrustSaturation
+    TyreLiftOff beside delayed discover parameter parameter_fields plausible register register_file rms spoken
+    transmits
 isd_gym.physics.network
     AXES Assembly Body Channel GROUND Lever MOTIONS Network Point SCHEMA StateSpace UNITS assemble
     builtin_networks cut linearise natural_frequencies own_time rejoin slowest_time transfer without

@@ -97,6 +97,15 @@ EXTRAS = [
 ]
 
 
+def test_two_integrators_agree_on_a_damper_that_a_current_sets():
+    rig = Network.load("quarter-car-semiactive").to_dict()
+    t, inputs, derivatives = drive(0.4, 5e-3, size=0.6)
+    fast = simulate(rig, t, inputs, derivatives=derivatives)
+    slow = simulate_events(rig, t, inputs, derivatives=derivatives)
+    for channel in fast:
+        assert gap(fast[channel], slow[channel]) < 1e-3, channel
+
+
 @pytest.mark.parametrize("extra", EXTRAS, ids=lambda e: e["type"] if e else "car")
 def test_two_integrators_agree_sticking_and_sliding(extra):
     rig = car(*([extra] if extra else []))

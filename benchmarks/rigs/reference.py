@@ -60,9 +60,10 @@ SIDES = {"both": 0.0, "extension": 1.0, "compression": -1.0}
     POSITION,
     TIMED,
     PARAMETRIC,
-) = range(14)
+    CONTROLLED,
+) = range(15)
 
-# type -> (law, its parameters in order with their defaults; None: must be given). The last four, x_..., are
+# type -> (law, its parameters in order with their defaults; None: must be given). Those named x_... are
 # no members of the project's library: laws that a diagnosis has to call unknown.
 LAWS: dict[str, tuple[int, dict[str, Any]]] = {
     "coulomb_friction": (FRICTION, {"level": None}),
@@ -76,6 +77,7 @@ LAWS: dict[str, tuple[int, dict[str, Any]]] = {
     "hysteresis": (HYSTERESIS, {"level": None, "stiffness": None, "exponent": 1.0, "shape": 1.0}),
     "cogging_force": (COGGING, {"amplitude": None, "pitch": None, "phase": None}),
     "tyre_lift_off": (LIFT, {"stiffness": None, "load": None}),
+    "controlled_damper": (CONTROLLED, {"low": None, "high": None, "current": None}),
     "x_fading_damping": (FADING, {"damping": None, "energy": None}),
     "x_position_damping": (POSITION, {"damping": None, "length": None}),
     "x_timed_friction": (TIMED, {"level": None, "period": None, "duty": None}),
@@ -170,6 +172,8 @@ def _plant(model: Model) -> _Plant:
         elif kind in ("linear_stiffness", "series_compliance"):
             plant.stiffness += e["stiffness"] * np.outer(across, across)
         elif kind in LAWS:
+            if kind == "controlled_damper":
+                plant.motors.append((e, across))
             code, defaults = LAWS[kind]
             values = [e.get(k, v) for k, v in defaults.items()]
             values = [SIDES[v] if isinstance(v, str) else v for v in values]
@@ -338,6 +342,9 @@ def _law(code, p, d, v, z, hg, t):
             return trial, k * hg + c, z + hg * v
         force = np.copysign(on, trial)
         return force, 0.0, (force + c * z / hg) / (k + c / hg)
+    if code == CONTROLLED:  # p[3]: the current
+        c = p[0] + (p[1] - p[0]) * min(max((p[3] + p[2]) / (2.0 * p[2]), 0.0), 1.0)
+        return c * v, c, z
     # PARAMETRIC
     k = p[0] * np.sin(2.0 * np.pi * p[1] * t)
     return k * d, k * hg, z
@@ -444,6 +451,7 @@ def _integrate(
     Dw,
     codes,
     params,
+    drives,
     motion,
     push,
     push_at,
@@ -506,6 +514,9 @@ def _integrate(
                     actual = motor[j, 3] * np.tanh(actual / motor[j, 3])
                 for i in range(n):
                     drive[i] -= motor_at[j, i] * actual
+                for e in range(m):
+                    if drives[e] == j:
+                        params[e, 3] = actual
             if s == 0:
                 mu_base[:] = mu
                 xa[:] = x
@@ -642,11 +653,14 @@ def trajectories(
         limit = effects.get("thrust_saturation", {}).get("current", 0.0)
         decay = [float(np.exp(-part * h / tau)) if tau > 0 else 0.0 for part in (GAMMA, 1.0)]
         motor.append([round(delay / h), *decay, limit])
-        motor_at.append(e["thrust_constant"] * e.get("ratio", 1.0) * direction[:n])
+        motor_at.append(e.get("thrust_constant", 0.0) * e.get("ratio", 1.0) * direction[:n])
+    driven = [e for e, _ in plant.motors]
+    drives = np.array([driven.index(e) if e in driven else -1 for e, *_ in plant.laws], dtype=np.int64)
     offsets = np.zeros(1, dtype=np.int64)
 
     def run(samples: int, steps: int, h: float, params: Array, x: Array, v: Array, z: Array, out: Any) -> int:
         matrices = M, C, K, _inverse(M + GAMMA * h * C + (GAMMA * h) ** 2 * K), Mw, Cw, Kw, Mpinv, null, D, Dw
+        laws = codes, params, drives
         sources = (
             motion,
             np.array(push).reshape(len(push), size),
@@ -656,9 +670,7 @@ def trajectories(
             np.array(motor).reshape(len(current), 4),
         )
         return int(
-            _integrate(
-                samples, steps, h, interval, t[0], *matrices, codes, params, *sources, x, v, z, offsets, *out
-            )
+            _integrate(samples, steps, h, interval, t[0], *matrices, *laws, *sources, x, v, z, offsets, *out)
         )
 
     # The first sample: massless nodes find their balance, stuck contacts their force, in two steps of 1 us.
@@ -851,7 +863,8 @@ class _Hybrid:
         self.stated = [e for e in self.elements if e["type"] == "hysteresis"]
         self.mode = [0] * len(self.frictions)  # 0 sticks, +1 or -1 slips
         self.D = np.array([self.across[id(e)][:n] for e in self.frictions]).reshape(len(self.frictions), n)
-        self.Dw = np.array([self.across[id(e)][n:] for e in self.frictions]).reshape(len(self.frictions), -1)
+        moved = [self.across[id(e)][n:] for e in self.frictions]
+        self.Dw = np.array(moved).reshape(len(self.frictions), len(plant.moved))
 
     @staticmethod
     def level(e: Mapping[str, Any], v: float) -> float:
@@ -875,6 +888,10 @@ class _Hybrid:
                     if f.get("element") == e["name"] and f["type"] == "thrust_saturation":
                         amp = f["current"] * np.tanh(amp / f["current"])
                 return e["thrust_constant"] * e.get("ratio", 1.0) * amp
+            case "controlled_damper":
+                middle, half = 0.5 * (e["low"] + e["high"]), 0.5 * (e["high"] - e["low"])
+                share = np.clip(amps.get(e["name"], 0.0) / e["current"], -1.0, 1.0)
+                return float((middle + half * share) * s)
             case "quadratic_damping":
                 return e["damping"] * abs(s) * s
             case "asymmetric_damping":

@@ -244,7 +244,7 @@ def vehicle(network: Network) -> Vehicle:
             'corners needs a body with points ("bodies")'
         )
     body, wheel = masses[0], masses[1]
-    motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
+    motor = next((e for e in network.elements if e.driven), None)
     road_input = next(c.name for c in network.inputs if c.quantity == "displacement")
     corner = Corner(
         "",
@@ -278,9 +278,9 @@ def _with_body(network: Network) -> Vehicle:
                 f"network '{network.name}' is no car: no wheel of its own, a mass, stands on the road '{c.name}'"
             )
         wheels[c.name] = wheel
-    motors: dict[str, el.Motor] = {}
+    motors: dict[str, el.Element] = {}
     for e in network.elements:
-        if isinstance(e, el.Motor):
+        if e.driven:
             wheel = _nearest(network, e.between, set(wheels.values()), stop=points)
             if wheel is None or wheel in motors:
                 raise InputError(

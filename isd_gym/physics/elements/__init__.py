@@ -70,7 +70,7 @@ from ._laws import (
 )
 from ._linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
 from ._loaded import LoadDependentFriction, transmits
-from ._scheduled import ScheduledDamping, ScheduledFriction
+from ._scheduled import ControlledDamper, ScheduledDamping, ScheduledFriction
 from ._sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
 from ._table import TabulatedForce
 
@@ -89,6 +89,7 @@ __all__ = [
     "BumpStop",
     "CoggingForce",
     "ConstantForce",
+    "ControlledDamper",
     "CoulombFriction",
     "CubicStiffness",
     "DegressiveDamping",

@@ -244,8 +244,10 @@ class Element:
     replaces: ClassVar[tuple[str, ...]] = ()
     #: parameter that shapes the law; fits may have several optima in this parameter
     shaped_by: ClassVar[str | None] = None
-    #: whether the law reads a logged channel (its field `channel`) instead of the elongation
+    #: whether the law reads a logged channel (its field `channel`), or its current, instead of the elongation
     scheduled: ClassVar[bool] = False
+    #: whether an input may command the current of the element
+    driven: ClassVar[bool] = False
     #: whether the law reads the force of another element (its field `load`) instead of the elongation
     loaded: ClassVar[bool] = False
     #: (period, phase) parameters of a law that repeats over travel; fits have one optimum per period

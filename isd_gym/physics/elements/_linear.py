@@ -146,6 +146,7 @@ class Motor(Element):
     source = "F1 of equations (6) and (8); area ratio S_R/S_r = 4.056 of Table 1"
     signature = "force in proportion to current"
     plane = "time"
+    driven: ClassVar[bool] = True
     thrust_constant: float = parameter("N/A", 20.0, 200.0)
     ratio: float = parameter("-", 1.0, 10.0, default=1.0, open_end=True)
 

@@ -1,7 +1,7 @@
-"""Laws whose coefficient depends on a logged channel, such as a temperature or a speed.
+"""Laws whose coefficient depends on a logged channel, such as a temperature or a speed, or on a commanded current.
 
-The channel is an input of the model that acts on no node. The kernel passes its value instead of the
-elongation, which these laws do not read.
+The channel is an input of the model that acts on no node. The kernel passes its value, or the current, instead
+of the elongation, which these laws do not read.
 
 References:
     Rugh, W. J. and Shamma, J. S. (2000). Research on gain scheduling. Automatica 36, 1401.
@@ -29,6 +29,13 @@ def _scheduled_damping(
     p: Array, d: float, v: float, d_last: float, z: float, h: float
 ) -> tuple[float, float]:
     return p[0] * (d - p[1]) * v, z
+
+
+def _controlled_damping(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
+    share = min(max(0.5 + 0.5 * d / p[2], 0.0), 1.0)
+    return (p[0] + (p[1] - p[0]) * share) * v, z
 
 
 def _scheduled_friction(p: Array, d: float, v: float) -> float:
@@ -120,3 +127,29 @@ class ScheduledFriction(_Scheduled):
             )
             for share in (0.2, -0.2)
         ]
+
+
+@register
+class ControlledDamper(Element):
+    """A semi-active damper: a current sets the damping between two limits, half way without current."""
+
+    type = "controlled_damper"
+    mechanism = "viscous"
+    equation = "F = (c_l + (c_h - c_l) (1 + sat(I / I_h)) / 2) v"
+    source = "Karnopp, Crosby and Harwood, J. Eng. Ind. 96, 619 (1974); continuously controlled car dampers"
+    signature = "force that opposes the motion at any current; damping in proportion to the current between two limits"
+    test = "Move the damper at one speed and step the current from -{current} to {current}: the force must rise from {low} to {high} times the speed."
+    plane = "time"
+    scheduled: ClassVar[bool] = True
+    driven: ClassVar[bool] = True
+    law = staticmethod(_controlled_damping)
+    low: float = parameter("N s/m", 100.0, 1500.0)
+    high: float = parameter("N s/m", 1000.0, 5000.0)
+    current: float = parameter("A", 0.5, 5.0, open_end=True)
+
+    def curve(self, axis: Array) -> Array:
+        raise NotImplementedError(f"{self.type} is no curve: its force depends on a current")
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        return False  # a controlled damper is never overlooked

@@ -144,15 +144,18 @@ def _schedule(
     by_difference: Sequence[bool],
     size: Size,
 ) -> None:
-    """Give laws that read a logged channel the value of the channel, which follows the currents in the base
-    vector, instead of the elongation."""
-    currents = sum(c.quantity == "current" for c in network.inputs)
+    """Give laws that read a current or a logged channel its value instead of the elongation. Logged channels
+    follow the currents in the base vector."""
+    currents = [c for c in network.inputs if c.quantity == "current"]
     logged = [c.name for c in network.inputs if c.quantity == "condition"]
     for j, e in enumerate(laws):
         if by_difference[j] and (e.scheduled or e.loaded):
             raise InputError(f"element '{e.name}': the velocity of an algebraic node is not defined")
-        if e.scheduled:
-            column = currents + logged.index(getattr(e, "channel", ""))
+        if e.driven:
+            entries = _entries(size, "I", len(currents))
+            elongation[j] = sum(row for row, c in zip(entries, currents, strict=True) if e.name in c.elements)
+        elif e.scheduled:
+            column = len(currents) + logged.index(getattr(e, "channel", ""))
             elongation[j] = _entries(size, "I", 1, column)[0]
 
 

@@ -207,7 +207,7 @@ class Network:
         if "time" in channels:
             raise InputError("a channel cannot be called 'time'")
         by_name = {e.name: e for e in self.elements}
-        motors = {e.name for e in self.elements if isinstance(e, el.Motor)}
+        motors = {e.name for e in self.elements if e.driven}
         self._check_places(motors)
         self._check_nodes(by_name)
         for c in self.inputs:
@@ -312,7 +312,7 @@ class Network:
         """Check that every law with a logged channel names an input that acts on no node."""
         known = [c.name for c in self.inputs if c.quantity == "condition"]
         for e in self.elements:
-            if e.scheduled and getattr(e, "channel", "") not in known:
+            if e.scheduled and not e.driven and getattr(e, "channel", "") not in known:
                 raise InputError(
                     f"element '{e.name}': \"channel\" must name an input that acts on no node "
                     f"({', '.join(known) or 'there is none'}); add one, such as "
@@ -342,7 +342,9 @@ class Network:
             )
         if c.quantity == "current":
             if c.element not in motors:
-                raise InputError(f"input '{c.name}': a current needs \"element\": the name of a motor")
+                raise InputError(
+                    f"input '{c.name}': a current needs \"element\": the name of a motor or a controlled damper"
+                )
         elif c.at is None and c.quantity != "condition":
             hint = " (of that one node: a distance between two cannot be moved)" if c.between else ""
             raise InputError(f"input '{c.name}': a {c.quantity} needs \"at\": a node{hint}")
@@ -635,7 +637,7 @@ class Network:
 
     def _unit(self, e: el.Element, unit: str) -> str:
         """Return the unit of a parameter of an element at its place."""
-        motor = e.name if isinstance(e, el.Motor) else e.where[0] if e.place == "element" else ""
+        motor = e.name if e.driven else e.where[0] if e.place == "element" else ""
         if motor and any(motor in c.elements and c.si == "V" for c in self.inputs):
             unit = unit.replace("A", "V")
         turns = e.place == "between" and any(n in self.rotating for n in e.where)
