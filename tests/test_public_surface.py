@@ -42,7 +42,7 @@ isd_gym.baselines.mpc
 isd_gym.benchmark
 isd_gym.benchmark.driving
     Controller Entry cost_of
-    also Crew Idle travel
+    also Crew Driver Idle travel
 isd_gym.benchmark.policies
     Entry Idle available conventional find find_all passive
 isd_gym.benchmark.scoring

@@ -44,14 +44,14 @@ def snapshots(
     network = Network.load(network)
     cars: list[Any] = []  # name, controller, environment, observation
     for entry in entries:
-        controller = entry.make()
+        controller = entry.driver()
         env = ISDSuspensionEnv(
             network=entry.network or network,
             road=road,
             speed=speed,
             duration=seconds,
-            observation=getattr(controller, "observation", "measured"),
-            preview=getattr(controller, "preview", 0.0) or None,
+            observation=controller.observation,
+            preview=controller.preview or None,
             render_mode="rgb_array",
         )
         controller.reset()
@@ -61,8 +61,7 @@ def snapshots(
     for k in range(round(seconds / CONTROL_STEP)):
         for car in cars:
             name, controller, env, observation = car
-            action = np.atleast_1d(np.asarray(controller.act(observation), dtype=float))
-            car[3], _, terminated, _, _ = env.step(action)
+            car[3], _, terminated, _, _ = env.step(np.atleast_1d(controller.act(observation)))
             if terminated:
                 raise InputError(f"'{name}' broke the car after {(k + 1) * CONTROL_STEP:.2f} s")
         yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)

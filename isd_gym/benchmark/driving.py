@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from .._common.errors import InputError
+from .._common.errors import InputError, shown
 from ..physics._vehicle import CURRENT_LIMIT, kind, vehicle
 
 if TYPE_CHECKING:
@@ -32,9 +32,12 @@ class Controller(Protocol):
     A quarter car has one current per observation (6,). A car with several motors has currents (currents,) per
     observation (signals,).
 
-    Optional attributes: `reset_batch(n)` and `act_batch(observations (n, signals)) -> (n,) or (n, currents)`
-    for many cars, `fallbacks` (a count), `observation` ("measured", "full" or "preview": the wanted
-    observation), and `preview` [s] (the wanted length of the road ahead).
+    Only `act` is required. A controller without a memory needs no `reset`. Optional attributes:
+
+    - `act_batch(observations (n, signals)) -> (n,) or (n, currents)`: currents of many cars at once, in place of `act`.
+    - `reset_batch(n)`: clear the memory of n cars; by default `reset`.
+    - `name`, `fallbacks` (a count of safe substitute decisions).
+    - `observation` ("measured", "full", "history" or "preview"), and `preview` [s], the length of the road ahead.
     """
 
     name: str
@@ -61,6 +64,71 @@ class Entry:
     name: str  # name in the score
     make: Callable[[], Controller]  # returns a new controller at every call
     network: Network | None = None  # plant of the policy; None for the common plant
+
+    def driver(self) -> Driver:
+        """Return a new controller with the whole interface."""
+        return Driver(self.make(), self.name)
+
+
+class Driver:
+    """A controller of any kind with the whole interface, whose values are checked.
+
+    Args:
+        controller: Object with `act`, `act_batch` or both (`Controller`).
+        name: Name for messages.
+
+    Attributes:
+        observation: Wanted observation.
+        preview: Wanted length of the road ahead [s]; 0 without observation "preview".
+        is_batched: Whether the controller decides for many cars at once.
+        times: Processor times of the decisions of `act` [s].
+
+    Raises:
+        InputError: The object has neither `act` nor `act_batch`.
+    """
+
+    def __init__(self, controller: Any, name: str) -> None:
+        self._controller, self._name = controller, name
+        self._act: Callable[[np.ndarray], Any] | None = getattr(controller, "act", None)
+        self.is_batched = hasattr(controller, "act_batch")
+        if self._act is None and not self.is_batched:
+            raise InputError(f"controller '{name}' has no method act(observation)")
+        self.observation: str = getattr(controller, "observation", "measured")
+        self.preview = float(getattr(controller, "preview", 0.25)) if self.observation == "preview" else 0.0
+        self.times: list[float] = []
+
+    @property
+    def fallbacks(self) -> int:
+        """Number of safe substitute decisions, if the controller counts them."""
+        return int(getattr(self._controller, "fallbacks", 0))
+
+    def reset(self, cars: int | None = None) -> None:
+        """Clear the memory, if there is one; `cars` is the number of cars of `act_batch`, None for `act`."""
+        is_alone = cars is None and self._act is not None
+        if not is_alone and hasattr(self._controller, "reset_batch"):
+            self._controller.reset_batch(cars or 1)
+        elif hasattr(self._controller, "reset"):
+            self._controller.reset()
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Return the commanded currents [A] for an observation (signals,)."""
+        begin = clock.process_time()
+        value = self._act(observation) if self._act else self._controller.act_batch(observation[None])[0]
+        self.times.append(clock.process_time() - begin)
+        return self._currents(value, "act")
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Return the commanded currents [A] of all cars for observations (cars, signals)."""
+        return self._currents(self._controller.act_batch(observations), "act_batch")
+
+    def _currents(self, value: Any, method: str) -> np.ndarray:
+        try:
+            found = np.asarray(value, float)
+        except (TypeError, ValueError):
+            found = np.array(np.nan)
+        if not np.isfinite(found).all():
+            raise InputError(f"'{self._name}': {method} returned {shown(value)}, not a current [A]")
+        return found
 
 
 class Idle:
@@ -97,42 +165,36 @@ class Idle:
 class Crew:
     """A policy in several cars, with a common controller or a controller per car.
 
-    `observation` is the wanted observation, `preview` [s] the wanted length of the road ahead, and `times`
-    [s] the processor times of single decisions with one controller per car.
+    `observation` is the wanted observation, `preview` [s] the wanted length of the road ahead.
     """
 
     def __init__(self, entry: Entry, cars: int) -> None:
-        first: Any = entry.make()
-        self.name, self.cars = entry.name, cars
-        self.observation: str = getattr(first, "observation", "measured")
-        self.preview = float(getattr(first, "preview", 0.25)) if self.observation == "preview" else 0.0
-        self.batched = hasattr(first, "act_batch")
-        self.controllers = [first] if self.batched else [first, *(entry.make() for _ in range(cars - 1))]
-        self.times: list[float] = []
+        first = entry.driver()
+        self.name, self.cars, self.batched = entry.name, cars, first.is_batched
+        self.observation, self.preview = first.observation, first.preview
+        self._drivers = [first] if self.batched else [first, *(entry.driver() for _ in range(cars - 1))]
 
     def reset(self) -> None:
         """Clear the memory: new roads begin."""
-        if self.batched:
-            self.controllers[0].reset_batch(self.cars)
-        else:
-            for c in self.controllers:
-                c.reset()
+        for driver in self._drivers:
+            driver.reset(self.cars if self.batched else None)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Return the commanded currents (cars,) or (cars, currents) [A] for observations (cars, n)."""
         if self.batched:
-            return np.asarray(self.controllers[0].act_batch(observations))
-        out = []
-        for c, observation in zip(self.controllers, observations, strict=True):
-            begin = clock.process_time()
-            out.append(c.act(observation))
-            self.times.append(clock.process_time() - begin)
-        return np.asarray(out)
+            return self._drivers[0].act_batch(observations)
+        pairs = zip(self._drivers, observations, strict=True)
+        return np.asarray([driver.act(observation) for driver, observation in pairs])
+
+    @property
+    def times(self) -> list[float]:
+        """Processor times of single decisions with one controller per car [s]."""
+        return [time for driver in self._drivers for time in driver.times]
 
     @property
     def fallbacks(self) -> int:
         """Number of safe substitute decisions of all controllers."""
-        return sum(int(getattr(c, "fallbacks", 0)) for c in self.controllers)
+        return sum(driver.fallbacks for driver in self._drivers)
 
 
 class _Leg(NamedTuple):

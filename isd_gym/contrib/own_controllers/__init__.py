@@ -9,13 +9,13 @@ import importlib.util
 import os
 import sys
 import traceback
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from isd_gym._common.errors import InputError, hint, shown
-from isd_gym.benchmark.driving import Entry
+from isd_gym.benchmark.driving import Driver, Entry
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,9 +25,8 @@ if TYPE_CHECKING:
 def entry_of_file(name: str) -> Entry | None:
     """Return the controller of a name such as ``file.py:Class`` as an entry of a score.
 
-    A class is called without arguments, once per car. Its objects have `reset()` and `act(observation)`, and
-    optionally `name`, `observation`, `preview`, `fallbacks`, `reset_batch(count)` and `act_batch(observations)`
-    (`driving.Controller`). A function is `act` of a controller without memory.
+    A class is called without arguments, once per car; its objects are controllers (`driving.Controller`). A function
+    is `act` of a controller without memory.
     """
     path, colon, attribute = name.rpartition(":")
     if not colon:
@@ -45,8 +44,14 @@ def entry_of_file(name: str) -> Entry | None:
     if not callable(made):
         there = hint(attribute, offered) if offered else "there is none"
         raise InputError(f"{shown(path, 200)} needs the name of a class or function after a colon: {there}")
-    first = OwnController(made, file, attribute)
-    return Entry(first.name, lambda: OwnController(made, file, attribute))
+
+    def make() -> Any:
+        own = _call(file, made) if isinstance(made, type) else SimpleNamespace(act=made)
+        return _Located(own, file)
+
+    first = make()
+    Driver(first, f"{path}:{attribute}")  # checks the interface before long work
+    return Entry(str(getattr(first, "name", attribute)), make)
 
 
 def _load(file: Path) -> ModuleType:
@@ -75,52 +80,14 @@ def _call(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:
         raise InputError(f"{place}: {type(error).__name__}: {error}") from None
 
 
-class OwnController:
-    """A user's controller (a class, or a function of the observation), whose errors and values are checked."""
+class _Located:
+    """An object of a user's file, whose errors are told with the line of the file."""
 
-    def __init__(self, made: Callable[..., Any], file: Path, attribute: str) -> None:
-        self._file, self._label = file, f"{file}:{attribute}"
-        self._own: Any = _call(file, made) if isinstance(made, type) else None
-        act = getattr(self._own, "act", None) if isinstance(made, type) else made
-        if not callable(act):
-            raise InputError(f"{self._label} has no method act(observation)")
-        self._act: Callable[[np.ndarray], Any] = act
-        self.name = str(getattr(self._own, "name", attribute))
-        self.observation = str(getattr(self._own, "observation", "measured"))
-        if (preview := getattr(self._own, "preview", None)) is not None:
-            self.preview = preview
-        if callable(getattr(self._own, "act_batch", None)):  # a `Crew` asks for the attribute
-            self.act_batch = self._act_batch
+    def __init__(self, own: Any, file: Path) -> None:
+        self._own, self._file = own, file
 
-    @property
-    def fallbacks(self) -> int:
-        """Number of safe substitute decisions, if the controller counts them."""
-        return int(getattr(self._own, "fallbacks", 0))
-
-    def reset(self) -> None:
-        """Clear the memory of the controller, if it has one."""
-        if callable(reset := getattr(self._own, "reset", None)):
-            _call(self._file, reset)
-
-    def reset_batch(self, count: int) -> None:
-        """Clear the memory of all cars."""
-        if callable(reset := getattr(self._own, "reset_batch", None)):
-            _call(self._file, reset, count)
-        else:
-            self.reset()
-
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        """Return the commanded current."""
-        return self._numbers(_call(self._file, self._act, observation), "act")
-
-    def _act_batch(self, observations: np.ndarray) -> np.ndarray:
-        return self._numbers(_call(self._file, self._own.act_batch, observations), "act_batch")
-
-    def _numbers(self, value: Any, method: str) -> np.ndarray:
-        try:
-            found = np.asarray(value, float)
-        except (TypeError, ValueError):
-            found = np.array(np.nan)
-        if found.dtype == object or not np.isfinite(found).all():
-            raise InputError(f"{self._label}: {method} returned {shown(value)}, not a current [A]")
-        return found
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        value = getattr(self._own, name)
+        return partial(_call, self._file, value) if callable(value) else value
