@@ -1,10 +1,8 @@
 """Registration of the environments: at once if Gymnasium is loaded, otherwise directly after its import.
 
-Gymnasium 1.0 removed the entry-point plugins of earlier versions. A one-line .pth file, installed beside the
-package, puts a finder in front of the imports at the start of Python. The line imports nothing, to keep the
-start fast: the finder imports this module when ``gymnasium.envs`` is imported. Without an installation (a
-source tree on the path, a zip archive, a worker's folder), `import isd_gym` does the same, and hence
-``gymnasium.make("isd_gym:ISDSuspension-v0")``.
+At the start of Python, `isd_gym_start` puts a finder in front of the imports, which imports this module when
+`gymnasium.envs` is imported. Without an installation (a source tree on the path, a zip archive), `import isd_gym` does
+the same, and hence ``gymnasium.make("isd_gym:ISDSuspension-v0")``.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
     from types import ModuleType
 
-#: name of the finder that the .pth file puts in front
+#: name of the finder of earlier installations
 AT_START = "isd_gym_at_start"
 
 
