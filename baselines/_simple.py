@@ -1,12 +1,15 @@
-"""Skyhook and acceleration-driven damping, realised by a motor in series with a damper.
+"""Skyhook and acceleration-driven damping.
 
-Both laws define the force F of the strut between body and wheel. The strut is the device in series with a
-damper c, so that the device must run at ``w = travel rate - F / c``. An inner loop drives the device at this
-rate by inverse dynamics,
+Both laws define the force F of the strut, which is all between body and wheel but the main spring. The motor
+gives this force less the forces of the passive elements of the strut.
 
-    K I = F_now - k_p d - c_p w_now - f sgn(w) - b (w - w_now) / tau,
+A motor in series with a damper c cannot set the force: the strut has the force F when the device runs at
+``w = travel rate - F / c``. An inner loop drives the device at this rate by inverse dynamics,
 
-with F_now from the measured body acceleration, and b, c_p, k_p, f of the elements parallel to the motor.
+    K I = F_now - k d - c_p w_now - f sgn(w) - b (w - w_now) / tau,
+
+with F_now from the measured body acceleration, and b, c_p, k, f of the elements parallel to the motor. Without a
+damper in series, w is the travel rate, and F replaces F_now.
 """
 
 from __future__ import annotations
@@ -29,16 +32,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Strut:
-    """The strut of a car between body and wheel: the elements parallel to the motor, and the damper in series with the motor."""
+    """The strut of a car: all elements between body and wheel but the main spring, with the motor among them."""
 
     body_mass: float  # mass of the body [kg]
-    spring: float  # spring between body and wheel, parallel to the strut [N/m]
-    thrust: float  # thrust constant at the terminals [N/A]; 0 without a motor
-    stiffness: float  # stiffness parallel to the motor [N/m]
-    damping: float  # damping parallel to the motor [N s/m]
-    inertance: float  # inertance parallel to the motor [kg]
-    friction: float  # friction parallel to the motor [N]
-    series: float  # damping in series with the motor [N s/m]; infinite without a damper
+    spring: float  # stiffness of the main spring, between body and wheel [N/m]
+    beside: float  # damping between body and wheel that is not parallel to the motor [N s/m]
+    thrust: float = 0.0  # thrust constant at the terminals [N/A]; 0 without a motor
+    stiffness: float = 0.0  # stiffness parallel to the motor, without the main spring [N/m]
+    damping: float = 0.0  # damping parallel to the motor [N s/m]
+    inertance: float = 0.0  # inertance parallel to the motor [kg]
+    friction: float = 0.0  # friction parallel to the motor [N]
+    series: float = np.inf  # damping in series with the motor [N s/m]; infinite without a damper
 
     @classmethod
     def of(cls, network: Network) -> Strut:
@@ -46,25 +50,28 @@ class Strut:
         require_quarter_car(network, "the strut is that")
         body, wheel = list(network.masses)[:2]
         between = [e for e in network.elements if e.place == "between"]
+        main = [e for e in between if set(e.between) == {body, wheel}]
+        spring = sum(e.linear()[0] for e in main)
         motor = next((e for e in between if isinstance(e, el.Motor)), None)
-        spring = sum(e.linear()[0] for e in between if set(e.between) == {body, wheel})
         if motor is None:
-            return cls(network.masses[body], spring, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf)
+            return cls(network.masses[body], spring, sum(e.linear()[1] for e in main))
         parallel = [e for e in between if set(e.between) == set(motor.between)]
         k, c, b = np.sum([e.linear() for e in parallel], axis=0)
         level = sum(
             e.bound(np.array(e.law_parameters()), 0.0, SLIDING) for e in parallel if e.bound is not None
         )
+        joints = set(motor.between) - {body, wheel}
         series = [
             e.linear()[1]
             for e in between
-            if e not in parallel and e.linear()[1] > 0 and set(e.between) & set(motor.between) - {body, wheel}
+            if e not in parallel and e.linear()[1] > 0 and joints & set(e.between)
         ]
         return cls(
             body_mass=network.masses[body],
             spring=spring,
+            beside=sum(e.linear()[1] for e in main if e not in parallel),
             thrust=motor.thrust_constant * motor.ratio,
-            stiffness=float(k),
+            stiffness=float(k) - spring if motor in main else float(k),
             damping=float(c),
             inertance=float(b),
             friction=float(level),
@@ -100,11 +107,14 @@ class ForceControl(DesignedController[StrutSettings]):
         self.velocity = (self.velocity + self.step * acceleration) * (1.0 - z.forget * self.step)
         if s.thrust == 0.0:
             return np.zeros(obs.shape[1])
-        wanted = self.force(acceleration, rate)
-        goal = rate - wanted / s.series if np.isfinite(s.series) else rate
-        now = -s.body_mass * acceleration - s.spring * travel
+        wanted = self.force(acceleration, rate) - s.beside * rate
+        goal = rate - wanted / s.series
+        if np.isfinite(s.series):  # the damper in series sets the force, and the motor the rate of the device
+            carried = -s.body_mass * acceleration - s.spring * travel - s.beside * rate
+        else:
+            carried = wanted
         thrust = (
-            now
+            carried
             - s.stiffness * device
             - s.damping * device_rate
             - s.friction * np.tanh(goal / z.width)

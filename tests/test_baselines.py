@@ -3,6 +3,7 @@
 import math
 import pickle
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -382,6 +383,47 @@ def test_mpc_beats_passive_and_the_toolbox_horizons_do_not():
     assert cost_change(baselines.make("mpc-paper"), cars=2, duration=7.5) > 0.0
 
 
+@pytest.mark.parametrize(
+    "car",
+    [
+        "quarter-car-isd",
+        "quarter-car-eq8",
+        "quarter-car-active",
+        "quarter-car-semiactive",
+        "half-car-isd",
+        "full-car-isd",
+    ],
+)
+def test_no_baseline_is_worse_than_no_current(car):
+    """On every kind of car, but for `mpc-paper`, whose failure is documented."""
+    names = OWN if "quarter" in car else [*baselines._AT_EACH_CORNER, *baselines.WHOLE_CAR]
+    driven = {"isd-passive", *names} - {"passive", "mpc-paper"}
+    found = score(sorted(driven), car, episodes=2, duration=4.0)
+    costs = {row["policy"]: row["cost"]["value"] for row in found.policies}
+    assert {name: costs[name] for name in driven if costs[name] > costs["isd-passive"]} == {}
+
+
+@pytest.mark.parametrize("damping", [0.0, 800.0])
+def test_passive_elements_of_the_strut_are_counted_once(damping):
+    """The motor gives the force of the law less the force of the damper beside it; the main spring counts for neither."""
+    network = Network.load("quarter-car-active").with_parameters({"damper.damping": damping})
+    skyhook = baselines.make("skyhook", network)
+    acceleration, travel, rate = 0.2, 0.01, 0.3
+    current = skyhook._command(np.array([[acceleration], [travel], [rate], [travel], [rate], [0.0]]))
+    assert 400.0 * current == pytest.approx(skyhook.force(acceleration, rate) - damping * rate)
+
+
+def test_a_stiffer_oil_spring_changes_no_controller():
+    """A spring that is stiff already decays within a step: ten or a thousand times the stiffness is the same car."""
+    seen, _ = rollout(baselines.make("lqg"), cars=1, steps=80)
+    for name in ("lqg", "mpc-paper", "mpc", "mpc-friction"):
+        answers = []
+        for factor in (10, 30, 100, 300, 1000):
+            controller = baselines.make(name, CAR.with_parameters({"oil.stiffness": 709e3 * factor}))
+            answers.append([controller.act(obs[0]) for obs in seen])
+        assert np.std(answers, axis=0).mean() < 0.1, name  # A, of up to 5
+
+
 def test_limit_holds_what_is_not_a_number():
     present = np.array([1.0, 4.8, -2.0])
     assert np.array_equal(limit(np.array([np.nan, 9.0, -9.0]), present), [1.0, 5.0, -2.5])
@@ -395,6 +437,17 @@ def test_limit_holds_what_is_not_a_number():
         (lambda: baselines.make("mpc", horizon=2), "horizon"),
         (lambda: baselines.make("lqg", model="force-rig"), "is no car"),
         (lambda: baselines.make("skyhook", model="force-rig"), "is no car"),
+        *(
+            (
+                partial(baselines.make, name, CAR.with_parameters({"tyre.stiffness": 192e-6})),
+                "no linear-quadratic",
+            )
+            for name in ("lqg", "mpc-paper", "mpc", "mpc-friction")
+        ),
+        (
+            partial(baselines.make, "mpc-paper", CAR.with_parameters({"body.mass": 345e6})),
+            "no linear-quadratic controller can be computed for network 'quarter-car-isd'",
+        ),
     ],
 )
 def test_bad_input_is_one_clear_line(call, words):

@@ -275,13 +275,23 @@ def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: f
     """Return the covariance (n, n) that white velocities of two-sided `intensity` [m^2/s] at the inputs `white` (n, k) cause over
     one step.
 
+    The block exponential grows as fast as the fastest mode decays. The step is therefore halved until no mode decays by
+    more than e^4, and the covariance of the part is doubled back to the step.
+
     References:
         Van Loan, "Computing integrals involving the matrix exponential", IEEE Transactions on Automatic
             Control, 1978.
     """
     n = len(A)
-    loan = expm(np.block([[-A, intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * step)
-    W = loan[n:, n:].T @ loan[:n, n:]
+    decay = np.abs(np.linalg.eigvals(A)).max() * step
+    halvings = max(0, math.frexp(decay / 4.0)[1])
+    part = step / 2**halvings
+    loan = expm(np.block([[-A, intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * part)
+    phi = loan[n:, n:].T
+    W = phi @ loan[:n, n:]
+    for _ in range(halvings):
+        W = W + phi @ W @ phi.T
+        phi = phi @ phi
     return 0.5 * (W + W.T)
 
 
@@ -326,14 +336,21 @@ class Weights:
         return self.cost.quadratic[3] + self.effort
 
 
-def riccati(network: Network, *matrices: np.ndarray) -> np.ndarray:
+def riccati(
+    network: Network,
+    A: np.ndarray,
+    B: np.ndarray,
+    Q: np.ndarray,
+    R: np.ndarray,
+    N: np.ndarray | None = None,
+) -> np.ndarray:
     """Return the solution (n, n) of a discrete Riccati equation of A, B, Q, R and optionally N."""
     try:
-        return solve_discrete_are(*matrices[:4], s=matrices[4] if len(matrices) > 4 else None)
-    except np.linalg.LinAlgError:
+        return solve_discrete_are(A, B, Q, R, s=N)
+    except (np.linalg.LinAlgError, ValueError):  # no solution; matrices that overflow or are ill-conditioned
         raise InputError(
-            f"network '{network.name}' has no linear-quadratic controller: "
-            "something in it neither decays nor can be moved or seen"
+            f"no linear-quadratic controller can be computed for network '{network.name}': a part of it neither decays "
+            "nor can be moved or seen, or a value is out of proportion; check values and units of its elements"
         ) from None
 
 
