@@ -19,6 +19,7 @@ from isd_gym.physics._vehicle import require_quarter_car, vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
+from ._semiactive import Clipped, controlled_damper
 from .controller import BatchController
 
 if __name__ != "isd_gym.baselines":  # a second copy, found in the source tree, would have classes of its own
@@ -162,6 +163,8 @@ def make(
         return Decentralised(name, network, corners)
     if name not in (*_IDLE, *_AT_EACH_CORNER, *WHOLE_CAR):
         require_quarter_car(network, f"'{name}' is a controller")
+    if name not in _IDLE and controlled_damper(network) is not None:
+        return Clipped(network, lambda active: factory(active, cost, control_step, **options), control_step)  # type: ignore[arg-type, return-value]
     return factory(network, cost, control_step, **options)
 
 

@@ -469,3 +469,24 @@ def test_a_controller_travels_to_another_process(name):
     for c in (first, again):
         c.reset()
     np.testing.assert_allclose([again.act(r) for r in rows], [first.act(r) for r in rows], atol=1e-3)
+
+
+def test_a_damper_set_by_a_current_gives_the_wanted_force_within_its_limits():
+    """Skyhook of a body at rest is 1100 N s/m: -2/3 A between 300 and 2700 N s/m at -2 and 2 A. Beyond the limits the current stays at 2 A."""
+    seen = np.array([0.0, 0.01, 0.3, 0.01, 0.3, 0.0])
+    controller = baselines.make("skyhook", "quarter-car-semiactive")
+    for _ in range(3):
+        seen[5] = controller.act(seen)
+    assert seen[5] == pytest.approx(-2 / 3, rel=2e-3)
+    braking = baselines.make("skyhook", "quarter-car-semiactive", travel=9000.0)
+    seen[5] = 0.0
+    for _ in range(8):
+        seen[5] = braking.act(seen)
+    assert seen[5] == 2.0
+
+
+def test_clipped_control_improves_the_semi_active_car():
+    found = score(["skyhook", "lqg"], "quarter-car-semiactive", episodes=2, duration=10.0)
+    changes = {row["policy"]: row["cost"].get("change", 0.0) for row in found.policies}
+    assert -0.4 < changes["skyhook"] < -0.1
+    assert -0.4 < changes["lqg"] < -0.05
