@@ -88,7 +88,7 @@ def train(name: str, seed: int, folder: Path) -> None:
     torch.set_num_threads(1)
     recipe = RECIPES[name]
     kinds: dict[str, Any] = {"PPO": PPO, "SAC": SAC, "TD3": TD3, "TQC": TQC}
-    cars: Any = make_vec_env(recipe.cars, cars_per_road=8, env_id=recipe.environment, **recipe.options)
+    cars: Any = make_vec_env(recipe.environment, recipe.cars, cars_per_road=8, **recipe.options)
     env = VecNormalize(cars) if recipe.normalized else cars
     more: dict[str, Any] = {}
     if recipe.rate is not None:

@@ -3,7 +3,8 @@
 from stable_baselines3 import PPO
 from isd_gym.sb3 import ScoreCallback, make_vec_env
 
-model = PPO("MlpPolicy", make_vec_env(1024, cars_per_road=8), n_steps=128, batch_size=4096)
+env = make_vec_env("ISDSuspensionLearning-v0", 1024, cars_per_road=8)
+model = PPO("MlpPolicy", env, n_steps=128, batch_size=4096)
 model.learn(20_000_000, callback=ScoreCallback())
 """
 
@@ -30,7 +31,7 @@ from .env._task import CONTROL_STEP
 from .physics._vehicle import CURRENT_LIMIT, SLEW_RATE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -44,6 +45,9 @@ __all__ = [
     "make_vec_env",
     "save_model",
 ]
+
+
+DEFAULT_ID = "ISDSuspensionLearning-v0"
 
 
 class BatchedVecEnv(VecEnv):
@@ -72,7 +76,7 @@ class BatchedVecEnv(VecEnv):
 
     def __init__(
         self,
-        env_id: str = "ISDSuspension-v0",
+        env_id: str = DEFAULT_ID,
         count: int = 64,
         *,
         cars_per_road: int = 1,
@@ -164,20 +168,32 @@ class BatchedVecEnv(VecEnv):
 
 
 def make_vec_env(
-    count: int = 64, *, env_id: str = "ISDSuspensionLearning-v0", **options: Any
+    env_id: str | int = DEFAULT_ID,
+    n_envs: int = 64,
+    seed: int | None = None,
+    *,
+    env_kwargs: Mapping[str, Any] | None = None,
+    **options: Any,
 ) -> BatchedVecEnv:
     """Return a batch of cars as a vector environment of Stable-Baselines3.
 
+    The arguments are those of `make_vec_env` of Stable-Baselines3, as far as a batch has them.
+
     Args:
-        count: Number of cars.
-        env_id: Name of the environment, by default the one for learning.
-        options: Arguments of `BatchedVecEnv` and options of the environment (network, road, speed, randomize,
-            ...).
+        env_id: Name of the environment, by default the one for learning; or the number of cars of that one.
+        n_envs: Number of cars.
+        seed: Seed of the first car; None for random roads.
+        env_kwargs: Options of the environment (network, road, speed, randomize, ...).
+        options: Further options of the environment, and arguments of `BatchedVecEnv`.
 
     Raises:
         InputError: The name is no environment of this package, or an option is invalid.
     """
-    return BatchedVecEnv(env_id, count, **options)
+    name, count = (env_id, n_envs) if isinstance(env_id, str) else (DEFAULT_ID, env_id)
+    env = BatchedVecEnv(name, count, **{**(env_kwargs or {}), **options})
+    if seed is not None:
+        env.seed(seed)
+    return env
 
 
 #: seed of the first validation road, far from the seeds of trainings; scoring roads have no seed

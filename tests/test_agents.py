@@ -233,7 +233,7 @@ def sb3():
 def test_the_adapter_is_the_single_environment(sb3):
     from isd_gym.sb3 import make_vec_env
 
-    env = make_vec_env(3, env_id="ISDSuspension-v0")
+    env = make_vec_env("ISDSuspension-v0", 3)
     env.seed(11)
     obs = env.reset()
     single = gymnasium.make("ISDSuspension-v0")

@@ -1,12 +1,14 @@
 """The environments as Gymnasium and Stable-Baselines3 users meet them."""
 
+import os
 import pickle
+import sys
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from builders import element, friction
-from program import refused
+from program import python, refused
 
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.physics.cost import StageCost
@@ -106,6 +108,48 @@ def test_autoreset_as_gymnasium_has_it():
     for _ in range(5):
         obs, *_, info = env.step(np.ones((3, 1), np.float32))
     assert not obs.any() and info["_final_obs"].all() and info["final_obs"][0][5] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "steps"),
+    [
+        ({}, 4000),
+        ({"max_episode_steps": 8000}, 8000),
+        ({"duration": 1.0}, 200),
+        ({"control_step": 0.01}, 2000),
+    ],
+)
+def test_the_length_of_an_episode_is_told(options, steps):
+    env = gym.wrappers.TimeAwareObservation(gym.make("ISDSuspension-v0", **options))
+    again = gym.make(env.spec)
+    many = gym.make_vec("ISDSuspension-v0", 2, **options)
+    for made in (env, again, many):
+        assert made.spec.max_episode_steps == steps
+        made.reset(seed=0)
+        action = np.zeros(made.action_space.shape, np.float32)
+        ends = [np.any(made.step(action)[3]) for _ in range(steps)]
+        assert ends[-1] and not any(ends[:-1])
+
+
+def test_pictures_without_pygame_are_refused_as_gymnasium_does(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    for make in (gym.make, gym.make_vec):
+        with pytest.raises(gym.error.DependencyNotInstalled, match="pygame-ce: pip install"):
+            make("ISDSuspension-v0", render_mode="rgb_array")
+
+
+def test_check_env_passes_with_and_without_pygame():
+    code = """if True:
+        import sys
+        if sys.argv[1] == "without":
+            sys.modules["pygame"] = None
+        import gymnasium
+        from gymnasium.utils.env_checker import check_env
+        check_env(gymnasium.make("ISDSuspension-v0").unwrapped)
+    """
+    for installed in ("with", "without"):
+        done = python(code, installed, env={**os.environ, "SDL_VIDEODRIVER": "dummy"})
+        assert done.returncode == 0 and "render" not in done.stderr, done.stderr
 
 
 @pytest.mark.slow

@@ -102,6 +102,20 @@ def test_of_the_batch_of_stable_baselines3(rescale, options):
     assert_twins_agree(one, other, calls)
 
 
+def test_the_helper_takes_the_arguments_of_stable_baselines3():
+    pytest.importorskip("stable_baselines3", reason="of isd-gym[agents]")
+    from isd_gym.sb3 import BatchedVecEnv, make_vec_env
+
+    given = {"duration": 1.0}
+    cars = make_vec_env("ISDHalfCarLearning-v0", n_envs=3, seed=5, env_kwargs=given)
+    twin = BatchedVecEnv("ISDHalfCarLearning-v0", 3, **given)
+    twin.seed(5)
+    np.testing.assert_array_equal(cars.reset(), twin.reset())
+    assert cars.num_envs == 3 and cars.env.max_episode_steps == 100
+    ids = {env.env.spec.id for env in (make_vec_env(n_envs=2), make_vec_env(2), BatchedVecEnv(count=2))}
+    assert len(ids) == 1
+
+
 def without_time(step):
     """Return a step of Stable-Baselines3 without the seconds since the start, which twins do not share."""
     for info in step[3]:

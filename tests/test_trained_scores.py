@@ -138,7 +138,7 @@ def test_a_converted_history_is_bounded_before_it_is_normalised(tmp_path):
 @pytest.mark.filterwarnings("ignore")
 def test_the_environment_leaves_its_options_in_the_archive(tmp_path):
     """Measured signals with increments cannot be told from their spaces: the archive says it, or the user."""
-    env = make_vec_env(4, env_id="ISDSuspension-v0", action="increment")
+    env = make_vec_env("ISDSuspension-v0", 4, action="increment")
     learner("PPO", env).learn(64).save(tmp_path / "m.zip")
     assert convert(tmp_path / "m.zip").head.mode == "increment"
     without_options(tmp_path / "m.zip")

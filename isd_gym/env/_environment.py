@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import copy
 import os
+import sys
 from contextlib import contextmanager
+from importlib.util import find_spec
 from math import isfinite
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -16,8 +18,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers import TimeLimit
 
-from .._common.errors import InputError, plain, shown
+from .._common.errors import InputError, how_to_install, plain, shown
 from .._common.seeds import road_index, scoring_generator
 from ..physics._vehicle import vehicle
 from ..physics.network import Network
@@ -26,6 +29,8 @@ from ._task import Options, Task, info_maker
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+
+    from gymnasium.envs.registration import EnvSpec
 
     from ..view._rendering import CarSnapshot, Renderer, Snapshot
 
@@ -36,7 +41,43 @@ MEASURED = tuple(
 )
 
 
-class ISDSuspensionEnv(gym.Env):
+RENDER_MODES = ["human", "rgb_array"]  # of one car; a window shows no batch
+
+
+def _can_draw() -> bool:
+    """Return whether the drawing library is installed."""
+    return find_spec("pygame") is not None
+
+
+def _check_render_mode(mode: str | None, known: list[str]) -> None:
+    """Check before a drive that a mode is known and that the drawing library is installed."""
+    if mode is None:
+        return
+    if mode not in known:
+        raise InputError(f"render_mode must be {' or '.join(known)}, not {mode!r}")
+    if not _can_draw():
+        raise gym.error.DependencyNotInstalled(f"pictures need pygame-ce: {how_to_install('render')}")
+
+
+class _KnowsItsLength:
+    """An environment whose `spec` has the length of an episode, whatever options decide it."""
+
+    max_episode_steps: int
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Description by which Gymnasium made the environment."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec.max_episode_steps = self.max_episode_steps
+        self._spec = spec
+
+
+class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     """A vehicle suspension with a hydraulic electric inerter at each corner, driven by the currents of the motors.
 
     ## Description
@@ -98,8 +139,9 @@ class ISDSuspensionEnv(gym.Env):
     weights (`cost={"tyre_load": ..., "current": ...}`).
 
     ## Episode
-    Starts at rest at the beginning of a new road. Truncated after 4000 steps (20 s). Terminated only if the state leaves
-    the bounds of the observation, which does not happen by itself.
+    Starts at rest at the beginning of a new road. Truncated after `duration`, 20 s or 4000 steps by default, or after
+    `max_episode_steps` of `gymnasium.make`, shorter or longer. Terminated only if the state leaves the bounds of the
+    observation, which does not happen by itself.
 
     ## Info
     Of `reset` and of `step`: `speed` [m/s], the terms of the cost, `cost_acceleration`, `cost_pitch` and `cost_roll` where
@@ -116,15 +158,15 @@ class ISDSuspensionEnv(gym.Env):
 
     Raises:
         InputError: An argument or option is invalid.
+        gymnasium.error.DependencyNotInstalled: A `render_mode` needs pygame-ce.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES if _can_draw() else [], "render_fps": 200}  # noqa: RUF012
 
     def __init__(
         self, network: Any = Options.network, *, render_mode: str | None = None, **options: Any
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise InputError(f"render_mode must be human or rgb_array, not {render_mode!r}")
+        _check_render_mode(render_mode, RENDER_MODES)
         chosen = Options.of({"network": network, **options})
         self.task = Task(1, chosen, picture=render_mode is not None)
         self._n_currents = self.task.batch.of.currents
@@ -138,7 +180,9 @@ class ISDSuspensionEnv(gym.Env):
         }  # one picture per step: real time
         self._renderer: Renderer | None = None
         self._ready = False
-        self._steps, self._episode = 0, self.task.episode
+        self._steps = 0
+        #: length of an episode by the options [decisions]
+        self.max_episode_steps = self._limit = self.task.episode
         self._is_plain, self._actions = self.task.is_plain, self.task.actions[:, 0]
         self._drawn: dict[str, Any] = {}
         self._onlooker = Onlooker(self.task, 0) if render_mode is not None else None
@@ -152,6 +196,7 @@ class ISDSuspensionEnv(gym.Env):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
+        self._limit = _time_limit_around(self) or self.max_episode_steps
         options = dict(options or {})
         if "scoring_road" in options:
             self._np_random = scoring_generator(road_index(options.pop("scoring_road"), "scoring_road"))
@@ -211,7 +256,7 @@ class ISDSuspensionEnv(gym.Env):
             self._onlooker.see(self._steps, told[0])
             if self.render_mode == "human":
                 self.render()
-        return obs, reward, broken, self._steps >= self._episode and not broken, info
+        return obs, reward, broken, self._steps >= self._limit and not broken, info
 
     def render(self) -> np.ndarray | None:
         if self.render_mode is None:
@@ -282,6 +327,20 @@ class ISDSuspensionEnv(gym.Env):
         self._actions = self.task.actions[:, 0]
 
 
+def _time_limit_around(env: ISDSuspensionEnv) -> int | None:
+    """Return the limit [decisions] of Gymnasium's time limit around an environment, during a call of the environment.
+
+    `gymnasium.make` gives `max_episode_steps` to this wrapper alone. The wrapper is among the callers of `reset`.
+    """
+    frame = sys._getframe(1).f_back
+    while frame is not None:
+        wrapper = frame.f_locals.get("self")
+        if isinstance(wrapper, TimeLimit) and wrapper.unwrapped is env:
+            return wrapper._max_episode_steps
+        frame = frame.f_back
+    return None
+
+
 def _listed(action: Any) -> list[Any]:
     """Return an action that is no array as a list of its parts."""
     if isinstance(action, bytes | str):
@@ -309,7 +368,7 @@ def _currents(actions: Any) -> np.ndarray:
         raise InputError("the actions must be numbers, currents in A") from None
 
 
-class ISDSuspensionVectorEnv(VectorEnv):
+class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
     """A vector environment of many cars: `gymnasium.make_vec("ISDSuspension-v0", 1024)`, and likewise half and full cars.
 
     Car i equals the single environment with the seed ``seed + i``. The results do not depend on the number of
@@ -334,7 +393,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
 
     _renderers: Sequence[Renderer] = ()  # Gymnasium closes an environment whose arguments were refused
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["rgb_array"],
+        "render_modes": ["rgb_array"] if _can_draw() else [],
         "render_fps": 200,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -351,10 +410,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         threads: int | None = None,
         **options: Any,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise InputError(
-                f"render_mode of a batch must be rgb_array, not {render_mode!r}: a window shows one car"
-            )
+        _check_render_mode(render_mode, ["rgb_array"])
         for name, value in (
             ("num_envs", num_envs),
             ("cars_per_road", cars_per_road),

@@ -298,7 +298,7 @@ def test_the_road_ahead_is_the_critic_s_alone():
 
 def test_on_a_spread_every_road_counts_the_same():
     def cost(even, **options):
-        cars = make_vec_env(16, env_id="ISDSuspension-v0", rescale=False, max_episode_steps=300, **options)
+        cars = make_vec_env("ISDSuspension-v0", 16, rescale=False, max_episode_steps=300, **options)
         env = Remember(cars, MEMORY, Head("increment"), even=even)
         env.seed(0)
         env.reset()

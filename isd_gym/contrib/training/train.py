@@ -285,8 +285,8 @@ class Run:
         critic = s.preview if isinstance(s, SACSettings) else 0.0
         preview = max(s.ahead, critic)
         inner = make_vec_env(
+            "ISDSuspension-v0",
             cars,
-            env_id="ISDSuspension-v0",
             rescale=False,
             stagger=True,
             network=self.plant,
