@@ -524,6 +524,18 @@ def test_spectral_density_holds_the_variance():
     assert f[np.argmax(p)] == pytest.approx(4.0, rel=0.03)
 
 
+def test_the_user_s_matplotlibrc_changes_no_figure():
+    import matplotlib
+
+    own = {"text.usetex": True, "axes.spines.left": False, "path.sketch": (1, 100, 2), "figure.dpi": 1e5}
+    with matplotlib.rc_context(own):
+        with plots.style():
+            within = dict(matplotlib.rcParams)
+        assert matplotlib.rcParams["axes.spines.left"] is False  # the user's outside
+    with plots.style():
+        assert within == dict(matplotlib.rcParams)
+
+
 def test_labels_do_not_cover_one_another():
     with plots.style():
         fig = plots.figure()

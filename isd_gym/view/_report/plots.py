@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..._common.errors import InputError
 from ..._common.units import TABLE
 
 if TYPE_CHECKING:
@@ -116,10 +117,20 @@ def looks(names: Sequence[str]) -> dict[str, Look]:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Apply the project's style to figures that are made and saved within the block."""
-    from matplotlib import rc_context
+    """Apply matplotlib's defaults and the project's style to figures that are made and saved within the block.
 
-    with rc_context(STYLE):  # type: ignore[arg-type]
+    Settings of the user's matplotlibrc have no effect.
+    """
+    try:
+        from matplotlib import rc_context, rcParamsDefault
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"matplotlibrc is not UTF-8 text ({error.reason}): correct or remove the file"
+        ) from None
+
+    own = {"backend", "backend_fallback", "interactive", "toolbar"}  # of the process, not of a figure
+    defaults = {name: value for name, value in rcParamsDefault.items() if name not in own}
+    with rc_context(defaults | STYLE):  # type: ignore[arg-type]
         yield
 
 
