@@ -174,6 +174,12 @@ def test_a_parameter_without_a_plausible_range_keeps_its_wide_prior():
     assert free.back(free.low) == pytest.approx(3e-4) and free.back(free.high) == pytest.approx(3e4)
 
 
+def test_a_search_proposes_no_value_that_the_element_refuses():
+    law = el.TYPES["stribeck_friction"]("x", ("a", "b"), level=2.0, static_level=3.0, stribeck_velocity=1e5)
+    for free in free_of(law, 0):
+        replace(law, **{free.path.partition(".")[2]: free.back(free.high)})
+
+
 def setting(where, samples, **options):
     return el.Setting(with_effects(), where, None, 1.0, float(np.std(samples)), 0.05, options, samples)
 

@@ -219,7 +219,8 @@ def free_of(element: el.Element, owner: int) -> list[Free]:
             continue
         value = getattr(element, f.name)
         path, stride = f"{element.name}.{f.name}", meta["stride"] or math.inf
-        low, high = meta["plausible"] or (-math.inf, math.inf)
+        largest = (1.0 - 1e-9) * meta["maximum"]
+        low, high = meta["plausible"] or (-largest, largest)
         if meta["minimum"] >= 0:
             m, far = math.log(max(value, 1e-300)), math.log(meta["reach"]) if meta["reach"] else FAR
             least = math.log(low) if low > 0 else -math.inf

@@ -425,8 +425,9 @@ def _misfit(stage: Screening, tries: Sequence[tuple[Structure, Array]]) -> Array
     """Return the sum over channels of the logarithm of the residual's variance (tries,): a drifting channel does not hide other
     channels."""
     problem, current = stage.problem, stage.current
-    scores, nets = np.zeros(len(tries)), [t.at(x) for t, x in tries]
+    scores = np.zeros(len(tries))
     try:
+        nets = [t.at(x) for t, x in tries]
         initial = [transfer_states(problem, current.network, current.initial, t) for t, _ in tries]
         at = {i: np.stack([b[i] for b in initial], axis=1) for i in problem.estimation}
         seen = problem.simulate_all(nets, problem.estimation, at, like=tries[0][0].network)
