@@ -446,6 +446,8 @@ def output(**change):
         (element(between=["body", "a\nisd-gym: all fine"]), r"'a\\nisd-gym: all fine' cannot be a name"),
         (element(name="\x1b[31m"), r"'\\x1b\[31m' cannot be a name"),
         (element(name="x" * 10_000), "cannot be a name"),
+        (output(name="=1+1|cmd"), "'=1.1.cmd' cannot begin with =: a spreadsheet takes it as a formula"),
+        (output(name="@SUM(A1)"), "cannot begin with @"),
         (model(masses={"body": 10**400}), "positive number of kg"),
         (model(masses={"body": 1e300}), "1e-09 to 1e"),
         (model(masses={"body\u202e": 1.0}), "cannot be a name"),

@@ -34,6 +34,10 @@ def check_name(name: Any, what: str) -> str:
         raise InputError(
             f"{what}: {shown(name)} cannot be a name (1 to {NAME_LENGTH} characters, without control characters)"
         )
+    if name[0] in "=+-@":
+        raise InputError(
+            f"{what}: {shown(name)} cannot begin with {name[0]}: a spreadsheet takes it as a formula"
+        )
     return name
 
 
