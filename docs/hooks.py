@@ -1,7 +1,7 @@
-"""Parts of the site that are made from the code: formulas, the list of elements, the help of commands, the schemas.
+"""Parts of the site that are made from the code: formulas, the help of commands, the schemas.
 
-Formulas become MathML when the site is built, so that a page needs no script from elsewhere. A line ``{{ elements }}``
-or ``{{ commands }}`` in a page is replaced by the package's own list.
+Formulas become MathML when the site is built, so that a page needs no script from elsewhere. The comment
+``<!-- commands -->`` in a page is replaced by the help of every command.
 """
 
 from __future__ import annotations
@@ -31,10 +31,8 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    for name, make in (("elements", elements), ("commands", commands)):
-        if f"{{{{ {name} }}}}" in markdown:
-            markdown = markdown.replace(f"{{{{ {name} }}}}", make())
-    return markdown
+    mark = "<!-- commands -->"
+    return markdown.replace(mark, commands()) if mark in markdown else markdown
 
 
 def on_page_content(content, page, config, files):
@@ -43,31 +41,6 @@ def on_page_content(content, page, config, files):
         return convert(html.unescape(inline or block), display="inline" if inline else "block")
 
     return FORMULA.sub(formula, content)
-
-
-def elements() -> str:
-    """Every element type: law, parameters with units and plausible ranges, what tells it apart, source."""
-    from isd_gym.physics.elements import TYPES, parameter_fields
-
-    where = {"between": "between two nodes", "element": "at a motor", "channel": "at a channel"}
-    parts = []
-    for place, title in where.items():
-        parts.append(f"## {title[0].upper()}{title[1:]}\n")
-        for kind, cls in TYPES.items():
-            if cls.place != place:
-                continue
-            parts += [f"### `{kind}`\n", f"`{cls.equation}`\n"]
-            rows = ["| parameter | unit | usual | default |", "|---|---|---|---|"]
-            for f in parameter_fields(cls):
-                low, high = f.metadata["range"]
-                usual = f"{low:g} to {high:g}" if abs(high) < float("inf") else "any"
-                default = f"{f.default:g}" if isinstance(f.default, int | float) else "needed"
-                rows.append(f"| `{f.name}` | {f.metadata['unit']} | {usual} | {default} |")
-            for key, allowed in cls.choices.items():
-                default = cls.__dataclass_fields__[key].default
-                rows.append(f"| `{key}` | | {', '.join(allowed)} | {default} |")
-            parts += ["\n".join(rows) + "\n", f"Recognised by: {cls.signature}. Source: {cls.source}.\n"]
-    return "\n".join(parts)
 
 
 def commands() -> str:

@@ -37,6 +37,7 @@ from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
 from isd_gym.env._task import Options
 from isd_gym.env.registration import ENVIRONMENTS
+from isd_gym.physics.elements import TYPES, parameter_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -837,6 +838,31 @@ def missing_physics_cases() -> str:
 # ------------------------------------------------------------------------------------------------------ pages
 
 #: page -> its tables
+
+
+def elements() -> str:
+    """Every element type: law, parameters with units and plausible ranges, what tells it apart, source."""
+    where = {"between": "between two nodes", "element": "at a motor", "channel": "at a channel"}
+    parts = []
+    for place, title in where.items():
+        parts.append(f"## {title[0].upper()}{title[1:]}\n")
+        for kind, cls in TYPES.items():
+            if cls.place != place:
+                continue
+            parts += [f"### `{kind}`\n", f"`{cls.equation}`\n"]
+            rows = ["| parameter | unit | usual | default |", "|---|---|---|---|"]
+            for f in parameter_fields(cls):
+                low, high = f.metadata["range"]
+                usual = f"{low:g} to {high:g}" if abs(high) < float("inf") else "any"
+                default = f"{f.default:g}" if isinstance(f.default, int | float) else "needed"
+                rows.append(f"| `{f.name}` | {f.metadata['unit']} | {usual} | {default} |")
+            for key, allowed in cls.choices.items():
+                default = cls.__dataclass_fields__[key].default
+                rows.append(f"| `{key}` | | {', '.join(allowed)} | {default} |")
+            parts += ["\n".join(rows) + "\n", f"Recognised by: {cls.signature}. Source: {cls.source}.\n"]
+    return "\n".join(parts).strip()
+
+
 PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "README.md": (headline,),
     "docs/tutorials/half-car.md": (half_car,),
@@ -844,6 +870,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/explanation/baselines.md": (wheelbase,),
     "docs/explanation/ceiling.md": (ceilings,),
     "docs/explanation/road.md": (pulling, lift_off),
+    "docs/reference/elements.md": (elements,),
     "docs/explanation/study.md": (study_table, learned_preview, learned_half_car, stock_options),
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/learning.md": (learned, learned_preview, learned_half_car),

@@ -12,6 +12,7 @@ from program import assert_one_line, python, run
 from isd_gym._commands._score_table import print_score
 from isd_gym.benchmark.policies import available, find
 from isd_gym.benchmark.scoring import score
+from isd_gym.physics.elements import TYPES
 from isd_gym.physics.network import Network
 from isd_gym.records.data import read_table
 
@@ -131,6 +132,12 @@ def test_networks_can_be_printed_and_read_back(tmp_path):
     (tmp_path / "mine.json").write_text(text)
     assert Network.load(tmp_path / "mine.json") == Network.load("force-rig")
     assert "quarter-car-eq8" in run("networks").stdout
+
+
+def test_networks_lists_the_element_types():
+    text = " ".join(run("networks", "--elements").stdout.split())
+    assert "coulomb_friction F in f Sgn(v); level [N]" in text
+    assert all(name in text for name in TYPES)
 
 
 @pytest.mark.parametrize(

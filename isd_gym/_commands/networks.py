@@ -23,6 +23,9 @@ def command(
     draw: Annotated[
         Path | None, option("--draw FILE", "Draw the network to this file: .svg, .png or .pdf.")
     ] = None,
+    elements: Annotated[
+        bool, option("--elements", "List the element types: law, parameters with units, and options.")
+    ] = False,
 ) -> None:
     """List the built-in networks, print one as a start for your own, or draw one.
 
@@ -32,6 +35,9 @@ def command(
     """
     from ..physics.network import Network, builtin_networks
 
+    if elements:
+        print_names(_element_types())
+        return
     if draw is not None:
         from ..view._report.schematic import check_suffix
         from ..view._report.schematic import draw as sketch
@@ -47,3 +53,15 @@ def command(
         typer.echo(Network.load(name).dumps(), nl=False)
         return
     print_names({built: Network.load(built).description for built in builtin_networks()})
+
+
+def _element_types() -> dict[str, str]:
+    """Return law, parameters and options of every element type."""
+    from ..physics.elements import TYPES, parameter_fields
+
+    out = {}
+    for name, kind in TYPES.items():
+        parameters = [f"{f.name} [{f.metadata['unit']}]" for f in parameter_fields(kind)]
+        options = [f"{key} ({' or '.join(allowed)})" for key, allowed in kind.choices.items()]
+        out[name] = f"{kind.equation}; {', '.join([*parameters, *options])}"
+    return out
