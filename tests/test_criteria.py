@@ -7,7 +7,7 @@ import ablation
 import numpy as np
 import pytest
 
-from isd_gym.diagnosis._result_builder import ResultBuilder
+from isd_gym.diagnosis._result_builder import ResultBuilder, closed
 from isd_gym.diagnosis._selection import forward_backward
 from isd_gym.diagnosis._selection.candidate_comparison import CandidateComparison
 from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
@@ -47,6 +47,15 @@ def test_a_name_passes_every_gate():
 
 
 @pytest.mark.parametrize(
+    ("refit", "after", "share"),
+    [(0.8, 0.2, 0.9375), (30.0, 1.03, None), (30.0, 0.2, None), (1.2, 1.8, -1.25)],
+)
+def test_a_share_of_the_gap_is_not_stated_where_a_constant_errs_less(refit, after, share):
+    rows = {"refit": refit, "after": after, "noise_floor": 0.0}
+    assert closed({k: np.array([v]) for k, v in rows.items()}) == (share and pytest.approx(share))
+
+
+@pytest.mark.parametrize(
     ("gate", "change", "verdict"),
     [
         ("predicts better", {"elpd_diff": 3.0, "elpd_dse": 1.0}, "unknown_effect"),
@@ -54,6 +63,7 @@ def test_a_name_passes_every_gate():
         ("material", {"effects": (replace(FRICTION, share=0.02, removed=0.7),)}, "unknown_effect"),
         ("adequate", {"explained": 0.45, "after": (0.2,), "richest": (0.2,)}, "unknown_effect"),
         ("adequate", {"nominal_removed": -0.1}, "unknown_effect"),
+        ("adequate", {"largest_left": 14.4}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, contradiction="beyond its reach"),)}, "unknown_effect"),
         (

@@ -582,6 +582,17 @@ def test_clipping_counts_by_the_power_that_it_holds(share, level):
         assert [f.level for f in found] == ([level] if level else [])
 
 
+@pytest.mark.parametrize("share", [0.4, 0.8, 0.95, 0.99])
+def test_heavier_clipping_at_both_ends_is_an_error_too(share):
+    """Beyond nine tenths, no noise is left between the rails: the channel looks like a simulation."""
+    table = car(snr_db=40)
+    for channel in OUTPUTS:
+        x = table[channel] - np.mean(table[channel])
+        rail = np.quantile(np.abs(x), 1.0 - share)
+        found = judged(replaced(table, **{channel: np.clip(x, -rail, rail)}))
+        assert "error" in {f.level for f in found if f.check == "held"}
+
+
 @pytest.mark.parametrize("zero", [0.0, -0.0])
 @pytest.mark.parametrize("glitches", [0, 2])
 def test_a_force_of_zeros_is_an_error_that_says_what_to_do(zero, glitches):

@@ -14,6 +14,7 @@ from isd_gym._common.units import convert
 from isd_gym.contrib.inspection import inspect
 from isd_gym.contrib.inspection.map_file import save_map
 from isd_gym.contrib.simulation.command import command
+from isd_gym.diagnosis import diagnose
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._loggers import ChannelMap, Recording
 from isd_gym.records._loggers.record_reading import records_of
@@ -27,6 +28,7 @@ SEEN = channel("acc", "acceleration", "mass", unit="g")
 RIG = network("shaker", PARTS, [MOVED], [SEEN], masses={"mass": 12.0})
 WANTED = (*RIG.inputs, *RIG.outputs)
 HEAD = "time [s],table [mm],acc [g]"
+UNITS_OF = {"table": "mm", "acc": "g"}
 N = 1200
 TIME = 0.002 * np.arange(N)
 DATA = np.c_[TIME, 900.0 + 800.0 * np.sin(9 * TIME), -0.3 * np.sin(9 * TIME)]
@@ -250,6 +252,14 @@ def test_a_sign_turns_a_channel(tmp_path):
     (record,) = records_of(tmp_path / "b.csv", RIG, WANTED, signs={"acc": -1}, rate=500.0)  # the other road
     found = values(record)
     np.testing.assert_allclose(found["acc"], DATA[:, 2], atol=2e-3)
+
+
+def test_a_copy_of_a_training_record_validates_nothing():
+    acc = simulate(RIG, TIME, {"table": DATA[:, 1] - 900.0})["acc"]
+    acc = acc + 1e-3 * np.random.default_rng(1).standard_normal(N)
+    one, other = (Table(TIME, {"table": DATA[:, 1] - 900.0, "acc": acc}, n, UNITS_OF) for n in ("one", "two"))
+    refused("two has the samples of one: give each record once", diagnose, [one], RIG, validate=[other])
+    refused("two has the samples of one", diagnose, [one, other], RIG)
 
 
 def test_inspect_takes_columns_signs_and_maps(tmp_path):

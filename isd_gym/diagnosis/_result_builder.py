@@ -422,7 +422,13 @@ def _effects_of(candidate: Candidate) -> dict[str, Any]:
 
 
 def closed(rows: Mapping[str, Array]) -> float | None:
-    """Return the closed share of the gap: (refit - after) / (refit - noise), of the squares, over all channels."""
+    """Return the closed share of the gap: (refit - after) / (refit - noise), of the squares, over all channels.
+
+    None where the refitted model errs more than a constant: any model that errs less would close most of the gap.
+    """
     top = float(np.sum(rows["refit"] ** 2 - rows["after"] ** 2))
     bottom = float(np.sum(np.maximum(rows["refit"] ** 2 - rows["noise_floor"] ** 2, 0.0)))
-    return min(1.0, top / bottom) if bottom > 0 and math.isfinite(top) else None
+    is_worse_than_constant = not np.mean(rows["refit"] ** 2) < 1.0
+    if not bottom > 0 or not math.isfinite(top) or (top > 0 and is_worse_than_constant):
+        return None
+    return min(1.0, top / bottom)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import time as clock
 from copy import copy
@@ -11,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._common.errors import InputError
@@ -93,6 +95,7 @@ def diagnose(
         notes.append(f"cut at {cut}, which {part.inputs[0].name} moves; left out: {', '.join(left)}")
     with _answering(limit, steps):
         fit, held = ([read_record(d, part, notes, accept) for d in side] for side in sources)
+        _check_copies([*fit, *held])
         records = [thin_long_record(r, part, notes) for r in (*fit, *held)]
         for record in records:
             check_sampling_rates(record, part)
@@ -215,6 +218,14 @@ def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
     if len(whole.records) == fitted == 1:
         return (float(problem.records[1].time[0]),)
     return tuple(math.inf if i < fitted else -math.inf for i in range(len(whole.records)))
+
+
+def _check_copies(records: Sequence[Record]) -> None:
+    """Raise `InputError` for a record whose samples are those of another record: a copy confirms nothing."""
+    for one, other in itertools.combinations(records, 2):
+        pairs = [(one.measured, other.measured), *((x, other.inputs[n]) for n, x in one.inputs.items())]
+        if all(np.array_equal(a, b) for a, b in pairs):
+            raise InputError(f"{other.name} has the samples of {one.name}: give each record once")
 
 
 def _several(data: Any, name: str) -> list[Any]:

@@ -101,6 +101,8 @@ class Evidence:
     test_gap: float = math.inf
     #: share of the nominal model's squared error, over all channels, that the candidate removes: on validation or on test records, the larger
     nominal_removed: float = 1.0
+    #: excess error of the candidate in the channel with the largest one, on validation or on test records, the larger
+    largest_left: float = 0.0
     #: whether a special case of a law leaves no more than unmodelled effects, which may have made the difference
     imitated: bool = False
 

@@ -191,6 +191,9 @@ def _adequate(e: Evidence, c: Criteria) -> Gate:
         any_of(is_so(e.explained, ">=", c.least_removed, f"{removed}; {rest}"), by_few),
         is_so(e.training_ratio, "<=", 1.0, ratio),
         is_so(e.nominal_removed, ">", 0.0, "share of the nominal model's squared held-out error removed"),
+        is_so(
+            e.largest_left, "<", 1.0, "largest error beyond noise that remains, over the channel's deviation"
+        ),
     )
 
 

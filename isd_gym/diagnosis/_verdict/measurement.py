@@ -120,6 +120,7 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
         richest=as_numbers(richest.nrmse),
         richest_share=max(evaluator.effect_sizes(scores.richest), default=1.0),
         nominal_removed=_removed_of_nominal(evaluator.nominal_nrmse, (after.nrmse, after.test_nrmse)),
+        largest_left=float(max(after.excess(scores.noise).max(), after.test_excess(scores.test_noise).max())),
         imitated=is_imitated(search, scores),
         **common,
     )

@@ -72,6 +72,8 @@ LONGEST, SHORTEST, LONG, REST = 2.0, 8e-6, 0.4, 0.8
 #: which a finding is an error. Frozen: 3 % of the deviation, the smallest disagreement that a diagnosis calls
 #: an effect.
 CLIPPED, MISSED = 0.1, 0.001
+#: the same share at one end of a channel without noise, which may be simulated: friction holds an acceleration
+RAILS = 0.25
 #: equal samples at a level of a coarse encoder near a turn of the motion
 STAIR = 5
 STILL = 0.1  # share of a channel's usual power, in spans of equal length, below which the channel rests
@@ -122,7 +124,8 @@ def check(
     A constant output is an error. Clipped and frozen samples are warnings unless enough of the signal is
     affected:
 
-    - Clipped samples are an error if they hold `CLIPPED` of the channel's power about its mean. Samples at
+    - Clipped samples are an error if they hold `CLIPPED` of the channel's power about its mean, `RAILS` in a
+      channel without noise. Samples at
       zero are rest, not clipping (a range ends elsewhere), and so are samples during which no other channel
       moves.
     - Frozen samples are an error if they miss `MISSED` of the channel's power. The missed power of a stretch
@@ -518,7 +521,7 @@ def _check_held(
                     Finding("warning" if level != "note" else level, name, text, _spans(flags, time))
                 )
         elif moves:
-            severe = share > CLIPPED and level != "note"
+            severe = share > (RAILS if level == "note" else CLIPPED)
             found.append(Finding("error" if severe else level, name, text, _spans(flags, time)))
 
     if noise > resolution:
