@@ -36,7 +36,7 @@ from isd_gym.contrib.ceilings.ceiling import known
 from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
 from isd_gym.env._task import Options
-from isd_gym.env.registration import ENVIRONMENTS
+from isd_gym.env.registration import ENVIRONMENTS, LEARNING
 from isd_gym.physics.elements import TYPES, parameter_fields
 
 if TYPE_CHECKING:
@@ -338,7 +338,7 @@ def environment() -> str:
     """Docstring of the environments as Markdown, with tables of the arguments and of the options."""
     from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 
-    names = ", ".join(f"`{name}`" for name in ENVIRONMENTS)
+    names = ", ".join(f"`{name}`" for name in (*ENVIRONMENTS, *LEARNING))
     parts = [
         f"## One car\n\n`gymnasium.make(name, **options)` with one of the names {names}.",
         told(ISDSuspensionEnv, 3),

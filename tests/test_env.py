@@ -15,6 +15,13 @@ from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
 
+def misspelt(node, name):
+    """The quarter car with another name of a mass."""
+    model = Network.load("quarter-car-isd").to_dict()
+    model["masses"][name] = model["masses"].pop(node)
+    return model | {"uncertainty": {}}
+
+
 def rollout(env, seed, steps=300):
     rng = np.random.default_rng(seed)
     obs, _ = env.reset(seed=seed)
@@ -138,6 +145,27 @@ def test_pictures_without_pygame_are_refused_as_gymnasium_does(monkeypatch):
             make("ISDSuspension-v0", render_mode="rgb_array")
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"network": "quarter-car-passive"}, "no motor.*quarter-car-isd.*allow_passive=True"),
+        ({"randomize": {"body.mass": (300, 400)}}, r"'body.mass' has factors on 345.*give \(0.87, 1.16\)"),
+        ({"randomize": {"body.mass": (0.01, 1.0)}}, "0.1 to 10"),
+        ({"network": misspelt("body", "bdoy")}, "masses: no element is at 'bdoy'; did you mean 'body'"),
+    ],
+)
+def test_options_without_sense_are_refused(options, words):
+    for make in (gym.make, gym.make_vec):
+        refused(words, make, "ISDSuspension-v0", **options)
+
+
+@pytest.mark.parametrize("seed", [1.5, "abc", [0, 1.5], [0, "1"], [True, 1]])
+def test_a_seed_of_a_batch_is_whole_numbers(seed):
+    env = gym.make_vec("ISDSuspension-v0", 2)
+    refused("seed must be whole numbers", env.reset, seed=seed)
+    env.reset(seed=[3, None]), env.reset(seed=np.array([1, 2]))
+
+
 def test_check_env_passes_with_and_without_pygame():
     code = """if True:
         import sys
@@ -179,8 +207,8 @@ def test_a_car_that_diverges_is_terminated_with_finite_numbers():
     drives = {"extension": -20000.0, "compression": -20000.0}
     driver = element("driver", "asymmetric_damping", "body", "wheel", **drives)
     net = Network.load("quarter-car-passive").with_element(driver)
-    car = gym.make("isd_gym:ISDSuspension-v0", network=net)
-    cars = gym.make_vec("isd_gym:ISDSuspension-v0", 3, network=net)
+    car = gym.make("isd_gym:ISDSuspension-v0", network=net, allow_passive=True)
+    cars = gym.make_vec("isd_gym:ISDSuspension-v0", 3, network=net, allow_passive=True)
     car.reset(seed=4)
     cars.reset(seed=4)
     for _ in range(4000):

@@ -133,7 +133,7 @@ OPTIONS = [
     ("half-car-isd", {"randomize": {**SPREAD, "road": ["A", "C+bump", "bump"]}}),
     ("half-car-isd", {"observation": "preview", "preview": 0.1, "road": "C+bump", "speed": 13.7}),
     ("half-car-isd", {"observation": "full", "sensors": {"noise": 1.0, "delay": 1}}),
-    pytest.param(*("half-car-passive", {}), marks=pytest.mark.slow),
+    pytest.param(*("half-car-passive", {"allow_passive": True}), marks=pytest.mark.slow),
     pytest.param(*("full-car-isd", {"road": "D"}), marks=pytest.mark.slow),
     pytest.param(*("full-car-isd", {"observation": "preview", "preview": 0.1, "randomize": {"speed": (15, 25), "road": ["paper", "C"]}}), marks=pytest.mark.slow),
     ("full-car-isd", {"observation": "preview", "preview": 0.1, "sensors": {"road_error": 1e-3, "road_range": 1.0}}),

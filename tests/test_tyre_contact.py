@@ -30,7 +30,9 @@ def with_lift_off(name):
 @pytest.mark.parametrize(("name", "ground"), [("quarter-car-passive", "D"), ("half-car-isd", "E")])
 def test_the_share_is_the_share_of_a_drive(name, ground):
     car = vehicle(Network.load(name))
-    cars = gym.make_vec(QUARTER, 16, network=car.network, road=ground, max_episode_steps=2001)
+    cars = gym.make_vec(
+        QUARTER, 16, network=car.network, allow_passive=True, road=ground, max_episode_steps=2001
+    )
     cars.reset(seed=0)
     idle, loads = np.zeros(cars.action_space.shape, np.float32), []
     for _ in range(2000):

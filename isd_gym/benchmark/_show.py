@@ -47,6 +47,7 @@ def snapshots(
         controller = entry.driver()
         env = ISDSuspensionEnv(
             network=entry.network or network,
+            allow_passive=True,
             road=road,
             speed=speed,
             duration=seconds,

@@ -278,6 +278,7 @@ def drive(
     env = ISDSuspensionVectorEnv(
         episodes,
         network=plant,
+        allow_passive=True,
         road=road,
         speed=speed,
         observation=crew.observation,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from math import isfinite
@@ -21,6 +22,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers import TimeLimit
 
 from .._common.errors import InputError, how_to_install, plain, shown
+from .._common.inputs import is_whole
 from .._common.seeds import road_index, scoring_generator
 from ..physics._vehicle import vehicle
 from ..physics.network import Network
@@ -28,7 +30,7 @@ from ._pictures import Onlooker
 from ._task import Options, Task, info_maker
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
 
     from gymnasium.envs.registration import EnvSpec
 
@@ -94,6 +96,9 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     | `ISDHalfCar-v0` | half-car-isd: the body heaves and pitches | front, rear |
     | `ISDFullCar-v0` | full-car-isd: the body heaves, pitches and rolls | front left, front right, rear left, rear right |
 
+    `ISDSuspensionLearning-v0`, `ISDHalfCarLearning-v0` and `ISDFullCarLearning-v0` are the first, third and fourth car with
+    the options that learning algorithms need.
+
     The rear wheels meet the road of the front wheels after wheelbase / speed, 0.135 s at 20 m/s. The two tracks of
     the full car are those of an isotropic surface (`isd_gym.physics.tracks`). Corners, signals and currents follow from the network:
     `network` may be any with a rigid body, a wheel on each road input and at most one motor at each wheel.
@@ -109,7 +114,7 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     | 2 | | | rear left | A |
     | 3 | | | rear right | A |
 
-    A network without motors has a current for each corner, which acts on nothing.
+    A network without motors is refused. With `allow_passive` it has a current for each corner, which does nothing.
 
     ## Observation space
     `Box(-high, high, (signals,), float32)`, the signals that a car can measure. Corners are in the order of the actions.
@@ -144,9 +149,16 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     observation, which does not happen by itself.
 
     ## Info
-    Of `reset` and of `step`: `speed` [m/s], the terms of the cost, `cost_acceleration`, `cost_pitch` and `cost_roll` where
-    the body turns, `cost_travel`, `cost_tyre_load`, `cost_current`, and the dynamic tyre load [N], positive in
-    compression: `tyre_load` of a quarter car, else `tyre_load_front`, `tyre_load_rear_left` and so on.
+    Of `reset` and of `step`:
+
+    | key | content | unit |
+    |---|---|---|
+    | `speed` | speed of the car | m/s |
+    | `cost` | stage cost, whatever the reward is | - |
+    | `cost_acceleration`, `cost_pitch`, `cost_roll`, `cost_travel`, `cost_tyre_load`, `cost_current` | its terms; pitch and roll where the body turns | - |
+    | `tyre_load`, or `tyre_load_front`, `tyre_load_rear_left` and so on | dynamic tyre load, positive in compression | N |
+    | `exceeds_acceleration`, `exceeds_travel` | 1 beyond the limit of Table 5 (5 m/s², 80 mm), else 0 | - |
+    | parameters and `road` of `randomize`, such as `body.mass` | drawn value of the episode | SI |
 
     ## Versions
     `ISDSuspension-v0`, `ISDSuspensionEq8-v0`: v0, first release. `ISDHalfCar-v0`, `ISDFullCar-v0`: v0, first release.
@@ -158,7 +170,7 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
 
     Raises:
         InputError: An argument or option is invalid.
-        gymnasium.error.DependencyNotInstalled: A `render_mode` needs pygame-ce.
+        DependencyNotInstalled: A `render_mode` needs pygame-ce; an error of Gymnasium.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES if _can_draw() else [], "render_fps": 200}  # noqa: RUF012
@@ -512,7 +524,12 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         elif isinstance(seed, int | np.integer):
             seeds = [int(seed) + i // each for i in range(count)]
         else:
-            seeds = list(seed)
+            given = seed.tolist() if isinstance(seed, np.ndarray) else seed
+            seeds = list(given) if isinstance(given, Sequence) else [given]
+            if not all(s is None or is_whole(s, 0) for s in seeds):
+                raise InputError(
+                    f"seed must be whole numbers >= 0, one or one for each environment, not {shown(seed)}"
+                )
             if len(seeds) != count:
                 raise InputError(f"{len(seeds)} seeds for {count} environments")
             for road in np.reshape(np.array(seeds, object), (roads, each)):

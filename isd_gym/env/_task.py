@@ -78,6 +78,8 @@ class Options:
     # {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}. Or the folder of a diagnosis, "found" or
     # {"found": "found", "speed": (15, 30)}: the 95 % intervals of its parameters, for network="found/model.json"
     randomize: Mapping[str, Any] | str | Path | None = None
+    # whether the network may lack motors, so that actions do nothing
+    allow_passive: bool = False
     # time between two actions [s]
     control_step: float = CONTROL_STEP
     # road ahead of the first axle in an observation [s], for observation preview alone; None for 0.25 s there
@@ -142,6 +144,11 @@ class Options:
         put(self, "road", road(self.road))
         put(self, "randomize", ranges(network, self.randomize))
         car = vehicle(network)
+        if not self.allow_passive and all(corner.motor is None for corner in car.corners):
+            raise InputError(
+                f"network '{network.name}' has no motor, so that actions would do nothing: choose a network with one, "
+                "such as quarter-car-isd, or give allow_passive=True"
+            )
         put(self, "cost", StageCost.of(self.cost, car.axes, len(car.corners)))
         put(self, "sensors", Sensors.of(self.sensors))
 

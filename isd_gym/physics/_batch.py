@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +28,7 @@ from .simulate import PHYSICS_STEP, Plant, discretise
 from .tracks import SUM_STATES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from .network import Channel
 
@@ -541,5 +542,18 @@ def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> di
             raise InputError(f"randomize: '{key}' must be a pair (low, high), not {value!r}") from None
         if not 0 < low <= high < math.inf:
             raise InputError(f"randomize: '{key}' needs 0 < low <= high, not ({low:g}, {high:g})")
+        if key != "speed" and isinstance(given, Mapping) and key in given:
+            _check_factors(key, low, high, known[key])
         out[key] = (low, high)
     return out
+
+
+def _check_factors(key: str, low: float, high: float, nominal: float) -> None:
+    """Refuse factors that look like values of the parameter."""
+    if low >= 0.1 and high <= 10.0:
+        return
+    share = f"({low / nominal:.3g}, {high / nominal:.3g})" if nominal > 0 else "(0.8, 1.2)"
+    raise InputError(
+        f"randomize: '{key}' has factors on {nominal:g}, 0.1 to 10, not ({low:g}, {high:g}): "
+        f"for values from {low:g} to {high:g} give {share}"
+    )

@@ -88,6 +88,7 @@ def write_dataset(
     crew = Crew(entry, episodes)
     kwargs: dict[str, Any] = {
         "network": plant.name if _is_builtin(plant, builtin_networks()) else plant.to_dict(),
+        "allow_passive": True,
         "road": road,
         "speed": speed,
         "observation": crew.observation,

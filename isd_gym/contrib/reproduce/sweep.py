@@ -74,7 +74,7 @@ def sweep(study: Study) -> Section:
     from isd_gym.benchmark.policies import conventional
 
     def passive_triple(step: float) -> np.ndarray:
-        env = ISDSuspensionVectorEnv(episodes, network=conventional(net), control_step=step, duration=duration,
+        env = ISDSuspensionVectorEnv(episodes, network=conventional(net), control_step=step, duration=duration, allow_passive=True,
                                      autoreset_mode="disabled", max_episode_steps=10**9)  # fmt: skip
         env.reset(seed=0)
         n = round(duration / step)

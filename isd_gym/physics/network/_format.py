@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from importlib import resources
 from typing import TYPE_CHECKING, Any, cast
 
-from ..._common.errors import InputError, shown
+from ..._common.errors import InputError, hint, shown
 from ..._common.inputs import is_number, parse_json, read_bytes
 from ..._common.units import QUANTITIES, TURNING, si_of
 from .. import elements as el
@@ -87,7 +87,7 @@ def from_dict(data: Any) -> Network:
     uncertainty = data.get("uncertainty", {})
     if not isinstance(uncertainty, Mapping):
         raise InputError("uncertainty must be an object of parameter: relative sigma")
-    return Network(
+    network = Network(
         name=_text(data, "name", "model"),
         description=_text(data, "description", ""),
         masses={**masses, **inertias},
@@ -99,6 +99,19 @@ def from_dict(data: Any) -> Network:
         outputs=tuple(read_channel(c, "outputs", i) for i, c in enumerate(data.get("outputs", []))),
         uncertainty=dict(uncertainty),
     )
+    _check_masses_are_used(network)
+    return network
+
+
+def _check_masses_are_used(network: Network) -> None:
+    """Refuse a mass that nothing else of the model names, such as one with a misspelt name."""
+    used = {node for e in network.elements for node in e.where}
+    used |= {node for lever in network.levers for node in lever.between}
+    used |= {node for c in network.inputs + network.outputs for node in (c.at, *(c.between or ())) if node}
+    for node in network.masses:
+        if node not in used:
+            free = sorted(used & set(network.nodes) - set(network.masses))
+            raise InputError(f"masses: no element is at '{node}'; {hint(node, free)}")
 
 
 def to_dict(network: Network) -> dict[str, Any]:
