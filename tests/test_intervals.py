@@ -10,7 +10,12 @@ from rigs.reference import simulate
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis._estimation.sensitivities import deviations
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis._selection.uncertainty import intervals, relative_uncertainty, sizes_within
+from isd_gym.diagnosis._selection.uncertainty import (
+    intervals,
+    relative_uncertainty,
+    sizes_within,
+    sums_with_dampers,
+)
 from isd_gym.diagnosis.result import Quantity
 from isd_gym.physics import elements as el
 from isd_gym.records.data import Table
@@ -31,6 +36,23 @@ def test_an_interval_is_about_its_value_for_either_sign(stiffness):
     assert found.value == pytest.approx(stiffness)
     assert found.low == pytest.approx(stiffness - 1.96 * deviation)
     assert found.high == pytest.approx(stiffness + 1.96 * deviation)
+
+
+def test_an_added_damping_is_stated_with_the_damper_beside_it():
+    """The damper, free as a logarithm, and both directions of the law: the interval is that of the sum."""
+    rig = oscillator("travel displacement mass", uncertainty={"damper.damping": 0.3})
+    damping = rig.parameters["damper.damping"]
+    law = Hypothesis("asymmetric_damping", ("mass", "ground"))
+    structure = add(base_structure(rig), law, {"extension": 2.0, "compression": -1.0})
+    (name,) = structure.names
+    element = structure.network.element(name)
+    spread = np.array([0.1, 0.2 * damping, 0.3 * damping])
+    matrix = np.outer(spread, spread) * (1.5 * np.eye(3) - 0.5)
+    found = sums_with_dampers(structure.network, structure, structure.start, element, matrix)
+    total = found[f"{name}.extension"]
+    assert [total.value, found[f"{name}.compression"].value] == pytest.approx([damping + 2, damping - 1])
+    deviation = damping * np.sqrt(0.1**2 + 0.2**2 - 0.1 * 0.2)
+    assert total.high - total.value == pytest.approx(1.96 * deviation, rel=1e-3)
 
 
 def test_steps_of_differences_make_up_the_covariance_whatever_the_units():

@@ -120,6 +120,13 @@ BORNE_OUT = f"^(?!.*{re.escape(NOT_BORNE_OUT)})"
 SPEEDS = "two or three constant speeds"
 
 
+DOUBTED = law("coulomb_friction", level=3.0) | {"confidence": 0.64}
+LEANING = law("asymmetric_damping", extension=-450.0, compression=550.0)
+LEANING |= {
+    "totals": {k: {"value": v, "unit": "N s/m"} for k, v in (("extension", 1050.0), ("compression", 2050.0))}
+}
+
+
 @pytest.mark.parametrize(
     ("evidence", "more", "words"),
     [
@@ -147,6 +154,9 @@ SPEEDS = "two or three constant speeds"
         (SMALL, {}, r"Too small to be named: Coulomb friction between mass and ground \(level 3 N\), 2.0 %"),
         (SEEN, {"effects": [law("asymmetric_friction", extension=3.0, compression=2.0)]}, "Coulomb friction of 2.5 N and a constant force of 0.5 N are the same force"),
         (SEEN, {}, "^(?!.*the same force)"),
+        (SEEN, {}, r"^The model lacks Coulomb friction .*\(level 3 N\) \(probability 0.90\)\. With"),
+        (SEEN, {"effects": [DOUBTED]}, r"^The model probably lacks Coulomb friction .*\(probability 0.64\)\. With"),
+        (SEEN, {"effects": [LEANING]}, r"\(extension 1050 N s/m, compression 2050 N s/m, with the damper beside it\)"),
         # the test on the rig is that of the likeliest kind of an effect without a name
         (VAGUE, {"findings": dry(0.95)}, SPEEDS),
         (VAGUE, {"findings": dry(0.33)}, SPEEDS),

@@ -291,8 +291,11 @@ class ResultBuilder:
         for h, element in zip(best.hypotheses, best.fit.structure.names, strict=True):
             parts = [(*path.rpartition("."), q) for path, q in quantities.items()]
             own = {key: q for owner, _, key, q in parts if owner == element}
+            sums = {key: self.measured.sums.get(f"{element}.{key}") for key in own}
+            totals = {key: q for key, q in sums.items() if q is not None}
             channel = h.where[0] if h.place == "channel" else None
-            out.append(Effect(h.effect, owner_pair(network, h), channel, probability, own, element, h.behind))
+            pair = owner_pair(network, h)
+            out.append(Effect(h.effect, pair, channel, probability, own, element, h.behind, totals))
         return out
 
     def _laws(

@@ -97,6 +97,13 @@ class Effect:
     element: str
     #: for an element in series: the element that the effect carries; empty for all elements between the terminals
     behind: str = ""
+    #: parameters together with those of a damper of the model at the same place
+    totals: dict[str, Quantity] = field(default_factory=dict)
+
+    @property
+    def stated(self) -> dict[str, Quantity]:
+        """The parameters for people: totals where the model has a damper at the same place."""
+        return self.parameters | self.totals
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
@@ -108,6 +115,8 @@ class Effect:
         if self.behind:
             out["behind"] = self.behind
         parameters = {k: q.to_dict() for k, q in self.parameters.items()}
+        if self.totals:
+            out["totals"] = {k: q.to_dict() for k, q in self.totals.items()}
         return out | {"confidence": self.confidence, "parameters": parameters}
 
 

@@ -192,6 +192,29 @@ def differing_part(
     return Quantity(value, value - half, value + half, structure.network.unit_of(wanted[0]), None)
 
 
+def sums_with_dampers(
+    network: Network, structure: Structure, x: Array, element: el.Element, matrix: Array
+) -> dict[str, Quantity]:
+    """Return the damping of an added law together with the dampers of the fitted model beside it, by path; empty for other laws."""
+    here = [e for e in el.beside(network, element.where) if e.name != element.name]
+    pair = element.differing(here)
+    if pair is None:
+        return {}
+    dampers = [e for e in here if isinstance(e, el.LinearDamping)]
+    beside = sum(e.damping for e in dampers)
+    scale = {f"{e.name}.damping": e.damping for e in dampers}
+    out: dict[str, Quantity] = {}
+    for name in pair:
+        own = f"{element.name}.{name}"
+        paths = {own, *scale}
+        slopes = [scale[q.path] if q.log else 1.0 for q in structure.free if q.path in paths]
+        places = [k for k, q in enumerate(structure.free) if q.path in paths]
+        variance = float(np.array(slopes) @ matrix[np.ix_(places, places)] @ np.array(slopes))
+        total, half = getattr(element, name) + beside, Z95 * math.sqrt(max(variance, 0.0))
+        out[own] = Quantity(total, total - half, total + half, network.unit_of(own))
+    return out
+
+
 def relative_uncertainty(
     element: el.Element, quantities: dict[str, Quantity], difference: Quantity | None = None
 ) -> float:

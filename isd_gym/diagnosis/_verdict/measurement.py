@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from .._selection.uncertainty import (
     intervals,
     parameters_at_limits,
     relative_uncertainty,
+    sums_with_dampers,
 )
 from .._selection.weights import WeightedCandidate, weigh_candidates
 from .._simulation.problem import BROKEN
@@ -60,6 +61,8 @@ class Measurements:
     indistinguishable: list[Candidate]
     #: candidates with weights, largest weight first
     weighted: tuple[WeightedCandidate, ...]
+    #: damping of added laws together with the dampers beside them, with intervals, by path
+    sums: dict[str, Quantity] = field(default_factory=dict)
 
 
 def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0) -> Measurements:
@@ -124,7 +127,11 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
         imitated=is_imitated(search, scores),
         **common,
     )
-    return Measurements(evidence, quantities, indistinguishable, weighted)
+    sums: dict[str, Quantity] = {}
+    for element in best.elements:
+        if matrix is not None and element.place == "between":
+            sums |= sums_with_dampers(best.fit.network, best.fit.structure, best.fit.x, element, matrix)
+    return Measurements(evidence, quantities, indistinguishable, weighted, sums)
 
 
 def _removed_of_nominal(nominal: tuple[Array, Array], after: tuple[Array, Array]) -> float:

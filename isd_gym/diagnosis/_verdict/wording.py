@@ -114,9 +114,13 @@ def plain_number(value: float | None, digits: int = 4) -> str:
 
 
 def described(effect: Mapping[str, Any]) -> str:
-    """Return an effect of the JSON with its place and values."""
-    figures = ", ".join(_parameter(k, q) for k, q in effect["parameters"].items() if q["value"] is not None)
-    return f"{_placed(effect)} ({figures})"
+    """Return an effect of the JSON with its place and values, together with a damper at the same place."""
+    totals = effect.get("totals", {})
+    stated = {**effect["parameters"], **totals}
+    figures = [_parameter(k, q) for k, q in stated.items() if q["value"] is not None]
+    if totals:
+        figures.append("with the damper beside it")
+    return f"{_placed(effect)} ({', '.join(figures)})"
 
 
 def _placed(effect: Mapping[str, Any]) -> str:

@@ -127,7 +127,7 @@ def notebook_page(d: Diagnosis) -> str:
     rows = [
         [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
         for e in d.effects
-        for name, q in e.parameters.items()
+        for name, q in e.stated.items()
     ]  # fmt: skip
     out = f"<p><b>{escape(d.verdict)}</b>: {escape(d.summary)}</p>{_signal_picture(d)}"
     if rows:
