@@ -54,8 +54,8 @@ isd_gym.diagnosis
     SearchSettings Trace diagnose hypotheses
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
-    also BestCandidate BestTable DifferingParameter FOLDER Over RecordDifferences Remainder SCHEMA
-    ScreenedPlace SimulationFit Stretches Tabulated is_far_better
+    also BestCandidate BestTable FOLDER Over Remainder SCHEMA
+    ScreenedPlace SimulationFit Stretches Tabulated
 isd_gym.env
     ISDSuspensionEnv ISDSuspensionVectorEnv Options RELATIVE_SCALE Sensors
 isd_gym.env.autoload

@@ -201,32 +201,6 @@ def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_expla
     assert "no known effect reduces the error" in summary_of(alone) and "removes" not in summary_of(alone)
 
 
-def test_a_law_that_passes_every_gate_gives_way_to_a_value_per_record():
-    differing = {
-        "parameters": [
-            {
-                "path": "k.stiffness",
-                "unit": "N/m",
-                "prior": 100.0,
-                "values": [
-                    {"record": name, "value": value, "low": value - 1, "high": value + 1, "group": k}
-                    for k, (name, value) in enumerate({"a": 90.0, "b": 110.0}.items())
-                ],
-            }
-        ],
-        "amplitude": [{"travel": 1.0}, {"travel": 4.0}],
-        "explained": 1.0,
-        "law": "Coulomb friction between mass and ground",
-        "explained_by_law": 0.8,
-        "tied": False,
-        "error": {"joint": {"travel": 0.2}, "differing": {"travel": 0.02}, "alone": {"travel": 0.02}},
-    }
-    best = document(VAGUE)["best_candidate"] | {"failed_gates": []}
-    told = {"verdict": "unknown_effect", "reason": "records_differ", "effects": []}
-    said = summary_of(document(**told, record_differences=differing, best_candidate=best))
-    assert "is not named because values per record explain more" in said
-
-
 def test_the_title_is_the_finding():
     assert statements_of(document()).title == "Missing: Coulomb friction between mass and ground"
     for probabilities in ((0.62, 0.02), (0.5, 0.5)):

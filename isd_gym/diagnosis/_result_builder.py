@@ -19,7 +19,6 @@ from ._planning.design import next_experiment, played
 from ._records.splitting import LEAD_IN
 from ._selection.candidate import Candidate, parameter_values
 from ._selection.free_force import FreeForce, fit_free_force
-from ._selection.record_differences import find_record_differences
 from ._selection.simulation_fit import fit_simulation_error
 from ._selection.uncertainty import intervals, with_posterior
 from ._selection.weights import weigh_candidates
@@ -54,7 +53,7 @@ if TYPE_CHECKING:
     from ._verdict.findings import Finding
     from ._verdict.measurement import Measurements
     from ._workflow import Workflow
-    from .result import Law, RecordDifferences, Tabulated
+    from .result import Law, Tabulated
 
 
 T = TypeVar("T")
@@ -80,20 +79,12 @@ class ResultBuilder:
         is_free = decision.verdict == "unknown_effect" and not self.flow.feedback
         what = "a table of the missing force"
         free = (self._attempt(what, self._free_force) if is_free else None) or FreeForce()
-        what = "a comparison of the parameters of each record"
-        differences = self._attempt(what, self._record_differences, decision, free)
-        if differences is not None and decision.verdict == "missing_effect" and differences.is_tied:
-            differences = None
-        if differences is not None and not differences.is_tied:
-            decision, free = replace(decision, verdict="unknown_effect", reason="records_differ"), FreeForce()
         found = self._attempt("the probabilities", self._findings, decision, free)
         decision, findings = found or (decision, ())
         is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
         if is_ambiguous:  # a law of the library stands for the force
             free = FreeForce()
-        # where the records differ, only a law that passes every gate for a name stands for a part of the difference
-        is_open = decision.reason == "gates" or all(g.passed for g in decision.gates)
-        completes = decision.verdict == "unknown_effect" and is_open and self._is_supported(free)
+        completes = decision.verdict == "unknown_effect" and self._is_supported(free)
         if completes:
             free = FreeForce(free.best)
         # the likeliest law of several that the records do not tell apart, or the best supported one
@@ -147,7 +138,6 @@ class ResultBuilder:
                 completes,
             ),
             simulation_fit=last,
-            record_differences=differences,
             traces=self._traces(final),
             laws=laws,
             notes=tuple(dict.fromkeys((*self.flow.notes, *self._tried(), *self.lost))),
@@ -221,29 +211,12 @@ class ResultBuilder:
             is_named=decision.verdict == "missing_effect",
             # a name under feedback is no multiple of the controller's input; a single law competes with the free force by its weight
             is_doubted=(bool(self.flow.feedback) and decision.verdict != "missing_effect")
-            or decision.reason == "records_differ"
             or "predicts better" in failed
             or ("lack of fit" in failed and len(scores.foremost.hypotheses) > 1),
         )
         if self.flow.feedback:  # a controller imitates an element: no kind is certain
             return decision, findings
         return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
-
-    def _record_differences(self, decision: Decision, free: FreeForce) -> RecordDifferences | None:
-        """Return the parameters that differ between records, if values per record explain more than every candidate."""
-        scores = self.scores
-        if decision.verdict not in ("missing_effect", "ambiguous", "unknown_effect"):
-            return None
-        self.flow.say("comparing the parameters of each record")
-        more = (scores.foremost, scores.richest, *self.measured.indistinguishable, *scores.rivals())
-        named = {c: candidate_text(_effects_of(c)) for c in more if c.hypotheses}
-        if free.candidate is not None:
-            named[free.candidate] = "a force without a name"
-        laws = [(words, c.fit.structure, c.fit.x) for c, words in named.items()]
-        network = self.flow.whole.network
-        lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * self.flow.whole.time
-        refitted, noise = scores.refitted.fit, self.search.evaluator.least_noise
-        return find_record_differences(self.flow.whole, refitted.structure, refitted.x, noise, laws, lead)
 
     def _fit_simulation(
         self, final: Candidate, quantities: Mapping[str, Quantity]

@@ -41,13 +41,9 @@ SCHEMA = "isd-diagnosis/1"
 #: entries of the JSON document in their order: fields of `Diagnosis`, or made of them
 _DOCUMENT = (
     "schema", "verdict", "summary", "effects", "findings", "small_effects", "alternatives", "where", "places", "parameters", "gap", "gates", "reason",
-    "best_candidate", "best_table", "remainder", "record_differences", "simulation_fit", "stretches", "closed_loop",
+    "best_candidate", "best_table", "remainder", "simulation_fit", "stretches", "closed_loop",
     "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
 )  # fmt: skip
-#: share of the gain of values per record from which on a law is nearly as good
-_TIED = 0.8
-#: ratio of the squared errors beyond noise that two explanations leave, from which on one is far better; least error that counts
-FAR, LEAST_LEFT = 4.0, 0.01
 #: argument of a force without a known law
 Over = Literal["rate", "elongation", "both"]
 #: kind, mark and parts of the folder of a diagnosis, with its report
@@ -339,71 +335,6 @@ class SimulationFit:
 
 
 @dataclass(frozen=True)
-class DifferingParameter:
-    """A parameter of the model with a value of its own in each record."""
-
-    #: path of the parameter
-    path: str
-    #: value of each record with its 95 % interval, in the order of `RecordDifferences.records`
-    values: tuple[Quantity, ...]
-    #: group of each record, smallest values first: values of one group do not differ
-    groups: tuple[int, ...]
-
-
-def is_far_better(explained: float, other: float) -> bool:
-    """Return whether an explanation leaves a far smaller error than another, half of the RMS error beyond noise, from the shares of
-    the squared error beyond noise that both remove."""
-    return 1.0 - other >= FAR * max(1.0 - explained, LEAST_LEFT)
-
-
-@dataclass(frozen=True)
-class RecordDifferences:
-    """Parameters that differ between records.
-
-    The errors are those on stretches of the records that took no part in the fits.
-    """
-
-    #: the parameters
-    parameters: tuple[DifferingParameter, ...]
-    #: names of the records
-    records: tuple[str, ...]
-    #: standard deviation of the measured signals of each record, by channel, in the order of `records`
-    amplitude: tuple[dict[str, float], ...]
-    #: share of the squared error beyond noise that one value per record removes
-    explained: float
-    #: law that removes most with one value for all records, in words; None where no law was fitted
-    law: str | None
-    #: share that the law removes
-    explained_by_law: float | None
-    #: NRMSE by fit and channel: `joint` (one value for all records), `differing` (a value per record of `parameters`), `alone` (a value
-    #: per record of every parameter)
-    error: dict[str, dict[str, float]]
-
-    @property
-    def is_tied(self) -> bool:
-        """Whether a law removes nearly as much as values per record."""
-        law = self.explained_by_law
-        return law is not None and law >= _TIED * self.explained and not is_far_better(self.explained, law)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        rows = [
-            {
-                "path": p.path,
-                "unit": p.values[0].unit,
-                "prior": p.values[0].prior,
-                "values": [
-                    {"record": r, "value": q.value, "low": q.low, "high": q.high, "group": g}
-                    for r, q, g in zip(self.records, p.values, p.groups, strict=True)
-                ],
-            }
-            for p in self.parameters
-        ]
-        rest = {k: getattr(self, k) for k in ("amplitude", "explained", "law", "explained_by_law")}
-        return {"parameters": rows, **rest, "tied": self.is_tied, "error": self.error}
-
-
-@dataclass(frozen=True)
 class Stretches:
     """Stretches over which records were compared, each with its own initial state."""
 
@@ -498,8 +429,6 @@ class Diagnosis:
     stretches: Stretches | None = None
     #: last fit, whose values `model` has; None where the model has the values of the search
     simulation_fit: SimulationFit | None = None
-    #: parameters that differ between records; None where the records do not differ, or where differences were not searched
-    record_differences: RecordDifferences | None = None
     #: probabilities of places, kinds and laws
     findings: tuple[Finding, ...] = ()
     #: places by the share of the residual that a law there removes, largest first, before any law was fitted

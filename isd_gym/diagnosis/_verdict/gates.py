@@ -40,7 +40,6 @@ Reason = Literal[
     "too_small",
     "doubtful_sensor",
     "kind_certain",
-    "records_differ",
 ]
 #: kinds that say nothing about the law
 NAMELESS = ("other",)

@@ -35,10 +35,6 @@ OVER = {"rate": "their rate", "elongation": "their distance", "both": "their dis
 CHANGES = 2
 #: probability from which on a further kind is mentioned, and from which on the title mentions a kind
 POSSIBLE, PERHAPS = 0.2, 0.4
-#: largest number of groups with a range of values each, and of records named in a group
-MOST_GROUPS, MOST_NAMES = 4, 5
-#: ratio of the amplitudes of two groups of records from which on the groups differ in amplitude
-UNLIKE = 1.3
 
 
 @dataclass(frozen=True)
@@ -67,7 +63,7 @@ def summary_of(document: Mapping[str, Any]) -> str:
 
 def statements_of(document: Mapping[str, Any]) -> Statements:
     """Return the sentences about the JSON document of a diagnosis (`isd-diagnosis/1`); its `summary` is not read."""
-    d = {"not_tried": [], "closed_loop": [], "record_differences": None, "simulation_fit": None, **document}
+    d = {"not_tried": [], "closed_loop": [], "simulation_fit": None, **document}
     uses: dict[str, dict[str, None]] = {"title": {}, "finding": {}, "remark": {}, "next": {}}
     rendered = _template().render(d=d, facts=Facts(d))
     for use, text in re.findall(
@@ -92,12 +88,12 @@ def _template() -> Template:
     )  # plain text: nothing is escaped
     filters = (
         candidate_text, described, failures, plain_number, plain_value, spoken, _between, _capital, _in_unit_of, _kind, _parameter,
-        _parameter_name, _percent, _placed, _spot, _square, _test_of_kind, _test_of_law, _values_by_group, _without,
+        _parameter_name, _percent, _placed, _spot, _square, _test_of_kind, _test_of_law, _without,
     )  # fmt: skip
     env.filters |= {f.__name__.removeprefix("_"): f for f in filters}
     env.globals |= {
         "CHANGES": CHANGES, "EXCESS": EXCESS, "NOT_BORNE_OUT": NOT_BORNE_OUT, "OVER": OVER, "PERHAPS": PERHAPS, "REPORTED": REPORTED,
-        "TYPES": TYPES, "UNLIKE": UNLIKE,
+        "TYPES": TYPES,
     }  # fmt: skip
     return env.get_template("statements.txt")
 
@@ -219,33 +215,6 @@ def _failure(g: Mapping[str, Any]) -> str:
         known
         or f"{name} is {plain_number(value, 3)} (needed {RELATIONS[g['relation']]} {plain_number(limit, 3)})"
     )
-
-
-def _values_by_group(parameter: Mapping[str, Any]) -> str:
-    """Return the values of a parameter that differs between records, with the records."""
-    values, unit = parameter["values"], parameter["unit"]
-    groups = [[v for v in values if v["group"] == k] for k in range(1 + max(v["group"] for v in values))]
-    if len(groups) > MOST_GROUPS and not all(len(g) == 1 for g in groups):
-        return f"{_range(values, unit)}, in {len(groups)} groups of records"
-    stated = [f"{_range(g, unit)} in {_records(g)}" for g in groups]
-    return f"{', '.join(stated[:-1])} and {stated[-1]}"
-
-
-def _range(values: Sequence[Mapping[str, Any]], unit: str) -> str:
-    """Return the range of the values of a group of records with their unit."""
-    low, high = (pick(v["value"] for v in values) for pick in (min, max))
-    first, last = (plain_number(practical(high, unit)[0] * x, 3) for x in (low, high))
-    end = practical(high, unit)[1]
-    number = first if first == last else f"{first} to {last}"
-    return f"{number} {end}".rstrip(" -")
-
-
-def _records(values: Sequence[Mapping[str, Any]]) -> str:
-    """Return the names of the records of a group, or their number where they are many."""
-    names = [v["record"] for v in values]
-    if len(names) > MOST_NAMES:
-        return f"{len(names)} records"
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _without(rival: Mapping[str, Any], common: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -402,23 +371,10 @@ class Facts:
         return {key: [rivals[0][key][k] for k in shared] for key in ("effects", "where")} if shared else None
 
     @property
-    def unlike_amplitude(self) -> tuple[str, float]:
-        """The channel in which the groups of records differ most in the size of the motion, and the ratio."""
-        found = self.d["record_differences"]
-        groups = np.array([v["group"] for v in found["parameters"][0]["values"]])
-        ratios = {}
-        for c in found["amplitude"][0]:
-            values = np.array([row[c] for row in found["amplitude"]])
-            means = [float(np.mean(values[groups == k])) for k in range(1 + max(groups))]
-            ratios[c] = max(means) / max(min(means), 1e-300)
-        channel = max(ratios, key=lambda c: ratios[c])
-        return channel, ratios[channel]
-
-    @property
     def kind_to_test(self) -> Mapping[str, Any] | None:
         """The likeliest kind; None where an effect is named, none is missing, or no kind is likelier than others."""
         d = self.d
-        is_open = d["verdict"] in ("ambiguous", "unknown_effect") and d["reason"] != "records_differ"
+        is_open = d["verdict"] in ("ambiguous", "unknown_effect")
         if not is_open or d["next_experiment"]:
             return None
         found = sorted(
