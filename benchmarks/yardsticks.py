@@ -273,7 +273,6 @@ def measure(name: str, folder: Path, out: Path) -> dict[str, Any]:
         "effects": [e["effect"] for e in said["effects"]],
         "confidence": [e["confidence"] for e in said["effects"]],
         "parameters": changed,
-        "last_fit": said["simulation_fit"] is not None,
         "figures": figures,
         "seconds": wall,
         "processor_seconds": used,

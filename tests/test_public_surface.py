@@ -55,7 +55,7 @@ isd_gym.diagnosis
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
     also BestCandidate BestTable FOLDER Over Remainder SCHEMA
-    ScreenedPlace SimulationFit Stretches Tabulated
+    ScreenedPlace Stretches Tabulated
 isd_gym.env
     ISDSuspensionEnv ISDSuspensionVectorEnv Options RELATIVE_SCALE Sensors
 isd_gym.env.autoload

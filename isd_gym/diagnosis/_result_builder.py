@@ -9,25 +9,22 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from ..physics.network import assemble
 from ._estimation.gauss_newton import Fitter
 from ._estimation.noise import white_weights
 from ._estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from ._hypotheses.library import hypotheses
 from ._hypotheses.motion import loads_of, tell_gain
 from ._planning.design import next_experiment, played
-from ._records.splitting import LEAD_IN
 from ._selection.candidate import Candidate, parameter_values
 from ._selection.free_force import FreeForce, fit_free_force
-from ._selection.simulation_fit import fit_simulation_error
 from ._selection.uncertainty import intervals, with_posterior
 from ._selection.weights import weigh_candidates
-from ._simulation.problem import BROKEN, bare
+from ._simulation.problem import BROKEN
 from ._simulation.time_limit import RESULT, TimeUp
 from ._verdict.explanation import draw_law, draw_table, locate_errors
 from ._verdict.findings import find
 from ._verdict.gates import Decision, confidence, table_gates, with_findings
-from ._verdict.wording import candidate_text, summary_of
+from ._verdict.wording import summary_of
 from .result import (
     BestCandidate,
     Contender,
@@ -36,7 +33,6 @@ from .result import (
     Quantity,
     Remainder,
     ScreenedPlace,
-    SimulationFit,
     Stretches,
     Trace,
 )
@@ -90,10 +86,6 @@ class ResultBuilder:
         # the likeliest law of several that the records do not tell apart, or the best supported one
         final = scores.foremost if is_named or is_ambiguous or completes else refitted
         tabulated, final = free.tabulated, free.candidate or final
-        last: SimulationFit | None = None
-        structure, x = final.fit.structure, final.fit.x
-        if final is not refitted and not tabulated and not search.clock.is_over:
-            structure, x, last = self._fit_simulation(final, quantities)
         is_sum = any(h.kind.is_sum() for h in scores.foremost.hypotheses)
         probability = confidence(measured.evidence, criteria, is_sum=is_sum)
         effects = self._effects(quantities, probability) if is_named else []
@@ -133,11 +125,12 @@ class ResultBuilder:
             base=network,
             refitted=refitted.fit.network,
             model=self._described(
-                with_posterior(with_sensor_offsets(structure.at(x), structure.offsets), posterior),
+                with_posterior(
+                    with_sensor_offsets(final.fit.network, final.fit.structure.offsets), posterior
+                ),
                 decision,
                 completes,
             ),
-            simulation_fit=last,
             traces=self._traces(final),
             laws=laws,
             notes=tuple(dict.fromkeys((*self.flow.notes, *self._tried(), *self.lost))),
@@ -217,18 +210,6 @@ class ResultBuilder:
         if self.flow.feedback:  # a controller imitates an element: no kind is certain
             return decision, findings
         return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
-
-    def _fit_simulation(
-        self, final: Candidate, quantities: Mapping[str, Quantity]
-    ) -> tuple[Structure, Array, SimulationFit | None]:
-        """Return the completed model fitted to all training data, or as the search fitted it where the last fit gains nothing."""
-        self.flow.say("fitting the completed model to all training data")
-        made = fit_simulation_error(self.search.evaluator, final, self.flow.held_from)
-        if made is None:
-            return final.fit.structure, final.fit.x, None
-        structure, x, last = made
-        outside = {k: q for k, q in quantities.items() if not q.low <= last.values.get(k, q.value) <= q.high}
-        return structure, x, replace(last, outside=outside)
 
     # -- parts of the result ------------------------------------------------------------------------------
     def _errors(self, final: Candidate) -> dict[str, Array]:

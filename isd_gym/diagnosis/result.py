@@ -41,7 +41,7 @@ SCHEMA = "isd-diagnosis/1"
 #: entries of the JSON document in their order: fields of `Diagnosis`, or made of them
 _DOCUMENT = (
     "schema", "verdict", "summary", "effects", "findings", "small_effects", "alternatives", "where", "places", "parameters", "gap", "gates", "reason",
-    "best_candidate", "best_table", "remainder", "simulation_fit", "stretches", "closed_loop",
+    "best_candidate", "best_table", "remainder", "stretches", "closed_loop",
     "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
 )  # fmt: skip
 #: argument of a force without a known law
@@ -321,20 +321,6 @@ class Remainder:
 
 
 @dataclass(frozen=True)
-class SimulationFit:
-    """Last fit of the completed model, to all training data for the smallest error of its simulation."""
-
-    #: parameters of the model by path
-    values: dict[str, float]
-    #: NRMSE of free runs over all training data: `before`, `after` -> channel -> error
-    data: dict[str, dict[str, float]]
-    #: the same over the records of `validate`, or over the part of the training data that the search held out
-    held_out: dict[str, dict[str, float]]
-    #: estimates of the search whose 95 % interval excludes the value of the last fit, by path
-    outside: dict[str, Quantity] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Stretches:
     """Stretches over which records were compared, each with its own initial state."""
 
@@ -427,8 +413,6 @@ class Diagnosis:
     remainder: Remainder | None = None
     #: stretches of the comparison, if records were not compared whole
     stretches: Stretches | None = None
-    #: last fit, whose values `model` has; None where the model has the values of the search
-    simulation_fit: SimulationFit | None = None
     #: probabilities of places, kinds and laws
     findings: tuple[Finding, ...] = ()
     #: places by the share of the residual that a law there removes, largest first, before any law was fitted

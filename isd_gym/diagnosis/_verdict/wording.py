@@ -63,7 +63,7 @@ def summary_of(document: Mapping[str, Any]) -> str:
 
 def statements_of(document: Mapping[str, Any]) -> Statements:
     """Return the sentences about the JSON document of a diagnosis (`isd-diagnosis/1`); its `summary` is not read."""
-    d = {"not_tried": [], "closed_loop": [], "simulation_fit": None, **document}
+    d = {"not_tried": [], "closed_loop": [], **document}
     uses: dict[str, dict[str, None]] = {"title": {}, "finding": {}, "remark": {}, "next": {}}
     rendered = _template().render(d=d, facts=Facts(d))
     for use, text in re.findall(
