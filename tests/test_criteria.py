@@ -9,9 +9,9 @@ import pytest
 
 from isd_gym.diagnosis._result_builder import ResultBuilder, closed
 from isd_gym.diagnosis._selection import forward_backward
+from isd_gym.diagnosis._selection.admissibility import repeats
 from isd_gym.diagnosis._selection.candidate_comparison import CandidateComparison
 from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
-from isd_gym.diagnosis._selection.equivalent_laws import repeats
 from isd_gym.diagnosis._selection.free_force import FreeForce
 from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
@@ -128,10 +128,9 @@ def test_held_out_records_decide_about_a_small_gain_where_their_gap_is_wide(
     assert (found is best) == goes_on
 
 
-def test_a_law_of_an_earlier_stage_competes_with_a_pair(monkeypatch):
+def test_a_law_of_an_earlier_stage_competes_with_a_pair():
     """On training records friction with a static level and asymmetric damping won; friction alone erred less on the others."""
     stribeck, coulomb, pair, rival = (SimpleNamespace(hypotheses=h) for h in ((1,), (2,), (1, 3), (1, 4)))
-    monkeypatch.setattr(forward_backward, "equivalent_structures", lambda *given: [])
     held = {id(stribeck): 173.0, id(coulomb): 58.0, id(pair): 90.0, id(rival): 150.0}
     scores = SimpleNamespace(
         stages=[[stribeck, coulomb], [pair, rival]],

@@ -20,12 +20,10 @@ from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import states_along
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure, in_line, rebuilt
 from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
-from isd_gym.diagnosis._hypotheses.motion import motions
 from isd_gym.diagnosis._planning.excitation import Limits, Rig, make_excitation, make_record
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._records.splitting import LEAD_IN, split_records
 from isd_gym.diagnosis._selection.candidate import Candidate
-from isd_gym.diagnosis._selection.equivalent_laws import joint_structures
 from isd_gym.diagnosis._selection.forward_backward import Search
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._simulation.interpolation import splined_input
@@ -349,33 +347,6 @@ def test_the_faces_of_a_play_are_stiff_beside_the_damper_that_it_is_in_line_with
     assert set(play.between) in ({"joint", "wheel"}, {"piston", "joint"})
     gap = next(e["gap"] for e in case.record()["truth"]["hidden"])
     assert d.effects[0].parameters["gap"].value == pytest.approx(gap, rel=0.05)
-
-
-def test_one_law_replaces_two_laws_at_one_place_and_begins_near_their_sum():
-    """A falling friction that was found in two parts: the level, and a negative damping."""
-    case = families.make_case("shaken.stribeck", 305)
-    net = Network.load(case.model)
-    record = read_record(table(case.estimation, "e"), net, [], ())
-    problem = Problem(net, *split_records([record], [], [], record.pace))
-    fastest = np.abs(np.gradient(case.estimation["mass_displacement"], case.estimation["time"])).max()
-    pair = frozenset({"mass", "base"})
-    here = {h.effect: h for h in hypotheses(net) if frozenset(h.where) == pair and not h.options}
-    friction, drag = here["coulomb_friction"], here["asymmetric_damping"]
-    # at the largest rate of the records, the second law takes half of the first
-    falling = -40.0 / fastest
-    parts = [(friction, {"level": 80.0}), (drag, {"extension": falling, "compression": falling})]
-    structure = rebuilt(net, parts)
-    filters = weighting.white_weights(HeldOutEvaluator(problem).least_noise)
-    fit = Fitter(problem, filters).fit(structure, structure.start, iterations=0)
-    parts = [fit.network.element(name) for name in structure.names]
-    v = motions(problem, fit)[parts[0].between].v
-    total = sum(e.curve(v) for e in parts)
-    joint = list(joint_structures(problem, Candidate(fit, 0.0)))
-    assert joint and all(len(s.hypotheses) == 1 for s in joint)
-    assert "stribeck_friction" in [s.hypotheses[0].effect for s in joint]
-    for s in joint:
-        law = s.network.element(s.names[0])
-        assert np.std(law.curve(v) - total) < 0.5 * np.std(total), law
 
 
 def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples():

@@ -1,27 +1,25 @@
 """Laws and places that the search tries, and start values of the fits."""
 
 from dataclasses import replace
-from itertools import pairwise
 from types import SimpleNamespace
 
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, model, network, spring
+from builders import channel, damper, model
 from program import refused
 from scipy.integrate import solve_ivp
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_weights
-from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._estimation.structure import add, base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import Match, match_laws
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._selection.admissibility import Travel, admissible_matches, is_admissible, is_observed
-from isd_gym.diagnosis._selection.equivalent_laws import _places_alike, _series_alone
 from isd_gym.diagnosis._selection.screening import Screening
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.elements import Motion, Start
+from isd_gym.physics.elements import Start
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table
 
@@ -62,60 +60,6 @@ def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure():
     assert not any(Screening.is_sensible(stage, h) for h in stops(found.network))
     # two springs are one spring
     assert not any(h.effect == "linear_stiffness" and h.where == ("body", "wheel") for h in hypotheses(car))
-
-
-def car():
-    return Network.load("quarter-car-isd")
-
-
-def law(effect, *where):
-    here = (h for h in hypotheses(car()) if set(h.where) == set(where) and not h.behind)
-    return next(h for h in here if h.effect == effect)
-
-
-def test_two_series_laws_give_way_to_one_at_every_link_of_their_line():
-    compliance = law("series_compliance", "joint", "wheel"), {"stiffness": 5e6}
-    play = law("backlash", "piston", "joint"), {"gap": 0.002}
-    friction = law("coulomb_friction", "wheel", "ground"), {"level": 10.0}
-    found = list(_series_alone(car(), [compliance, friction, play]))
-    nodes = ("body", "piston", "joint", "wheel")
-    oil, device, damper = (frozenset(pair) for pair in pairwise(nodes))
-    # beside the oil's spring a compliance is only a spring
-    for (law_, values), links in ((compliance, {device, damper}), (play, {oil, device, damper})):
-        effect = law_.effect
-        own = [effects for effects in found if effects[-1][0].effect == effect]
-        assert {frozenset(effects[-1][0].where) for effects in own} == links
-        assert all(first is friction and last[1] == values for first, last in own)
-    # a series law by itself stays
-    elsewhere = law("backlash", "wheel", "road"), {"gap": 0.001}  # the wheel's mass ends the line
-    assert not list(_series_alone(car(), [play]))
-    assert not list(_series_alone(car(), [play, elsewhere]))
-
-
-MASSES = {"hub": 340.0, "rim": 20.0}
-STIFF = spring("rim", "hub", 6e6)
-SHAFT = network("shaft", [STIFF], ["push force hub"], ["speed velocity rim"], masses=MASSES)
-TIME = np.linspace(0.0, 10.0, 2000)
-SPEED = 20.0 * np.exp(-0.2 * TIME)
-
-
-def moving(ripple):
-    """Motion of hub and rim, which run down together beside a torsional vibration of the rim."""
-    swing = ripple * np.sin(40.0 * TIME)
-    travel = np.cumsum(SPEED) * (TIME[1] - TIME[0])
-    still = np.zeros_like(TIME)
-    hub, rim = Motion(travel, SPEED, still), Motion(travel + swing / 40.0, SPEED + swing, still)
-    between = Motion(swing / 40.0, swing, still)
-    return {("hub", "ground"): hub, ("rim", "ground"): rim, ("rim", "hub"): between}
-
-
-def test_drag_at_one_end_of_a_stiff_shaft_is_tried_at_the_other_end_too():
-    problem = SimpleNamespace(network=SHAFT)
-    drag = Hypothesis("quadratic_damping", ("rim", "ground"))
-    (other,) = _places_alike(problem, drag, moving(ripple=3.0))
-    assert other.effect == "quadratic_damping" and other.where == ("hub", "ground")
-    assert _places_alike(problem, drag, moving(ripple=30.0)) == []  # the ends move apart
-    assert _places_alike(problem, Hypothesis("quadratic_damping", ("rim", "hub")), moving(ripple=3.0)) == []
 
 
 KNOWN = {"inertias": {"drum": 14.0}, "uncertainty": {"bearing.damping": 2.0}}

@@ -54,8 +54,7 @@ isd_gym.diagnosis
     SearchSettings Trace diagnose hypotheses
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
-    also BestCandidate BestTable FOLDER Over Remainder SCHEMA
-    ScreenedPlace Stretches Tabulated
+    also BestCandidate BestTable FOLDER Over Remainder SCHEMA ScreenedPlace Stretches Tabulated
 isd_gym.env
     ISDSuspensionEnv ISDSuspensionVectorEnv Options RELATIVE_SCALE Sensors
 isd_gym.env.autoload

@@ -31,10 +31,13 @@ if TYPE_CHECKING:
     from .._estimation.structure import Hypothesis
     from .._hypotheses.law_matching import Match
     from .._simulation.problem import Problem
+    from .candidate import Candidate
     from .criteria import Criteria
 
     Pair = tuple[str, str]
 
+#: share of the samples that define the travel: rare excursions show no repetition
+TRAVEL = 0.95
 #: singular value below which a shift of the travel changes nothing, relative to rows of unit length: rounding
 NO_CHANGE = 1e-9
 
@@ -113,6 +116,35 @@ def needs_travel(kind: type[el.Element]) -> bool:
 def has_period(kind: type[el.Element]) -> bool:
     """Return whether the force of an element class repeats over travel."""
     return kind.periodic is not None or kind.period is not el.Element.period
+
+
+def repeats(element: el.Element, motion: el.Motion, c: Criteria = CRITERIA) -> bool:
+    """Return False for a periodic law with fewer than `Criteria.periods` periods within the travel."""
+    if not element.periodic:
+        return True
+    low, high = np.quantile(motion.d, [0.5 - 0.5 * TRAVEL, 0.5 + 0.5 * TRAVEL])
+    return bool(c.periods * getattr(element, element.periodic[0]) <= high - low)
+
+
+def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> bool:
+    """Return whether the values of a candidate's effects agree with their names: periods repeat, and laws differ from limits with another
+    name."""
+    if not candidate.well_formed():
+        return False
+    default = el.Element.differs_from_limit
+    asked = [
+        e
+        for e in candidate.elements
+        if e.place == "between" and (e.periodic or type(e).differs_from_limit is not default)
+    ]
+    if not asked:
+        return True
+    motion = motions(problem, candidate.fit)  # a simulation
+    return all(
+        repeats(e, motion[e.between], c) and e.differs_from_limit(motion[e.between])
+        for e in asked
+        if e.between in motion
+    )
 
 
 def is_admissible(h: Hypothesis, known: Mapping[Pair, Travel], c: Criteria = CRITERIA) -> bool:

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...physics import elements as el
 from .._estimation.gauss_newton import gap
 from .._estimation.structure import in_line, twin
+from .._hypotheses.forces import element_forces
+from .._hypotheses.motion import motions
 from .._simulation.problem import BROKEN
+from .admissibility import is_sound
 from .candidate import Candidate, is_special_case
 from .criteria import Criteria, is_material
-from .equivalent_laws import force_difference, is_sound
 from .held_out import HeldOutEvaluator, compare, error_reduction
 
 if TYPE_CHECKING:
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
 
     from ..._common.arrays import Array
     from .._estimation.structure import Hypothesis
+    from .._simulation.problem import Problem
     from .held_out import HeldOutScore
 
 #: candidates of a stage that are compared with the best
@@ -31,6 +35,27 @@ RIVALS = 6
 def excess_loss(score: HeldOutScore, noise: float) -> float:
     """Return the mean weighted square of a score beyond that of noise, at least 1 % of the latter."""
     return max(score.mean_square - noise, 0.01 * noise)
+
+
+def force_difference(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:
+    """Return the RMS difference of the force of an effect and of the law that replaces it, over the former, along the motion with the
+    effect; infinite if the laws are at different places or in series."""
+    new = next(j for j, h in enumerate(other.hypotheses) if h not in candidate.hypotheses)
+    one, two = candidate.elements[effect], other.elements[new]
+    motion = motions(problem, candidate.fit).get(one.between) if one.place == "between" else None
+    if motion is None or two.place != "between" or two.where != one.where or one.series or two.series:
+        return math.inf
+
+    def force(law: el.Element, owner: Candidate) -> Array:
+        if law.plane in ("rate", "elongation") and type(law).curve is el.Element.curve:
+            return law.curve(motion.v if law.plane == "rate" else motion.d)
+        return element_forces(problem, owner.fit, law.where)[law.name]
+
+    try:
+        first, second = force(one, candidate), force(two, other)
+    except BROKEN:
+        return math.inf
+    return float(el.rms(first - second) / max(el.rms(first), 1e-300))
 
 
 @dataclass(eq=False)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._estimation.gauss_newton import Fitter, Point, gap
+from .._estimation.gauss_newton import Fitter, gap
 from .._estimation.initial_states import transfer_states
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.structure import base_structure
@@ -25,7 +24,6 @@ from .candidate import (
     transfer,
 )
 from .candidate_comparison import RIVALS, CandidateComparison
-from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .screening import Screening
 
@@ -181,7 +179,7 @@ class Search:
         if not count:
             scores.foremost = self._best_predictor(scores)
             return scores
-        chosen = self._merge_laws(scores, self._eliminate(scores, path[count]))
+        chosen = self._eliminate(scores, path[count])
         simplest = self._take_simplest(scores, chosen)
         if simplest is not chosen:  # a rival has not been simplified yet
             simplest = self._eliminate(scores, simplest)
@@ -240,27 +238,10 @@ class Search:
             r = min(tried, key=rank, default=None)
         return r
 
-    def _merge_laws(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
-        """Return one law for several laws over one plane at one place, where the several laws predict no better."""
-        for structure in joint_structures(self.problem, chosen):
-            r = self.refit(structure, chosen)
-            if r is None or not r.well_formed() or not scores.can_score(r):
-                continue
-            if not scores.passes_deletion(chosen, r, None):
-                several = "; ".join(h.label for h in chosen.hypotheses)
-                scores.notes.append(f"{r.label}: predicts as well as {several} together")
-                scores.stages[len(r.hypotheses) - 1].insert(0, r)
-                return r
-        return chosen
-
     def _take_simplest(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
-        """Return the simplest of the chosen candidate, its rivals, those with fewer effects, and other laws for the same force."""
+        """Return the simplest of the chosen candidate, its rivals, and candidates with fewer effects."""
         count = len(chosen.hypotheses)
         stage = scores.stages[count - 1]
-        for structure in equivalent_structures(self.problem, chosen, self.criteria):
-            r = self.refit(structure, chosen, self.settings.worst_equivalent)
-            if r is not None and scores.can_score(r):
-                stage.insert(1, r)
         # the path was found on the training records: a law beside it may predict better without a further effect
         fewer = [r for own in scores.stages[: count - 1] for r in own[:RIVALS]]
         others = [r for r in stage if r is not chosen][:RIVALS]
@@ -303,9 +284,8 @@ class Search:
         except BROKEN:
             return None
 
-    def refit(self, structure: Structure, similar: Candidate, worst: float = math.inf) -> Candidate | None:
-        """Return the best fit of a simpler or equivalent structure from the values of a fitted candidate, then from nominal ones; None
-        where its error on few samples is above `worst` times the candidate's (in power)."""
+    def refit(self, structure: Structure, similar: Candidate) -> Candidate | None:
+        """Return the best fit of a simpler structure from the values of a fitted candidate, then from nominal ones."""
         e, p, least = self.evaluator, self.problem, self.least_noise
         share = share_of(p, similar.fit)
         near = deviance_beside(p, similar, similar, least) + self.criteria.deviance_gain
@@ -316,11 +296,6 @@ class Search:
         try:
             initial = transfer_states(p, similar.fit.network, similar.fit.initial, structure)
             f = e.coarse_fitter.fit(structure, x, initial, similar.fit.offset)
-            if worst < math.inf:  # the cost of the candidate on as few samples
-                s = similar.fit
-                at = e.coarse_fitter.seen(s.structure, Point(s.x, s.initial, s.offset), p.estimation)
-                if f.cost > worst * at.total:
-                    return None
             f = f if p.rough is p else transfer(p, f, least)
             found.append(settle(p, structure, f.x, least, f, rounds=2, share=share))
         except BROKEN:

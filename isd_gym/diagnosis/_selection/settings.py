@@ -26,8 +26,6 @@ class SearchSettings:
     lost_phase: float = 0.5
     #: smallest number of samples of a window or segment
     shortest: int = 80
-    #: error of an equivalent law on few samples, over the error of the found law (in power), above which the law is dropped
-    worst_equivalent: float = 1.5
     #: error of the refitted model (share of the deviation, mean over channels) above which records are compared in segments
     astray: float = 0.5
     #: length of a segment, in the rig's time scale

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._estimation.structure import owner_pair
+from .admissibility import is_sound
 from .candidate import is_special_case
-from .equivalent_laws import is_sound
 from .free_force import Table
 
 if TYPE_CHECKING:

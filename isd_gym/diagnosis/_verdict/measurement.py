@@ -13,10 +13,10 @@ from ...physics import elements as el
 from .._estimation.structure import owner_pair
 from .._hypotheses.forces import element_forces, place_forces
 from .._hypotheses.motion import motions
+from .._selection.admissibility import repeats
 from .._selection.candidate import Candidate, same_effects, simpler_structures
 from .._selection.candidate_comparison import excess_loss
 from .._selection.criteria import CRITERIA
-from .._selection.equivalent_laws import repeats
 from .._selection.free_force import fit_in_place_of
 from .._selection.screening import BENDS
 from .._selection.uncertainty import (
