@@ -9,8 +9,8 @@ from program import refused
 from scipy.integrate import solve_ivp, trapezoid
 
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network, assemble, linearise
-from isd_gym.physics.simulate import simulate
+from isd_gym.physics.network import Network, assemble, assemble_all, linearise
+from isd_gym.physics.simulate import Plant, simulate
 
 KAPPA, SPEED = 5e-7, 20.0
 
@@ -99,6 +99,27 @@ def test_states_of_equal_masses_do_not_change_places():
     seen = [assemble(net.with_parameters({"one.mass": m})) for m in (1.9, 2.0, 2.1)]
     for asm in seen:  # where the nodes are
         np.testing.assert_array_equal(asm.position[:, :2], np.eye(2))
+
+
+@pytest.mark.parametrize("name", ["quarter-car-isd", "half-car-isd"])
+def test_networks_side_by_side_are_assembled_and_stepped_as_each_alone(name):
+    net = Network.load(name)
+    paths = [p for p, value in net.parameters.items() if value > 0]
+    lanes = [net, *(net.with_parameters({p: 1.3 * net.parameters[p]}) for p in paths)]
+    alone = [copy.copy(n)._with_values() for n in lanes]  # without an assembly of their own
+    for together, own in zip(assemble_all(lanes), map(assemble, alone), strict=True):
+        for part in ("rate", "elongation", "elongation_rate", "outputs", "position", "velocity"):
+            here, there = getattr(together, part), getattr(own, part)
+            np.testing.assert_allclose(here, there, rtol=1e-12, atol=1e-12 * np.abs(there).max(initial=0.0))
+    plant = Plant(lanes)
+    for k, own in enumerate(alone):
+        group, lane = divmod(k, plant.mats.shape[-1])
+        single = Plant(own)
+        count = single.at.own  # the parameters of the laws follow in another order
+        numbers = single.mats[:count, 0]
+        finite = np.isfinite(numbers)
+        together = plant.mats[group, :count, lane]
+        np.testing.assert_allclose(together[finite], numbers[finite], rtol=1e-9, atol=1e-12)
 
 
 def test_force_at_a_moved_node_is_equation_6():

@@ -76,7 +76,8 @@ isd_gym.physics.elements
     transmits
 isd_gym.physics.network
     AXES Assembly Body Channel GROUND Lever MOTIONS Network Point SCHEMA StateSpace UNITS assemble
-    builtin_networks cut linearise natural_frequencies own_time rejoin slowest_time transfer without
+    assemble_all builtin_networks cut linearise natural_frequencies own_time rejoin slowest_time transfer
+    without
 isd_gym.physics.road
     NAMES Road bump iso_road on_side paper_road pothole profiled recorded road sweep
     also ISO_CLASSES PAPER_KAPPA PRINTED_KAPPA REFERENCE_FREQUENCY STEEPEST
@@ -95,7 +96,7 @@ isd_gym.records.schemas
     also NAMES check
 isd_gym.sb3
     BatchedVecEnv ScoreCallback make_vec_env save_model
-    also VALIDATION_SEED
+    also DEFAULT_ID VALIDATION_SEED
 isd_gym.view
     score_report write_report
 """

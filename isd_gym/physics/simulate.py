@@ -22,7 +22,7 @@ from .._common.units import HELD, convert
 from . import elements as el
 from ._balance import Balance
 from ._kernel.layout import CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
-from .network import MOTIONS, Assembly, Channel, Network, assemble
+from .network import MOTIONS, Assembly, Channel, Network, assemble_all
 
 __all__ = [
     "simulate",
@@ -102,21 +102,25 @@ def side_by_side(asm: Assembly) -> tuple[object, ...]:
     return asm.size, laws, asm.by_difference, asm.outputs_by_difference, _instant(asm)
 
 
-def _step_matrices(asm: Assembly, B: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the state after a step by the state, by held inputs, and by inputs that rise from zero to one."""
-    n, k = B.shape
+def _step_matrices(
+    assemblies: Sequence[Assembly], B: np.ndarray, step: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the state after a step by the state, by held inputs, and by inputs that rise from zero to one
+    (networks, states, .)."""
+    lanes, n, k = B.shape
     if not n:
-        return np.zeros((0, 0)), np.zeros((0, k)), np.zeros((0, k))
-    big = np.zeros((n + 2 * k, n + 2 * k))
-    big[:n, :n], big[:n, n : n + k] = asm.rate[:, asm.columns("x")] * step, B * step
-    big[n : n + k, n + k :] = np.eye(k)
+        return np.zeros((lanes, 0, 0)), np.zeros((lanes, 0, k)), np.zeros((lanes, 0, k))
+    x = assemblies[0].columns("x")
+    big = np.zeros((lanes, n + 2 * k, n + 2 * k))
+    big[:, :n, :n] = np.stack([asm.rate[:, x] for asm in assemblies]) * step
+    big[:, :n, n : n + k] = B * step
+    big[:, n : n + k, n + k :] = np.eye(k)
     with np.errstate(all="ignore"):
         phi = expm(big) if np.isfinite(big).all() else big
     if not np.isfinite(phi).all():
-        raise InputError(
-            f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part overflows"
-        )
-    return phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
+        name = assemblies[0].network.name
+        raise InputError(f"model '{name}' cannot be stepped by {step:g} s: its linear part overflows")
+    return phi[:, :n, :n], phi[:, :n, n : n + k], phi[:, :n, n + k :]
 
 
 @lru_cache(maxsize=_DISCRETE)
@@ -124,67 +128,80 @@ def discretise(asm: Assembly, step: float, columns: tuple[int, ...]) -> _Discret
     """Return the exact discretisation of the linear part at a step [s]: first-order hold for `columns` of the
     base vector, zero-order hold for currents and friction. Raise `InputError` for matrices that are not
     finite."""
+    return _discretise([asm], step, columns)[0]
+
+
+def _discretise(assemblies: Sequence[Assembly], step: float, columns: tuple[int, ...]) -> list[_Discrete]:
+    """Return the discretisations of assemblies of one structure (`side_by_side`)."""
     from ._kernel.compiled import law_code
 
-    n, laws = asm.size[0], list(asm.laws)
+    asm = assemblies[0]
+    n, lanes, instant = asm.size[0], len(assemblies), _instant(asm)
     x, u, c, f = asm.columns("x"), list(columns), asm.columns("I"), asm.columns("f")
-    B = np.hstack([asm.rate[:, u], asm.rate[:, c], asm.rate[:, f]])
+    rate = np.stack([a.rate for a in assemblies])
+    B = np.concatenate([rate[:, :, u], rate[:, :, c], rate[:, :, f]], axis=2)
     m, nc = len(u), c.stop - c.start
-    Ad, hold, late = _step_matrices(asm, B, step)
+    Ad, hold, late = _step_matrices(assemblies, B, step)
     early = hold - late
-    U0, U1, G0, G1 = early[:, :m], late[:, :m], early[:, m + nc :], late[:, m + nc :].copy()
-    codes = tuple(law_code(type(e)) for e in laws)
+    U0, U1, G0, G1 = early[:, :, :m], late[:, :, :m], early[:, :, m + nc :], late[:, :, m + nc :].copy()
+    codes = tuple(law_code(type(e)) for e in asm.laws)
     dry = np.array([code < 0 for code in codes], bool)
-    G1[:, dry] += G0[:, dry]  # dry friction holds its force over the whole step
-    G0[:, dry] = 0.0
+    G1[:, :, dry] += G0[:, :, dry]  # dry friction holds its force over the whole step
+    G0[:, :, dry] = 0.0
     order = np.argsort(dry, kind="stable")
-    codes, laws, dry = tuple(codes[j] for j in order), [laws[j] for j in order], dry[order]
-    nl, ns = len(laws), int(np.sum(~dry))
-    start, end = G0[:, order], G1[:, order]
-    E, R = asm.elongation[order], asm.elongation_rate[order]
+    codes, dry = tuple(codes[j] for j in order), dry[order]
+    nl, ns = len(codes), int(np.sum(~dry))
+    start, end = G0[:, :, order], G1[:, :, order]
+    E = np.stack([a.elongation[order] for a in assemblies])
+    R = np.stack([a.elongation_rate[order] for a in assemblies])
     differ = np.array(asm.by_difference, bool)[order]
-    R[differ] = E[differ] / step
+    O = np.stack([a.outputs for a in assemblies])
+    if instant:
+        O = np.concatenate([O, E, np.where(differ[:, None], 0.0, R)], axis=1)
+    R[:, differ] = E[:, differ] / step
     own = [f.start + j for j in order]
-    blank = np.zeros((n, nl * bool(differ.any())))
-    states = np.hstack([Ad, U0, U1, hold[:, m : m + nc], blank, start[:, :ns]])
+    blank = np.zeros((lanes, n, nl * bool(differ.any())))
+    held = hold[:, :, m : m + nc]
+    states = np.concatenate([Ad, U0, U1, held, blank, start[:, :, :ns]], axis=2)
 
     def seen(by: np.ndarray) -> np.ndarray:
         """Return the rows of the laws' elongations or rates, without the forces at the end of the step."""
-        at = by[:, x] @ states
-        at[:, n + m : n + 2 * m] += by[:, u]
-        at[:, n + 2 * m : n + 2 * m + nc] += by[:, c]
+        at = by[:, :, x] @ states
+        at[:, :, n + m : n + 2 * m] += by[:, :, u]
+        at[:, :, n + 2 * m : n + 2 * m + nc] += by[:, :, c]
         return at
 
     D, S = seen(E), seen(R)
     if differ.any():
         last = n + 2 * m + nc
-        S[:, last : last + nl] -= np.diag(differ / step)
-    GD, GS = E[:, x] @ end + E[:, own], R[:, x] @ end + R[:, own]
+        S[:, :, last : last + nl] -= np.diag(differ / step)
+    GD, GS = E[:, :, x] @ end + E[:, :, own], R[:, :, x] @ end + R[:, :, own]
     smooth = ~dry[:, None]
-    rows = np.vstack([states, np.where(smooth, D, S), np.where(smooth, S, D)])
-    gains = np.vstack([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)])
-    O = asm.outputs
-    instant = _instant(asm)
-    if instant:
-        O = np.vstack([O, asm.elongation[order], np.where(differ[:, None], 0.0, asm.elongation_rate[order])])
-    way, of_laws, parameters = _law_numbers(laws, ns, GD, GS, bool(differ.any()), instant)
-    zero = np.zeros((len(O), 1))
-    seen_outside = np.hstack(
-        [O[:, x], zero.repeat(m, 1), O[:, u], O[:, c], zero.repeat(blank.shape[1], 1), O[:, own]]
-    )
-    padded = -(-len(rows) // 4) * 4
-    sizes = (n, m, nc, nl, ns, way, len(asm.outputs), padded, seen_outside.shape[1], int(differ.any()))
-    O = asm.outputs
-    return _Discrete(
-        blocks=(Ad, U0, U1, _pad(hold[:, m : m + nc]), G0, G1),
-        outputs=(O[:, x], O[:, u], _pad(O[:, c]), O[:, f]),
-        yields=(GD, GS),
-        numbers=np.concatenate(
-            [[step], _stored(rows), _stored(gains), of_laws, _stored(seen_outside), parameters.ravel()]
-        ),
-        ints=np.array([*sizes, parameters.shape[1], instant, *codes, *differ], np.int64),
-        order=tuple(int(j) for j in order),
-    )
+    rows = np.concatenate([states, np.where(smooth, D, S), np.where(smooth, S, D)], axis=1)
+    gains = np.concatenate([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)], axis=1)
+    nothing = np.zeros((lanes, O.shape[1], m + blank.shape[2]))
+    parts = [O[:, :, x], nothing[:, :, :m], O[:, :, u], O[:, :, c], nothing[:, :, m:], O[:, :, own]]
+    seen_outside = np.concatenate(parts, axis=2)
+    padded = -(-rows.shape[1] // 4) * 4
+    outputs = len(asm.outputs)
+    linear = np.concatenate([np.full((lanes, 1), step), _stored(rows), _stored(gains)], axis=1)
+    outside, currents = _stored(seen_outside), _pad(held)
+    out = []
+    for k, a in enumerate(assemblies):
+        laws = [a.laws[j] for j in order]
+        way, of_laws, parameters = _law_numbers(laws, ns, GD[k], GS[k], bool(differ.any()), instant)
+        sizes = (n, m, nc, nl, ns, way, outputs, padded, seen_outside.shape[2], int(differ.any()))
+        out.append(
+            _Discrete(
+                blocks=(Ad[k], U0[k], U1[k], currents[k], G0[k], G1[k]),
+                outputs=(a.outputs[:, x], a.outputs[:, u], _pad(a.outputs[:, c]), a.outputs[:, f]),
+                yields=(GD[k], GS[k]),
+                numbers=np.concatenate([linear[k], of_laws, outside[k], parameters.ravel()]),
+                ints=np.array([*sizes, parameters.shape[1], instant, *codes, *differ], np.int64),
+                order=tuple(int(j) for j in order),
+            )
+        )
+    return out
 
 
 def _law_numbers(
@@ -286,15 +303,15 @@ def _linear_part(network: Network) -> tuple[Any, ...]:
 
 def _pad(block: np.ndarray) -> np.ndarray:
     """Return a block with at least one column: a current may be driven in a car without a motor."""
-    return block if block.shape[1] else np.zeros((len(block), 1))
+    return block if block.shape[-1] else np.zeros((*block.shape[:-1], 1))
 
 
-def _stored(matrix: np.ndarray) -> np.ndarray:
-    """Return a matrix column by column, padded with zeros to a multiple of four rows."""
-    high, wide = matrix.shape
-    out = np.zeros((wide, -(-high // 4) * 4))
-    out[:, :high] = matrix.T
-    return out.ravel()
+def _stored(matrices: np.ndarray) -> np.ndarray:
+    """Return matrices (networks, rows, columns) column by column, padded with zeros to a multiple of four rows."""
+    lanes, high, wide = matrices.shape
+    out = np.zeros((lanes, wide, -(-high // 4) * 4))
+    out[:, :, :high] = matrices.swapaxes(1, 2)
+    return out.reshape(lanes, -1)
 
 
 class Plant:
@@ -321,16 +338,17 @@ class Plant:
         self.lanes = len(self.networks) if several else lanes
         self.step, self.extra = float(step), tuple(extra)
         # many lanes may share a network, or differ only in the parameters of their laws
+        keys = {id(net): (net, _linear_part(net)) for net in self.networks}
+        distinct: dict[tuple[Any, ...], Network] = {}
+        for net, key in keys.values():
+            distinct.setdefault(key, net)
+        linear = dict(zip(distinct, assemble_all([*distinct.values()], self.extra), strict=True))
         once: dict[int, Assembly] = {}
-        linear: dict[tuple[Any, ...], Assembly] = {}
-        for net in self.networks:
-            if id(net) not in once:
-                key = _linear_part(net)
-                if key not in linear:
-                    once[id(net)] = linear[key] = assemble(net, extra)
-                else:
-                    laws = tuple(part for e in net.elements if e.place == "between" for part in e.parts())
-                    once[id(net)] = replace(linear[key], network=net, laws=laws)
+        for net, key in keys.values():
+            once[id(net)] = linear[key]
+            if net is not distinct[key]:
+                laws = tuple(part for e in net.elements if e.place == "between" for part in e.parts())
+                once[id(net)] = replace(linear[key], network=net, laws=laws)
         self.assemblies = [once[id(net)] for net in self.networks]
         first = self.assemblies[0]
         used = tuple(sorted({c for asm in linear.values() for c in _columns(asm)}))
@@ -350,12 +368,22 @@ class Plant:
         self.labels: tuple[tuple[str, str], ...] = tuple(parts)
         #: inputs that are held over a step: currents, then logged channels
         self.currents = [c for kind in HELD for c in first.network.inputs if c.quantity == kind]
-        stepped = {id(asm.rate): (asm, discretise(asm, self.step, used)) for asm in linear.values()}
+        stepped = {id(asm.rate): (asm, part) for asm, part in self._discretised([*linear.values()])}
         whole = {}
         for asm in once.values():
             like, discrete = stepped[id(asm.rate)]
             whole[id(asm)] = discrete if asm is like else _with_laws(discrete, asm.laws)
         self._pack([whole[id(asm)] for asm in self.assemblies], several)
+
+    def _discretised(self, assemblies: Sequence[Assembly]) -> list[tuple[Assembly, _Discrete]]:
+        """Return assemblies with their discretisations, those of one structure computed side by side."""
+        if len(assemblies) == 1:
+            return [(assemblies[0], discretise(assemblies[0], self.step, self.u_columns))]
+        groups: dict[tuple[object, ...], list[Assembly]] = {}
+        for asm in assemblies:
+            groups.setdefault(side_by_side(asm), []).append(asm)
+        found = [(own, _discretise(own, self.step, self.u_columns)) for own in groups.values()]
+        return [pair for own, parts in found for pair in zip(own, parts, strict=True)]
 
     def _pack(self, parts: Sequence[_Discrete], several: bool) -> None:
         from ._kernel.compiled import kernel_of

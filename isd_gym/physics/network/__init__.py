@@ -6,7 +6,7 @@ controllers and frequency responses (`_linear`).
 """
 
 from ..._common.units import UNITS
-from ._assembly import Assembly, assemble
+from ._assembly import Assembly, assemble, assemble_all
 from ._bodies import AXES, Body, Lever, Point
 from ._cut import cut, rejoin, without
 from ._format import SCHEMA, builtin_networks
@@ -27,6 +27,7 @@ __all__ = [
     "Point",
     "StateSpace",
     "assemble",
+    "assemble_all",
     "builtin_networks",
     "cut",
     "linearise",

@@ -81,60 +81,117 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
         InputError: The massless part is singular, or an output is not defined in the network, such as the
             acceleration of a massless node.
     """
-    return _assemble(network, extra) if extra else network._assembly
+    return _assemble([network], extra)[0] if extra else network._assembly
 
 
-def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
+def assemble_all(networks: Sequence[Network], extra: Sequence[Channel] = ()) -> list[Assembly]:
+    """Return the equations of motion of several networks; networks that differ in values alone are computed side by side.
+
+    Args:
+        networks: The models.
+        extra: Further output channels, after those of the models.
+
+    Raises:
+        InputError: As `assemble`.
+    """
+    out: dict[int, Assembly] = {}
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for k, network in enumerate(networks):
+        if not extra and "_assembly" in network.__dict__:
+            out[k] = network._assembly
+        else:
+            groups.setdefault(_topology(network), []).append(k)
+    for members in groups.values():
+        found = _assemble([networks[k] for k in members], extra)
+        out |= dict(zip(members, found, strict=True))
+    if not extra:
+        for k, network in enumerate(networks):
+            network.__dict__["_assembly"] = out[k]
+    return [out[k] for k in range(len(networks))]
+
+
+def _topology(network: Network) -> tuple[object, ...]:
+    """Return the properties that networks must share for an assembly side by side."""
+    elements = []
+    for e in network.elements:
+        if e.place == "between":
+            words = (getattr(e, name, "") for name in ("terminal", "load", "channel"))
+            elements.append((type(e), e.name, e.where, *words, *map(bool, e.linear()), len(e.parts())))
+    masses = tuple((node, mass > 0) for node, mass in network.carried.items())
+    ties = (network.bodies, network.levers, network.turning)
+    return (*elements, *masses, *ties, network.inputs, network.outputs)
+
+
+def _assemble(networks: Sequence[Network], extra: Sequence[Channel]) -> list[Assembly]:
+    """Return the assemblies of networks that differ in values alone. Directions and signs are those of the first network."""
+    network = networks[0]
     nodes = coordinates(network)
-    between = [e for e in network.elements if e.place == "between"]
-    laws = tuple(part for e in between for part in e.parts())
-    matrices = _matrices(network, nodes, between)
+    lanes = [[e for e in n.elements if e.place == "between"] for n in networks]
+    matrices = _matrices(networks, nodes, lanes)
     ties = _ties(network, nodes, matrices)
     split = _split(matrices, ties, nodes)
+    laws = [tuple(part for e in between for part in e.parts()) for between in lanes]
     counts = [
         sum(c.quantity == "force" for c in network.inputs),
         sum(c.quantity in HELD for c in network.inputs),
     ]
-    states = 2 * len(split.accelerates) + len(split.yields)
-    size = (states, len(nodes.moved), counts[0], counts[1], len(laws))
-    pushes = _pushes(network, nodes, laws, size)
+    states = 2 * split.inertial.shape[1] + split.damped.shape[1]
+    size = (states, len(nodes.moved), counts[0], counts[1], len(laws[0]))
+    pushes = _pushes(networks, nodes, laws[0], size)
     motion = _motion(nodes, matrices, ties, split, pushes.nodes, size)
-    law_rows = np.array([nodes.incidence(e.between) for e in laws]).reshape(len(laws), nodes.count)
-    outputs = _Outputs(network, nodes, laws, pushes.motors, motion, size)
+    law_rows = np.array([nodes.incidence(e.between) for e in laws[0]]).reshape(len(laws[0]), nodes.count)
+    outputs = _Outputs(networks, nodes, laws[0], pushes.motors, motion, size)
     channels = (*network.outputs, *extra)
     found = [outputs.row(channel) for channel in channels]
     rows = [row for row, _ in found]
     elongation, elongation_rate = law_rows @ motion.position, law_rows @ motion.velocity
-    for j, e in enumerate(laws):
+    for j, e in enumerate(laws[0]):
         if e.loaded:  # the kernel passes the load instead of the elongation
-            elongation[j] = outputs.force_of(network.element(getattr(e, "load", "")), f"element '{e.name}'")
+            elongation[:, j] = outputs.force_of(getattr(e, "load", ""), f"element '{e.name}'")
     if any(c.quantity != "displacement" for c in network.moving):
         lacking = unknown(network, _spans(size))
         places = [column for column, what in lacking if what == "displacement"]
-        for e, row in zip(laws, elongation, strict=True):
+        for j, e in enumerate(laws[0]):
             if e.plane == "rate" and GROUND in e.where:
-                row[places] = 0.0
-        rows = [np.where(np.abs(row) < ROUNDING * np.abs(row).max(initial=0.0), 0.0, row) for row in rows]
-        complete(network, lacking, motion.rate, elongation, elongation_rate, rows)
+                elongation[:, j, places] = 0.0
+        rows = [_without_rounding(row) for row in rows]
+        for k in range(len(networks)):
+            complete(
+                network, lacking, motion.rate[k], elongation[k], elongation_rate[k], [row[k] for row in rows]
+            )
     if not all(np.isfinite(m).all() for m in (motion.rate, motion.position, motion.velocity, *rows)):
         raise InputError(TOO_FAR_APART)
     algebraic = np.abs(nodes.of_nodes(motion.algebraic)).sum(axis=1) > NO_SHARE
     by_difference = tuple(_hangs_on(row, motion.algebraic) for row in law_rows)
-    _schedule(network, laws, elongation, by_difference, size)
-    return Assembly(
-        network=network,
-        channels=channels,
-        size=size,
-        laws=laws,
-        rate=motion.rate,
-        elongation=elongation,
-        elongation_rate=elongation_rate,
-        by_difference=by_difference,
-        outputs=np.array(rows).reshape(len(rows), sum(_widths(size))),
-        outputs_by_difference=tuple(difference for _, difference in found),
-        position=nodes.of_nodes(motion.position),
-        velocity=np.where(algebraic[:, None], 0.0, nodes.of_nodes(motion.velocity)),
-    )
+    _schedule(network, laws[0], elongation, by_difference, size)
+    shape = (len(networks), len(rows), sum(_widths(size)))
+    seen = np.stack(rows, axis=1) if rows else np.zeros(shape)
+    position = nodes.of_nodes(motion.position)
+    velocity = np.where(algebraic[:, None], 0.0, nodes.of_nodes(motion.velocity))
+    by_output = tuple(difference for _, difference in found)
+    return [
+        Assembly(
+            network=networks[k],
+            channels=channels,
+            size=size,
+            laws=laws[k],
+            rate=motion.rate[k],
+            elongation=elongation[k],
+            elongation_rate=elongation_rate[k],
+            by_difference=by_difference,
+            outputs=seen[k],
+            outputs_by_difference=by_output,
+            position=position[k],
+            velocity=velocity[k],
+        )
+        for k in range(len(networks))
+    ]
+
+
+def _without_rounding(rows: np.ndarray) -> np.ndarray:
+    """Return rows (networks, columns) without numbers that are the rounding of the largest one."""
+    largest = np.abs(rows).max(axis=-1, keepdims=True, initial=0.0)
+    return np.where(np.abs(rows) < ROUNDING * largest, 0.0, rows)
 
 
 def _schedule(
@@ -153,10 +210,12 @@ def _schedule(
             raise InputError(f"element '{e.name}': the velocity of an algebraic node is not defined")
         if e.driven:
             entries = _entries(size, "I", len(currents))
-            elongation[j] = sum(row for row, c in zip(entries, currents, strict=True) if e.name in c.elements)
+            elongation[:, j] = sum(
+                row for row, c in zip(entries, currents, strict=True) if e.name in c.elements
+            )
         elif e.scheduled:
             column = len(currents) + logged.index(getattr(e, "channel", ""))
-            elongation[j] = _entries(size, "I", 1, column)[0]
+            elongation[:, j] = _entries(size, "I", 1, column)[0]
 
 
 # ---------------------------------------------------------------------------------- the parts of an assembly
@@ -201,35 +260,47 @@ def _hangs_on(row: np.ndarray, directions: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class _Matrices:
-    """Inertia [kg], damping [N s/m] and stiffness [N/m] of all coordinates."""
+    """Inertia [kg], damping [N s/m] and stiffness [N/m] of all coordinates (networks, coordinates, coordinates)."""
 
     inertia: np.ndarray
     damping: np.ndarray
     stiffness: np.ndarray
 
 
-def _matrices(network: Network, nodes: Coordinates, between: Sequence[el.Element]) -> _Matrices:
-    inertia, damping, stiffness = (np.zeros((nodes.count, nodes.count)) for _ in range(3))
-    for node, mass in network.carried.items():
+def _matrices(
+    networks: Sequence[Network], nodes: Coordinates, lanes: Sequence[Sequence[el.Element]]
+) -> _Matrices:
+    shape = (len(networks), nodes.count, nodes.count)
+    inertia, damping, stiffness = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    carried = [n.carried for n in networks]
+    for node in carried[0]:
         row = nodes.row(node)
-        inertia += mass * np.outer(row, row)
-    for e in between:
-        row = nodes.incidence(e.between)
-        k, c, b = e.linear()
-        stiffness += k * np.outer(row, row)
-        damping += c * np.outer(row, row)
-        inertia += b * np.outer(row, row)
-        if isinstance(e, el.TerminalInertia):
-            node = e.between[0 if e.terminal == "first" else 1]
-            inertia += e.mass * np.outer(row, nodes.row(node))
+        masses = np.array([each[node] for each in carried])
+        inertia += masses[:, None, None] * np.outer(row, row)
+    for several in zip(*lanes, strict=True):
+        first = several[0]
+        row = nodes.incidence(first.between)
+        square = np.outer(row, row)
+        values = np.array([e.linear() for e in several])
+        for matrix, column in zip((stiffness, damping, inertia), values.T, strict=True):
+            if column.any():
+                matrix += column[:, None, None] * square
+        if isinstance(first, el.TerminalInertia):
+            node = first.between[0 if first.terminal == "first" else 1]
+            inertia += _values(several, "mass")[:, None, None] * np.outer(row, nodes.row(node))
     return _Matrices(inertia, damping, stiffness)
+
+
+def _values(elements: Sequence[el.Element], name: str) -> np.ndarray:
+    """Return a parameter of an element in each network (networks,)."""
+    return np.array([getattr(e, name) for e in elements])
 
 
 @dataclass(frozen=True)
 class _Ties:
-    """Matrices (free, moved) that tie free nodes to moved nodes, including nodes seen from a frame (`frames`)."""
+    """Matrices (networks, free, moved) that tie free nodes to moved nodes, including nodes seen from a frame (`frames`)."""
 
-    frame: np.ndarray  # 1 for a free node seen from the frame of a moved node
+    frame: np.ndarray  # 1 for a free node seen from the frame of a moved node (free, moved)
     inertia: np.ndarray
     momentum: np.ndarray  # the inertia, for moved nodes of known velocity
     damping: np.ndarray
@@ -244,9 +315,10 @@ def _ties(network: Network, nodes: Coordinates, matrices: _Matrices) -> _Ties:
             frame[nodes.index[node], j] = 1.0
     ties = []
     for m in (matrices.inertia, matrices.damping, matrices.stiffness):
-        tie = m[:free, free:] + m[:free, :free] @ frame
+        tie = m[:, :free, free:] + m[:, :free, :free] @ frame
         if riding:
-            tie[np.abs(tie) < ROUNDING * np.abs(m).max(initial=0.0)] = 0.0
+            largest = np.abs(m).max(axis=(1, 2), keepdims=True, initial=0.0)
+            tie[np.abs(tie) < ROUNDING * largest] = 0.0
         ties.append(tie)
     told = np.array([MOTIONS.index(c.quantity) < 2 for c in network.moving], bool)
     return _Ties(frame, ties[0], ties[0] * told, ties[1], ties[2])
@@ -257,8 +329,8 @@ class _Split:
     """Directions of the free nodes (free, .), and matrices (., free) from the forces on the free nodes.
 
     `inertial` directions carry momentum; the `massless` rest is partly damped, partly algebraic.
-    `accelerates` and `yields` give the acceleration of the inertial and the rate of the damped directions per
-    force. `left_algebraic` gives the equations without inertia and damping.
+    `accelerates` and `yields` (networks, ., free) give the acceleration of the inertial and the rate of the damped
+    directions per force. `left_algebraic` gives the equations without inertia and damping.
     """
 
     inertial: np.ndarray
@@ -273,13 +345,14 @@ class _Split:
 def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
     """Return the directions of the free nodes; raise `InputError` for an inertia between a massless and a moved node."""
     free = len(nodes.free)
-    inertia, damping = matrices.inertia[:free, :free], matrices.damping[:free, :free]
+    inertias, dampings = matrices.inertia[:, :free, :free], matrices.damping[:, :free, :free]
+    inertia, damping = inertias[0], dampings[0]
     left, values, right = np.linalg.svd(inertia) if free else (np.eye(0), np.zeros(0), np.eye(0))
     rank = int(np.sum(values > NO_MASS * values[0])) if free and values[0] > 0 else 0
     left_massless, massless = left[:, rank:], right[rank:].T
     if left_massless.size:
-        carried = np.abs(left_massless.T @ ties.inertia).max(initial=0.0)
-        if carried > NO_SHARE * np.abs(matrices.inertia).max():
+        carried = np.abs(left_massless.T @ ties.inertia).max(axis=(1, 2), initial=0.0)
+        if np.any(carried > NO_SHARE * np.abs(matrices.inertia).max(axis=(1, 2))):
             raise InputError("an inertia between a massless node and a moved node is not supported here")
     turn, strengths, turn_right = np.linalg.svd(left_massless.T @ damping @ massless)
     least = NO_MASS * max(np.abs(damping).max(initial=0.0), 1e-300)
@@ -288,10 +361,10 @@ def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
     pushed, dragged = _upright(left[:, :rank]), left_massless @ turn[:, :damped]
     return _Split(
         inertial=inertial,
-        accelerates=np.linalg.solve(pushed.T @ inertia @ inertial, pushed.T),
+        accelerates=np.linalg.solve(pushed.T @ inertias @ inertial, pushed.T),
         massless=massless,
         damped=resisted,
-        yields=np.linalg.solve(dragged.T @ damping @ resisted, dragged.T),
+        yields=np.linalg.solve(dragged.T @ dampings @ resisted, dragged.T),
         algebraic=massless @ turn_right[damped:].T,
         left_algebraic=left_massless @ turn[:, damped:],
     )
@@ -318,34 +391,40 @@ def _upright(directions: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Pushes:
-    """Forces besides inertia, damping and stiffness as rows over the base vector: on the nodes, and of each motor."""
+    """Forces besides inertia, damping and stiffness as rows over the base vector: on the nodes (networks, nodes,
+    columns), and of each motor (networks, columns)."""
 
     nodes: np.ndarray
     motors: dict[str, np.ndarray]
 
 
-def _pushes(network: Network, nodes: Coordinates, laws: Sequence[el.Element], size: Size) -> _Pushes:
+def _pushes(
+    networks: Sequence[Network], nodes: Coordinates, laws: Sequence[el.Element], size: Size
+) -> _Pushes:
     """Return the forces on the nodes: forces push inwards, motors and laws (positive in tension) outwards."""
-    at, width = _spans(size), sum(_widths(size))
-    push = np.zeros((nodes.count, width))
+    network, at, width = networks[0], _spans(size), sum(_widths(size))
+    push = np.zeros((len(networks), nodes.count, width))
     for j, channel in enumerate(c for c in network.inputs if c.quantity == "force"):
-        push[:, at["F"].start + j] += nodes.row(str(channel.at))
+        push[:, :, at["F"].start + j] += nodes.row(str(channel.at))
     motors: dict[str, np.ndarray] = {}
     for e in network.elements:
         if isinstance(e, el.Motor):
-            motors[e.name] = np.zeros(width)
+            several = [n.element(e.name) for n in networks]
+            motor = motors[e.name] = np.zeros((len(networks), width))
             for j, channel in enumerate(c for c in network.inputs if c.quantity == "current"):
                 if channel.element == e.name:
-                    motors[e.name][at["I"].start + j] = e.thrust_constant * e.ratio
-            push -= np.outer(nodes.incidence(e.between), motors[e.name])
+                    motor[:, at["I"].start + j] = _values(several, "thrust_constant") * _values(
+                        several, "ratio"
+                    )
+            push -= nodes.incidence(e.between)[:, None] * motor[:, None, :]
     for j, e in enumerate(laws):
-        push[:, at["f"].start + j] -= nodes.incidence(e.between)
+        push[:, :, at["f"].start + j] -= nodes.incidence(e.between)
     return _Pushes(push, motors)
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """Rows over the base vector: rates of the states; position, velocity and acceleration of all nodes.
+    """Rows over the base vector (networks, ., columns): rates of the states; position, velocity and acceleration of all nodes.
 
     The velocity excludes the algebraic directions. `massless` and `algebraic` are directions of all nodes.
     """
@@ -363,9 +442,9 @@ def _motion(
 ) -> _Motion:
     """Return the motion of all nodes; raise `InputError` for a massless node without support."""
     (free, moved), s = ties.frame.shape, split
-    inertias, dampings = len(s.accelerates), len(s.yields)
+    inertias, dampings = s.inertial.shape[1], s.damped.shape[1]
     r, v, alpha = (_entries(size, part, moved) for part in ("r", "v", "alpha"))
-    C, K = matrices.damping[:free, :free], matrices.stiffness[:free, :free]
+    C, K = matrices.damping[:, :free, :free], matrices.stiffness[:, :free, :free]
     # states: displacement and momentum of the inertial directions, displacement of the damped directions
     inertial, momentum = _entries(size, "x", inertias), _entries(size, "x", inertias, inertias)
     damped = _entries(size, "x", dampings, 2 * inertias)
@@ -375,7 +454,7 @@ def _motion(
         + K @ (s.inertial @ inertial + s.damped @ damped)
         + ties.damping @ v
         + ties.stiffness @ r
-        - push[:free]
+        - push[:, :free]
     )
     algebraic = _algebraic(K, split, known, nodes.free)
     known_all = known + K @ s.algebraic @ algebraic
@@ -387,13 +466,18 @@ def _motion(
     velocity = s.inertial @ inertial_rate + s.damped @ damped_rate
     still = np.zeros((moved, s.massless.shape[1]))
     return _Motion(
-        rate=np.vstack([inertial_rate, momentum_rate, damped_rate]),
-        position=np.vstack([position + ties.frame @ r, r]),
-        velocity=np.vstack([velocity + ties.frame @ v, v]),
-        acceleration=np.vstack([s.inertial @ inertial_acceleration + ties.frame @ alpha, alpha]),
+        rate=np.concatenate([inertial_rate, momentum_rate, damped_rate], axis=1),
+        position=_above(position + ties.frame @ r, r),
+        velocity=_above(velocity + ties.frame @ v, v),
+        acceleration=_above(s.inertial @ inertial_acceleration + ties.frame @ alpha, alpha),
         massless=np.vstack([s.massless, still]),
         algebraic=np.vstack([s.algebraic, still[:, : s.algebraic.shape[1]]]),
     )
+
+
+def _above(rows: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """Return the rows of each network (networks, ., columns), followed by rows that all networks share."""
+    return np.concatenate([rows, np.broadcast_to(shared, (len(rows), *shared.shape))], axis=1)
 
 
 def _algebraic(K: np.ndarray, split: _Split, known: np.ndarray, free: Sequence[str]) -> np.ndarray:
@@ -401,10 +485,11 @@ def _algebraic(K: np.ndarray, split: _Split, known: np.ndarray, free: Sequence[s
     left = split.left_algebraic.T
     held = left @ K @ split.algebraic
     if not held.size:
-        return np.zeros((split.algebraic.shape[1], known.shape[1]))
-    scale = np.abs(K).max()
-    if scale == 0.0 or np.linalg.svd(held, compute_uv=False)[-1] < NO_HOLD * scale:
-        direction = split.algebraic @ np.linalg.svd(held)[2][-1]
+        return np.zeros((len(known), split.algebraic.shape[1], known.shape[2]))
+    scale = np.abs(K).max(axis=(1, 2))
+    loose = (scale == 0.0) | (np.linalg.svd(held, compute_uv=False)[:, -1] < NO_HOLD * scale)
+    if loose.any():
+        direction = split.algebraic @ np.linalg.svd(held[int(np.argmax(loose))])[2][-1]
         names = ", ".join(f"'{n}'" for n, share in zip(free, direction, strict=True) if abs(share) > 0.1)
         raise InputError(
             f"the massless part is singular: nothing holds {names} (add a spring, damper or mass)"
@@ -414,22 +499,26 @@ def _algebraic(K: np.ndarray, split: _Split, known: np.ndarray, free: Sequence[s
 
 @dataclass(frozen=True)
 class _Outputs:
-    """Rows of channels over the base vector."""
+    """Rows of channels over the base vector (networks, columns)."""
 
-    network: Network
+    networks: Sequence[Network]
     nodes: Coordinates
     laws: Sequence[el.Element]
     motors: Mapping[str, np.ndarray]
     motion: _Motion
     size: Size
 
+    def nothing(self) -> np.ndarray:
+        """Return rows of zeros."""
+        return np.zeros((len(self.networks), sum(_widths(self.size))))
+
     def row(self, channel: Channel) -> tuple[np.ndarray, bool]:
         """Return the row of a channel, and whether the channel is the difference quotient of the row."""
         where = f"output '{channel.name}'"
-        total = np.zeros(sum(_widths(self.size)))
         if channel.element is not None:
+            total = self.nothing()
             for name in channel.elements:
-                total = total + self.force_of(self.network.element(name), where)
+                total = total + self.force_of(name, where)
             return total, False
         if channel.quantity != "force":
             pair = channel.between or (str(channel.at), GROUND)
@@ -438,19 +527,22 @@ class _Outputs:
 
     def mover(self, node: str, where: str) -> np.ndarray:
         """Return the force that moves a moved node, as measured by a load cell between drive and node."""
-        total, at = np.zeros(sum(_widths(self.size))), self.nodes.index[node]
-        for e in self.network.elements:
+        total, at, network = self.nothing(), self.nodes.index[node], self.networks[0]
+        for e in network.elements:
             sign = self.nodes.incidence(e.between)[at] if e.place == "between" else 0.0
             if sign:
-                total = total + sign * self.force_of(e, where)
-        total = total + self.network.masses.get(node, 0.0) * self.motion.acceleration[at]
+                total = total + sign * self.force_of(e.name, where)
+        masses = np.array([n.masses.get(node, 0.0) for n in self.networks])
+        total = total + masses[:, None] * self.motion.acceleration[:, at]
         if not self.nodes.dependent:
             return total
-        for other, mass in self.network.carried.items():  # masses of bodies and levers tied to the node
+        carried = [n.carried for n in self.networks]
+        for other in carried[0]:  # masses of bodies and levers tied to the node
             row = self.nodes.row(other)
-            if row[at] and not (other == node and node in self.network.masses):
-                total = total + row[at] * mass * (row @ self.motion.acceleration)
-        for j, c in enumerate(c for c in self.network.inputs if c.quantity == "force"):
+            if row[at] and not (other == node and node in network.masses):
+                share = row[at] * np.array([each[other] for each in carried])
+                total = total + share[:, None] * (row @ self.motion.acceleration)
+        for j, c in enumerate(c for c in network.inputs if c.quantity == "force"):
             share = self.nodes.row(str(c.at))[at]
             if share and c.at != node:
                 total = total - share * _entries(self.size, "F", 1, j)[0]
@@ -468,23 +560,25 @@ class _Outputs:
             raise InputError(f"{where}: the acceleration of a massless node is not defined")
         return row @ self.motion.acceleration, False
 
-    def force_of(self, e: el.Element, where: str) -> np.ndarray:
+    def force_of(self, name: str, where: str) -> np.ndarray:
         """Return the force of an element, positive in tension."""
+        several = [n.element(name) for n in self.networks]
+        e = several[0]
         row = self.nodes.incidence(e.between)
         if e.parts():
-            return np.asarray(
-                sum(_entries(self.size, "f", 1, self.laws.index(part))[0] for part in e.parts())
-            )
+            force = sum(_entries(self.size, "f", 1, self.laws.index(part))[0] for part in e.parts())
+            return self.nothing() + force
         if isinstance(e, el.Motor):
             return self.motors[e.name]
         if isinstance(e, el.TerminalInertia):
             node = e.between[0 if e.terminal == "first" else 1]
-            return e.mass * self.of(self.nodes.incidence((node, GROUND)), "acceleration", where)[0]
-        k, c, b = e.linear()
+            acceleration = self.of(self.nodes.incidence((node, GROUND)), "acceleration", where)[0]
+            return _values(several, "mass")[:, None] * acceleration
+        k, c, b = np.array([e.linear() for e in several]).T[:, :, None]
         out = k * (row @ self.motion.position)
-        if c:
+        if c.any():
             rate, difference = self.of(row, "velocity", where)
             if difference:
                 raise InputError(f"{where}: the velocity of an algebraic node is not defined")
             out = out + c * rate
-        return out + b * self.of(row, "acceleration", where)[0] if b else out
+        return out + b * self.of(row, "acceleration", where)[0] if b.any() else out

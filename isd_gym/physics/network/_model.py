@@ -538,7 +538,7 @@ class Network:
     def _assembly(self) -> Assembly:
         from ._assembly import _assemble
 
-        return _assemble(self, ())
+        return _assemble([self], ())[0]
 
     @property
     def carried(self) -> dict[str, float]:
