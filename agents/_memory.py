@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 #: limit of a policy's file: states of a filter
 STATES = 64
+FRAMES = 64  # limit of a stack
 LONGEST, LEADERS = 1024, 8  # control steps of a delay, and wheels that lead
 
 
@@ -220,9 +221,13 @@ class Memory(History):
     rise: float = 1.4e-3
     #: road before following wheels, before the estimate among the features; None without following wheels
     echo: Echo | None = None
+    #: number of observations in a row whose features are stacked, the newest last
+    frames: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not is_whole(self.frames, 1, FRAMES):
+            raise InputError(f"memory: frames must be 1 to {FRAMES}, not {shown(self.frames)}")
         if not 0 <= self.ahead <= SIGNALS or not 1 / LARGEST < self.rise < LARGEST:
             raise InputError(f"memory: ahead must be 0 to {SIGNALS} points and rise > 0")
         if self.echo is not None:
@@ -289,6 +294,7 @@ class Memory(History):
                 ahead=int(data.get("ahead", 0)),
                 rise=float(data.get("rise", 1.4e-3)),
                 echo=_made(Echo, data.get("echo")),
+                frames=data.get("frames", 1),
             )
         except InputError:
             raise
@@ -317,7 +323,14 @@ class Recall(Remembered):
         self._next = slice(first, first + width, memory.echo.points if memory.echo else max(width, 1))
         self._rise = np.float32(memory.echo.rise if memory.echo else memory.rise)
         self.filter = _Filter(memory.filter, count) if memory.filter else None
+        self._stack = np.zeros((count, memory.frames, self.features.shape[1]), np.float32)
         self.begin(slice(None), observations)
+
+    def stacked(self) -> np.ndarray:
+        """Return the features behind those of the last observations (count, frames * width), zero before the start."""
+        self._stack[:, :-1] = self._stack[:, 1:]
+        self._stack[:, -1] = self.features
+        return self._stack.reshape(len(self._stack), -1)
 
     @property
     def ratios(self) -> list[np.ndarray]:

@@ -206,13 +206,13 @@ class Policy:
             raise InputError(
                 f"the policy has {_counted(self.currents, 'output')}, network '{network.name}' has {_counted(motors, 'current')}"
             )
-        features = self.weights[0][0].shape[1]
-        self.mean, self.scale = _normalisation(mean, scale, features)
+        inputs, frames = self.weights[0][0].shape[1], self.memory.frames
+        self.mean, self.scale = _normalisation(mean, scale, inputs)
+        features = inputs // frames
         self.signals = (features - self.memory.extra) // (1 + self.memory.order)
-        if self.memory.width(self.signals) != features:
-            raise InputError(
-                f"the policy has {features} inputs, its memory gives {self.memory.width(self.signals)}"
-            )
+        given = frames * self.memory.width(self.signals)
+        if given != inputs:
+            raise InputError(f"the policy has {inputs} inputs, its memory gives {given}")
         if self.signals <= self.currents:
             raise InputError(
                 f"the policy reads {_counted(self.signals, 'signal')} and commands {_counted(self.currents, 'current')}"
@@ -287,9 +287,9 @@ class Policy:
                     f"policy '{self.name}' wants observations of {self.signals} signals{road}, not shape {obs.shape[1:]}"
                 )
             recall = self._recall = self.memory.start(obs)
-            features = recall.features
         else:
-            features = recall.see(obs)
+            recall.see(obs)
+        features = recall.features if self.memory.frames == 1 else recall.stacked()
         present = obs[:, self.signals - self.currents : self.signals]
         wanted = self.head.current(self.share(features), present, recall)
         if self.currents == 1:

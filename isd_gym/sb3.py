@@ -263,7 +263,7 @@ class ScoreCallback(BaseCallback):
         except AttributeError:
             raise InputError("ScoreCallback is for the environments of isd_gym") from None
         space = self.model.observation_space
-        if space.shape != (task.width,):
+        if len(space.shape or ()) != 1 or space.shape[0] % task.width:  # type: ignore[index]
             raise InputError(
                 f"ScoreCallback: the model has observations of shape {space.shape}, the environment gives ({task.width},)"
             )
@@ -358,7 +358,7 @@ def save_model(model: BaseAlgorithm, path: str | Path) -> None:
 
 
 class _Learner:
-    """A model in training as a controller: observations as the environment gives them, actions to currents [A]."""
+    """A model in training as a controller: observations of the environment, alone or stacked; actions to currents [A]."""
 
     name, fallbacks = "policy", 0
 
@@ -366,6 +366,8 @@ class _Learner:
         self.model, self.observation = model, task.options.observation
         self.preview = task.options.preview
         self._normalize = model.get_vec_normalize_env()
+        self._inputs = int(np.prod(model.observation_space.shape or ()))
+        self._stack = np.zeros((1, self._inputs), np.float32)
         box = model.action_space
         assert isinstance(box, spaces.Box)
         self._share = 1.0 / box.high  # of the largest action
@@ -376,10 +378,19 @@ class _Learner:
         self._is_increment = task.options.action == "increment"
 
     def reset(self) -> None:
-        """Do nothing: the environment has the memory."""
+        """Clear the memory of a single car."""
+        self.reset_batch(1)
 
     def reset_batch(self, count: int) -> None:
-        """Do nothing: the environment has the memory."""
+        """Clear the stack of observations; the environment has the rest of the memory."""
+        self._stack = np.zeros((count, self._inputs), np.float32)
+
+    def _stacked(self, observations: np.ndarray) -> np.ndarray:
+        """Return the last observations (cars, inputs), the newest last, as VecFrameStack gives them."""
+        width = observations.shape[1]
+        self._stack[:, :-width] = self._stack[:, width:]
+        self._stack[:, -width:] = observations
+        return self._stack
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Return the currents [A] (currents,) for an observation (width,)."""
@@ -387,7 +398,14 @@ class _Learner:
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
         """Return the currents [A] (cars, currents) for observations (cars, width)."""
-        seen: Any = observations if self._normalize is None else self._normalize.normalize_obs(observations)
+        seen: Any = observations
+        steps = [self._stacked]
+        if self._normalize is not None:  # before or after the stack, as in the training
+            statistics: Any = self._normalize.obs_rms
+            is_first = statistics.mean.shape[0] == observations.shape[1]
+            steps.insert(0 if is_first else 1, self._normalize.normalize_obs)  # type: ignore[arg-type]
+        for step in steps:
+            seen = step(seen)
         actions, _ = self.model.predict(seen, deterministic=True)
         shares = np.asarray(actions, float) * self._share
         if not self._is_increment:

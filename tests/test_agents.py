@@ -183,7 +183,8 @@ def test_a_shipped_policy_is_what_its_score_says(name):
     looks = {"observation": policy.observation, "preview": policy.preview or None}
     kind, shape = policy.info["env"]["id"], (8, policy.currents)
     env = gymnasium.make_vec(kind, 8, autoreset_mode="disabled", **looks)
-    car = gymnasium.make_vec(kind, 8, network=conventional(policy.model), autoreset_mode="disabled")
+    drive = {"allow_passive": True, "autoreset_mode": "disabled"}
+    car = gymnasium.make_vec(kind, 8, network=conventional(policy.model), **drive)
     (obs, _), _ = env.reset(seed=0), car.reset(seed=0)
     own = other = 0.0
     for _ in range(2000):
@@ -253,8 +254,8 @@ def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
     from isd_gym.contrib.training.environment import Remember
     from isd_gym.sb3 import make_vec_env
 
-    brief = dict(env_id="ISDSuspension-v0", rescale=False, max_episode_steps=4, stagger=True)
-    env = Remember(make_vec_env(2, **brief), MEMORY, Head("increment"))
+    brief = dict(rescale=False, max_episode_steps=4, stagger=True)
+    env = Remember(make_vec_env("ISDSuspension-v0", 2, **brief), MEMORY, Head("increment"))
     env.seed(0)
     start = env.reset()
     ends = {}

@@ -118,6 +118,36 @@ def test_a_stock_model_is_scored_as_it_predicts(kind, network, is_stored, is_nor
     assert [row["policy"] for row in held["policies"]] == ["passive", "m"]
 
 
+@pytest.mark.parametrize("env_id", ["ISDSuspension-v0", "ISDSuspensionLearning-v0"])
+@pytest.mark.parametrize("order", ["stack", "stack, normalise", "normalise, stack"])
+@pytest.mark.filterwarnings("ignore")
+def test_a_stack_of_observations_is_scored_as_it_predicts(order, env_id, tmp_path):
+    """An observation of k times the width is a stack, by its file and during a training."""
+    from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
+
+    env = make_vec_env(env_id, 4)
+    for wrap in order.split(", "):
+        env = VecFrameStack(env, 3) if wrap == "stack" else VecNormalize(env)
+    callback = ScoreCallback(1000, save=tmp_path / "m", **SHORT)
+    model = learner("PPO", env).learn(64, callback=callback)
+    code, _, err = run("score", tmp_path / "m.zip", "--episodes", 1, "--duration", 0.1)
+    assert code == 0, err
+    found = callback._cost(find(str(tmp_path / "m.zip"), Network.load(CAR)))
+    assert found == pytest.approx(callback.history[-1][1], rel=1e-3)
+    policy = Policy.load(convert(tmp_path / "m.zip").save(tmp_path / "folder"))
+    assert policy.memory.frames == 3
+    if order != "normalise, stack" and env_id == "ISDSuspension-v0":
+        env.seed(1)
+        env.training = False  # the statistics stay those of the file
+        seen = env.reset()
+        policy.reset_batch(4)
+        for _ in range(20):
+            actions, _ = model.predict(seen, deterministic=True)
+            raw = seen if order == "stack" else env.get_original_obs()
+            np.testing.assert_allclose(policy.act_batch(raw[:, -6:]), 5 * actions[:, 0], atol=1e-4)
+            seen = env.step(actions)[0]
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_a_converted_history_is_bounded_before_it_is_normalised(tmp_path):
     """An environment clips its histories to ±10; the policy, its folder and its C do so as well."""

@@ -316,8 +316,8 @@ def test_on_a_spread_every_road_counts_the_same():
 
 
 def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative():
-    many = dict(env_id="ISDSuspension-v0", rescale=False, stagger=True, max_episode_steps=8)
-    env = Remember(make_vec_env(4, **many), MEMORY, Head("increment"), group=2)
+    many = dict(rescale=False, stagger=True, max_episode_steps=8)
+    env = Remember(make_vec_env("ISDSuspension-v0", 4, **many), MEMORY, Head("increment"), group=2)
     env.seed(3)
     env.reset()
     for _ in range(12):  # over the ends of episodes

@@ -18,15 +18,16 @@ import sys
 import warnings
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym._common.errors import InputError, how_to_install, shown
-from isd_gym._common.inputs import number, parse_json, read_bytes, too_large
+from isd_gym._common.inputs import is_whole, number, parse_json, read_bytes, too_large
 from isd_gym.agents._entry import entry_of
-from isd_gym.agents._memory import Memory
+from isd_gym.agents._memory import FRAMES, Memory
 from isd_gym.agents.policy import Head, Policy
 from isd_gym.contrib.actors import actor_layers, build
 from isd_gym.env._history import BOUND
@@ -293,9 +294,8 @@ def _features(
             is_scaled = _bounds(seen) == {BOUND}
         except ValueError:
             is_scaled = False
-        asked["observation"] = (
-            "history" if is_scaled and shape == [_width("history", car, step)] else "measured"
-        )
+        w = _width("history", car, step)
+        asked["observation"] = "history" if is_scaled and shape == [w * _frames(shape, w)] else "measured"
     if asked["action"] is None:
         is_increment = asked["observation"] == "history" and limit == 1.0
         asked["action"] = "increment" if is_increment else "current"
@@ -306,7 +306,8 @@ def _features(
                 f"{' or '.join(known)}"
             )
     wanted, currents = _width(asked["observation"], car, step), len(car.driven)
-    if shape != [wanted]:
+    frames = _frames(shape, wanted) if acts.get("_shape") == [currents] else 1
+    if shape != [frames * wanted]:
         others = [
             f"{asked['observation']} of {name}"
             for name in CARS
@@ -329,12 +330,19 @@ def _features(
             f"{where} was trained for actions up to {limit:g}, neither 1 nor {CURRENT_LIMIT:g} A"
         )
     memory = Memory.of(car, step) if asked["observation"] == "history" else Memory(step=step)
+    memory = replace(memory, frames=frames)
     is_increment = asked["action"] == "increment"
     return (
         memory,
         Head("increment", slew=min(SLEW_RATE * step, CURRENT_LIMIT)) if is_increment else Head(),
         limit,
     )
+
+
+def _frames(shape: Any, width: int) -> int:
+    """Return the number of observations of a width in a stack of a shape; 1 if the shape is no stack."""
+    is_flat = isinstance(shape, list) and len(shape) == 1 and is_whole(shape[0], width, FRAMES * width)
+    return shape[0] // width if is_flat and shape[0] % width == 0 else 1
 
 
 def _width(observation: str, car: Vehicle, step: float) -> int:
@@ -425,6 +433,11 @@ def convert(
             raise InputError(f"features extractor {shown(extractor)} is not supported")
         bound = BOUND if memory.scale else math.inf  # the environment clips its histories
         mean, scale, clip = read_normalize(normalize) if normalize else (None, None, math.inf)
+        if mean is not None and scale is not None and len(mean) * memory.frames == seen["_shape"][0]:
+            mean, scale = (
+                np.tile(mean, memory.frames),
+                np.tile(scale, memory.frames),
+            )  # normalised, then stacked
         return build(
             state,
             activation=activation,
