@@ -187,6 +187,7 @@ def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, 
     save_map(made.suggestion.map(made.files, "car.json"), tmp_path / "map.json")
     by = ChannelMap.load(valid(tmp_path / "map.json"))
     (back,) = runs(file, network, (*network.inputs, *network.outputs), by=by)
+    assert back.name == "rec"
     for name, column in columns.items():
         np.testing.assert_allclose(back.signals[name].values, column, rtol=1e-12)
 

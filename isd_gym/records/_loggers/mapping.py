@@ -200,68 +200,36 @@ def _run(
     named: _Named,
 ) -> list[Recording]:
     """Return the pieces of one run, in order of time, from the rasters `found` in each file."""
-    loggers = by.loggers if by else ()
     notes: list[str] = []
     _common_origin(found, notes)
     if by is None:
         by = _by_name(wanted, files, found, named)
     else:
         by.check(network)
-        if lost := [c.name for c in wanted if c.name not in by.channels]:
-            kind = "the input " if lost[0] in {c.name for c in network.inputs} else ""
-            raise InputError(f"{by.source}: no column for {kind}{', '.join(lost)}{without(network, lost[0])}")
+        _check_columns(by, wanted, network)
     place = {c.name: _find(c, network, by, files, found) for c in wanted}
-    # only used rasters are cut at their gaps
-    cut: dict[tuple[int, int], list[Raster]] = {}
-    for _, at in place.values():
-        if at not in cut:
-            i, k = at
-            used = [by.channels[n].column for n, (_, other) in place.items() if other == at]
-            raster = found[i][k]
-            for name in used:
-                if name in raster.texts:
-                    raise InputError(f"{raster.source}: column {shown(name)}, {raster.texts[name]}")
-            thin = Raster(
-                raster.source, raster.time, {c: raster.columns[c] for c in used}, raster.units, raster.stamp
-            )
-            cut[at] = mended(thin, notes)
+    cut = _used_pieces(place, by, found, notes)
     whole = spans([[(float(p.time[0]), float(p.time[-1])) for p in pieces] for pieces in cut.values()])
     if not whole:
-        raise InputError(
-            f"{text}: the loggers have no time in common ("
-            + "; ".join(f"{p[0].name} {p[0].time[0]:.6g} to {p[-1].time[-1]:.6g} s" for p in cut.values())
-            + ")"
-        )
+        stretches = [f"{p[0].name} {p[0].time[0]:.6g} to {p[-1].time[-1]:.6g} s" for p in cut.values()]
+        raise InputError(f"{text}: the loggers have no time in common ({'; '.join(stretches)})")
     lags = {
-        f"{i + 1} {plain(f.name, 40)}": x.lag
-        for i, (f, x) in enumerate(zip(files, loggers, strict=False))
-        if x.lag is not None
+        _clock(i, file): logger.lag
+        for i, (file, logger) in enumerate(zip(files, by.loggers, strict=False))
+        if logger.lag is not None
     }
     out = []
     for k, (start, stop) in enumerate(whole, 1):
-        signals = {}
+        signals: dict[str, Signal] = {}
         for channel in wanted:
-            (column, at), source = place[channel.name], by.channels[channel.name]
-            piece = next(
-                (p for p in cut[at] if p.time[0] <= start + 1e-9 and p.time[-1] >= stop - 1e-9), None
-            )
+            column, at = place[channel.name]
+            piece = _piece_of(cut[at], start, stop)
             if piece is None:
                 break
-            unit = source.unit or piece.units.get(column) or channel.unit
-            try:
-                factor = convert(1.0, unit, channel.si)
-            except InputError as error:
-                raise InputError(
-                    f"{piece.source}: column {shown(column)} as {channel.name}: {error}"
-                ) from None
-            values, note = continuous(channel.name, source.sign * factor * piece.columns[column], channel.si)
-            if note and (told := f"{piece.name}: {note}") not in notes:
-                notes.append(told)
+            clock = _clock(at[0], files[at[0]])
+            signal = _signal(channel, by.channels[channel.name], piece, column, clock, notes)
             margin = 2 * piece.step
-            clock = f"{at[0] + 1} {plain(files[at[0]].name, 40)}"
-            signals[channel.name] = Signal(piece.time, values, channel.si, clock, column).within(
-                start - margin, stop + margin
-            )
+            signals[channel.name] = signal.within(start - margin, stop + margin)
         if len(signals) == len(wanted):
             title = name if len(whole) == 1 else f"{name} [{k}]"
             out.append(Recording(title, signals, lags, tuple(notes)))
@@ -271,6 +239,65 @@ def _run(
             f"{text}: no piece of the run is long enough: {'; '.join(notes) or 'too few samples'}"
         )
     return long
+
+
+def _clock(index: int, file: Path) -> str:
+    """Return the name of the clock of a logger."""
+    return f"{index + 1} {plain(file.name, 40)}"
+
+
+def _check_columns(by: ChannelMap, wanted: Sequence[Channel], network: Network) -> None:
+    """Raise `InputError` for a wanted channel without a column in the map."""
+    lost = [c.name for c in wanted if c.name not in by.channels]
+    if not lost:
+        return
+    kind = "the input " if lost[0] in {c.name for c in network.inputs} else ""
+    raise InputError(f"{by.source}: no column for {kind}{', '.join(lost)}{without(network, lost[0])}")
+
+
+def _used_pieces(
+    place: Dict[str, tuple[str, tuple[int, int]]],
+    by: ChannelMap,
+    found: list[list[Raster]],
+    notes: list[str],
+) -> dict[tuple[int, int], list[Raster]]:
+    """Return the pieces between gaps of each raster that holds a channel, by (file, raster)."""
+    columns: dict[tuple[int, int], list[str]] = {}
+    for name, (_, at) in place.items():
+        columns.setdefault(at, []).append(by.channels[name].column)
+    cut = {}
+    for (i, k), used in columns.items():
+        raster = found[i][k]
+        for name in used:
+            if name in raster.texts:
+                raise InputError(f"{raster.source}: column {shown(name)}, {raster.texts[name]}")
+        thin = replace(raster, columns={c: raster.columns[c] for c in used})
+        cut[i, k] = mended(thin, notes)
+    return cut
+
+
+def _piece_of(pieces: Sequence[Raster], start: float, stop: float) -> Raster | None:
+    """Return the piece that covers an interval of time [s]; None without one."""
+    for piece in pieces:
+        if piece.time[0] <= start + 1e-9 and piece.time[-1] >= stop - 1e-9:
+            return piece
+    return None
+
+
+def _signal(
+    channel: Channel, source: Column, piece: Raster, column: str, clock: str, notes: list[str]
+) -> Signal:
+    """Return a column as the signal of a channel, in SI units and with its sign."""
+    unit = source.unit or piece.units.get(column) or channel.unit
+    try:
+        factor = convert(1.0, unit, channel.si)
+    except InputError as error:
+        raise InputError(f"{piece.source}: column {shown(column)} as {channel.name}: {error}") from None
+    values, note = continuous(channel.name, source.sign * factor * piece.columns[column], channel.si)
+    told = f"{piece.name}: {note}"
+    if note and told not in notes:
+        notes.append(told)
+    return Signal(piece.time, values, channel.si, clock, column)
 
 
 def _common_origin(found: list[list[Raster]], notes: list[str]) -> None:

@@ -230,42 +230,75 @@ def _header(
     of units below holds the units. Other rows, such as descriptions, are skipped. `given` are the names for a
     file without a header, and have priority over a header in the `comments` above the numbers.
     """
-    delimiter, comma, width = like
-    numeric = [_is_numeric(_cells(s, delimiter), width, comma) for _, s in rows[:200]]
-    first = numeric.index(True) if True in numeric else len(rows)
-    heads = [[x.strip() for x in _cells(s, delimiter)] for _, s in rows[:first]]
-    if first == len(rows):
-        raise InputError(f"{path}: line {rows[0][0]}: no header row that names the columns")
-    narrow = next((k for k, cells in enumerate(reversed(heads)) if len(cells) != width), len(heads))
-    block = heads[len(heads) - narrow :]
-    if not block and given is not None:
-        if len(given) != width:
-            raise InputError(
-                f"{path}: --columns names {len(given)} columns, line {rows[first][0]} has {width}"
-            )
-        block = [list(given)]
-    if not block and first < len(rows):
-        begin, above = rows[first][0], rows[first - 1][0] if first else 0
-        block = _in_comments([text for n, text in comments if above < n < begin], like)
-    if not block:
-        what = f"the header has {len(heads[-1])}" if heads else "no header row names them"
-        told = f"line {rows[first][0]} has {width} fields, {what}"
-        if delimiter == "," and heads and len(heads[-1]) < width <= 2 * len(heads[-1]):
-            raise InputError(
-                f"{path}: {told}: decimal commas between commas have no single meaning; export with semicolons or tabs"
-            )
-        raise InputError(f"{path}: {told}: name the columns with --columns NAME,NAME,...")
-    below = [row for row in block[1:] if _rank(row) <= 0]
-    unit_row = next((row for row in reversed(below) if _are_units([x.strip("[]() ") for x in row])), None)
-    named = [row for row in block if row is not unit_row]
-    rank = max(map(_rank, named))
-    best = [row for row in named if _rank(row) == rank]
-    header = best[0] if rank > 0 else best[-1]
+    first = _first_numbers(path, rows, like)
+    block = _header_rows(path, rows, first, like, given, comments)
+    unit_row = _row_of_units(block)
+    header = _row_of_names([row for row in block if row is not unit_row])
     pairs = [split_header(x) for x in header]
-    under = [x.strip("[]() ") for x in unit_row] if unit_row else [""] * width
+    under = _bare_units(unit_row) if unit_row else [""] * len(header)
     units = [unit or other for (_, unit), other in zip(pairs, under, strict=True)]
     names = distinct([name for name, _ in pairs], header, units)
     return names, {n: u for n, u in zip(names, units, strict=True) if u}, first
+
+
+def _first_numbers(path: Path, rows: list[tuple[int, str]], like: Dialect) -> int:
+    """Return the index of the first row of numbers."""
+    delimiter, comma, width = like
+    for k, (_, line) in enumerate(rows[:200]):
+        if _is_numeric(_cells(line, delimiter), width, comma):
+            return k
+    raise InputError(f"{path}: line {rows[0][0]}: no header row that names the columns")
+
+
+def _header_rows(
+    path: Path,
+    rows: list[tuple[int, str]],
+    first: int,
+    like: Dialect,
+    given: Sequence[str] | None,
+    comments: Sequence[tuple[int, str]],
+) -> list[list[str]]:
+    """Return the rows that may name the columns: directly above the numbers, else as given, else in comments."""
+    delimiter, _, width = like
+    number = rows[first][0]
+    heads = [[x.strip() for x in _cells(s, delimiter)] for _, s in rows[:first]]
+    block = list(itertools.takewhile(lambda cells: len(cells) == width, reversed(heads)))
+    if block:
+        return block[::-1]
+    if given is not None:
+        if len(given) != width:
+            raise InputError(f"{path}: --columns names {len(given)} columns, line {number} has {width}")
+        return [list(given)]
+    above = rows[first - 1][0] if first else 0
+    block = _in_comments([text for n, text in comments if above < n < number], like)
+    if block:
+        return block
+    what = f"the header has {len(heads[-1])}" if heads else "no header row names them"
+    told = f"line {number} has {width} fields, {what}"
+    if delimiter == "," and heads and len(heads[-1]) < width <= 2 * len(heads[-1]):
+        raise InputError(
+            f"{path}: {told}: decimal commas between commas have no single meaning; export with semicolons or tabs"
+        )
+    raise InputError(f"{path}: {told}: name the columns with --columns NAME,NAME,...")
+
+
+def _bare_units(row: list[str]) -> list[str]:
+    return [x.strip("[]() ") for x in row]
+
+
+def _row_of_units(block: list[list[str]]) -> list[str] | None:
+    """Return the last header row below the first that holds units; None without one."""
+    for row in reversed(block[1:]):
+        if _rank(row) <= 0 and _are_units(_bare_units(row)):
+            return row
+    return None
+
+
+def _row_of_names(rows: list[list[str]]) -> list[str]:
+    """Return the first row with a name of time, or else the last row of the best rank."""
+    rank = max(map(_rank, rows))
+    best = [row for row in rows if _rank(row) == rank]
+    return best[0] if rank > 0 else best[-1]
 
 
 def _in_comments(comments: Sequence[str], like: Dialect) -> list[list[str]]:
