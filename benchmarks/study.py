@@ -27,7 +27,6 @@ from isd_gym._common.files import write_text
 from isd_gym.agents.policy import SHIPPED, Policy
 from isd_gym.contrib import engine
 from isd_gym.contrib.sweep.grid import Condition, Grid
-from isd_gym.physics.network import Network
 
 SCHEMA = "isd-study/2"
 #: by network; of the quarter car's MPCs the best (`isd-gym score` has all of them)
@@ -108,21 +107,8 @@ def collect(
         "conditions": {c.name: c.to_dict() for c in conditions},
         "costs": costs,
         "tyre_load": tyre,
-        "clairvoyant": least(Network.load(network), seed, episodes * MORE),
         "training": curves,
     }
-
-
-def least(network: Network, seed: int, episodes: int) -> list[float]:
-    """Least cost known of the first roads of the training condition, as many as there are one after another."""
-    try:
-        from isd_gym.contrib.ceilings.clairvoyant import reference
-    except ImportError:
-        return []
-    out: list[float] = []
-    while len(out) < episodes and (found := reference(network, episodes=1, seed=seed + len(out))) is not None:
-        out.append(float(found["value"][0]))
-    return out
 
 
 def train_all(

@@ -58,7 +58,7 @@ def drive(network: Any, speed: float, episodes: int, seed: int, duration: float)
 def bound(network: Any, speed: float) -> dict[str, Any] | None:
     """Return the change of the cost at the linear-quadratic bound, with and without knowledge of the rear road."""
     from isd_gym._common.errors import InputError
-    from isd_gym.contrib.ceilings.bounds import wheelbase_bound
+    from isd_gym.benchmark.lq_bounds import wheelbase_bound
 
     try:
         found = wheelbase_bound(network, speed=speed)

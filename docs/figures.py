@@ -302,7 +302,7 @@ def films() -> None:
 def preview() -> None:
     """Change of J over the seconds of road ahead, of the references of the benchmark's card, and the ceilings."""
     from isd_gym.benchmark import _cards as cards
-    from isd_gym.contrib.ceilings.ceiling import known
+    from isd_gym.benchmark._ceilings import known
     from isd_gym.physics.network import Network
     from isd_gym.physics.road import road
 

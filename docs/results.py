@@ -32,7 +32,7 @@ import tracks as tracks_of
 from table import table
 
 from isd_gym.benchmark import _cards as cards
-from isd_gym.contrib.ceilings.ceiling import known
+from isd_gym.benchmark._ceilings import known
 from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
 from isd_gym.env._task import Options

@@ -50,7 +50,6 @@ from isd_gym.records.data import _isolated as isolated
         ("score passive --duration 0.01 --episodes 99999999999999999999", "GB of memory"),
         ("record passive --out {tmp} --duration 1e12", "GB of memory"),
         ("show passive --seconds 1e12", "--seconds: a drive"),
-        ("ceiling --duration 1e12", "'--duration'"),
     ],
 )
 def test_a_huge_number_on_the_command_line_is_one_line(words, says, tmp_path):

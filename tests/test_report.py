@@ -203,7 +203,7 @@ def small_score():
 @pytest.fixture(autouse=True)
 def no_bound(monkeypatch):
     """The causal bound takes seconds and is tested beside the baselines."""
-    monkeypatch.setattr("isd_gym.contrib.ceilings.beside.fronts", lambda score: [])
+    monkeypatch.setattr("isd_gym.benchmark._ceilings.fronts", lambda score: [])
 
 
 @pytest.fixture

@@ -9,8 +9,7 @@ from program import refused
 
 from isd_gym import baselines
 from isd_gym.benchmark.driving import Crew, Entry, travel
-from isd_gym.benchmark.policies import find
-from isd_gym.contrib.ceilings.bounds import (
+from isd_gym.benchmark.lq_bounds import (
     blind_gain,
     ideal_car,
     lq_bound,
@@ -18,6 +17,7 @@ from isd_gym.contrib.ceilings.bounds import (
     simulated_cost,
     wheelbase_bound,
 )
+from isd_gym.benchmark.policies import find
 from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.physics._car_prediction import CarWeights, car_model, car_regulator
 from isd_gym.physics._vehicle import vehicle

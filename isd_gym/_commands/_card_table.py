@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from .._common.errors import InputError, plain
-from .._common.plugins import wing
 from ._columns import print_columns
 from .console import printer
 
@@ -66,6 +65,7 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
 
 def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | None] | None:
     """Return a function from preview [s] to the causal ceiling of a track; None where no ceiling may stand beside the track."""
+    from ..benchmark._ceilings import known_ceilings
     from ..benchmark._comparability import comparable
     from ..physics.network import Network
     from ..physics.road import road
@@ -76,4 +76,4 @@ def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | N
     except InputError:  # of a file on another machine
         return None
     left_out = comparable(plant, ground, speed, one["episodes"], duration).ceiling
-    return None if left_out else wing("ceilings").known_ceilings(plant, ground, speed, duration)
+    return None if left_out else known_ceilings(plant, ground, speed, duration)

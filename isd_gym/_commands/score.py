@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from .._common.plugins import find_wing
 from ._card_table import print_track
 from ._options import (
     DurationOption,
@@ -82,6 +81,7 @@ def command(
 
     Example: isd-gym score passive isd-passive mpc
     """
+    from ..benchmark import _ceilings as bounds
     from ..benchmark.policies import find_all, passive
     from ..benchmark.scoring import check_size, unscored
     from ..benchmark.scoring import score as run
@@ -118,9 +118,8 @@ def command(
 
         card = cards.load(against)
         track = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]
-    bounds = find_wing("ceilings")
-    ceilings = bounds and bounds.known_ceilings(plant, ground, speed, duration)
-    known = bounds and bounds.reachable(plant, ground, speed, episodes, seed, duration)
+    ceilings = bounds.known_ceilings(plant, ground, speed, duration)
+    known = bounds.reachable(plant, ground, speed, episodes, seed, duration)
     with progress() as update:
         warm_up(update)
         result = run(
@@ -133,8 +132,7 @@ def command(
             progress=update,
             **drives,
         )
-    if bounds:
-        result.references |= bounds.bounds_beside(result, known, ceilings)
+    result.references |= bounds.bounds_beside(result, known, ceilings)
     made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
     write_json(json_file, made)
     if report is not None:

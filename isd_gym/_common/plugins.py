@@ -32,7 +32,6 @@ OWN = {
         "simulate": "isd_gym.contrib.simulation.command:command",
         "sweep": "isd_gym.contrib.sweep.command:command",
         "reproduce": "isd_gym.contrib.reproduce:command",
-        "ceiling": "isd_gym.contrib.ceilings.ceiling:command",
         "warm": "isd_gym.contrib.warming.command:command",
     },
     READERS: {
@@ -45,7 +44,6 @@ OWN = {
     },
     WINGS: {
         "bench_files": "isd_gym.contrib.bench_files.writing",
-        "ceilings": "isd_gym.contrib.ceilings.beside",
         "own_controllers": "isd_gym.contrib.own_controllers",
     },
 }

@@ -1,49 +1,13 @@
-"""The causal ceiling: a numerically searched bound for controllers that know the road up to a given preview.
-
-**Information relaxation** (Brown, Smith and Sun, Operations Research 58, 2010). Let pi be a penalty with zero
-mean for every policy that acts on available information. For every such policy ``E[cost] = E[cost - pi] >=
-E[min (cost - pi)]``, with the minimum over the currents of a completely known road. Any penalty of zero mean
-gives a lower bound. The tightest penalty is the sum of the values of each step's news, ``V(x_k+1) -
-E[V(x_k+1) | known at k]``, with the value function V of the true problem.
-
-**The penalty here** belongs to the linear-quadratic car: friction replaced by the dampers of a statistical
-linearisation, limits replaced by a weight on the change of current. With the finite-horizon Riccati solution
-M_k (stage cost and cost to go after step k) and the news d of the road in one step, the penalty is linear in
-state and current,
-
-    pi_k = 2 d_k' [M (A x_k + B I_k) + m I_k] + d_k' M d_k - tr(M W)                                    (no
-    preview)
-    pi_k = 2 sigma_k' (x_k+1, I_k) + terms of the road alone                                    (n steps of
-    preview)
-
-sigma_k are the news d_k+n, n steps ahead, propagated backwards through the closed loop. The news consist of
-the road's innovations, which are independent of the past for any policy and any car. The mean is therefore
-exactly zero, on the real car too; the linear car only determines the tightness of the bound. On a linear car
-without limits, the bound is tight on every single road: the penalised optimum equals the Riccati value (a
-test). On the real car it varies little from road to road, since the constant terms act as control variates.
-
-**The computation** is the clairvoyant's descent on the penalised cost, through the real kernel with friction,
-stop and limits. Friction makes the problem non-convex and the result a local optimum. `Ceiling.value` is
-therefore searched, not proven: a better search lowers the value. docs/explanation/ceiling.md lists the
-results of other starts. `Ceiling.proven` is the relaxation of `relaxed` with the same penalty: a proven but
-loose bound for the car without end stops. `Ceiling.sentence` states both.
-"""
+"""The value of news of the road for a linear car."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Annotated, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import typer
-from scipy.linalg import expm
 
 from isd_gym._common.errors import InputError
-from isd_gym.baselines.controller import steps_ahead
-from isd_gym.benchmark.policies import conventional
 from isd_gym.physics import elements as el
 from isd_gym.physics._prediction import (
     Model,
@@ -52,14 +16,31 @@ from isd_gym.physics._prediction import (
     prediction_model,
     statistical_linearisation,
 )
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Network
-from isd_gym.physics.road import Road
-from isd_gym.physics.road import road as find_road
 from isd_gym.physics.simulate import PHYSICS_STEP
 
-from .bounds import linear_car
-from .clairvoyant import CONTROL_STEP, SCHEDULES, Episode, Penalty, Schedule, episode_key, keep, read
+if TYPE_CHECKING:
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.road import Road
+
+CONTROL_STEP = 5e-3
+
+
+@dataclass(frozen=True)
+class Penalty:
+    """Deduction from the summed cost of an episode: ``constant + sum_k on_state[k] . x[k] + on_current[k] I[k]``.
+
+    x (n,) are the network's states at the start of control step k, and I [A] is the current of the step.
+
+    Attributes:
+        on_state: Slopes (steps, n).
+        on_current: Slopes (steps,) [1/A].
+        constant: Constant [-].
+    """
+
+    on_state: np.ndarray
+    on_current: np.ndarray
+    constant: float
 
 
 @dataclass(frozen=True)
@@ -82,10 +63,6 @@ class CeilingSettings:
     def __post_init__(self) -> None:
         if not (self.move >= 0 and self.effort >= 0 and self.centring >= 0):
             raise InputError("weights of the penalty must be >= 0")
-
-
-#: for the proven bound of a car without stops
-PROVEN = CeilingSettings(move=0.02, centring=0.0)
 
 
 class NewsValue:
@@ -259,372 +236,3 @@ class NewsValue:
         before = np.zeros_like(known)
         before[1:] = (known + 0.5 * on)[:-1]  # the state of rest at the start contributes nothing
         return by_state, on[:, n], constant, before
-
-
-@dataclass(frozen=True)
-class Ceiling:
-    """A numerically searched bound of the mean cost J of every controller with a given preview.
-
-    Attributes:
-        preview: Known road ahead [s].
-        roads: Penalised optimum of each road (episodes,), as found; the mean is the ceiling.
-        proven: Proven lower bound of each road (episodes,), for the car without end stops.
-        passive: Exact expectation of J of the conventional car.
-    """
-
-    preview: float
-    roads: np.ndarray
-    proven: np.ndarray
-    passive: float
-
-    @property
-    def value(self) -> float:
-        """Mean cost J of the ceiling [-]."""
-        return float(self.roads.mean())
-
-    @property
-    def sentence(self) -> str:
-        """Value of the ceiling and proven bound in words, as in the documentation."""
-        what, who = "causal ceiling", "that does not see the road"
-        if self.preview:
-            what, who = (
-                f"ceiling with {self.preview:g} s of road ahead",
-                f"that sees {self.preview:g} s of road ahead",
-            )
-        proven = 100 * (self.proven.mean() / self.passive - 1.0)
-        bound = "There is no proven bound"
-        if math.isfinite(proven):
-            error = 100 * _standard_error(self.proven) / self.passive
-            bound = f"The proven bound, for a car without end stops, is {proven:+.1f} +- {error:.1f} %"
-        return (
-            f"The {what} is an estimate, not a proven bound: J {100 * self.change:+.1f} +- "
-            f"{100 * self.standard_error / self.passive:.1f} % against passive. "
-            f"No controller {who} is known to be better. {bound}."
-        )
-
-    @property
-    def standard_error(self) -> float:
-        """Standard error of `value` due to the choice of roads."""
-        return _standard_error(self.roads)
-
-    @property
-    def change(self) -> float:
-        """Change of J against the conventional passive car, as a fraction."""
-        return self.value / self.passive - 1.0
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the ceiling as plain data.
-
-        Returns:
-            Values with their uncertainty.
-        """
-        return {
-            "preview": {"value": self.preview, "unit": "s"},
-            "roads": len(self.roads),
-            "cost": self.value,
-            "standard_error": self.standard_error,
-            "passive": self.passive,
-            "change": self.change,
-            "change_standard_error": self.standard_error / self.passive,
-            "proven_without_stops": float(self.proven.mean()) / self.passive - 1.0,
-            "proven_standard_error": _standard_error(self.proven) / self.passive,
-            "sentence": self.sentence,
-        }
-
-
-def _standard_error(values: np.ndarray) -> float:
-    """Return the standard error of the mean over roads."""
-    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
-
-
-def passive_cost(
-    network: Network,
-    road: Road,
-    speed: float,
-    duration: float,
-    cost: StageCost,
-    control_step: float = CONTROL_STEP,
-) -> float:
-    """Return the exact expectation of the mean cost of the conventional passive car from rest, which is linear.
-
-    Args:
-        network: The plant.
-        road: A rough road.
-        speed: Speed [m/s].
-        duration: Length of an episode [s].
-        cost: Stage cost.
-        control_step: Control step [s].
-
-    Returns:
-        Mean stage cost J [-].
-    """
-    car = linear_car(conventional(network), speed=speed, road=road)
-    n = len(car.A)
-    noise = car.intensity * np.outer(car.G, car.G)
-    loan = expm(np.block([[-car.A, noise], [np.zeros((n, n)), car.A.T]]) * control_step)
-    A = loan[n:, n:].T
-    W = A @ loan[:n, n:]
-    weights = np.array(cost.quadratic[:3])
-    X, total, steps = np.zeros((n, n)), 0.0, round(duration / control_step)
-    for _ in range(steps):
-        X = A @ X @ A.T + W
-        total += float(weights @ np.einsum("ij,jk,ik->i", car.C, X, car.C))
-    return total / steps
-
-
-FILE = Path(__file__).parents[2] / "benchmark" / "bounds" / "ceiling.json"
-#: first seed of roads that were not used for tuning
-SEED = 600_000
-ROADS = 16
-FEWEST = 4  # smallest number of roads of a ceiling in a score
-
-
-def ceiling(
-    network: Network | str | Path = "quarter-car-isd",
-    *,
-    preview: float = 0.0,
-    road: str | Road = "paper",
-    speed: float = 20.0,
-    duration: float = 20.0,
-    episodes: int = ROADS,
-    seed: int = SEED,
-    cost: StageCost | None = None,
-    settings: CeilingSettings | None = None,
-    compute: bool = True,
-    store: Path | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Ceiling | None:
-    """Return the bound for controllers with a given preview; with preview 0 a causal bound for any measurement.
-
-    Known roads are shipped or in the user's cache. Other roads are computed (about 15 s per road) and stored
-    in the cache, or in `store`.
-
-    Args:
-        network: The plant.
-        preview: Known road ahead [s].
-        road: A rough road.
-        speed: Speed [m/s].
-        duration: Length of an episode [s].
-        episodes: Number of roads.
-        seed: Seed of the first road.
-        cost: Stage cost; None for the environment's.
-        settings: Weights of the penalty; None for the defaults.
-        compute: Whether missing roads are computed.
-        store: File of computed roads; None for the cache.
-        progress: Called with the finished share, from 0 to 1.
-
-    Returns:
-        The ceiling; None without `compute` if fewer than `FEWEST` roads are known.
-
-    Raises:
-        InputError: The road is not rough, or the network has no motor.
-    """
-    network, ground, cost = Network.load(network), find_road(road), cost or StageCost()
-    settings = settings or CeilingSettings()
-    points = steps_ahead(preview, CONTROL_STEP)
-    key = episode_key(
-        network, ground, speed, duration, cost, preview=float(preview), settings=asdict(settings)
-    )
-    known = read(key, FILE)
-    if not compute:  # all known consecutive roads
-        count = next(i for i in range(len(known) + 1) if seed + i not in known)
-        episodes = min(episodes, count)
-        if episodes < FEWEST:
-            return None
-    wanted = range(seed, seed + episodes)
-    missing = [s for s in wanted if s not in known]
-    if missing:
-        steps = round(duration / CONTROL_STEP)
-        value = NewsValue(network, ground, speed, steps, cost, settings=settings)
-        plain = NewsValue(network, ground, speed, steps, cost, settings=PROVEN)
-        about: dict[str, Any] = {
-            "network": network.name,
-            "road": ground.name,
-            "speed": speed,
-            "duration": duration,
-        }
-        about |= {"preview": float(preview), "settings": asdict(settings)}
-        for i, s in enumerate(missing):
-            found = _one_road(network, ground, speed, duration, cost, value, plain, points, s)
-            known[s] = {n: None if x is None else float(f"{x:.7g}") for n, x in found.items()}
-            keep(store or FILE, store is not None, key, about, s, known[s])
-            if progress is not None:
-                progress((i + 1) / len(missing))
-    proven = [known[s]["proven"] for s in wanted]
-    return Ceiling(
-        preview,
-        np.array([known[s]["reached"] for s in wanted]),
-        np.array([math.nan if x is None else x for x in proven]),
-        passive_cost(network, ground, speed, duration, cost),
-    )
-
-
-def _one_road(
-    network: Network,
-    road: Road,
-    speed: float,
-    duration: float,
-    cost: StageCost,
-    value: NewsValue,
-    plain: NewsValue,
-    points: int,
-    seed: int,
-) -> dict[str, float | None]:
-    from gymnasium.utils import seeding
-
-    heights = road.heights(duration, speed=speed, rng=seeding.np_random(seed)[0])
-    penalty, slope = value.penalty(heights, points)
-    episode = Episode(network, heights, cost=cost, penalty=penalty)
-    proven = Episode(network, heights, cost=cost, penalty=plain.penalty(heights, points)[0]).relaxation()
-    tries = [episode.optimise(schedule) for schedule in SEARCH]
-    first = min(episode.cost_of(episode.rollout(I)) for I in tries)
-    for schedule in POLISH:
-        tries.append(episode.optimise(schedule, stitch(episode, value, slope, tries)))
-    best = min(episode.cost_of(episode.rollout(I)) for I in tries)
-    return {"reached": best, "unstitched": first, "proven": proven}
-
-
-#: starts of the search, and descents after each stitch
-SEARCH = (*SCHEDULES, Schedule(((4.0, 3e-4), (1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15))
-_GENTLE = Schedule(((1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15)
-_STRONG = Schedule(((8.0, 1e-3), (4.0, 3e-4), (2.0, 1e-4), (1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15)
-POLISH = (_GENTLE, _STRONG, _STRONG, _GENTLE, _STRONG)
-WINDOW = 50  # length of the windows of a stitch [control steps]
-
-
-def stitch(episode: Episode, value: NewsValue, slope: np.ndarray, tries: Sequence[np.ndarray]) -> np.ndarray:
-    """Combine several local optima of a road piece by piece by dynamic programming.
-
-    The loss of a solution in a step is its cost minus the penalty plus the change of the value function. A
-    change from one solution to another costs about the value of their difference. Local optima differ in
-    places, and a car forgets within a second.
-
-    Args:
-        episode: The road and the car.
-        value: Value function of the linear car.
-        slope: Slopes (steps, n + 1) of the value due to the known road.
-        tries: Currents (steps,) of the solutions [A].
-
-    Returns:
-        Currents (steps,) [A] that follow one of `tries` at a time.
-    """
-    n, steps = value.model.n, episode.steps
-    lost, states = [], []
-    for currents in tries:
-        path = episode.rollout(currents)
-        above = path.z[:, :n] - np.outer(episode.heights[:: episode.sub][:-1], value.model.lift)
-        X = np.column_stack([above, np.concatenate([[0.0], path.current[:-1]])])
-        worth = np.einsum("ki,kij,kj->k", X, value.V, X) + 2 * np.sum(slope * X, axis=1)
-        p = episode.penalty
-        assert p is not None
-        stage = path.outputs**2 @ episode.squares + episode.on_current * path.current**2
-        stage -= np.sum(p.on_state * path.z[:, :n], axis=1) + p.on_current * path.current
-        lost.append(stage + np.append(worth[1:], 0.0) - worth)
-        states.append(X)
-    many = len(tries)
-    starts = range(0, steps, WINDOW)
-    total, came = np.zeros(many), []
-    for first in starts:
-        # over[i, j]: from i to j at the start of this window
-        over = np.zeros((many, many))
-        for i in range(many):
-            for j in range(many):
-                change = states[i][first] - states[j][first]
-                over[i, j] = change @ value.V[first] @ change
-        way = total[:, None] + over
-        came.append(np.argmin(way, axis=0))
-        total = way.min(axis=0) + np.array([x[first : first + WINDOW].sum() for x in lost])
-    out = np.empty(steps)
-    now = int(np.argmin(total))
-    for first, before in zip(reversed(starts), reversed(came), strict=True):
-        out[first : first + WINDOW] = tries[now][first : first + WINDOW]
-        now = int(before[now])
-    return out
-
-
-def known(
-    network: Network | str | Path,
-    road: str | Road = "paper",
-    speed: float = 20.0,
-    duration: float = 20.0,
-    cost: StageCost | None = None,
-    *,
-    preview: float = 0.0,
-) -> dict[str, Any] | None:
-    """Return the ceiling of a score from known roads.
-
-    Args:
-        network: The plant.
-        road: The road.
-        speed: Speed [m/s].
-        duration: Length of an episode [s].
-        cost: Stage cost; None for the environment's.
-        preview: Known road ahead [s].
-
-    Returns:
-        `Ceiling.to_dict`; None if too few roads are known.
-    """
-    try:
-        found = ceiling(
-            network, preview=preview, road=road, speed=speed, duration=duration, cost=cost, compute=False
-        )
-    except InputError:  # a road or a car without a ceiling
-        return None
-    return None if found is None else found.to_dict()
-
-
-def command(
-    preview: Annotated[
-        list[float] | None,
-        typer.Option(help="Road ahead that is known [s]; 0, none, unless given.", min=0.0),
-    ] = None,
-    road: Annotated[str, typer.Option(help="A rough road: paper, A ... H.")] = "paper",
-    speed: Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)] = 20.0,
-    network: Annotated[
-        str, typer.Option(help="The plant: a built-in network or a model file.")
-    ] = "quarter-car-isd",
-    episodes: Annotated[int, typer.Option(help="Number of roads; each takes some 15 s.", min=2)] = ROADS,
-    duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.1, max=600.0)] = 20.0,
-    store: Annotated[
-        Path | None, typer.Option("--store", help="Store computed roads in this file.", metavar="FILE")
-    ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
-    ] = None,
-) -> None:
-    """Estimate the lowest cost of controllers that see a given length of road ahead, or none (causal ceiling).
-
-    The ceiling is the result of a search, not a proven bound. The command also prints a proven, looser bound. Computed roads
-    are stored and not computed again. `isd-gym score` quotes the stored ceilings.
-
-    Example: isd-gym ceiling --preview 0 --preview 0.1
-    """
-    import json
-
-    from isd_gym._commands.console import progress, tell
-    from isd_gym._common.files import check_file, write_text
-
-    if json_file is not None:
-        check_file(json_file)
-    found = []
-    plant, ground = Network.load(network), find_road(road)
-    for s in preview or [0.0]:
-        with progress() as update:
-            bound = ceiling(
-                plant,
-                preview=s,
-                road=ground,
-                speed=speed,
-                duration=duration,
-                episodes=episodes,
-                store=store,
-                progress=lambda share, s=s: update(f"{s:g} s ahead", share),  # type: ignore[misc]
-            )
-        assert bound is not None
-        row = bound.to_dict()
-        found.append(row)
-        tell(
-            f"{s:g} s ahead: J {row['cost']:.4f} +- {row['standard_error']:.4f} ({episodes} roads). {row['sentence']}"
-        )
-    if json_file is not None:
-        write_text(json_file, json.dumps({"schema": "isd-ceiling/1", "ceilings": found}, indent=1) + "\n")

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.optimize import brentq
 
+from isd_gym.benchmark.lq_bounds import best_acceleration, lq_bound, lq_front
+from isd_gym.benchmark.lq_bounds import reference as passive_rms
 from isd_gym.benchmark.scoring import PAPER
 from isd_gym.physics.road import paper_road
 from isd_gym.view._report.plots import LOOKS, figure, number, percent
 
-from ..ceilings.bounds import best_acceleration, lq_bound, lq_front
-from ..ceilings.bounds import reference as passive_rms
 from .study import PRINTED, Claim, Section, Study, Table
 
 if TYPE_CHECKING:

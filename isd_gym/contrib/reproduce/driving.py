@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from isd_gym.benchmark._ceilings import reachable as known_optimum
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import Score, drive, score
+from isd_gym.benchmark.scoring import Score, score
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.view._report.plots import percent
 
-from ..ceilings.clairvoyant import reference as known_optimum
-from .study import SERIES, Study
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from .study import Study
 
 #: controllers driven on the series network
 DRIVEN = ("isd-passive", "lqg", "mpc-paper", "mpc", "mpc-friction")
@@ -86,24 +84,6 @@ def score_rows(found: Score, label: str) -> list[Sequence[str]]:
         Rows of texts.
     """
     return [_score_row(row, label) for row in found.policies]
-
-
-def still(duration: float) -> np.ndarray:
-    """Return cost [-], acceleration [m/s^2], travel [m] and tyre load [N] of the conventional passive car on the first scoring road.
-
-    Args:
-        duration: Length of the episode [s].
-
-    Returns:
-        Mean cost and RMS (4,).
-    """
-
-    net = Network.load(SERIES)
-    run = drive(passive(net), net, episodes=1, duration=duration)
-    rms = [
-        float(np.sqrt(np.mean(x**2))) for x in (run.body_acceleration, run.suspension_travel, run.tyre_load)
-    ]
-    return np.array([float(run.cost(StageCost())[0]), *rms])
 
 
 def own_cost(found: Score) -> float:

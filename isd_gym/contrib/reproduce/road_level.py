@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from isd_gym.benchmark.lq_bounds import linear_car, stationary
+from isd_gym.benchmark.lq_bounds import reference as passive_rms
 from isd_gym.benchmark.scoring import PAPER
 from isd_gym.physics.road import PRINTED_KAPPA, paper_road
 from isd_gym.view._report.plots import number, percent
 
-from ..ceilings.bounds import linear_car, stationary
-from ..ceilings.bounds import reference as passive_rms
 from .study import SERIES, Claim, Section, Study, Table
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Parameters that the paper leaves open: thrust constant, control step, slew limit."""
+"""Parameters that the paper leaves open: thrust constant, control step."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from isd_gym.baselines import make
 from isd_gym.benchmark.driving import Crew, Entry, travel
+from isd_gym.benchmark.lq_bounds import reference as passive_rms
 from isd_gym.benchmark.scoring import PAPER
 from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.env._task import CONTROL_STEP
@@ -15,9 +16,6 @@ from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.view._report.plots import LOOKS, figure, percent
 
-from ..ceilings.bounds import reference as passive_rms
-from ..ceilings.clairvoyant import clairvoyant
-from .driving import still
 from .study import SERIES, Section, Study, Table
 
 if TYPE_CHECKING:
@@ -48,7 +46,7 @@ def drive_lqg(network: Network, control_step: float, episodes: int, duration: fl
 
 
 def sweep(study: Study) -> Section:
-    """Vary the parameters that the paper leaves open: thrust constant, control step, slew limit.
+    """Vary the parameters that the paper leaves open: thrust constant, control step.
 
     Args:
         study: Shared results.
@@ -58,12 +56,11 @@ def sweep(study: Study) -> Section:
     """
     thrusts = (40.0, 60.0, 90.0, 130.0)
     steps = (2e-3, 5e-3, 10e-3, 20e-3)
-    slews = (0.1, 0.25, 0.5, 1.0, 2.0)
     episodes, duration = (2, 5.0) if study.quick else (16, 20.0)
     net = Network.load(SERIES)
     base = passive_rms()
     j0 = float(StageCost()(base[0], base[1]))
-    total = len(thrusts) + len(steps) + len(slews)
+    total = len(thrusts) + len(steps)
     done = 0
 
     def tick() -> None:
@@ -87,32 +84,13 @@ def sweep(study: Study) -> Section:
 
     ground = passive_triple(CONTROL_STEP)
 
-    def optimum(network: Network, **options: Any) -> np.ndarray:
-        # the quick run optimises the currents of 2 s, the full run of 10 s
-        found = clairvoyant(network, seed=0, duration=2.0 if study.quick else 10.0, bound=False, **options)
-        return np.array([found.value, *found.rms])
-
-    j_still = float(still(2.0 if study.quick else 10.0)[0])
     rows: list[Sequence[str]] = []
-    figures: dict[str, Any] = {"passive_cost": j0, "lqg": [], "clairvoyant": []}
+    figures: dict[str, Any] = {"passive_cost": j0, "lqg": []}
 
-    def row(
-        what: str, value: str, lqg: np.ndarray | None, best: np.ndarray | None, base_lqg: np.ndarray
-    ) -> None:
-        cells = [what, value]
-        cells += (
-            ["–"] * 4
-            if lqg is None
-            else [percent(float(a / b - 1)) for a, b in zip(lqg, base_lqg, strict=True)]
-        )
-        cells.append("–" if best is None else percent(float(best[0] / j_still - 1)))
-        rows.append(tuple(cells))
-        figures["lqg"].append(
-            {"what": what, "value": value, "change": None if lqg is None else (lqg / base_lqg - 1).tolist()}
-        )
-        figures["clairvoyant"].append(
-            {"what": what, "value": value, "change": None if best is None else float(best[0] / j_still - 1)}
-        )
+    def row(what: str, value: str, lqg: np.ndarray, base_lqg: np.ndarray) -> None:
+        change = lqg / base_lqg - 1
+        rows.append((what, value, *(percent(float(c)) for c in change)))
+        figures["lqg"].append({"what": what, "value": value, "change": change.tolist()})
 
     for k in thrusts:
         plant = net.with_parameters({"motor.thrust_constant": k})
@@ -120,69 +98,52 @@ def sweep(study: Study) -> Section:
             "thrust constant",
             f"{k:.0f} N/A",
             drive_lqg(plant, CONTROL_STEP, episodes, duration),
-            optimum(plant),
             ground,
         )
         tick()
     for h in steps:
         own = ground if h == CONTROL_STEP else passive_triple(h)
-        best = optimum(net, control_step=h)
-        row("control step, ΔI = 0.5 A", f"{1e3 * h:.0f} ms", drive_lqg(net, h, episodes, duration), best, own)
-        tick()
-    for s in slews:
-        row("ΔI per 5 ms", f"{s:g} A", None, optimum(net, slew_limit=s), ground)
+        row("control step, ΔI = 0.5 A", f"{1e3 * h:.0f} ms", drive_lqg(net, h, episodes, duration), own)
         tick()
     study.figures["sweep"] = figures
     fig = figure(7.2, 2.7)
-    axes = fig.subplots(1, 3, sharey=True)
+    axes = fig.subplots(1, 2, sharey=True)
     spans = (
         (thrusts, "thrust constant [N/A]"),
         ([1e3 * h for h in steps], "control step [ms]"),
-        (slews, "ΔI per 5 ms [A]"),
     )
     start = 0
     for ax, (values, label) in zip(axes, spans, strict=True):
         part = slice(start, start + len(values))
         start += len(values)
-        for key, look in (("lqg", LOOKS[1]), ("clairvoyant", LOOKS[0])):
-            y = [r["change"][0] if isinstance(r["change"], list) else r["change"] for r in figures[key][part]]
-            if all(v is not None for v in y):
-                ax.semilogx(
-                    values,
-                    100 * np.array(y, float),
-                    color=look.colour,
-                    ls=look.line,
-                    marker=look.marker,
-                    ms=4,
-                    label=key,
-                )
+        y = [r["change"][0] for r in figures["lqg"][part]]
+        look = LOOKS[1]
+        ax.semilogx(values, 100 * np.array(y), color=look.colour, ls=look.line, marker=look.marker, ms=4)
         ax.set_xticks(list(values), [f"{v:g}" for v in values])
         ax.minorticks_off()
         ax.set_xlabel(label)
     axes[0].set_ylabel("change of cost J [%]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    fig.legend(handles, labels, loc="outside upper left", ncols=2)
-    picture = study.picture(fig, "sweep", "Sweep", "Cost over thrust constant, control step and slew limit",
-                            "What the paper leaves open: change of cost against passive, by the LQG controller (tuned once, at the middle) and by the clairvoyant optimum.")  # fmt: skip
-    gains = {r["value"]: r["change"] for r in figures["clairvoyant"]}
+    picture = study.picture(fig, "sweep", "Sweep", "Cost over thrust constant and control step",
+                            "What the paper leaves open: change of cost against passive, by the LQG controller, tuned once, at the middle.")  # fmt: skip
+    gains = {r["value"]: r["change"][0] for r in figures["lqg"]}
     want8 = [q / p - 1 for p, q in zip(*list(PAPER.values())[1], strict=True)]
     met = [(r["value"], r["change"]) for r in figures["lqg"] if r["change"] and r["change"][1] <= want8[0]]
     study.evidence += [
         (
             "thrust constant K_f [N/A]",
-            "none printed; clairvoyant cost at 40/60/90/130 N/A: "
+            "none printed; cost of LQG at 40/60/90/130 N/A: "
             + "/".join(percent(gains[f"{k:.0f} N/A"], 0) for k in thrusts),
             f"60 N/A: {60 * 4.056:.0f} N/A at the terminals, {60 * 4.056 * 5:.0f} N at 5 A",
         ),
         (
             "sampling time, horizons",
-            "none printed; clairvoyant cost at 2/5/10/20 ms with 0.5 A per step: "
+            "none printed; cost of LQG at 2/5/10/20 ms with 0.5 A per step: "
             + "/".join(percent(gains[f"{1e3 * h:.0f} ms"], 0) for h in steps),
             "5 ms control, 1 ms physics: ΔI per step makes the step part of the physics",
         ),
     ]
     return Section(
-        "What the paper leaves open: thrust constant, control step, slew limit",
+        "What the paper leaves open: thrust constant, control step",
         [
             "The thrust constant, the control step and the horizons are not printed, and all three decide what the motor can do against 500 N of friction. "
             + (
@@ -197,10 +158,9 @@ def sweep(study: Study) -> Section:
         [
             Table(
                 "Change against the conventional passive car",
-                ("", "value", "LQG: cost J", "acceleration", "travel", "tyre load", "clairvoyant: cost J"),
+                ("", "value", "LQG: cost J", "acceleration", "travel", "tyre load"),
                 rows,
-                f"LQG: {episodes} episodes of {duration:g} s; the environment's drive has 0.5 A per step, so it is not driven at other ΔI. "
-                f"Clairvoyant: the road of seed 0, {2 if study.quick else 10} s, all limits.",
+                f"{episodes} episodes of {duration:g} s.",
                 texts=(0,),
             )
         ],

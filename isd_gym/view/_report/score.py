@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._common.files import check_folder, whole_folder, write_text
-from ..._common.plugins import find_wing
 from ..._common.seeds import road_name
 from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, picture
 from .plots import INK, LOOKS, MUTED, Look, caption, density, looks, page, percent, style
@@ -297,8 +296,9 @@ def trade_off(shown: Shown) -> Chart:
     """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load."""
     marks = [*_policy_marks(shown), *_published_marks(shown)]
     xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
-    bounds = find_wing("ceilings")
-    curves = bounds.fronts(shown.score) if bounds else []
+    from ...benchmark._ceilings import fronts
+
+    curves = fronts(shown.score)
     lines = []
     for (tyre, curve), dashes in zip(curves, ("-", (0, (5, 2))), strict=False):
         label = f"causal bound at tyre load {percent(tyre, 0)}"

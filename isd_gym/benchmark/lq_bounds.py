@@ -1,13 +1,10 @@
-"""Two limits for every score: a causal bound on the mean over roads, and the reachable cost on a single road.
+"""The causal bound of every score, on the mean over roads.
 
 The **causal bound** is the linear-quadratic optimum of body and wheel with an arbitrary force between them:
 full state, no friction, no limits, a road of white velocity. Every suspension is a special case, so that no
 suspension is better on average. The reachable mean squares form a convex set; the Riccati solutions of all
 weights are therefore its complete border, and `best_acceleration` finds the smallest acceleration at given
 travel and tyre load exactly, by duality.
-
-The **clairvoyant optimum** knows the road of the whole episode. It is the least cost over the 4000 currents
-of an episode in the real network, including friction, end stop and all limits of Table 5. See `clairvoyant`.
 """
 
 from __future__ import annotations
@@ -20,19 +17,19 @@ import numpy as np
 from scipy.linalg import null_space, solve_continuous_are, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from isd_gym._common.errors import InputError
-from isd_gym.physics import elements as el
-from isd_gym.physics._vehicle import require_quarter_car, vehicle
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Channel, Network, linearise
-from isd_gym.physics.road import REFERENCE_FREQUENCY, Road
-from isd_gym.physics.road import road as find_road
+from .._common.errors import InputError
+from ..physics import elements as el
+from ..physics._vehicle import require_quarter_car, vehicle
+from ..physics.cost import StageCost
+from ..physics.network import Channel, Network, linearise
+from ..physics.road import REFERENCE_FREQUENCY, Road
+from ..physics.road import road as find_road
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from isd_gym.physics._car_prediction import CarModel, CarWeights
+    from ..physics._car_prediction import CarModel, CarWeights
 
 # ============================================================================================ the causal bound
 
@@ -285,7 +282,7 @@ def reference(
     Raises:
         InputError: The road is not rough, or the network is no car.
     """
-    from isd_gym.benchmark.policies import conventional
+    from .policies import conventional
 
     return stationary(linear_car(conventional(Network.load(network)), speed=speed, road=road))[0]
 
@@ -498,8 +495,8 @@ def wheelbase_bound(
     Raises:
         InputError: The road is not white in velocity, or the car has two tracks, whose coherence the model leaves out.
     """
-    from isd_gym.benchmark.policies import conventional
-    from isd_gym.physics._car_prediction import CarWeights, car_model, car_regulator
+    from ..physics._car_prediction import CarWeights, car_model, car_regulator
+    from .policies import conventional
 
     network, ground = Network.load(network), find_road(road)
     car = vehicle(network)
@@ -554,7 +551,7 @@ def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float
     Returns:
         Mean cost per step [-].
     """
-    from isd_gym.physics._prediction import stationary
+    from ..physics._prediction import stationary
 
     q, r = weights.of(model)
     loop = model.A - model.inputs @ K
