@@ -53,8 +53,8 @@ class Clipped(BatchController):
         assert damper is not None
         self._limit = damper.current
         self._half = 0.5 * (damper.high - damper.low)
-        middle = el.LinearDamping(damper.name, damper.where, damping=0.5 * (damper.low + damper.high))
-        motor = el.Motor("actuator", damper.where, thrust_constant=_THRUST)
+        middle = el.LinearDamping(damper.name, damper.where, damping=0.5 * (damper.low + damper.high))  # type: ignore[call-arg]
+        motor = el.Motor("actuator", damper.where, thrust_constant=_THRUST)  # type: ignore[call-arg]
         elements = [middle if e is damper else e for e in model.elements]
         inputs = [replace(c, element="actuator") if c.quantity == "current" else c for c in model.inputs]
         active = replace(model, elements=(*elements, motor), inputs=tuple(inputs), uncertainty={})

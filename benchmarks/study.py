@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from isd_gym.agents.policy import SHIPPED, Policy
 
 from isd_gym._common.errors import InputError
 from isd_gym._common.files import write_text
-from isd_gym.agents.policy import SHIPPED, Policy
-from isd_gym.contrib import engine
-from isd_gym.contrib.sweep.grid import Condition, Grid
+from isd_gym.benchmark._sweep import items as engine
+from isd_gym.benchmark._sweep.grid import Condition, Grid
 
 SCHEMA = "isd-study/2"
 #: by network; of the quarter car's MPCs the best (`isd-gym score` has all of them)

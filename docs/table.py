@@ -6,10 +6,10 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from isd_gym._common.markdown import markdown
 from isd_gym._common.seeds import named_roads
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark._cards import ranking
-from isd_gym.contrib.markdown import markdown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

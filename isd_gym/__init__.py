@@ -13,8 +13,6 @@ Rooms, lower ones first:
 - `diagnosis`: which effect a model lacks.
 - `view`: pages and pictures.
 - `_commands`: the program.
-
-`contrib` has parts beside these, which nothing of the above imports.
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
-import typer
 
 from isd_gym._common.errors import InputError
 
@@ -61,17 +60,6 @@ def assert_one_line(done: Done, *words: str) -> None:
     assert done.returncode == 2, done.stderr
     assert all(w in done.stderr for w in words), done.stderr
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-
-
-def with_wings(**commands: Any) -> typer.Typer:
-    """Return the program with commands of wings."""
-    from isd_gym import _commands as cli
-
-    whole = typer.Typer()
-    whole.registered_commands = list(cli.app.registered_commands)
-    for name, command in commands.items():
-        whole.command(name=name, cls=cli.FiniteCommand)(command)
-    return whole
 
 
 def refused(words, call, /, *given, **options):

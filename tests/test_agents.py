@@ -11,14 +11,14 @@ from itertools import pairwise
 import gymnasium
 import numpy as np
 import pytest
-from program import python, refused
-
+from isd_gym.agents._archives import read_torch
 from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.baselines import make
+from program import python, refused
+
 from isd_gym.benchmark.policies import conventional
-from isd_gym.contrib.exports.archives import read_torch
 from isd_gym.contrib.training.settings import MEMORY
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network

@@ -8,15 +8,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from program import refused
-
-from isd_gym import baselines
 from isd_gym.baselines._estimator import Estimator
 from isd_gym.baselines._qp import Osqp, Outcome
 from isd_gym.baselines.controller import clean, limit
 from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _forces, _plan, _roll
 from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.baselines.mpc import Mpc, MpcSettings
+from program import refused
+
+from isd_gym import baselines
 from isd_gym.benchmark.scoring import Entry, score
 from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.physics._prediction import (

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import channel, element, oscillator
-from program import refused, with_wings
+from program import refused
 from typer.testing import CliRunner
 
 from isd_gym import simulate
+from isd_gym._commands import app
 from isd_gym._common.errors import InputError
-from isd_gym.contrib.simulation.command import command
-from isd_gym.contrib.simulation.prediction_errors import prediction_errors, removed_share
 from isd_gym.diagnosis import Quantity
 from isd_gym.diagnosis._selection.uncertainty import with_posterior
+from isd_gym.diagnosis.simulation.prediction_errors import prediction_errors, removed_share
 from isd_gym.env._environment import ISDSuspensionEnv
 from isd_gym.physics._batch import posterior_ranges, ranges
 from isd_gym.physics.network import Network
@@ -38,7 +38,7 @@ def files(tmp_path):
 
 
 def invoke(*words):
-    return CliRunner().invoke(with_wings(simulate=command), list(map(str, words)))
+    return CliRunner().invoke(app, list(map(str, words)))
 
 
 def test_the_error_of_the_true_model_is_the_noise_and_that_of_another_one_is_not(files):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from builders import decoupled_half_car
+from isd_gym.baselines._decentralised import Decentralised
 from program import refused
 
 from isd_gym import baselines
 from isd_gym._common.errors import InputError
-from isd_gym.baselines._decentralised import Decentralised
 from isd_gym.benchmark.driving import Crew, travel
 from isd_gym.benchmark.policies import conventional, find, passive
 from isd_gym.benchmark.scoring import drive, score

@@ -20,17 +20,17 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from builders import channel, damper, spring
+from isd_gym.agents._archives import array, convert, read_normalize, read_pickle, read_torch
+from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy, read_safetensors
 from program import assert_one_line, python, refused, run
 
 from isd_gym._common.errors import InputError, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
-from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy, read_safetensors
+from isd_gym._common.markdown import markdown
+from isd_gym.benchmark._sweep.conditions import Grid, _sound, sweep
+from isd_gym.benchmark._sweep.grid import belongings
+from isd_gym.benchmark._sweep.items import stored
 from isd_gym.benchmark.policies import find
-from isd_gym.contrib.engine import stored
-from isd_gym.contrib.exports.archives import array, convert, read_normalize, read_pickle, read_torch
-from isd_gym.contrib.markdown import markdown
-from isd_gym.contrib.sweep.conditions import Grid, _sound, sweep
-from isd_gym.contrib.sweep.grid import belongings
 from isd_gym.physics import elements as el
 from isd_gym.physics.elements._base import register_file
 from isd_gym.physics.network import Network, linearise

@@ -103,7 +103,7 @@ isd_gym.view
 
 
 def public_modules(package=isd_gym.__name__, path=isd_gym.__path__):
-    """Return the dotted names of the public modules, packages included, without `contrib`."""
+    """Return the dotted names of the public modules, packages included, without those of `contrib`."""
     found = [package]
     for module in pkgutil.iter_modules(path):
         name = f"{package}.{module.name}"

@@ -6,9 +6,9 @@ import shutil
 import gymnasium as gym
 import numpy as np
 import pytest
+from isd_gym.agents.policy import SHIPPED
 from program import refused
 
-from isd_gym.agents.policy import SHIPPED
 from isd_gym.benchmark import scoring
 from isd_gym.benchmark.policies import Idle, conventional, passive
 from isd_gym.benchmark.scoring import Entry, drive, frequency_weighting, score, weighted_rms

@@ -9,13 +9,13 @@ import zipfile
 import gymnasium as gym
 import numpy as np
 import pytest
+from isd_gym.agents._archives import convert
+from isd_gym.agents.policy import Policy
 from program import refused, run
 
 from isd_gym._common.errors import InputError
-from isd_gym.agents.policy import Policy
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive
-from isd_gym.contrib.exports.archives import convert
 from isd_gym.physics.network import Network
 
 sb3 = pytest.importorskip("stable_baselines3")

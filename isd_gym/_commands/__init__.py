@@ -5,7 +5,22 @@ Heavy imports wait until a command runs, so that ``--help`` answers at once.
 
 from __future__ import annotations
 
-from . import card, diagnose, networks, policies, score, show
+from . import (
+    card,
+    convert,
+    diagnose,
+    export,
+    inspect,
+    networks,
+    policies,
+    record,
+    reproduce,
+    score,
+    show,
+    simulate,
+    sweep,
+    warm,
+)
 from ._app import FiniteCommand, SeveralValuesCommand, app
 from ._main import main
 
@@ -18,5 +33,13 @@ for _name, _command in (
     ("card", card.command),
     ("networks", networks.command),
     ("diagnose", diagnose.command),
+    ("inspect", inspect.command),
+    ("simulate", simulate.command),
+    ("sweep", sweep.command),
+    ("record", record.command),
+    ("convert", convert.command),
+    ("export", export.command),
+    ("reproduce", reproduce.command),
+    ("warm", warm.command),
 ):
     app.command(name=_name, cls=SeveralValuesCommand if _name == "diagnose" else FiniteCommand)(_command)

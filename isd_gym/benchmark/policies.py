@@ -13,11 +13,12 @@ from difflib import get_close_matches
 from typing import Any
 
 from .._common.errors import InputError, shown
-from .._common.plugins import POLICIES, find_wing, plugins
+from .._common.plugins import POLICIES, plugins
 from ..physics._vehicle import kind, vehicle
 from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.network._bodies import Point
+from ._own_controllers import entry_of_file
 from .driving import Entry, Idle
 
 __all__ = ["Entry", "Idle", "available", "conventional", "find", "find_all", "passive"]
@@ -111,8 +112,7 @@ def find(
     Raises:
         InputError: The name is unknown, or the policy does not fit the plant.
     """
-    own = find_wing("own_controllers")
-    if own and (entry := own.entry_of_file(name)) is not None:
+    if (entry := entry_of_file(name)) is not None:
         return entry
     if trained is not None and name.lower().endswith(".zip"):
         options["trained"] = trained

@@ -680,7 +680,7 @@ def simulate(
     plant = Plant(network, dt / every, extra=extra)
     if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
         raise InputError(
-            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.contrib.simulation.state_of makes a state from motions of nodes"
+            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.diagnosis.simulation.state_of makes a state from motions of nodes"
         )
     needs = plant.differentiated
     fine, slopes = {}, {}

@@ -9,11 +9,11 @@ from operator import attrgetter
 import numpy as np
 import pytest
 from gymnasium import spaces
+from isd_gym.agents.policy import Head, Policy
 from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym._common.files import claim_folder
-from isd_gym.agents.policy import Head, Policy
 from isd_gym.contrib.training.checkpoint import held
 from isd_gym.contrib.training.settings import MEMORY, SETTINGS, PPOSettings, SACSettings, robust
 

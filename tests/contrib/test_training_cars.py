@@ -9,11 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from program import refused
-
 from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Echo, Memory, _Echo
 from isd_gym.agents.policy import Head, Policy
+from program import refused
+
 from isd_gym.contrib.training.settings import PPOSettings, SACSettings, tuned
 from isd_gym.contrib.training.wheelbase import car_filter, road_model
 from isd_gym.env._environment import ISDSuspensionVectorEnv

@@ -443,7 +443,7 @@ class Run:
         Returns:
             The policy.
         """
-        from isd_gym.contrib.actors import build
+        from isd_gym.agents._actors import build
 
         return build(
             self.average,

@@ -17,7 +17,7 @@ import numpy as np
 from ..._common.errors import InputError, MissingColumn, how_to_install, shown
 from ..._common.files import whole
 from ..._common.inputs import memory_limit, plain_file, too_large
-from ..._common.plugins import READERS, plugins, wing
+from ..._common.plugins import READERS, plugins
 from ..._common.units import convert
 from ._columns import (
     TIME,
@@ -30,8 +30,10 @@ from ._columns import (
     stamps_of,
     time_unit,
 )
+from ._lvm import read_lvm, read_lvm_rasters
 from ._signals import even_stamps, stamp_rounding
 from ._text import read_text, read_text_rasters
+from ._writing import write_binary
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -379,9 +381,7 @@ def _read_mat(
     with path.open("rb") as stream:
         head = stream.read(10)
     if head == b"MATLAB 7.3":
-        for point in plugins(READERS, "mat73"):
-            found: Columns = point.load().read(path, wanted, axis, resample, columns)
-            return found
+        return _read_binary(f"{_PACKAGE}.mat73", path, wanted, axis, resample)
     return _read_binary(f"{_PACKAGE}.mat", path, wanted, axis, resample)
 
 
@@ -390,20 +390,45 @@ _PACKAGE = "isd_gym.records._formats"
 _PARQUET = f"{_PACKAGE}.parquet"
 _TEXT = Format(read_text, read_text_rasters)
 _MDF = binary_format(f"{_PACKAGE}.mdf", has_own_stamps=True)
-#: formats of the core by suffix; entry points `READERS` announce others
+_UNIVERSAL = binary_format(f"{_PACKAGE}.uff", has_own_stamps=True)
+
+
+def _sheet(path: Path) -> str:
+    """Return the text of the first sheet with numbers of a workbook."""
+    from . import _isolated as isolated
+
+    return str(isolated.read(f"{_PACKAGE}.xlsx", path, None, TIME, False)[0]["text"])
+
+
+def _read_workbook(
+    path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
+) -> Columns:
+    return read_text(path, wanted, axis, resample, columns, _sheet(path))
+
+
+def _read_workbook_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
+    return read_text_rasters(path, columns, _sheet(path))
+
+
+#: formats by suffix; entry points `READERS` of other packages announce others
 _FORMATS = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat"), _TEXT),
     ".parquet": binary_format(_PARQUET),
     ".mat": Format(_read_mat),
     ".mf4": _MDF,
     ".mdf": _MDF,
+    ".lvm": Format(read_lvm, read_lvm_rasters, has_own_stamps=True),
+    ".tdms": binary_format(f"{_PACKAGE}.tdms", has_own_stamps=True),
+    ".uff": _UNIVERSAL,
+    ".unv": _UNIVERSAL,
+    ".xlsx": Format(_read_workbook, _read_workbook_rasters),
 }
 
 
 @functools.cache
 def suffixes() -> tuple[str, ...]:
     """Return the suffixes of all files that can be read, in small letters, such as '.csv'."""
-    return (*_FORMATS, *(f".{p.name}" for p in plugins(READERS) if p.name != "mat73"))
+    return (*_FORMATS, *(f".{p.name}" for p in plugins(READERS)))
 
 
 def format_of(path: Path) -> Format:
@@ -444,7 +469,7 @@ def write_table(path: str | Path, table: Table) -> None:
     try:
         with whole(path) as temporary:
             if not is_text:
-                wing("bench_files").write(table, temporary, path)
+                write_binary(table, temporary, path)
                 return
             with temporary.open("w", newline="", encoding="utf-8") as stream:
                 writer = csv.writer(stream, delimiter="\t" if suffix == ".tsv" else ",", lineterminator="\n")

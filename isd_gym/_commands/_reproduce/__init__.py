@@ -1,0 +1,1 @@
+"""Sections of `isd-gym reproduce`, one per module."""

@@ -1,1 +1,0 @@
-"""Policies from archives of Stable-Baselines3, and policies and controllers in other languages: plain C, ONNX."""

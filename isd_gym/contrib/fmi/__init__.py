@@ -1,1 +1,0 @@
-"""Networks written as functional mock-up units (FMI)."""

@@ -1,1 +1,0 @@
-"""Drives as a Minari data set: `isd-gym record`."""

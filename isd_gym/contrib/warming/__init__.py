@@ -1,1 +1,0 @@
-"""The command `isd-gym warm`: compilation of the kernel before its first use."""

@@ -1,0 +1,492 @@
+"""Loggers' files looked into: what is odd is told, columns find their channels, and bad maps are one line."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from builders import QUARTER_CAR as CAR
+from builders import channel, damper, drive_quarter_car, model, spring
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from program import refused
+from typer.testing import CliRunner
+
+from isd_gym._commands import app
+from isd_gym._common.errors import InputError
+from isd_gym.diagnosis._records.reading import read_record
+from isd_gym.physics.network import Network
+from isd_gym.physics.road import road
+from isd_gym.physics.simulate import simulate
+from isd_gym.records._loggers import ChannelMap, Column, Logger, Raster, mended, runs
+from isd_gym.records._loggers.record_reading import records_of, road_of
+from isd_gym.records.data import Table, write_table
+from isd_gym.records.inspection import head, inspect, lines
+from isd_gym.records.inspection.consistency import integral_consistency
+from isd_gym.records.inspection.facts import sparkline, unit_in_name
+from isd_gym.records.inspection.map_file import save_map
+from isd_gym.records.schemas import load
+from isd_gym.view._report.inspection import page
+
+NAMES = {"road": "base", "body_acceleration": "az_body", "wheel_acceleration": "az_wheel", "travel": "stroke"}
+
+
+@pytest.fixture(scope="module")
+def run():
+    return drive_quarter_car()
+
+
+def written(path, head, *columns):
+    """A text table at `path`; a head of '' writes numbers alone."""
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=head, comments="", fmt="%.12g")
+    if not head:
+        path.write_text(path.read_text().lstrip("\n"))
+    return path
+
+
+def valid(path):
+    pytest.importorskip("jsonschema").validate(json.loads(path.read_text()), load("isd-map/1"))
+    return path
+
+
+def found(tmp_path, run, names, units=None, suffix=".csv", factors=None):
+    """What is suggested for columns of these names."""
+    time, columns = run
+    factors = factors or {}
+    data = {n: columns[c] * factors.get(c, 1.0) for c, n in names.items()}
+    head = ",".join(["time", *(f"{n} [{units[c]}]" if units else n for c, n in names.items())])
+    file = tmp_path / f"rec{suffix}"
+    if suffix == ".csv":
+        written(file, head, time, *data.values())
+    else:
+        write_table(file, Table(time, data, units={n: units[c] for c, n in names.items()} if units else {}))
+    return file, inspect([file], Network.load(CAR))
+
+
+def chosen(made):
+    return {name: pick.facts.name for name, (pick, _) in made.suggestion.channels.items()}
+
+
+def test_names_that_say_nothing_are_told_by_physics_alone(tmp_path, run):
+    names = {"travel": "ch3", "road": "ch1", "wheel_acceleration": "ch4", "body_acceleration": "ch2"}
+    units = {"travel": "mm", "road": "mm", "wheel_acceleration": "g", "body_acceleration": "g"}
+    factors = {n: 1 / 9.80665 if units[n] == "g" else 1e3 for n in names}
+    _, made = found(tmp_path, run, names, units, factors=factors)
+    assert chosen(made) == names
+    assert all(sure > 0.9 for _, sure in made.suggestion.channels.values())
+
+
+def test_a_column_without_a_unit_keeps_the_channel_s_and_another_is_asked_for(tmp_path, run):
+    file, made = found(tmp_path, run, NAMES, factors={"travel": -1e3})
+    pick, _ = made.suggestion.channels["travel"]
+    assert (pick.facts.name, pick.unit, pick.sign) == ("stroke", "m", -1)
+    assert chosen(made) == NAMES
+    assert "--unit stroke=mm?" in made.suggestion.remarks[0]
+    told = inspect([file], Network.load(CAR), units={"stroke": "mm"})
+    assert not told.suggestion.remarks
+    assert told.map("car.json").channels["travel"].unit == "mm"
+
+
+ANGLE = {"name": "phi", "quantity": "angle", "at": "arm", "unit": "deg"}
+PENDULUM = model("pendulum", [damper("arm", "ground", 0.01)], [], [ANGLE], inertias={"arm": 0.01})
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"), [("phi", "deg"), ("winkel", "deg"), ("enc_arm_rad", "rad"), ("Winkel mrad", "mrad")]
+)
+def test_the_unit_is_that_of_the_model_or_of_the_column_s_name(tmp_path, column, unit):
+    """A swing of 100 is plausible in deg, and in mrad too: nothing is guessed from the size."""
+    time = 0.01 * np.arange(600)
+    file = written(tmp_path / "rec.csv", f"time,{column}", time, 100 * np.exp(-0.2 * time) * np.cos(6 * time))
+    made = inspect([file], Network.load(PENDULUM))
+    assert made.map("pendulum.json").channels["phi"].unit == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("speed_load_rad_s", "rad/s"),
+        ("acc_m_s^2", "m/s^2"),
+        ("torque_Nm", "Nm"),
+        ("travel_mm", "mm"),
+        ("travel", ""),
+        ("mm", ""),
+    ],
+)
+def test_names_of_columns_end_with_units(name, unit):
+    assert unit_in_name(name) == unit
+
+
+def test_a_sign_that_the_physics_leaves_open_is_not_turned(tmp_path, run):
+    """In one file a channel of another time follows the model neither as it is nor turned round."""
+    time, columns = run
+    late = np.roll(columns["travel"], 300)
+    file = tmp_path / "rec.csv"
+    write_table(file, Table(time, columns | {"travel": late}))
+    pick, _ = inspect([file], Network.load(CAR)).suggestion.channels["travel"]
+    assert (pick.facts.name, pick.sign) == ("travel", 1)
+
+
+def test_an_input_whose_outputs_are_all_turned_is_asked_for(tmp_path, run):
+    _, made = found(tmp_path, run, NAMES, factors={"road": -1.0})
+    assert {pick.sign for pick, _ in made.suggestion.channels.values()} == {1}
+    assert made.suggestion.remarks == ["all outputs follow the model turned round: --sign road=-1?"]
+
+
+@pytest.mark.parametrize("cell", ["OVERLOAD", "\u22120.5"])
+def test_a_text_among_the_numbers_is_told_and_the_column_stays(tmp_path, run, program, cell):
+    time, columns = run
+    file = written(tmp_path / "rec.csv", ",".join(["time", *columns]), time, *columns.values())
+    rows = file.read_text().splitlines()
+    at = 1 + list(columns).index("travel")
+    cells = rows[200].split(",")
+    rows[200] = ",".join([*cells[:at], cell, *cells[at + 1 :]])
+    file.write_text("\n".join(rows), encoding="utf-8")
+    made = inspect([file], Network.load(CAR))
+    assert chosen(made)["travel"] == "travel"
+    assert [str(o) for o in made.oddities] == [
+        f"travel: line 201: '{cell}' is not a number; correct the file"
+    ]
+    save_map(made.map("car.json"), tmp_path / "map.json")
+    by = ChannelMap.load(tmp_path / "map.json")
+    network = Network.load(CAR)
+    refused(f"column 'travel', line 201: '{cell}' is", runs, file, network, network.outputs, by=by)
+
+
+def test_a_column_of_an_input_s_own_name_is_in_the_input_s_unit_whatever_the_model_lacks(tmp_path):
+    rig = Network.load("quarter-car-isd")
+    rng = np.random.default_rng(1)
+    time = 2.5e-3 * np.arange(2400)
+    heights = road("paper").heights(time[-1], speed=20.0, step=2.5e-3, rng=rng)
+    driven = {"road": heights, "current": np.repeat(rng.uniform(-3, 3, 120), 20)}
+    file = tmp_path / "rec.csv"
+    write_table(file, Table(time, driven | simulate(rig, time, driven)))
+    made = inspect([file], rig.without_element("seal")).suggestion.channels
+    assert {name: pick.unit for name, (pick, _) in made.items()}["current"] == "A"
+
+
+def test_two_columns_that_could_be_it_are_not_called_sure(tmp_path, run):
+    time, columns = run
+    twin = columns["travel"] + 1e-5 * np.random.default_rng(1).standard_normal(len(time))
+    file = tmp_path / "rec.csv"
+    more = {"travel_2": twin, "travel": twin[::-1], "travel_1": columns["travel"]}
+    write_table(file, Table(time, columns | more))
+    made = inspect([file], Network.load(CAR)).suggestion.channels["travel"]
+    assert made[0].facts.name in ("travel_1", "travel_2")
+    assert made[1] < 0.9
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".mat", ".parquet", ".mf4"])
+def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, suffix):
+    time, columns = run
+    file = tmp_path / f"rec{suffix}"
+    write_table(file, Table(time, {n: columns[c] for c, n in NAMES.items()}))
+    network = Network.load(CAR)
+    made = inspect([file], network)
+    assert chosen(made) == NAMES
+    save_map(made.suggestion.map(made.files, "car.json"), tmp_path / "map.json")
+    by = ChannelMap.load(valid(tmp_path / "map.json"))
+    (back,) = runs(file, network, (*network.inputs, *network.outputs), by=by)
+    assert back.name == "rec"
+    for name, column in columns.items():
+        np.testing.assert_allclose(back.signals[name].values, column, rtol=1e-12)
+
+
+def test_a_map_leads_a_score_to_the_road_that_a_logger_measured(tmp_path, run):
+    """Signed, in mm, in a column of its own name: the profile over the time of the drive, from zero on."""
+    time, columns = run
+    write_table(tmp_path / "rec.csv", Table(time + 3.0, {"Laser": -1e3 * columns["road"]}))
+    by = ChannelMap({"road": Column("Laser", unit="mm", sign=-1)})
+    ground = road_of(tmp_path / "rec.csv", Network.load(CAR), by)
+    assert ground.over_time and ground.abscissa[0] == 0.0
+    np.testing.assert_allclose(ground.profile, columns["road"], rtol=0, atol=1e-12)
+    in_metres = ChannelMap({"road": Column("Laser")})
+    refused("is the height in mm", road_of, tmp_path / "rec.csv", Network.load(CAR), in_metres)
+
+
+def test_of_two_loggers_the_file_with_the_road_is_enough(tmp_path, run):
+    """The second logger's stamps have a name of their own; the first logger's file has no road."""
+    time, columns = run
+    write_table(tmp_path / "body.csv", Table(time, {"az": columns["body_acceleration"]}))
+    lines = (f"{t:.9g},{1e3 * z:.12g}" for t, z in zip(time, columns["road"], strict=True))
+    (tmp_path / "wheel.csv").write_text("Zeit,Laser\n" + "\n".join(lines) + "\n")
+    told = {"road": Column("Laser", logger=2, unit="mm"), "body_acceleration": Column("az")}
+    by = ChannelMap(told, (Logger("body.csv", "time"), Logger("wheel.csv", "Zeit")), source="map.json")
+    both = road_of(f"{tmp_path / 'body.csv'}+{tmp_path / 'wheel.csv'}", Network.load(CAR), by)
+    ground = road_of(tmp_path / "wheel.csv", Network.load(CAR), by)
+    np.testing.assert_allclose(ground.profile, columns["road"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(both.profile, ground.profile, rtol=0, atol=1e-9)
+    words = r"body.csv: cannot be read as logger 2 of map.json \(wheel.csv\)"
+    refused(words, road_of, tmp_path / "body.csv", Network.load(CAR), by)
+
+
+def test_what_is_odd_is_told(tmp_path, run):
+    time, columns = run
+    frozen = columns["travel"].copy()
+    frozen[2000:2100] = frozen[2000]
+    keep = np.r_[0:1000, 1400 : len(time)]
+    rows = np.column_stack([time, frozen, 1e3 * columns["road"], 0 * time])[keep]
+    file = written(tmp_path / "rec.csv", "time,frozen [m],road [m],dead [V]", rows)
+    told = " ".join(" ".join(lines(inspect([file]))).split())
+    assert "a gap: 1 s at 2.4975 s" in told
+    assert "frozen: " in told and "frozen, dropped out?" in told
+    assert "it would be plausible: --unit road=mm" in told
+    assert "dead: is constant (0)" in told
+
+
+def test_a_rate_that_is_too_slow_is_told(tmp_path):
+    time = 0.1 * np.arange(600)
+    file = tmp_path / "rec.csv"
+    write_table(file, Table(time, {"x": np.sin(2 * np.pi * 3.7 * time)}))
+    assert "too slow for the motion" in " ".join(" ".join(lines(inspect([file]))).split())
+
+
+def test_the_terminal_holds_80_columns_and_the_page_fetches_nothing(tmp_path, run):
+    names = {c: f"a_rather_long_name_of_a_column_{c}" for c in run[1]}
+    _, made = found(tmp_path, run, names)
+    assert max(map(len, lines(made, 80))) <= 80
+    text = page(made)
+    assert text.count("<path d=") == 4 and "src=" not in text.split("<main>")[1]
+
+
+def test_the_command_writes_its_page_and_over_no_record(tmp_path, program):
+    file = tmp_path / "rec.csv"
+    write_table(file, Table(0.01 * np.arange(400), {"x": np.sin(0.1 * np.arange(400))}))
+    before = file.read_bytes()
+    done = CliRunner().invoke(program, ["inspect", str(file), "--html", str(tmp_path / "page.html")])
+    assert done.exit_code == 0, done.output
+    assert "<svg" in (tmp_path / "page.html").read_text()
+    done = CliRunner().invoke(program, ["inspect", str(file), "--html", str(file)])
+    assert isinstance(done.exception, InputError) and "it is an input file" in str(done.exception)
+    assert file.read_bytes() == before
+
+
+def test_a_picture_shows_the_extremes():
+    x = np.zeros(1000)
+    x[500] = 1.0
+    picture = sparkline(x, 10)
+    assert len(picture) == 10
+    tops = [ord(c) & 0x09 for c in picture]  # the upper row of dots
+    assert [k for k, dots in enumerate(tops) if dots] == [5]
+
+
+def raster(time, **columns):
+    return Raster("rec.csv", np.asarray(time, float), {k: np.asarray(v, float) for k, v in columns.items()})
+
+
+def test_gaps_split_a_record_and_say_where():
+    time = np.r_[0:500, 800:1200, 1300:1310] * 0.01
+    notes = []
+    pieces = mended(raster(time, x=np.sin(time)), notes)
+    assert [len(p) for p in pieces] == [500, 400]
+    assert "split at 2 gaps (3.01 s at 4.99 s" in notes[0] and "1 of 3 pieces" in notes[0]
+
+
+def test_samples_that_are_there_twice_are_taken_once():
+    time, x = 0.01 * np.arange(600), np.random.default_rng(0).standard_normal(600)
+    order = np.sort(np.r_[0:600, 100:150])
+    notes = []
+    (piece,) = mended(raster(time[order], x=x[order]), notes)
+    np.testing.assert_array_equal(piece.columns["x"], x)
+    assert "50 samples are there twice, first 1.000000 s" in notes[0]
+
+
+def test_stamps_coarser_than_the_sampling_are_evenly_spread():
+    time = np.floor(0.0025 * np.arange(2000) * 100) / 100
+    notes = []
+    (piece,) = mended(raster(time, x=np.arange(2000)), notes)
+    assert np.ptp(np.diff(piece.time)) < 1e-12 and "taken as evenly sampled" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        (np.r_[0:300, 250:400], "run backwards after sample 300"),
+        (np.r_[399:-1:-1], "run backwards after sample 1"),
+    ],
+)
+def test_overlapping_and_reversed_stamps_are_refused(order, words):
+    refused(words, mended, raster(0.01 * order, x=np.arange(len(order))), [])
+
+
+@pytest.fixture(scope="module")
+def program():
+    """The program."""
+    return app
+
+
+def message_of(program, *words):
+    done = CliRunner().invoke(program, [str(w) for w in words])
+    assert isinstance(done.exception, InputError), done.output
+    return str(done.exception)
+
+
+def simulated(program, folder, model, *more, data="rec.csv"):
+    data = "+".join(f"{folder / name}" for name in data.split("+"))
+    message = message_of(program, "simulate", folder / model, data, *more, "--out", folder / "o.csv")
+    assert not (folder / "o.csv").exists()
+    return message
+
+
+def test_a_map_drives_a_simulation(tmp_path, run, program):
+    time, columns = run
+    write_table(tmp_path / "rec.csv", Table(time, {"base": 1e3 * columns["road"]}))
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    by = {"schema": "isd-map/1", "channels": {"road": {"column": "base", "unit": "mm"}}}
+    (tmp_path / "map.json").write_text(json.dumps(by))
+    words = [tmp_path / "car.json", tmp_path / "rec.csv", "--map", tmp_path / "map.json"]
+    said(program, "simulate", *words, "--out", tmp_path / "out.csv")
+    seen = np.loadtxt(tmp_path / "out.csv", delimiter=",", skiprows=1)
+    truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")
+    np.testing.assert_allclose(seen[:, 1], truth["body_acceleration"], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"channels": {"road": {"column": "bse"}}},
+            "no column 'bse', which .* for road; did you mean 'base'",
+        ),
+        ({"channels": {"raod": {"column": "base"}}}, "no channel 'raod'; did you mean 'road'"),
+        ({"channels": {"travel": {"column": "base"}}}, "no column for the input road"),
+        ({"channels": {"road": {"column": "base", "unit": "furlong"}}}, "unknown unit 'furlong'"),
+        (
+            {"channels": {"road": {"column": "base", "sign": 2}}},
+            r"json: channels.road.sign: 2 is not one of \[1",
+        ),
+        ({"channels": {}}, "channels: {} should be non-empty"),
+        ({"schema": "isd-model/1"}, "schema: 'isd-map/1' was expected"),
+        ({"chanels": {}}, "'chanels' was unexpected"),
+    ],
+)
+def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, program, change, words):
+    time, columns = run
+    write_table(tmp_path / "rec.csv", Table(time, {"base": columns["road"]}))
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    good = {"schema": "isd-map/1", "channels": {"road": {"column": "base"}}}
+    (tmp_path / "map.json").write_text(json.dumps(good | change))
+    assert re.search(words, simulated(program, tmp_path, "car.json", "--map", tmp_path / "map.json"))
+
+
+BASE = channel("base", "displacement", "base", unit="mm")
+SWING = model("swing", [spring("mass", "base", 800.0)], [BASE], ["x displacement mass"], masses={"mass": 2.0})
+
+
+@pytest.mark.parametrize("as_file", [False, True])
+def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
+    time = 0.01 * np.arange(200)
+    write_table(tmp_path / "rec.csv", Table(time, {"base": np.full(200, 3.0)}))
+    (tmp_path / "swing.json").write_text(json.dumps(SWING))
+    (tmp_path / "start.json").write_text(json.dumps({"mass": {"displacement": 0.01, "velocity": 0.1}}))
+    words = [tmp_path / "start.json"] if as_file else ["mass=0.01", "--initial", "mass.velocity=0.1"]
+    words = [tmp_path / "swing.json", tmp_path / "rec.csv", "--initial", *words]
+    said(program, "simulate", *words, "--out", tmp_path / "o.csv")
+    seen = np.loadtxt(tmp_path / "o.csv", delimiter=",", skiprows=1)[:, 1]
+    truth = 0.003 + 0.007 * np.cos(20 * time) + 0.1 / 20 * np.sin(20 * time)  # about the base, at 20 rad/s
+    np.testing.assert_allclose(seen, truth, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [
+        ("mas=1", "'mas' is no node"),
+        ("base=1", "'base' is moved by an input"),
+        ("mass=x", "give NODE=VALUE"),
+        ("no.json", "no such file"),
+        ("mass", "give NODE=VALUE"),
+    ],
+)
+def test_a_wrong_start_is_one_line(tmp_path, program, word, words):
+    write_table(tmp_path / "rec.csv", Table(0.01 * np.arange(200), {"base": np.zeros(200)}))
+    (tmp_path / "swing.json").write_text(json.dumps(SWING))
+    assert words in simulated(program, tmp_path, "swing.json", "--initial", word)
+
+
+def said(program, *words):
+    done = CliRunner().invoke(program, [str(w) for w in words])
+    assert done.exit_code == 0, (done.output, done.exception)
+    # a path is never wrapped
+    rows = [line for line in done.output.splitlines() if not line.startswith("map: ")]
+    assert words[0] != "inspect" or max(map(len, rows)) <= 80
+    return done.output
+
+
+def test_a_file_without_a_header_is_read_by_the_names_that_are_told(tmp_path, run, program):
+    time, columns = run
+    file = written(tmp_path / "bare.csv", "", time, *columns.values())
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    car, out = tmp_path / "car.json", tmp_path / "out.csv"
+    for words in (["inspect", file], ["simulate", car, file, "--out", out]):
+        assert "--columns NAME,NAME,..." in message_of(program, *words)
+    assert "names 2 columns, line 1 has 5" in message_of(program, "inspect", file, "--columns", "time,x")
+    assert "name 2 of 2 is empty" in message_of(program, "inspect", file, "--columns", "time,")
+    assert "names 'time' twice" in message_of(program, "inspect", file, "--columns", "time,time")
+    names = ",".join(["time", *columns]).replace("travel", "travel [m]")
+    asked = ["--columns", names, "--model", car, "--out", tmp_path / "map.json"]
+    text = said(program, "inspect", file, *asked)
+    assert "5 fields" not in text and "  travel " in text
+    valid(tmp_path / "map.json")
+    truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")["travel"]
+    # the map remembers the names
+    for more in (["--columns", names], ["--map", tmp_path / "map.json"]):
+        said(program, "simulate", car, file, "--out", out, *more)
+        np.testing.assert_allclose(np.loadtxt(out, delimiter=",", skiprows=1)[:, 3], truth, atol=1e-6)
+
+
+BEARING = damper("wheel", "ground", 0.02, "bearing")
+TURNING = model("spin", [BEARING], [], ["angle angle wheel"], inertias={"wheel": 0.2})
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+@pytest.mark.parametrize("low", [0.0, -0.5])
+def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(tmp_path, program, unit, low):
+    time = 0.002 * np.arange(4000)
+    turn = {"deg": 360.0, "rad": 2 * np.pi}[unit]
+    turns = 30 * (1 - np.exp(-0.1 * time)) + 1e-4 * np.random.default_rng(0).standard_normal(4000)
+    head, angle = f"time,angle [{unit}],total [{unit}]", turn * ((turns - low) % 1 + low)
+    file = written(tmp_path / "rec.csv", head, time, angle, turn * turns)
+    text = said(program, "inspect", file)
+    assert "angle: an angle that begins anew each turn" in text
+    assert "total:" not in text  # that one goes on by itself
+    network = Network.load(TURNING)
+    for path in (file, f"{file}+{written(tmp_path / 'more.csv', 'time,other', time, time)}"):
+        (record,) = records_of(path, network, network.outputs)
+        angle = record.signals["angle"].values
+        np.testing.assert_allclose(np.diff(angle), 2 * np.pi * np.diff(turns), atol=1e-4)
+        assert any("an angle that begins anew each turn" in n for n in record.notes)
+        assert read_record(record, network, []).measured.shape == (4000, 1)
+
+
+def test_the_rate_is_that_of_the_mean_step_without_gaps():
+    """Stamps that jitter between 2 and 3 ms, twice as often 2 ms, with a gap: the median step would give 500 Hz."""
+    steps = np.tile([0.002, 0.002, 0.0025], 400)
+    steps[600] = 0.5
+    time = np.concatenate([[0.0], np.cumsum(steps)])
+    raster = Raster("a.csv", time, {"x": np.zeros(len(time))})
+    assert raster.step == pytest.approx(0.002)
+    assert "461.5" in head(raster)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.sampled_from([1, 2]), st.floats(0.5, 2), st.sampled_from([-1, 1]), st.floats(-0.04, 0.04))
+def test_consistency_tells_gain_sign_and_lag(order, gain, sign, lag):
+    rng = np.random.default_rng(4)
+    time = 0.002 * np.arange(8000)
+    omega = 2 * np.pi * rng.uniform(0.7, 15, 60)
+    size, phase = 1 / omega**2, rng.uniform(0, 2 * np.pi, 60)
+    x = np.sin(np.outer(time, omega) + phase) @ size
+    y = sign * gain * np.sin(np.outer(time - lag, omega) + phase + order * np.pi / 2) @ (size * omega**order)
+    x += 0.005 * x.std() * rng.standard_normal(len(x))
+    y += 0.02 * y.std() * rng.standard_normal(len(y)) + 3.0
+    found = integral_consistency(x, y, 0.002, order=order, band=(0.7, 15))
+    assert found.gain == pytest.approx(sign * gain, rel=0.03)
+    assert found.lag == pytest.approx(lag, abs=5e-4)
+    assert found.coherence > 0.8 and 0 < found.gain_std < 0.05 * gain
+
+
+def test_consistency_of_strangers_is_none():
+    rng = np.random.default_rng(8)
+    found = integral_consistency(rng.standard_normal(8000), rng.standard_normal(8000), 0.002)
+    assert found.coherence < 0.3
+    refused("consistency", integral_consistency, np.zeros(50), np.zeros(50), 0.002)
