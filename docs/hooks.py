@@ -9,8 +9,11 @@ from __future__ import annotations
 import html
 import json
 import re
+import tempfile
+from pathlib import Path
 
 from latex2mathml.converter import convert
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File
 from typer.testing import CliRunner
 
@@ -18,6 +21,22 @@ FORMULA = re.compile(
     r'<span class="arithmatex">\\\((.+?)\\\)</span>|<div class="arithmatex">\s*\\\[(.+?)\\\]\s*</div>',
     re.DOTALL,
 )
+
+
+#: the package as an installation has it, where mkdocstrings looks for its modules
+_PACKAGE = tempfile.TemporaryDirectory(prefix="isd-gym-docs-")
+
+
+@event_priority(100)  # before mkdocstrings reads its configuration
+def on_config(config):
+    """Show mkdocstrings the folders `baselines` and `agents` inside of the package."""
+    root, package = Path(__file__).resolve().parents[1], Path(_PACKAGE.name) / "isd_gym"
+    package.mkdir(exist_ok=True)
+    for part in (*(root / "isd_gym").iterdir(), root / "baselines", root / "agents"):
+        if not (package / part.name).exists():
+            (package / part.name).symlink_to(part)
+    config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [_PACKAGE.name]
+    return config
 
 
 def on_files(files, config):

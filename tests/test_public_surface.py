@@ -20,29 +20,13 @@ SURFACE = """
 isd_gym
     Diagnosis ISDSuspensionEnv ISDSuspensionVectorEnv InputError MissingColumn Network ReportError Score
     StageCost Table TyreContactWarning diagnose linearise read_table score simulate
-isd_gym.agents
-isd_gym.agents.policy
-    Policy
-    also FEATURE_LIMIT Head SCHEMA SHIPPED read_safetensors
-isd_gym.baselines
-    BatchController CONTROLLERS PLANTS make
-    also ABOUT WHOLE_CAR noisy
-isd_gym.baselines.controller
-    BatchController DesignedController clean limit rises steps_ahead
-    also CURRENT Settings
-isd_gym.baselines.friction
-    FrictionMpcSettings
-    also FrictionMpc with_preview
-isd_gym.baselines.lqg
-    LqgSettings
-    also FullStateLqr LawSettings Lqg STEEPEST
-isd_gym.baselines.mpc
-    MpcSettings
-    also ACCELERATION_LIMIT Mpc PAPER TRAVEL_LIMIT
 isd_gym.benchmark
 isd_gym.benchmark.driving
     Controller Entry cost_of
     also Crew Driver Idle travel
+isd_gym.benchmark.lq_bounds
+    also Best CarBound LQPoint Linear best_acceleration blind_gain ideal ideal_car linear_car lq_bound
+    lq_front reference simulated_cost stationary wheelbase_bound
 isd_gym.benchmark.policies
     Entry Idle available conventional find find_all passive
 isd_gym.benchmark.scoring
@@ -55,6 +39,14 @@ isd_gym.diagnosis
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
     also BestCandidate BestTable FOLDER Over Remainder SCHEMA ScreenedPlace Stretches Tabulated
+isd_gym.diagnosis.simulation
+    FittedInitialState initial_state state_of
+isd_gym.diagnosis.simulation.initial_state_fit
+    also FittedInitialState ITERATIONS initial_state
+isd_gym.diagnosis.simulation.motions
+    also LOOSE MOTION free_motions motions_at motions_of state_of
+isd_gym.diagnosis.simulation.prediction_errors
+    also ABOVE_NOISE LEAST_NOISE PredictionError PredictionErrors prediction_errors removed_share
 isd_gym.env
     ISDSuspensionEnv ISDSuspensionVectorEnv Options RELATIVE_SCALE Sensors
 isd_gym.env.autoload
@@ -74,6 +66,8 @@ isd_gym.physics.elements
     SeriesCompliance Setting Start StribeckFriction TYPES TabulatedForce TerminalInertia ThrustSaturation
     TyreLiftOff beside delayed discover parameter parameter_fields plausible register register_file rms spoken
     transmits
+isd_gym.physics.fmu
+    also MEMORY NetworkSlave POWERS Running base_units export_fmu identifier
 isd_gym.physics.network
     AXES Assembly Body Channel GROUND Lever MOTIONS Network Point SCHEMA StateSpace UNITS assemble
     assemble_all builtin_networks cut linearise natural_frequencies own_time rejoin slowest_time transfer
@@ -91,6 +85,21 @@ isd_gym.physics.tracks
 isd_gym.records
 isd_gym.records.data
     Finding Format Table check convert read_table write_table
+isd_gym.records.inspection
+    Inspection head inspect lines
+isd_gym.records.inspection.consistency
+    also Consistency integral_consistency
+isd_gym.records.inspection.facts
+    also FEW Facts Oddity facts_of odd_scale odd_stamps odd_values quantity_of si_unit sparkline unit_in_name
+isd_gym.records.inspection.map_file
+    also map_content save_map
+isd_gym.records.inspection.match
+    also ALIKE CLEAR COLUMNS Candidate DERIVATIVE DOUBT DRIVES Drive EXACT FITS GIVEN LAG NOTHING ORDER
+    PHYSICS SAMPLES Suggestion Window suggest
+isd_gym.records.inspection.name_matching
+    also alike channel_words tokens
+isd_gym.records.inspection.report
+    also Inspection LAST_STAMP head inspect lines percent_of
 isd_gym.records.schemas
     load
     also NAMES check
