@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from isd_gym._commands import app
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis.simulation import initial_state, state_of
-from isd_gym.diagnosis.simulation.motions import motions_at
+from isd_gym.diagnosis.simulation._motions import motions_at
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._loggers import Recording, Signal

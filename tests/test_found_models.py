@@ -14,7 +14,7 @@ from isd_gym._commands import app
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import Quantity
 from isd_gym.diagnosis._selection.uncertainty import with_posterior
-from isd_gym.diagnosis.simulation.prediction_errors import prediction_errors, removed_share
+from isd_gym.diagnosis.simulation._prediction_errors import prediction_errors, removed_share
 from isd_gym.env._environment import ISDSuspensionEnv
 from isd_gym.physics._batch import posterior_ranges, ranges
 from isd_gym.physics.network import Network

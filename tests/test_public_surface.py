@@ -20,13 +20,36 @@ SURFACE = """
 isd_gym
     Diagnosis ISDSuspensionEnv ISDSuspensionVectorEnv InputError MissingColumn Network ReportError Score
     StageCost Table TyreContactWarning diagnose linearise read_table score simulate
+isd_gym.agents
+isd_gym.agents.policy
+    Policy
+    also FEATURE_LIMIT Head SCHEMA SHIPPED read_safetensors
+isd_gym.baselines
+    BatchController CONTROLLERS PLANTS make
+    also ABOUT WHOLE_CAR noisy
+isd_gym.baselines.controller
+    BatchController DesignedController clean limit rises steps_ahead
+    also CURRENT Settings
+isd_gym.baselines.friction
+    FrictionMpcSettings
+    also FrictionMpc with_preview
+isd_gym.baselines.lqg
+    LqgSettings
+    also FullStateLqr LawSettings Lqg STEEPEST
+isd_gym.baselines.mpc
+    MpcSettings
+    also ACCELERATION_LIMIT Mpc PAPER TRAVEL_LIMIT
 isd_gym.benchmark
+isd_gym.benchmark.datasets
+    write_dataset
+    also ID
 isd_gym.benchmark.driving
     Controller Entry cost_of
     also Crew Driver Idle travel
 isd_gym.benchmark.lq_bounds
-    also Best CarBound LQPoint Linear best_acceleration blind_gain ideal ideal_car linear_car lq_bound
-    lq_front reference simulated_cost stationary wheelbase_bound
+    Best LQPoint best_acceleration lq_bound
+    also CarBound Linear blind_gain ideal ideal_car linear_car lq_front reference simulated_cost stationary
+    wheelbase_bound
 isd_gym.benchmark.policies
     Entry Idle available conventional find find_all passive
 isd_gym.benchmark.scoring
@@ -41,12 +64,6 @@ isd_gym.diagnosis.result
     also BestCandidate BestTable FOLDER Over Remainder SCHEMA ScreenedPlace Stretches Tabulated
 isd_gym.diagnosis.simulation
     FittedInitialState initial_state state_of
-isd_gym.diagnosis.simulation.initial_state_fit
-    also FittedInitialState ITERATIONS initial_state
-isd_gym.diagnosis.simulation.motions
-    also LOOSE MOTION free_motions motions_at motions_of state_of
-isd_gym.diagnosis.simulation.prediction_errors
-    also ABOVE_NOISE LEAST_NOISE PredictionError PredictionErrors prediction_errors removed_share
 isd_gym.env
     ISDSuspensionEnv ISDSuspensionVectorEnv Options RELATIVE_SCALE Sensors
 isd_gym.env.autoload
@@ -67,7 +84,8 @@ isd_gym.physics.elements
     TyreLiftOff beside delayed discover parameter parameter_fields plausible register register_file rms spoken
     transmits
 isd_gym.physics.fmu
-    also MEMORY NetworkSlave POWERS Running base_units export_fmu identifier
+    export_fmu
+    also MEMORY NetworkSlave POWERS Running base_units identifier
 isd_gym.physics.network
     AXES Assembly Body Channel GROUND Lever MOTIONS Network Point SCHEMA StateSpace UNITS assemble
     assemble_all builtin_networks cut linearise natural_frequencies own_time rejoin slowest_time transfer
@@ -85,21 +103,6 @@ isd_gym.physics.tracks
 isd_gym.records
 isd_gym.records.data
     Finding Format Table check convert read_table write_table
-isd_gym.records.inspection
-    Inspection head inspect lines
-isd_gym.records.inspection.consistency
-    also Consistency integral_consistency
-isd_gym.records.inspection.facts
-    also FEW Facts Oddity facts_of odd_scale odd_stamps odd_values quantity_of si_unit sparkline unit_in_name
-isd_gym.records.inspection.map_file
-    also map_content save_map
-isd_gym.records.inspection.match
-    also ALIKE CLEAR COLUMNS Candidate DERIVATIVE DOUBT DRIVES Drive EXACT FITS GIVEN LAG NOTHING ORDER
-    PHYSICS SAMPLES Suggestion Window suggest
-isd_gym.records.inspection.name_matching
-    also alike channel_words tokens
-isd_gym.records.inspection.report
-    also Inspection LAST_STAMP head inspect lines percent_of
 isd_gym.records.schemas
     load
     also NAMES check
@@ -114,11 +117,15 @@ isd_gym.view
 def public_modules(package=isd_gym.__name__, path=isd_gym.__path__):
     """Return the dotted names of the public modules, packages included, without those of `contrib`."""
     found = [package]
-    for module in pkgutil.iter_modules(path):
-        name = f"{package}.{module.name}"
-        if module.name.startswith("_") or name == "isd_gym.contrib":
+    modules = [m.name for m in pkgutil.iter_modules(path)]
+    if package == "isd_gym":
+        modules += ["agents", "baselines"]  # folders of their own in a source tree
+    for module in dict.fromkeys(modules):
+        name = f"{package}.{module}"
+        if module.startswith("_") or name == "isd_gym.contrib":
             continue
-        inside = public_modules(name, find_spec(name).submodule_search_locations) if module.ispkg else [name]
+        folder = find_spec(name).submodule_search_locations
+        inside = public_modules(name, folder) if folder else [name]
         found += inside
     return sorted(found)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from program import refused
 
-from isd_gym.benchmark._minari import write_dataset
+from isd_gym.benchmark.datasets import write_dataset
 from isd_gym.benchmark.policies import Idle, find, passive
 from isd_gym.benchmark.scoring import Entry
 from isd_gym.physics._vehicle import vehicle

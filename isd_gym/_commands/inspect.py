@@ -63,10 +63,10 @@ def command(
     """
     from .._common.files import write_text
     from ..physics.network import Network
+    from ..records._inspection.map_file import save_map
+    from ..records._inspection.report import inspect, lines
     from ..records._loggers import ChannelMap, Column
     from ..records._loggers.mapping import files_of
-    from ..records.inspection.map_file import save_map
-    from ..records.inspection.report import inspect, lines
     from ..view._report.inspection import page
 
     files = [file for word in data for file in files_of(word)]

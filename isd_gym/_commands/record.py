@@ -34,7 +34,7 @@ def command(
 
     Example: isd-gym record mpc --out isd/mpc-v0
     """
-    from ..benchmark._minari import ID, write_dataset
+    from ..benchmark.datasets import ID, write_dataset
     from ..benchmark.policies import find
     from ..physics.network import Network
 

@@ -25,7 +25,7 @@ from ._options import (
 from .console import check_file, printer, tell, write_json
 
 if TYPE_CHECKING:
-    from ..diagnosis.simulation.prediction_errors import PredictionErrors
+    from ..diagnosis.simulation._prediction_errors import PredictionErrors
     from ..physics.network import Network
     from ..physics.simulate import Interpolation
 
@@ -120,7 +120,7 @@ def _compare(
     network: Network, data: list[Path], named: dict[str, Any], json_file: Path | None, against: Network | None
 ) -> None:
     """Print the errors of a model, and of the model to compare with, on records; write them to the file of --json."""
-    from ..diagnosis.simulation.prediction_errors import prediction_errors, removed_share
+    from ..diagnosis.simulation._prediction_errors import prediction_errors, removed_share
     from ..records._loggers.record_reading import records_of
 
     check_records(data, [])
@@ -204,7 +204,7 @@ def _write(
     import numpy as np
 
     from .._common.units import convert
-    from ..diagnosis.simulation.motions import motions_at, motions_of, state_of
+    from ..diagnosis.simulation._motions import motions_at, motions_of, state_of
     from ..physics.simulate import simulate as run
     from ..records._loggers import files_of
     from ..records._loggers.grid import inputs_of, outputs_of
@@ -228,7 +228,7 @@ def _write(
         )
     table, start = pieces[0], None
     if fitted:
-        from ..diagnosis.simulation.initial_state_fit import initial_state
+        from ..diagnosis.simulation._initial_state_fit import initial_state
 
         begun = initial_state(table, network, outputs=measured)
         table, start = Table(begun.time, dict(begun.inputs), str(data)), begun.state

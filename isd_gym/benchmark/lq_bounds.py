@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
     from ..physics._car_prediction import CarModel, CarWeights
 
+__all__ = ["Best", "LQPoint", "best_acceleration", "lq_bound"]
+
 # ============================================================================================ the causal bound
 
 

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 else:
     Slave = __import__("pythonfmu").Fmi2Slave if find_spec("pythonfmu") else object
 
+__all__ = ["export_fmu"]
+
 MEMORY = 2.0  # length of the stored commands and readings for drives and sensors with memory [s]
 #: exponents of kg, m, s, A, rad in a unit, for the unit definitions
 POWERS = {

@@ -17,7 +17,7 @@ from .._estimation.structure import base_structure
 from .._records.filtering import differentiate_inputs
 from .._records.reading import read_record
 from .._simulation.problem import BROKEN, Problem, deviation_within
-from .initial_state_fit import ITERATIONS
+from ._initial_state_fit import ITERATIONS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

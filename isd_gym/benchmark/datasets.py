@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from ..physics.network import Network
     from .driving import Entry
 
+__all__ = ["write_dataset"]
+
 #: memory beside the numbers of an episode, and of a data set [bytes]
 EPISODE_ROOM, DATASET_ROOM = 32_768, 2**20
 #: a Minari id: (namespace/)name-vN; other names are folders
