@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Entry
+from isd_gym.benchmark.policies import available
 
 from .policy import SHIPPED, Policy
 
@@ -21,9 +22,14 @@ def open_policy(
 ) -> Entry | None:
     """Return a trained policy as an entry of a score."""
     path = Path(name)
-    if not (name in names() or os.path.isdir(path) or path.name == "policy.json"):
-        return None
-    policy = Policy.load(path.parent if path.name == "policy.json" else path)
+    if path.name == "policy.json":
+        path = path.parent
+    elif not os.path.isfile(path / "policy.json"):  # a known name counts before another folder of that name
+        if name in names():
+            path = SHIPPED / name
+        elif not os.path.isdir(path) or name in available():
+            return None
+    policy = Policy.load(path)
     return entry_of(policy, name, model, control_step, options)
 
 

@@ -164,3 +164,34 @@ def test_a_kernel_of_an_unknown_module_is_compiled_again(tmp_path):
     files._save_data("law.1.nbc", Foreign())
     with pytest.raises(OSError, match="dynamic"):
         files._load_data("law.1.nbc")
+
+
+def test_a_replaced_file_keeps_its_mode(tmp_path):
+    to = tmp_path / "score.json"
+    to.write_text("{}")
+    to.chmod(0o640)
+    with whole(to) as part:
+        part.write_text("new")
+    assert to.read_text() == "new" and to.stat().st_mode & 0o777 == 0o640
+    if os.geteuid() == 0:
+        os.chown(to, 1234, 1234)
+        with whole(to) as part:
+            part.write_text("newer")
+        assert (to.stat().st_uid, to.stat().st_gid, to.stat().st_mode & 0o777) == (1234, 1234, 0o640)
+
+
+def test_settings_of_numba_that_cannot_be_read_are_one_line(tmp_path):
+    pytest.importorskip("yaml", reason="numba reads its file of settings with PyYAML")
+    (tmp_path / ".numba_config.yaml").write_text('!!python/object/apply:os.system ["touch RUN"]\n')
+    done = shell(SCORE, tmp_path)
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b".numba_config.yaml" in done.stderr
+    assert not (tmp_path / "RUN").exists()
+
+
+def test_a_foreign_folder_does_not_hide_a_known_policy(tmp_path):
+    for name in ("mpc", "ppo"):
+        (tmp_path / name).mkdir()
+    command = SCORE.replace("score passive", "score mpc ppo ./mpc")
+    assert b"no policy.json" in shell(command, tmp_path).stderr
+    done = shell(command.replace(" ./mpc", ""), tmp_path)
+    assert done.returncode == 0, done.stderr

@@ -43,6 +43,11 @@ def main() -> None:
                 err=True,
             )
             code = 2
+        elif type(error).__module__.startswith("yaml.") and os.path.exists(".numba_config.yaml"):
+            typer.echo(
+                "isd-gym: numba cannot read .numba_config.yaml in this folder: correct or remove it", err=True
+            )
+            code = 2
         elif hasattr(error, "format_message"):  # an error of the command line's parser
             code = _explain(error)
         else:

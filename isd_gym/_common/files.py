@@ -12,7 +12,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -63,9 +63,21 @@ def whole(path: str | Path) -> Iterator[Path]:
         with writing(path, shop):
             yield shop / path.name
         try:
+            _take_over(path, shop / path.name)
             os.replace(shop / path.name, path)
         except OSError as error:
             raise _cannot(path, error) from None
+
+
+def _take_over(earlier: Path, made: Path) -> None:
+    """Give a file mode and owner of the file that it replaces, if there is one."""
+    if not earlier.exists():
+        return
+    held, new = earlier.stat(), made.stat()
+    if hasattr(os, "chown") and (held.st_uid, held.st_gid) != (new.st_uid, new.st_gid):
+        with suppress(PermissionError):  # only the administrator may give files away
+            os.chown(made, held.st_uid, held.st_gid)
+    shutil.copymode(earlier, made)
 
 
 def write_text(path: str | Path, text: str) -> None:

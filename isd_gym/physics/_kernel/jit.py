@@ -101,5 +101,6 @@ def check_compiler() -> None:
     """Check that numba compiles."""
     if nb.config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise InputError(
-            "NUMBA_DISABLE_JIT is set, but the kernel runs only compiled: unset NUMBA_DISABLE_JIT"
+            "NUMBA_DISABLE_JIT is set, in the environment or in .numba_config.yaml of this folder, but the kernel "
+            "runs only compiled: unset NUMBA_DISABLE_JIT"
         )
