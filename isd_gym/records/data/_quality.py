@@ -80,6 +80,8 @@ STILL = 0.1  # share of a channel's usual power, in spans of equal length, below
 GLITCHES = 3  # samples that may differ in a constant channel
 ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
 SLIP = (600.0, 1600.0)  # factors between a channel and the model's output that a wrong unit causes
+#: quantities of inputs that saturate and hold by design
+COMMANDED = ("current", "force", *CONDITIONS)
 #: names of the checks; an error may be accepted by the name of its check
 CHECKS = (
     "time", "step", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies", "sign"
@@ -147,12 +149,7 @@ def check(
         InputError: The table lacks a channel, or a quantity is unknown.
     """
     channels = {**inputs, **outputs}
-    values: dict[str, np.ndarray] = {}
-    for name, quantity in channels.items():
-        if quantity not in QUANTITIES:
-            raise InputError(f"'{name}': unknown quantity '{quantity}' (known: {', '.join(QUANTITIES)})")
-        unit = QUANTITIES[quantity][0]
-        values[name] = convert(table[name], table.units.get(name) or unit, unit)
+    values = {name: _in_si(table, name, quantity) for name, quantity in channels.items()}
     scale = scale or Scale()
     found = _named("time", _check_time(table.time))
     if not found or found[-1].level != "error":
@@ -161,44 +158,54 @@ def check(
         return found  # the other checks need a time base
     found += _named("step", _check_step(table.time, scale))
     time = table.uniform().time
-    chance: dict[str, float] = {}
-    moving: dict[str, bool] = {}
     found += _check_content(values, inputs, outputs, time)
-    alive = [
-        n for n in values if not any(f.channel == n and f.check in ("finite", "constant") for f in found)
-    ]
-    grains = {n: _grain(values[n]) for n in alive}
-    for name, (noise, resolution) in grains.items():
-        x, quantity = values[name], channels[name]
-        of_model = scale.factor(name, x) if name in outputs else 1.0 if scale.explains(values) else math.nan
+    dead = {f.channel for f in found if f.check in ("finite", "constant")}
+    alive = [name for name in values if name not in dead]
+    grains = {name: _grain(values[name]) for name in alive}
+    are_explained = scale.explains(values)
+    for name in alive:
+        x, quantity, is_input = values[name], channels[name], name in inputs
+        of_model = scale.factor(name, x)
+        if name not in outputs:
+            of_model = 1.0 if are_explained else math.nan
         found += _named("magnitude", _check_magnitude(name, quantity, x, table.step, of_model))
-        if noise > resolution:
-            # probability that two samples are equal at rest
-            chance[name] = min(1.0, resolution / (2.5 * noise))
-        if name in outputs or quantity not in (
-            "current",
-            "force",
-            *CONDITIONS,
-        ):  # drives saturate and hold by design
-            others = [(values[n], grain[0]) for n, grain in grains.items() if n != name]
-            rest, is_input = REST * scale.time, name in inputs
-            held = _named(
-                "held", _check_held(name, quantity, x, time, noise, resolution, is_input, rest, others)
-            )
-            found += held
-            if all(f.level == "note" for f in held):  # a jump may be the end of a frozen stretch
-                grain = max(3 * noise, resolution)
-                command = name in inputs and noise <= resolution
-                found += _named("jumps", _check_spikes(name, quantity, x, time, grain, command))
-        if name in outputs:
-            moving[name] = _moves(x, [values[n] for n in inputs])
-    for name in (n for n, moves in moving.items() if not moves):
-        level: Level = "warning" if any(moving.values()) else "error"
-        text = "holds nothing but noise: no excitation, or not connected?"
-        found.append(Finding(level, name, text, check="silent"))
+        if name not in outputs and quantity in COMMANDED:
+            continue
+        others = [(values[n], grains[n][0]) for n in alive if n != name]
+        held = _check_held(name, quantity, x, time, *grains[name], is_input, REST * scale.time, others)
+        found += _named("held", held)
+        if all(f.level == "note" for f in held):  # a jump may be the end of a frozen stretch
+            noise, resolution = grains[name]
+            is_command = is_input and noise <= resolution
+            grain = max(3 * noise, resolution)
+            found += _named("jumps", _check_spikes(name, quantity, x, time, grain, is_command))
+    drives = [values[n] for n in inputs]
+    moving = {name: _moves(values[name], drives) for name in alive if name in outputs}
+    found += _named("silent", _check_silent(moving))
     finite = {n: x for n, x in values.items() if np.all(np.isfinite(x))}
+    # probability that two samples are equal at rest
+    chance = {
+        name: min(1.0, resolution / (2.5 * noise))
+        for name, (noise, resolution) in grains.items()
+        if noise > resolution
+    }
     found += _named("copies", _check_copies(finite, chance, time))
     return sorted(found, key=lambda f: ("error", "warning", "note").index(f.level))
+
+
+def _in_si(table: Table, name: str, quantity: str) -> np.ndarray:
+    """Return a channel (n,) in the SI unit of its quantity."""
+    if quantity not in QUANTITIES:
+        raise InputError(f"'{name}': unknown quantity '{quantity}' (known: {', '.join(QUANTITIES)})")
+    unit = QUANTITIES[quantity][0]
+    return convert(table[name], table.units.get(name) or unit, unit)
+
+
+def _check_silent(moving: Mapping[str, bool]) -> list[Finding]:
+    """Return findings on outputs that hold nothing but noise: errors where no output moves."""
+    level: Level = "warning" if any(moving.values()) else "error"
+    text = "holds nothing but noise: no excitation, or not connected?"
+    return [Finding(level, name, text) for name, moves in moving.items() if not moves]
 
 
 def rises_unevenly(time: np.ndarray) -> bool:
@@ -475,6 +482,43 @@ def _missed_power(x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: 
     return missed / (len(x) * float(np.var(x)))
 
 
+@dataclass(frozen=True)
+class _Runs:
+    """A channel as runs of equal samples."""
+
+    name: str  # name of the channel
+    x: np.ndarray  # samples (n,)
+    time: np.ndarray  # time stamps (n,) [s]
+    noise: float  # standard deviation of the noise
+    resolution: float  # smallest usual step between values
+    starts: np.ndarray  # first sample of each run
+    lengths: np.ndarray  # number of samples of each run
+    #: whether another channel moves from a sample on for a number of samples; None without other channels
+    moving: Callable[[int, int], bool] | None
+
+    def finding(self, level: Level, text: str, flags: np.ndarray) -> Finding:
+        """Return a finding on the flagged samples (n,)."""
+        return Finding(level, self.name, text, _spans(flags, self.time))
+
+    def at_end(self, value: float, what: str, text: str, level: Level) -> list[Finding]:
+        """Return findings on samples at the largest or the smallest value."""
+        x = self.x
+        longest = int(np.argmax(np.where(x[self.starts] == value, self.lengths, 0)))
+        moves = self.moving is None or self.moving(int(self.starts[longest]), int(self.lengths[longest]))
+        if not moves:
+            return []
+        flags = x == value
+        share = flags.sum() * (value - x.mean()) ** 2 / (len(x) * np.var(x))
+        if abs(value) >= 0.5 * self.resolution:
+            is_severe = share > (RAILS if level == "note" else CLIPPED)
+            return [self.finding("error" if is_severe else level, text, flags)]
+        if self.moving is None or share <= CLIPPED:  # at rest, or a sensor of one direction
+            return []
+        text = f"{flags.sum()} samples are exactly 0, its {what} value, while other channels move"
+        text += ": is one direction alone measured?"
+        return [self.finding(level, text, flags)]
+
+
 def _check_held(
     name: str,
     quantity: str,
@@ -493,76 +537,87 @@ def _check_held(
     without noise (an encoder, a command, a simulation) may rest: only a dead stop in mid-motion is reported.
     The affected share of the signal separates warnings from errors (see `check`). `others`: samples and noise of each further channel.
     """
-    n, step = len(x), time[1] - time[0]
-    starts, lengths = _runs(x)
-    usual = int(np.bincount(lengths).argmax())
-    stairs = usual > 1 and np.mean(lengths == usual) > 0.6 and len(np.unique(x)) > 20
-    # an encoder at constant speed also gives stairs, of one resolution each
-    if stairs and np.median(np.abs(np.diff(x[starts]))) > 1.5 * resolution:
-        text = f"holds each value for {usual} samples: sampled more slowly than the table"
-        return [Finding("warning", name, text)]
+    moving = _moving_during(others) if others else None
+    runs = _Runs(name, x, time, noise, resolution, *_runs(x), moving)
+    if slow := _sampled_slowly(runs):
+        return slow
+    if noise > resolution:
+        found, held, level, worst = _stops_in_noise(runs)
+    else:
+        is_position = quantity in ("displacement", "angle") and not is_input
+        found, held, level, worst = _dead_stops(runs, rest, is_position, is_input)
+    if moving is not None:
+        stretches = zip(runs.starts[held], runs.lengths[held], strict=True)
+        held[held] = [moving(int(first), int(length)) for first, length in stretches]
+    if held.any():
+        flags = np.repeat(held, runs.lengths)
+        begin = time[np.argmax(flags)]
+        text = f"does not change for {flags.sum()} samples, first at t = {begin:.6g} s: frozen, dropped out?"
+        is_severe = worst != level and _missed_power(x, held, runs.starts, runs.lengths) > MISSED
+        found.append(runs.finding(worst if is_severe else level, text, flags))
+    return found
+
+
+def _sampled_slowly(runs: _Runs) -> list[Finding]:
+    """Return a finding on a channel that holds each value for several samples.
+
+    An encoder at constant speed also gives stairs, of one resolution each.
+    """
+    usual = int(np.bincount(runs.lengths).argmax())
+    stairs = usual > 1 and np.mean(runs.lengths == usual) > 0.6 and len(np.unique(runs.x)) > 20
+    if not stairs or np.median(np.abs(np.diff(runs.x[runs.starts]))) <= 1.5 * runs.resolution:
+        return []
+    text = f"holds each value for {usual} samples: sampled more slowly than the table"
+    return [Finding("warning", runs.name, text)]
+
+
+def _stops_in_noise(runs: _Runs) -> tuple[list[Finding], np.ndarray, Level, Level]:
+    """Return findings on clipping of a noisy channel, which runs are frozen, and the usual and the worst level of a finding on these."""
+    x, starts, lengths, noise, resolution = runs.x, runs.starts, runs.lengths, runs.noise, runs.resolution
+    n = len(x)
+    equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, resolution / (2.5 * noise)), 1.0 / n)
+    least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))  # n equal^(least - 1) < 1e-4
+    sticks = _sticks(x, starts, lengths, least)
     found: list[Finding] = []
     settled: list[float] = []  # values at which the channel is clipped or rests
-    moving = _moving_during(others)
-    position = quantity in ("displacement", "angle") and not is_input
+    for value, what in _ends(x):
+        is_rest = sticks or _turns_on_stairs(x, starts, lengths, value)
+        count = 0 if is_rest else np.sum(x == value)
+        # at neighbouring values
+        beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise
+        if count >= max(least, 5 + 10 * beside):
+            settled.append(value)
+            text = f"is clipped: {count} samples sit exactly at the {what} value, {value:.6g}"
+            found += runs.at_end(value, what, text, "warning")
+    held = (lengths >= least) & ~np.isin(x[starts], settled)
+    held[held] = ~_calm(x, starts[held], lengths[held], min(noise, 2 * resolution))
+    rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1  # simulated stick and slip
+    return found, held, "warning", "warning" if rests or sticks else "error"
 
-    def at_end(value: float, what: str, text: str, level: Level) -> None:
-        """Add a finding on samples at the largest or the smallest value."""
-        settled.append(value)
-        longest = int(np.argmax(np.where(x[starts] == value, lengths, 0)))
-        moves = not others or moving(int(starts[longest]), int(lengths[longest]))
-        flags = x == value
-        share = flags.sum() * (value - x.mean()) ** 2 / (n * np.var(x))
-        if abs(value) < 0.5 * resolution:  # at rest, or a sensor of one direction
-            if others and moves and share > CLIPPED:
-                text = f"{flags.sum()} samples are exactly 0, its {what} value, while other channels move"
-                text += ": is one direction alone measured?"
-                found.append(
-                    Finding("warning" if level != "note" else level, name, text, _spans(flags, time))
-                )
-        elif moves:
-            severe = share > (RAILS if level == "note" else CLIPPED)
-            found.append(Finding("error" if severe else level, name, text, _spans(flags, time)))
 
-    if noise > resolution:
-        equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, resolution / (2.5 * noise)), 1.0 / n)
-        least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))  # n equal^(least - 1) < 1e-4
-        sticks = _sticks(x, starts, lengths, least)
-        for value, what in _ends(x):
-            count = 0 if sticks or _turns_on_stairs(x, starts, lengths, value) else np.sum(x == value)
-            # at neighbouring values
-            beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise
-            if count >= max(least, 5 + 10 * beside):
-                text = f"is clipped: {count} samples sit exactly at the {what} value, {value:.6g}"
-                at_end(value, what, text, "warning")
-        held = (lengths >= least) & ~np.isin(x[starts], settled)
-        held[held] = ~_calm(x, starts[held], lengths[held], min(noise, 2 * resolution))
-        rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1  # simulated stick and slip
-        level: Level = "warning"
-        worst: Level = "warning" if rests or sticks else "error"
-    else:
-        into = np.abs(np.diff(x, prepend=x[0]))[starts]  # last step, compared with the curvature just before
-        second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
-        curved = np.array([np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts])
-        held = (lengths >= 5) & (into > 4 * (curved + resolution))
-        level = "warning" if position else "note"  # no mass stops dead
-        for value, what in _ends(x):
-            if np.sum(held & (x[starts] == value)) > 1:
-                text = f"stops dead at its {what} value, {value:.6g}, time and again: clipped?"
-                at_end(value, what, text, level)
-        held &= (lengths * step > rest) & ~np.isin(x[starts], settled)
-        worst = level
-        if others and not is_input and not _sticks(x, starts, lengths, 5):
-            worst = "error" if position else "warning"
-    if others:
-        held[held] = [moving(int(a), int(k)) for a, k in zip(starts[held], lengths[held], strict=True)]
-    if held.any():
-        flags = np.repeat(held, lengths)
-        where = _spans(flags, time)
-        text = f"does not change for {flags.sum()} samples, first at t = {where[0][0]:.6g} s: frozen, dropped out?"
-        severe = worst != level and _missed_power(x, held, starts, lengths) > MISSED
-        found.append(Finding(worst if severe else level, name, text, where))
-    return found
+def _dead_stops(
+    runs: _Runs, rest: float, is_position: bool, is_input: bool
+) -> tuple[list[Finding], np.ndarray, Level, Level]:
+    """Return findings on dead stops at the ends of a channel without noise, which runs are frozen, and the usual and the worst level of a
+    finding on these."""
+    x, starts, lengths = runs.x, runs.starts, runs.lengths
+    into = np.abs(np.diff(x, prepend=x[0]))[starts]  # last step, compared with the curvature just before
+    second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
+    curved = np.array([np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts])
+    held = (lengths >= 5) & (into > 4 * (curved + runs.resolution))
+    level: Level = "warning" if is_position else "note"  # no mass stops dead
+    found: list[Finding] = []
+    settled: list[float] = []
+    for value, what in _ends(x):
+        if np.sum(held & (x[starts] == value)) > 1:
+            settled.append(value)
+            text = f"stops dead at its {what} value, {value:.6g}, time and again: clipped?"
+            found += runs.at_end(value, what, text, level)
+    step = runs.time[1] - runs.time[0]
+    held &= (lengths * step > rest) & ~np.isin(x[starts], settled)
+    if runs.moving is None or is_input or _sticks(x, starts, lengths, 5):
+        return found, held, level, level
+    return found, held, level, "error" if is_position else "warning"
 
 
 def _calm(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, step: float) -> np.ndarray:
