@@ -7,10 +7,12 @@ import builders
 import numpy as np
 import pytest
 from builders import element
-from rigs import reference
+from rigs import laws, reference
 from rigs.reference import simulate, simulate_events
 
+from isd_gym.physics.elements import TYPES
 from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate as kernel
 
 
 def model(masses, *elements, inputs=(), outputs=()):
@@ -128,3 +130,17 @@ def test_backlash_in_series_is_a_dead_zone_then_a_spring():
     stiffness = 1 / (1 / 1e6 + 1 / 2e4)
     expected = stiffness * (x - np.clip(x, -0.002, 0.002))
     np.testing.assert_allclose(seen, expected, atol=1e-6)
+
+
+def test_every_element_type_is_in_a_seeded_rig():
+    assert set(laws.ELEMENTS) == set(TYPES)
+
+
+@pytest.mark.parametrize("kind", sorted(laws.ELEMENTS))
+def test_the_kernel_agrees_on_every_element_type(kind):
+    model, time, inputs = laws.draw(kind)
+    ours = kernel(model, time, inputs)
+    theirs = simulate(model, time, inputs, step=2e-5)
+    for name, values in ours.items():
+        error = np.sqrt(np.mean((values - theirs[name]) ** 2))
+        assert error < 0.005 * np.sqrt(np.mean(values**2)), (name, error)

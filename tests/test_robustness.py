@@ -11,7 +11,7 @@ import pytest
 from isd_gym.benchmark._sweep.conditions import sweep
 from isd_gym.benchmark._sweep.grid import Grid
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture

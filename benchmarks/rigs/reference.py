@@ -41,8 +41,8 @@ CONTACT_TIME = 2e-5
 """Ratio of a friction contact's damping to its stiffness [s]."""
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
-MOTOR_EFFECTS = ("thrust_saturation", "actuator_lag", "actuator_delay")
-SENSOR_EFFECTS = ("sensor_gain", "sensor_bias", "sensor_delay")
+MOTOR_EFFECTS = ("thrust_saturation", "actuator_lag", "actuator_delay", "drive_dead_zone", "quadratic_thrust")
+SENSOR_EFFECTS = ("sensor_gain", "sensor_bias", "sensor_delay", "sensor_dead_zone", "sensor_magnitude")
 SIDES = {"both": 0.0, "extension": 1.0, "compression": -1.0}
 
 (
@@ -61,7 +61,19 @@ SIDES = {"both": 0.0, "extension": 1.0, "compression": -1.0}
     TIMED,
     PARAMETRIC,
     CONTROLLED,
-) = range(15)
+    DIRECTED,
+    CONSTANT,
+    DEGRESSIVE,
+    SINE,
+    SCHEDULED,
+    SCHEDULED_FRICTION,
+    LOADED_FRICTION,
+    TABLE,
+) = range(23)
+# laws with a contact that sticks
+CONTACTS = (FRICTION, TIMED, DIRECTED, SCHEDULED_FRICTION, LOADED_FRICTION)
+# columns of a law's parameters: its own, the stiffness and damping of a contact, what a signal feeds, and a table
+STIFFNESS, DAMPER, FED, KNOTS, ROWS = 3, 4, 5, 6, 7
 
 # type -> (law, its parameters in order with their defaults; None: must be given). Those named x_... are
 # no members of the project's library: laws that a diagnosis has to call unknown.
@@ -78,6 +90,14 @@ LAWS: dict[str, tuple[int, dict[str, Any]]] = {
     "cogging_force": (COGGING, {"amplitude": None, "pitch": None, "phase": None}),
     "tyre_lift_off": (LIFT, {"stiffness": None, "load": None}),
     "controlled_damper": (CONTROLLED, {"low": None, "high": None, "current": None}),
+    "asymmetric_friction": (DIRECTED, {"extension": None, "compression": None}),
+    "constant_force": (CONSTANT, {"force": None}),
+    "degressive_damping": (DEGRESSIVE, {"damping": None, "knee": None}),
+    "gravity_sine": (SINE, {"torque": None, "rest": 0.0}),
+    "scheduled_damping": (SCHEDULED, {"slope": None, "reference": 0.0}),
+    "scheduled_friction": (SCHEDULED_FRICTION, {"level": None, "slope": None, "reference": 0.0}),
+    "load_dependent_friction": (LOADED_FRICTION, {"level": None, "gain": None}),
+    "tabulated_force": (TABLE, {"scale": 1.0}),
     "x_fading_damping": (FADING, {"damping": None, "energy": None}),
     "x_position_damping": (POSITION, {"damping": None, "length": None}),
     "x_timed_friction": (TIMED, {"level": None, "period": None, "duty": None}),
@@ -342,8 +362,42 @@ def _law(code, p, d, v, z, hg, t):
             return trial, k * hg + c, z + hg * v
         force = np.copysign(on, trial)
         return force, 0.0, (force + c * z / hg) / (k + c / hg)
-    if code == CONTROLLED:  # p[3]: the current
-        c = p[0] + (p[1] - p[0]) * min(max((p[3] + p[2]) / (2.0 * p[2]), 0.0), 1.0)
+    if code in (DIRECTED, SCHEDULED_FRICTION, LOADED_FRICTION):
+        k, c = p[STIFFNESS], p[DAMPER]
+        trial = k * (z + hg * v) + c * v
+        if code == DIRECTED:
+            on = p[0] if trial > 0.0 else p[1]
+        elif code == SCHEDULED_FRICTION:
+            on = max(p[0] + p[1] * (p[FED] - p[2]), 0.0)
+        else:
+            on = p[0] + p[1] * abs(p[FED])
+        if abs(trial) <= on:
+            return trial, k * hg + c, z + hg * v
+        force = np.copysign(on, trial)
+        return force, 0.0, (force + c * z / hg) / (k + c / hg)
+    if code == CONSTANT:
+        return p[0], 0.0, z
+    if code == DEGRESSIVE:
+        over = 1.0 + abs(v) / p[1]
+        return p[0] * v / over, p[0] / over**2, z
+    if code == SINE:
+        return p[0] * np.sin(d + p[1]), p[0] * np.cos(d + p[1]) * hg, z
+    if code == SCHEDULED:
+        c = p[0] * (p[FED] - p[1])
+        return c * v, c, z
+    if code == TABLE:  # linear between knots, held beyond them
+        count, by_rate = int(p[KNOTS]), p[1] > 0.0
+        x = v if by_rate else d
+        first, values = ROWS, ROWS + count
+        if x <= p[first] or x >= p[first + count - 1]:
+            return p[0] * (p[values] if x <= p[first] else p[values + count - 1]), 0.0, z
+        j = 0
+        while x >= p[first + j + 1]:
+            j += 1
+        slope = p[0] * (p[values + j + 1] - p[values + j]) / (p[first + j + 1] - p[first + j])
+        return p[0] * p[values + j] + slope * (x - p[first + j]), slope * (1.0 if by_rate else hg), z
+    if code == CONTROLLED:
+        c = p[0] + (p[1] - p[0]) * min(max((p[FED] + p[2]) / (2.0 * p[2]), 0.0), 1.0)
         return c * v, c, z
     # PARAMETRIC
     k = p[0] * np.sin(2.0 * np.pi * p[1] * t)
@@ -452,6 +506,8 @@ def _integrate(
     codes,
     params,
     drives,
+    loads,
+    loads_moved,
     motion,
     push,
     push_at,
@@ -507,16 +563,20 @@ def _integrate(
             for j in range(q_motor):
                 at = step - 1 - int(motor[j, 0])
                 command = current[j, at // per_sample] if at >= 0 else 0.0
+                command -= min(max(command, -motor[j, 4]), motor[j, 4])
                 actual = command + (lagged[j] - command) * (motor[j, 1] if s == 0 else motor[j, 2])
                 if s == 1:
                     lagged[j] = actual
+                if motor[j, 5] != 0.0:
+                    other = abs(actual) if motor[j, 5] > 0.0 else -actual
+                    actual = actual * other / motor[j, 5]
                 if motor[j, 3] > 0.0:
                     actual = motor[j, 3] * np.tanh(actual / motor[j, 3])
                 for i in range(n):
                     drive[i] -= motor_at[j, i] * actual
                 for e in range(m):
                     if drives[e] == j:
-                        params[e, 3] = actual
+                        params[e, FED] = actual
             if s == 0:
                 mu_base[:] = mu
                 xa[:] = x
@@ -546,6 +606,12 @@ def _integrate(
                 for j in range(p):
                     q[e] += Dw[j, e] * wv[j]
                     da[e] += Dw[j, e] * (w[j] - hg * wv[j])
+                if codes[e] == LOADED_FRICTION:
+                    params[e, FED] = 0.0
+                    for i in range(n):
+                        params[e, FED] += loads[e, i] * (xa[i] + hg * V1[i])
+                    for j in range(p):
+                        params[e, FED] += loads_moved[e, j] * w[j]
             time = t0 + (step - 1 + part) * h
             if m > 0 and not _stage(codes, params, da, q, G, z_base, hg, time, u, f, z1, J, r):
                 failures += 1
@@ -625,12 +691,22 @@ def trajectories(
     across = np.array([a for *_, a in plant.laws]).reshape(len(plant.laws), n + len(plant.moved))
     D, Dw = across[:, :n].T.copy(), across[:, n:].T.copy()
     codes = np.array([code for _, code, _, _ in plant.laws], dtype=np.int64)
-    params = np.zeros((len(codes), 5))
-    for row, (_, code, values, _) in zip(params, plant.laws, strict=True):
+    knots = max([len(e.get("force", [])) for e, code, *_ in plant.laws if code == TABLE], default=0)
+    params = np.zeros((len(codes), ROWS + 2 * knots))
+    loads = np.zeros((len(codes), n + len(plant.moved)))
+    for at, (row, (e, code, values, _)) in enumerate(zip(params, plant.laws, strict=True)):
         row[: len(values)] = values
-        if code in (FRICTION, TIMED):
-            row[3] = max(values[0], values[1] if code == FRICTION and len(values) > 1 else 0.0) / PRESLIDING
-            row[4] = row[3] * CONTACT_TIME
+        if code in CONTACTS:
+            static = code == DIRECTED or (code == FRICTION and len(values) > 1)
+            row[STIFFNESS] = max(values[0], values[1] if static else 0.0) / PRESLIDING
+            row[DAMPER] = row[STIFFNESS] * CONTACT_TIME
+        if code == TABLE:
+            by_rate = "rate" in e
+            axis, force = e["rate" if by_rate else "elongation"], e["force"]
+            row[1], row[KNOTS] = by_rate, len(force)
+            row[ROWS : ROWS + len(force)], row[ROWS + len(force) : ROWS + 2 * len(force)] = axis, force
+        if code == LOADED_FRICTION:  # the load is a spring
+            loads[at] = sum(s["stiffness"] * a for s, a in plant.linear if s.get("name") == e["load"])
     # directions that carry no momentum
     scale = np.abs(M).max() if n else 0.0
     Mpinv = np.linalg.pinv(M, rcond=1e-10) if scale > 0 else np.zeros((n, n))
@@ -652,22 +728,36 @@ def trajectories(
         delay = effects.get("actuator_delay", {}).get("delay", 0.0)
         limit = effects.get("thrust_saturation", {}).get("current", 0.0)
         decay = [float(np.exp(-part * h / tau)) if tau > 0 else 0.0 for part in (GAMMA, 1.0)]
-        motor.append([round(delay / h), *decay, limit])
+        zone = effects.get("drive_dead_zone", {}).get("threshold", 0.0)
+        square = effects.get("quadratic_thrust", {})
+        reference = square.get("reference", 0.0) * (-1.0 if square.get("form") == "square" else 1.0)
+        motor.append([round(delay / h), *decay, limit, zone, reference])
         motor_at.append(e.get("thrust_constant", 0.0) * e.get("ratio", 1.0) * direction[:n])
-    driven = [e for e, _ in plant.motors]
-    drives = np.array([driven.index(e) if e in driven else -1 for e, *_ in plant.laws], dtype=np.int64)
+    driven: list[Any] = [e for e, _ in plant.motors]
+    for i in model.get("inputs", []):
+        if i["quantity"] in (
+            "temperature",
+            "pressure",
+            "speed",
+        ):  # a logged channel feeds laws as a current does, and drives nothing
+            driven.append(i["name"])
+            current.append(_column(inputs, i["name"], size))
+            motor.append([0, 0.0, 0.0, 0.0, 0.0, 0.0])
+            motor_at.append(np.zeros(n))
+    feeds = [e.get("channel", e) for e, *_ in plant.laws]
+    drives = np.array([driven.index(f) if f in driven else -1 for f in feeds], dtype=np.int64)
     offsets = np.zeros(1, dtype=np.int64)
 
     def run(samples: int, steps: int, h: float, params: Array, x: Array, v: Array, z: Array, out: Any) -> int:
         matrices = M, C, K, _inverse(M + GAMMA * h * C + (GAMMA * h) ** 2 * K), Mw, Cw, Kw, Mpinv, null, D, Dw
-        laws = codes, params, drives
+        laws = codes, params, drives, loads[:, :n].copy(), loads[:, n:].copy()
         sources = (
             motion,
             np.array(push).reshape(len(push), size),
             np.array(push_at, dtype=np.int64),
             np.array(current).reshape(len(current), size),
             np.array(motor_at).reshape(len(current), n),
-            np.array(motor).reshape(len(current), 4),
+            np.array(motor, dtype=float).reshape(len(current), 6),
         )
         return int(
             _integrate(samples, steps, h, interval, t[0], *matrices, *laws, *sources, x, v, z, offsets, *out)
@@ -677,8 +767,8 @@ def trajectories(
     x, v = _initial(plant, initial)
     z = np.zeros(len(codes))
     rigid = params.copy()
-    contact = np.isin(codes, (FRICTION, TIMED))
-    rigid[contact, 3:] *= 1e6
+    contact = np.isin(codes, CONTACTS)
+    rigid[contact, STIFFNESS : DAMPER + 1] *= 1e6
     start = [np.zeros((len(offsets), 2, n)) for _ in range(3)] + [np.zeros((len(offsets), 2, len(codes)))]
     run(2, 2, 1e-6, rigid, x, v, z, start)
     for signal, rate in ((start[0], start[1]), (start[1], start[2])):
@@ -770,7 +860,7 @@ def _trajectory(
 
 def _actual_current(command: Array, motor: list[float], h: float, since: Array) -> Array:
     """The current that makes thrust, just before each instant, by the same rounding as the integrator's."""
-    delay, _, decay, limit = motor
+    delay, _, decay, limit, zone, reference = motor
     per_sample = round((since[-1] - since[-2]) / h)
     actual = np.empty(len(since))
     value, at = command[0] if delay == 0 and decay == 0 else 0.0, 0
@@ -780,9 +870,12 @@ def _actual_current(command: Array, motor: list[float], h: float, since: Array) 
             # as far as the command stays the same
             span = min(target - at, per_sample - source % per_sample)
             held = command[source // per_sample] if source >= 0 else 0.0
+            held -= min(max(held, -zone), zone)
             value = held + (value - held) * decay**span
             at += span
         actual[k] = value
+    if reference:
+        actual = actual * (np.abs(actual) if reference > 0.0 else -actual) / reference
     return limit * np.tanh(actual / limit) if limit > 0 else actual
 
 
@@ -838,6 +931,8 @@ def simulate(
             if e.get("channel") == name:
                 y = y * e["gain"] if e["type"] == "sensor_gain" else y
                 y = y + e["bias"] if e["type"] == "sensor_bias" else y
+                y = np.abs(y) if e["type"] == "sensor_magnitude" else y
+                y = y - np.clip(y, -e["width"], e["width"]) if e["type"] == "sensor_dead_zone" else y
         table[name] = np.array(y)
     return table
 
