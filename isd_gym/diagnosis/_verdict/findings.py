@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from .grades import MISTAKEN, REPORTED, grade, share_mistaken
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from .._selection.criteria import Criteria
     from .._selection.forward_backward import Search
     from .._selection.weights import WeightedCandidate
     from .evidence import Evidence
@@ -71,85 +71,146 @@ def find(
     is_named: bool,
     is_doubted: bool,
 ) -> tuple[Finding, ...]:
-    """Return findings, largest probability of the kind first: sums of weights as probabilities of places, kinds and laws. A kind that is
-    certain at none of several places has an open place. `own`: statements of the foremost candidate; `is_doubted`: whether a free curve
-    or a controller explains its force."""
-    c = search.criteria
-    share = functools.partial(share_mistaken, e=evidence, c=c, is_named=is_named)
-    every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
-    for w in candidates:
-        for s in sorted(w.statements, key=lambda s: (s.place, s.kind, s.law)):
-            every.setdefault((s.place, s.kind), {})[s.law] = s
-    passed = frozenset[Statement]() if is_doubted else own
-    free_places = {place for (place, _), laws in every.items() if FREE_FORCE in laws}
+    """Return findings, largest probability of the kind first.
 
-    own_places = {s.place for s in own}
-    foremost_first = sorted(candidates, key=lambda w: w.statements != own)
+    Args:
+        search: The search, for its criteria.
+        candidates: Candidates with weights.
+        evidence: Evidence for the foremost candidate.
+        quantities: Parameters with intervals, by path.
+        own: Statements of the foremost candidate.
+        is_named: Whether its effects are named.
+        is_doubted: Whether a free curve or a controller explains its force.
+    """
+    return _Finder(search.criteria, candidates, evidence, quantities, own, is_named, is_doubted).find()
 
-    def of_place(place: tuple[str, ...]) -> float:
-        """Return the probability of a place, less where it belongs to an effect beside the foremost candidate's that did not pass the
-        inclusion test."""
-        whole = probability(candidates, place=place)
-        if place in free_places:
-            return whole * (1.0 - MISTAKEN["place"])
-        beside = [
-            w for w in candidates if place not in own_places and own_places & {s.place for s in w.statements}
-        ]
-        further = probability(beside, place=place)
-        return (whole - further) * (1.0 - share("place")) + further * (
-            1.0 - max(MISTAKEN["extra"], share("place"))
-        )
 
-    def finding(place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> Finding:
+@dataclass(frozen=True)
+class _Finder:
+    """Sums of weights of candidates as probabilities of places, kinds and laws, less the share of such statements that are wrong."""
+
+    criteria: Criteria
+    candidates: Sequence[WeightedCandidate]
+    evidence: Evidence
+    quantities: Mapping[str, Quantity]
+    own: frozenset[Statement]
+    is_named: bool
+    is_doubted: bool
+
+    def find(self) -> tuple[Finding, ...]:
+        """Return the findings. A kind that is certain at none of several places has an open place."""
+        every = self._laws()
+        found = []
+        for (place, kind), laws in every.items():
+            if probability(self.candidates, place=place, kind=kind) >= REPORTED:
+                found.append(self._finding(place, kind, laws))
+        for kind in sorted({f.kind for f in found} - set(NAMELESS)):
+            if self._is_place_open(kind, [f for f in found if f.kind == kind]):
+                laws = {}
+                for (_, other), of_place in every.items():
+                    if other == kind:
+                        laws |= of_place
+                found.append(replace(self._finding((), kind, laws), named=False))
+        return tuple(sorted(found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)))
+
+    def _laws(self) -> dict[tuple[tuple[str, ...], str], dict[str, Statement]]:
+        """Return the statements of all candidates by place and kind, then by law."""
+        every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
+        for candidate in self.candidates:
+            for s in sorted(candidate.statements, key=lambda s: (s.place, s.kind, s.law)):
+                every.setdefault((s.place, s.kind), {})[s.law] = s
+        return every
+
+    def _is_place_open(self, kind: str, found: Sequence[Finding]) -> bool:
+        """Return whether a kind is found at several places and certain at none of them."""
+        whole = probability(self.candidates, kind=kind)
+        for f in found:
+            at_place = probability(self.candidates, place=f.place, kind=kind)
+            if f.named or at_place >= self.criteria.certain * whole:
+                return False
+        return len(found) > 1
+
+    def _finding(self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> Finding:
         """Return the finding of a kind at a place, or at any place where `place` is empty."""
-        where: dict[str, object] = {"kind": kind} | ({"place": place} if place else {})
-        own_here = {s for s in own if s.kind == kind and place in (s.place, ())}
-        is_passed = bool(own_here & passed)
-        is_free = FREE_FORCE in laws  # the free force stands for laws outside the library
-        doubt = 0.0 if is_passed or is_free else MISTAKEN["extra"]
-        of_table = MISTAKEN["free" if kind in NAMELESS else "kind"]
-        mistaken = of_table if is_free else max(doubt, share("kind"))
-        of_kind = probability(candidates, **where) * (1.0 - mistaken)
-
-        def of_law(law: str) -> float:
-            """Return the probability of a law. Beside a law of the foremost candidate it did not pass the inclusion test."""
-            whole = probability(candidates, **where, law=law)
-            is_own = any(s.law == law for s in own_here)
-            beside = [] if is_own else [w for w in candidates if own_here & w.statements]
-            further = probability(beside, **where, law=law)
-            is_sum = law in TYPES and TYPES[law].is_sum()
-            wrong = max(mistaken if is_free else doubt, share("law", is_sum=is_sum))
-            return (whole - further) * (1.0 - wrong) + further * (1.0 - max(MISTAKEN["extra"], wrong))
-
-        entries = [
-            LawProbability(law, of_law(law), _values(foremost_first, statement, quantities) if place else {})
-            for law, statement in laws.items()
-        ]
+        of_kind = probability(self.candidates, **_where(place, kind)) * (
+            1.0 - self._mistaken(place, kind, laws)
+        )
+        entries = []
+        for law, statement in laws.items():
+            values = self._values(statement) if place else {}
+            entries.append(LawProbability(law, self._of_law(place, kind, laws, law), values))
         return Finding(
             place,
-            of_place(place) if place else of_kind,
+            self._of_place(place) if place else of_kind,
             kind,
             of_kind,
             tuple(sorted(entries, key=lambda e: (-e.probability, e.effect))),
-            is_named and any(s in own for s in laws.values()),
+            self.is_named and any(s in self.own for s in laws.values()),
         )
 
-    found = [
-        finding(place, kind, laws)
-        for (place, kind), laws in every.items()
-        if probability(candidates, place=place, kind=kind) >= REPORTED
-    ]
-    for kind in sorted({f.kind for f in found} - set(NAMELESS)):
-        at_places = [f for f in found if f.kind == kind]
-        whole = probability(candidates, kind=kind)
-        is_settled = any(
-            f.named or probability(candidates, place=f.place, kind=kind) >= c.certain * whole
-            for f in at_places
-        )
-        if len(at_places) > 1 and not is_settled:
-            laws = {s.law: s for (_, k), own_laws in every.items() if k == kind for s in own_laws.values()}
-            found.append(replace(finding((), kind, laws), named=False))
-    return tuple(sorted(found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)))
+    def _share(self, level: str, *, is_sum: bool = False) -> float:
+        """Return the share of statements of a level that are wrong."""
+        return share_mistaken(level, self.evidence, self.criteria, is_named=self.is_named, is_sum=is_sum)
+
+    def _own_here(self, place: tuple[str, ...], kind: str) -> set[Statement]:
+        """Return the statements of the foremost candidate about a kind at a place."""
+        return {s for s in self.own if s.kind == kind and place in (s.place, ())}
+
+    def _doubt(self, place: tuple[str, ...], kind: str) -> float:
+        """Return the share of kinds that are wrong where the foremost candidate, if it passed, does not have the kind."""
+        has_passed = bool(self._own_here(place, kind)) and not self.is_doubted
+        return 0.0 if has_passed else MISTAKEN["extra"]
+
+    def _mistaken(self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> float:
+        """Return the share of such kinds that are wrong. The free force stands for laws outside the library."""
+        if FREE_FORCE in laws:
+            return MISTAKEN["free" if kind in NAMELESS else "kind"]
+        return max(self._doubt(place, kind), self._share("kind"))
+
+    def _of_place(self, place: tuple[str, ...]) -> float:
+        """Return the probability of a place, less where it belongs to an effect beside the foremost candidate's that did not pass the
+        inclusion test."""
+        whole = probability(self.candidates, place=place)
+        if self._has_free_force(place):
+            return whole * (1.0 - MISTAKEN["place"])
+        own_places = {s.place for s in self.own}
+        beside = [
+            w
+            for w in self.candidates
+            if place not in own_places and own_places & {s.place for s in w.statements}
+        ]
+        further = probability(beside, place=place)
+        return _less(whole, further, self._share("place"))
+
+    def _has_free_force(self, place: tuple[str, ...]) -> bool:
+        return any(s.place == place and s.law == FREE_FORCE for w in self.candidates for s in w.statements)
+
+    def _of_law(self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement], law: str) -> float:
+        """Return the probability of a law, less where it stands beside a law of the foremost candidate without passing the inclusion
+        test."""
+        where, own_here = _where(place, kind), self._own_here(place, kind)
+        whole = probability(self.candidates, **where, law=law)
+        is_own = any(s.law == law for s in own_here)
+        beside = [] if is_own else [w for w in self.candidates if own_here & w.statements]
+        further = probability(beside, **where, law=law)
+        is_sum = law in TYPES and TYPES[law].is_sum()
+        usual = self._mistaken(place, kind, laws) if FREE_FORCE in laws else self._doubt(place, kind)
+        return _less(whole, further, max(usual, self._share("law", is_sum=is_sum)))
+
+    def _values(self, statement: Statement) -> dict[str, Quantity]:
+        """Return the values of a law in the foremost candidate, or else in the likeliest that contains the law."""
+        foremost_first = sorted(self.candidates, key=lambda w: w.statements != self.own)
+        return _values(foremost_first, statement, self.quantities)
+
+
+def _where(place: tuple[str, ...], kind: str) -> dict[str, object]:
+    """Return the wanted fields of statements about a kind at a place, or at any place where `place` is empty."""
+    return {"kind": kind, "place": place} if place else {"kind": kind}
+
+
+def _less(whole: float, further: float, wrong: float) -> float:
+    """Return the probability of statements, of which a `further` part did not pass the inclusion test, less the share that is wrong."""
+    return (whole - further) * (1.0 - wrong) + further * (1.0 - max(MISTAKEN["extra"], wrong))
 
 
 def _values(
