@@ -31,14 +31,13 @@ from .candidate import (
     filters_for,
     settle,
     share_of,
-    simpler_structures,
     simplest_first,
     transfer,
     weights_for,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from ..._common.arrays import Array
     from ...physics.elements import Motion
@@ -318,25 +317,6 @@ class Screening:
         """Return the best fit of each set of effects, smallest deviance first, at most `SearchSettings.finals`."""
         return best_of_each_law(found)[: self.settings.finals]
 
-    def special_cases(self, r: Candidate, tried: Collection[tuple[Hypothesis, ...]]) -> list[Candidate]:
-        """Fit the special cases of the last law of a candidate that were not tried: friction that sticks may be matched by a law with
-        more parameters."""
-        own = zip(r.fit.structure.free, r.fit.x, strict=True)
-        known = {f.path: v for f, v in own if f.owner < len(r.hypotheses) - 1}
-        out = []
-        for gone, structure in simpler_structures(self.problem, r):
-            is_left_out = len(structure.hypotheses) < len(r.hypotheses)
-            if gone is not r.hypotheses[-1] or is_left_out or structure.hypotheses in tried:
-                continue
-            x = structure.start_from(known)
-            try:
-                states = transfer_states(self.problem, r.fit.network, r.fit.initial, structure)
-                f = self.fitter.fit(structure, x, states, r.fit.offset, iterations=FIRST + FURTHER)
-            except BROKEN:
-                continue
-            out.append(self._candidate(f))
-        return out
-
     def _candidate(self, fit: Fit) -> Candidate:
         return Candidate(fit, deviance(self.problem, fit, self.least_noise, self.share))
 
@@ -384,10 +364,7 @@ class Screening:
     def fit_shortlist(self) -> list[Candidate]:
         """Fit the laws of the shortlist to the records of this stage."""
         groups, _ = self.shortlist(), (self.fitter, self.plain, self.share)
-        ranked = self.leading(r for found in self.each(self.fit, groups) for r in found)
-        tried = {(*self.current.structure.hypotheses, g[0].hypothesis) for g in groups}
-        plainer = [r for found in self.each(lambda r: self.special_cases(r, tried), ranked) for r in found]
-        return self.leading([*ranked, *plainer])
+        return self.leading(r for found in self.each(self.fit, groups) for r in found)
 
     def run(self) -> ScreeningResult:
         """Run the stage."""
