@@ -18,6 +18,7 @@ Rooms, lower ones first:
 from __future__ import annotations
 
 from ._common.lazy import lazy
+from ._common.version import __version__ as __version__
 from .env import autoload as _autoload  # noqa: F401  registers the environments, now or after the import of Gymnasium
 
 TYPE_CHECKING = False  # typing's own import costs 10 ms
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
     from .physics.simulate import simulate as simulate
     from .records.data import Table as Table
     from .records.data import read_table as read_table
-
-__version__ = "0.1.0"
 
 #: public name -> its module
 _HOME = {

@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from isd_gym._commands._reproduce import page, rig
 from isd_gym._commands._reproduce.device import device
 from isd_gym._commands._reproduce.road_level import road_level
 from isd_gym._commands._reproduce.study import SCHEMA, Study
-from isd_gym._commands.reproduce import page, rig, show
+from isd_gym._commands.reproduce import show
 from isd_gym.physics.network import Network
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from .._common.errors import InputError, shown
 from .._common.inputs import read_json
+from .._common.version import __version__
 from ..records.schemas import check
 from .scoring import compare
 
@@ -94,8 +95,6 @@ def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
 
 def make(environment: str, tracks: Sequence[Mapping[str, Any]], date: str) -> dict[str, Any]:
     """Return a card with its digest."""
-    from .. import __version__
-
     card = {
         "schema": SCHEMA,
         "environment": environment,
