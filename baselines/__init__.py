@@ -122,6 +122,8 @@ PLANTS = {"passive": "quarter-car-passive"}
 #: controllers of a quarter car that drive a car with several corners as one at each corner
 _AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
 
+#: controllers with preview of a quarter car that drive a car with several corners, each with the road ahead of its wheel
+_WITH_PREVIEW = ("lqg-preview", "mpc-friction-preview")
 #: controllers of a car with a front and a rear axle
 WHOLE_CAR = ("lqg-wheelbase", "mpc-wheelbase")
 
@@ -156,10 +158,13 @@ def make(
     network = Network.load(usual if model is None else model)
     car = vehicle(network)
     cost = StageCost.of(cost, car.axes, len(car.corners))
-    if len(car.corners) > 1 and name in _AT_EACH_CORNER:
-        from ._decentralised import Decentralised, at_each_corner
+    if len(car.corners) > 1 and name in (*_AT_EACH_CORNER, *_WITH_PREVIEW):
+        from ._decentralised import Decentralised, Previewing, at_each_corner
 
+        speed = float(options.pop("speed", 20.0))
         corners = at_each_corner(network, cost, lambda one, own: factory(one, own, control_step, **options))  # type: ignore[arg-type, return-value]
+        if name in _WITH_PREVIEW:
+            return Previewing(name, network, corners, speed, control_step)
         return Decentralised(name, network, corners)
     if name not in (*_IDLE, *_AT_EACH_CORNER, *WHOLE_CAR):
         require_quarter_car(network, f"'{name}' is a controller")

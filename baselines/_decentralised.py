@@ -6,6 +6,7 @@ its own travels and rates, and its own current. Its model is the quarter car of 
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,8 @@ import numpy as np
 from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
 
-from .controller import BatchController
+from .controller import BatchController, steps_ahead
+from .lqg import STEEPEST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -85,6 +87,58 @@ class Decentralised(BatchController):
         seen = observations[:, : self._view.shape[2]]
         with np.errstate(invalid="ignore"):
             return [_through(view, seen) for view in self._view]
+
+
+class Previewing(Decentralised):
+    """Controllers with preview at the corners of a car that sees its tracks ahead of the first axle.
+
+    The road ahead of a wheel behind the first axle begins with the heights that the first axle has met.
+
+    Args:
+        speed: Speed of the car [m/s].
+    """
+
+    observation = "preview"
+
+    def __init__(
+        self, name: str, model: Network, corners: Sequence[BatchController], speed: float, control_step: float
+    ) -> None:
+        """Store the controllers of the corners."""
+        super().__init__(name, model, corners)
+        self.preview = corners[0].preview
+        self._points = steps_ahead(self.preview, control_step)
+        wheels = self.car.wheels
+        delays, driven = wheels.delays(speed, control_step), map(self.car.corners.index, self.car.driven)
+        self._wheels = [(wheels.track[i], float(delays[i])) for i in driven]
+        self._tracks, self._kept = wheels.tracks, math.ceil(max(delays)) + 1
+        self.reset()
+
+    def _start(self, count: int) -> None:
+        super()._start(count)
+        if hasattr(self, "_tracks"):
+            self._met = np.zeros(
+                (count, self._tracks, self._kept)
+            )  # heights met by the first axle, newest last [m]
+            self._next = np.zeros((count, self._tracks))  # rise of the next control step [m]
+
+    def observed(self, observations: np.ndarray) -> list[np.ndarray]:
+        """Return the local observations of the corners, each with the road ahead of its wheel."""
+        width = self._view.shape[2]
+        shown = np.nan_to_num(observations[:, width:], nan=0.0, posinf=0.0, neginf=0.0)
+        ahead = shown.reshape(len(shown), self._tracks, -1)[:, :, : self._points]
+        now = self._met[:, :, -1:] + self._next[:, :, None]
+        self._met = np.concatenate([self._met[:, :, 1:], now], axis=2)
+        self._next = np.clip(ahead[:, :, 0], -STEEPEST, STEEPEST)
+        profile = np.concatenate([self._met, now + ahead], axis=2)  # of each track, over time
+        out = []
+        for own, (track, delay) in zip(super().observed(observations), self._wheels, strict=True):
+            places = self._kept - 1 - delay + np.arange(self._points + 1)
+            low = np.floor(places + 1e-9).astype(int)
+            part = places - low
+            heights = (1.0 - part) * profile[:, track, low]
+            heights += part * profile[:, track, np.minimum(low + 1, profile.shape[2] - 1)]
+            out.append(np.hstack([own, heights[:, 1:] - heights[:, :1]]))
+        return out
 
 
 def _through(view: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -19,8 +19,8 @@ def open_policy(
 
     if name not in CONTROLLERS:
         return None
-    for option, ending in (("preview", "-preview"), ("speed", "-wheelbase")):
-        if not name.endswith(ending):
+    for option, endings in (("preview", ("-preview",)), ("speed", ("-wheelbase", "-preview"))):
+        if not name.endswith(endings):
             options = {k: v for k, v in options.items() if k != option}
     return Entry(name, lambda: make(name, model=model, cost=cost, control_step=control_step, **options))
 

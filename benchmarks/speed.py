@@ -1,5 +1,8 @@
 """Speed against Gymnasium's CartPole in the same run: `python benchmarks/speed.py [--json FILE]` (some minutes).
 
+`python benchmarks/speed.py --official` measures with Gymnasium's own functions instead, beside CartPole, Pendulum and
+Hopper of MuJoCo (`pip install "gymnasium[mujoco]"`).
+
 Medians of alternating repetitions, processor time of a single thread, so that other work on the machine counts little.
 `random` draws new currents over the full range at every step; with 5 A throughout every car ends on its stop.
 """
@@ -13,8 +16,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
+from unittest import mock
 
 import gymnasium as gym
 import numpy as np
@@ -96,6 +102,50 @@ def batch(
     return float(np.median(ratios)), count * steps / float(np.median(spent)) / 1e6
 
 
+DRAWS = 20_000  # sampled actions
+
+
+def _sample(space: gym.Space) -> None:
+    for _ in range(DRAWS):
+        space.sample()
+
+
+#: environments of the official table
+OFFICIAL = ("CartPole-v1", "Pendulum-v1", "Hopper-v5", "ISDSuspension-v0", "ISDHalfCar-v0", "ISDFullCar-v0")
+
+
+def official(seconds_each: int = 1, repetitions: int = 5, cars: int = 1024) -> dict[str, dict[str, float]]:
+    """Return figures of `gymnasium.utils.performance` by environment, medians of alternating repetitions.
+
+    The functions read the processor time instead of the clock, so that other work on the machine counts little.
+
+    Returns:
+        Steps per second of one environment, microseconds of a step and of the sample of its action within, and
+        million steps per second of a vector environment, with random and with constant actions.
+    """
+    from gymnasium.utils import performance
+
+    found: dict[str, dict[str, list[float]]] = {name: {} for name in OFFICIAL}
+    with mock.patch.object(performance, "time", SimpleNamespace(time=time.process_time)):
+        for _ in range(repetitions):
+            for name in OFFICIAL:
+                one = gym.make(name)
+                rate = performance.benchmark_step(one, seconds_each, seed=0)
+                row = {"steps per second": rate, "step and sample [us]": 1e6 / rate}
+                row["sample [us]"] = 1e6 * seconds(partial(_sample, one.action_space)) / DRAWS
+                if gym.spec(name).vector_entry_point is not None:
+                    many = gym.make_vec(name, cars, **({"threads": 1} if "ISD" in name else {}))
+                    row["vector [M/s]"] = performance.benchmark_vector_step(many, seconds_each, seed=0) / 1e6
+                    action = many.action_space.sample()
+                    many.action_space.sample = lambda action=action: action
+                    row["vector, constant action [M/s]"] = (
+                        performance.benchmark_vector_step(many, seconds_each, seed=0) / 1e6
+                    )
+                for key, value in row.items():
+                    found[name].setdefault(key, []).append(value)
+    return {name: {k: float(np.median(v)) for k, v in rows.items()} for name, rows in found.items()}
+
+
 def threads(count: int = 8192, steps: int = 100) -> float:
     """Speed of two threads over one, by the clock: means something only where two cores are idle."""
     pair = [gym.make_vec("ISDSuspension-v0", count, threads=n) for n in (1, 2)]
@@ -171,7 +221,13 @@ def trial(more: dict[str, object] | None, lanes: int = 30, steps: int = 10_000) 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
-    file = parser.parse_args().json
+    parser.add_argument("--official", action="store_true", help="Gymnasium's own functions")
+    given = parser.parse_args()
+    file = given.json
+    if given.official:
+        for name, row in official().items():
+            print(f"{name:<18}", *(f"{key}: {value:.4g};" for key, value in row.items()))
+        return
     idle, moving = batch("0"), batch("random")
     first, more = fresh()
     figures = {

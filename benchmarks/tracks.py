@@ -1,6 +1,6 @@
 """Make the benchmark cards again, and the pages that show them.
 
-python benchmarks/tracks.py [--episodes 32] [--only ISDHalfCar-v0 robust ...] [--jobs 1]
+python benchmarks/tracks.py [--only ISDHalfCar-v0 robust ...] [--jobs 1]
 
 One score per track (`isd-gym score`), one card per environment (`isd-gym card --write`, into isd_gym/benchmark/references), one sweep for
 the robust track (benchmarks/robust-track.json); then the tables of the pages. The file benchmarks/tracks.json keeps the
@@ -17,12 +17,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from isd_gym.benchmark import _cards as cards
-from isd_gym.env.registration import ENVIRONMENTS, EPISODE_STEPS
+from isd_gym.benchmark.tracks import TRACKS
+from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
 ROOT = Path(__file__).resolve().parents[1]
 TIMES = ROOT / "benchmarks" / "tracks.json"
@@ -31,42 +31,20 @@ ROBUST = ROOT / "benchmarks" / "robust-track.json"
 LEARNED = {path.name for path in (ROOT / "agents" / "policies").iterdir()}
 
 
-@dataclass(frozen=True)
-class Track:
-    """A track of a card.
-
-    Attributes:
-        environment: Name of the environment.
-        name: Name of the track in the card.
-        policies: Policies of the card.
-        preview: Road ahead [s].
-    """
-
-    environment: str
-    name: str
-    policies: tuple[str, ...]
-    preview: float | None = None
-
-    @property
-    def command(self) -> list[str]:
-        """Command that scores the policies."""
-        words = ["score", *self.policies]
-        if ENVIRONMENTS[self.environment] != "quarter-car-isd":
-            words += ["--network", ENVIRONMENTS[self.environment]]
-        return words + ([] if self.preview is None else ["--preview", f"{self.preview:g}"])
-
-
 BLIND = ("passive", "isd-passive", "skyhook", "lqg", "mpc", "mpc-friction")
 WHEELBASE = (*BLIND, "lqg-wheelbase", "mpc-wheelbase")
 AHEAD = ("passive", "skyhook", "mpc-friction", "lqg-preview", "mpc-friction-preview")
 QUARTER = "ISDSuspension-v0"
-TRACKS = (
-    Track(QUARTER, "standard", ("passive", "isd-passive", "skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "ppo", "sac")),
-    Track(QUARTER, "preview-0.1", (*AHEAD, "ppo-preview-0.1"), 0.1),
-    Track(QUARTER, "preview-0.2", (*AHEAD, "ppo-preview-0.2"), 0.2),
-    Track("ISDHalfCar-v0", "standard", (*WHEELBASE, "ppo-half-car")),
-    Track("ISDFullCar-v0", "standard", (*WHEELBASE, "ppo-full-car")),
-)  # fmt: skip
+ROADS = ("A", "B", "C", "D", "E", "bump")
+#: policies of the card, by track
+POLICIES = {
+    "standard": ("passive", "isd-passive", "skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "ppo", "sac"),
+    "preview-0.1": (*AHEAD, "ppo-preview-0.1"),
+    "preview-0.2": (*AHEAD, "ppo-preview-0.2"),
+    "half-car": (*WHEELBASE, "ppo-half-car"),
+    "full-car": (*WHEELBASE, "ppo-full-car"),
+    "full-car-preview-0.2": ("passive", "skyhook", "lqg-wheelbase", "mpc-wheelbase", "lqg-preview", "mpc-friction-preview"),
+} | {name: ("passive", "skyhook", "lqg", "mpc") for name in TRACKS if "active" in name}  # fmt: skip
 
 
 def best(rows: list[dict[str, Any]], *, learned: bool) -> dict[str, Any] | None:
@@ -89,14 +67,14 @@ def run(words: list[str]) -> float:
     return after.children_user + after.children_system - before.children_user - before.children_system
 
 
-def make_card(environment: str, episodes: int, folder: Path) -> dict[str, float]:
+def make_card(environment: str, folder: Path) -> dict[str, float]:
     """Score the tracks of an environment and write its card; return the processor time of each track [s]."""
     spent, files = {}, []
-    for track in TRACKS:
-        if track.environment == environment:
+    for name, policies in POLICIES.items():
+        track = TRACKS[name]
+        if track.card == environment:
             files.append(folder / f"{track.name}.json")
-            more = [] if episodes == 32 else ["--episodes", str(episodes)]
-            spent[track.name] = run([*track.command, *more, "--json", str(files[-1])])
+            spent[track.name] = run(["score", *policies, "--track", name, "--json", str(files[-1])])
             print(f"{environment}, {track.name}: {spent[track.name]:.0f} s", flush=True)
     run(["card", *map(str, files), "--write", str(cards.BUILT_IN / f"{environment}.json")])
     return spent
@@ -117,23 +95,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    names = (*dict.fromkeys(track.environment for track in TRACKS), "robust")
+    names = (*dict.fromkeys(TRACKS[name].card for name in POLICIES), "robust")
     parser.add_argument("--only", nargs="+", choices=names, default=names)
-    parser.add_argument("--episodes", type=int, default=32)
     parser.add_argument("--jobs", type=int, default=1, help="processes of the robust track")
     given = parser.parse_args()
     times = json.loads(TIMES.read_text(encoding="utf-8")) if TIMES.exists() else {}
     for name in given.only:
         with tempfile.TemporaryDirectory() as place:
             if name == "robust":
-                spent, episodes = drive_robust(Path(place), given.jobs), None
+                spent = drive_robust(Path(place), given.jobs)
             else:
-                spent, episodes = make_card(name, given.episodes, Path(place)), given.episodes
-        times[name] = {"date": time.strftime("%Y-%m-%d"), "episodes": episodes, "processor_seconds": spent}
+                spent = make_card(name, Path(place))
+        times[name] = {"date": time.strftime("%Y-%m-%d"), "processor_seconds": spent}
         TIMES.write_text(json.dumps(times, indent=1) + "\n", encoding="utf-8")
     for script in ("table.py", "results.py"):
         subprocess.run([sys.executable, str(ROOT / "docs" / script)], check=True)
-    thresholds = {name: reward_threshold(cards.load(name)) for name in cards.built_in()}
+    thresholds = {name: reward_threshold(cards.load(name)) for name in REWARD_THRESHOLDS}
     print(f"REWARD_THRESHOLDS = {json.dumps(thresholds)}")
 
 

@@ -32,15 +32,20 @@ import tracks as tracks_of
 from table import table
 
 from isd_gym.benchmark import _cards as cards
+from isd_gym.benchmark import lq_bounds
 from isd_gym.benchmark._ceilings import known
+from isd_gym.benchmark.tracks import TRACKS
 from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
 from isd_gym.env._task import Options
 from isd_gym.env.registration import ENVIRONMENTS, LEARNING
+from isd_gym.physics.cost import StageCost
 from isd_gym.physics.elements import TYPES, parameter_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from isd_gym.benchmark.tracks import Track
 
 ROOT = Path(__file__).resolve().parents[1]
 BENCHMARKS = ROOT / "benchmarks"
@@ -223,26 +228,79 @@ def lift_off() -> str:
 
 #: track -> what separates policies there
 DISCRIMINATES = {
-    f"{tracks_of.QUARTER}, preview-0.2": "use of 4 m of road ahead",
-    f"{tracks_of.QUARTER}, preview-0.1": "use of 2 m of road ahead",
-    "ISDHalfCar-v0, standard": "memory: the rear wheels meet the road of the front wheels 0.135 s later; two currents for heave and pitch",
-    "ISDFullCar-v0, standard": "memory: the rear wheels meet the road of the front wheels 0.135 s later; four currents for heave, pitch and roll",
+    "preview-0.2": "use of 4 m of road ahead",
+    "preview-0.1": "use of 2 m of road ahead",
+    "half-car": "memory: the rear wheels meet the road of the front wheels 0.135 s later; two currents for heave and pitch",
+    "full-car": "memory: the rear wheels meet the road of the front wheels 0.135 s later; four currents for heave, pitch and roll",
     "robust": "one policy for 64 combinations of car, road, speed and sensors",
-    f"{tracks_of.QUARTER}, standard": "estimation, friction of the seal and saturation: the last points beyond a skyhook",
+    "standard": "estimation, friction of the seal and saturation: the last points beyond a skyhook",
 }
 
 
-def bound_of(track: tracks_of.Track) -> str:
+def bound_of(track: Track) -> str:
     """Bound of the change of J on a track."""
-    if track.environment == tracks_of.QUARTER:
-        found = known("quarter-car-isd", preview=track.preview or 0.0)
+    if track.card == tracks_of.QUARTER:
+        found = known("quarter-car-isd", preview=track.preview)
         if found is not None:
             return f"{percent(found['change'])} searched, {percent(found['proven_without_stops'])} proven without end stops"
-    if track.environment == "ISDHalfCar-v0":
+    if track.card == "ISDHalfCar-v0":
         speeds = json.loads((BENCHMARKS / "wheelbase.json").read_text(encoding="utf-8"))["speeds"]
         (found,) = (s["lq_bound"] for s in speeds if s["speed"]["value"] == 20.0)
         return f"{percent(found['change'])} linear-quadratic, without friction and limits"
     return "not known"
+
+
+def least_change(track: Track) -> str:
+    """Change of J by the linear-quadratic optimum of an unlimited force, which sees no road ahead."""
+    if track.road == "bump":
+        return ""
+    how = {"speed": track.speed, "road": track.road}
+    base = lq_bounds.reference(track.network, **how)
+    weights = np.array([*StageCost().quadratic[:2], 0.0]) * base**2
+    point = np.array(lq_bounds.lq_bound(track.network, **how, weights=tuple(weights)).triple)
+    return percent(float(weights @ (point / base) ** 2 / weights.sum() - 1.0))
+
+
+def each_road(card_name: str) -> str:
+    """Policies of a car on roads A to E and on the bump, with the entries; limits first."""
+    card = cards.load(card_name)
+    on = {name: track for name, track in TRACKS.items() if track.card == card_name}
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, track in on.items():
+        files = sorted((BENCHMARKS / "entries").glob(f"{name}-*.json"))
+        for row in cards.ranking(card, track.name, [cards.read_score(file) for file in files]):
+            found.setdefault(row["policy"], {})[track.road] = row
+    body = []
+    for policy, by in found.items():
+        worst = [
+            f"{100 * max(row[key]['value'] for row in by.values()):.2f}"
+            for key in ("travel_exceedance", "wheel_lift")
+        ]
+        costs = [
+            percent(by[road]["cost"].get("change", 0.0)) if road in by else "" for road in tracks_of.ROADS
+        ]
+        on_c = [
+            percent(by["C"][key].get("change", 0.0)) if "C" in by else ""
+            for key in ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
+        ]
+        order = by["C"]["cost"]["value"] if "C" in by else np.inf
+        body.append((order, [f"`{policy}`", *worst, *costs, *on_c]))
+    least = [least_change(track) for track in on.values()]
+    lines = [cells for _, cells in sorted(body)]
+    lines.append(["least for any force", "", "", *least, "", "", ""])
+    speeds = [f"J, {track.road}, {track.speed:g} m/s" for track in on.values()]
+    heads = ["policy", "travel beyond 80 mm, worst road [% of time]", "wheel lifts, worst road [% of time]", *speeds, "acceleration, C", "travel, C", "tyre load, C"]  # fmt: skip
+    return markdown(heads, lines, "l" + "r" * (len(heads) - 1))
+
+
+def active_roads() -> str:
+    """The active quarter car on every road."""
+    return each_road("quarter-car-active")
+
+
+def semiactive_roads() -> str:
+    """The semi-active quarter car on every road."""
+    return each_road("quarter-car-semiactive")
 
 
 def budget_of(policy: str) -> str:
@@ -255,10 +313,11 @@ def budget_of(policy: str) -> str:
 def tracks() -> str:
     """Every track with an id of its own, the most discriminating first."""
     body = []
-    for track in tracks_of.TRACKS:
-        if track.environment not in cards.built_in():
+    for name in DISCRIMINATES:
+        if name not in TRACKS:
             continue
-        card = cards.load(track.environment)
+        track = TRACKS[name]
+        card = cards.load(track.card)
         rows = cards.ranking(card, track.name)
         by = {row["policy"]: row["cost"]["change"] for row in cards.ranking(card, "standard")}
         by |= {row["policy"]: row["cost"]["change"] for row in rows}
@@ -269,12 +328,12 @@ def tracks() -> str:
         body.append(
             (
                 by["skyhook"] - rows[0]["cost"]["change"],
-                f"{track.environment}, {track.name}",
+                name,
                 percent(by["skyhook"]),
                 *cells,
                 bound_of(track),
                 "" if learned is None else budget_of(learned["policy"]),
-                f"`{track.environment}`, {held['episodes']} roads, {card['date']}",
+                f"`{track.card}`, {held['episodes']} roads, {card['date']}",
             )
         )
     if tracks_of.ROBUST.exists():
@@ -324,8 +383,8 @@ def regeneration() -> str:
     body = []
     for name, found in json.loads(tracks_of.TIMES.read_text(encoding="utf-8")).items():
         for track, seconds in found["processor_seconds"].items():
-            body.append([name, track, str(found["episodes"] or ""), f"{seconds:.0f} s"])
-    return markdown(["card", "track", "roads", "processor time"], body, "llrr")
+            body.append([name, track, f"{seconds:.0f} s"])
+    return markdown(["card", "track", "processor time"], body, "llr")
 
 
 # ------------------------------------------------------------------------------------------------ environment
@@ -880,7 +939,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/yardsticks.md": (yardsticks, yardstick_models),
     "docs/validation/missing-physics.md": (missing_physics, missing_physics_sets, missing_physics_cases),
     "docs/reference/environment.md": (environment,),
-    "docs/reference/tracks.md": (tracks, half_car_card, full_car_card, regeneration),
+    "docs/reference/tracks.md": (tracks, active_roads, semiactive_roads, half_car_card, full_car_card, regeneration),
     "docs/reference/limits.md": (gates, gate_sets, limits, mistaken, shares),
 }
 

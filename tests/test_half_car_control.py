@@ -147,3 +147,21 @@ def test_comfort_is_evaluated_at_the_driver_or_where_one_asks():
     assert told[None].to_dict()["comfort_point"] == "driver"
     words = r"no point 'nose'.*there are body, body_front, body_rear, driver"
     refused(words, score, "isd-passive", HALF, point="nose", **brief)
+
+
+def test_every_wheel_has_its_own_road_ahead():
+    """The rear wheels meet the front's road later; both tracks differ."""
+    env = ISDSuspensionVectorEnv(2, network="full-car-isd", observation="preview", preview=0.1, speed=17.0)
+    controller = baselines.make("lqg-preview", "full-car-isd", preview=0.1, speed=17.0)
+    controller.reset_batch(2)
+    seen, _ = env.reset(seed=0)
+    shown, heights = [], []
+    for _ in range(80):
+        heights.append(env.task.batch.road_heights.copy())
+        shown.append(controller.observed(np.asarray(seen, float)))
+        seen, *_ = env.step(np.zeros((2, 4), np.float32))
+    for wheel in range(4):
+        ahead = np.array(heights[51:71])[:, wheel].T - heights[50][wheel][:, None]
+        # 31.8 control steps behind: linear between two of them
+        np.testing.assert_allclose(shown[50][wheel][:, 6:], ahead, atol=1e-8 if wheel < 2 else 2e-3)
+        assert np.abs(ahead).max() > 4e-3

@@ -10,18 +10,31 @@ from typer.core import TyperCommand, TyperGroup
 
 from .._common.errors import InputError
 
+#: commands by purpose, in the order of the help; commands without a group come last
+GROUPS = {
+    "Drive and score": ("score", "show", "card", "policies", "networks", "sweep", "ceiling", "reproduce"),
+    "Train": ("train", "convert"),
+    "Find missing physics": ("diagnose", "simulate"),
+    "Data": ("inspect", "record", "export"),
+}
+
 
 class CommandGroup(TyperGroup):
-    """List of commands, each with its whole first sentence."""
+    """Lists of commands by purpose, each command with its whole first sentence."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        rows = []
+        texts = {}
         for name in self.list_commands(ctx):
             command = self.get_command(ctx, name)
-            text = " ".join((command.help or "" if command else "").split("\n\n")[0].split())
-            rows.append((name, text))
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+            texts[name] = " ".join((command.help or "" if command else "").split("\n\n")[0].split())
+        for title, names in GROUPS.items():
+            rows = [(name, texts.pop(name)) for name in names if name in texts]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+        if texts:
+            with formatter.section("Other commands"):
+                formatter.write_dl(list(texts.items()))
 
 
 class FiniteCommand(TyperCommand):

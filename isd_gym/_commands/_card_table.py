@@ -34,6 +34,14 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
             "policy": [Text(plain(r["policy"], 40), style="bold" if r["submitted"] else "") for r in rows],
         },
         {
+            head: [f"{100 * r[key]['value']:.2f}" if key in r else "" for r in rows]
+            for head, key in (
+                ("beyond 80 mm\n% of time", "travel_exceedance"),
+                ("wheel lifts\n% of time", "wheel_lift"),
+            )
+            if any(key in r for r in rows)
+        },
+        {
             "cost J": [f"{r['cost']['value']:.4f}" for r in rows],
             **(
                 {"regret": ["" if r["regret"] is None else f"{r['regret']:.4f}" for r in rows]}

@@ -10,8 +10,21 @@ from ._columns import print_columns
 from .console import printer
 
 
-def print_score(result: Any) -> None:
-    """Print the tables of a score, the paper's tables and the bounds."""
+def _sentence(result: Any) -> str:
+    """Return one sentence about the policy with the smallest cost."""
+    rows = [row for row in result.policies if row["policy"] != "passive"]
+    if not rows:
+        return "Passive alone: name a policy beside it."
+    best = min(rows, key=lambda row: row["cost"]["value"])
+    q = best["cost"]
+    if "change" not in q:
+        return f"{plain(best['policy'], 40)} has the smallest cost."
+    interval = f" [{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]" if result.episodes > 1 else ""
+    return f"{plain(best['policy'], 40)}: J {100 * q['change']:+.1f} %{interval} against passive."
+
+
+def print_score(result: Any, *, full: bool) -> None:
+    """Print the table of a score and a sentence; with `full` all tables, the paper's tables and the bounds."""
     from rich.text import Text
 
     from ..benchmark.scoring import PAPER, corner_measures
@@ -73,12 +86,18 @@ def print_score(result: Any) -> None:
     )
     console.print(title)
     names = {"policy": [Text(plain(row["policy"], 40)) for row in result.policies]}
-    tables = [(main,), (motion,), (share, work)] if narrow else [(main, share), (motion, work)]
-    for parts in (*tables, corners):
+    tables: list[Any] = [(main,)]
+    if full:
+        tables = [(main,), (motion,), (share, work)] if narrow else [(main, share), (motion, work)]
+        tables.append(corners)
+    for parts in tables:
         print_columns(
             names,
             *({head: [say(row) for row in result.policies] for head, say in part.items()} for part in parts),
         )
+    if not full:
+        console.print(_sentence(result) + " More: --full.")
+        return
     for name, (before, after) in PAPER.items() if not result.comparable.tables else ():
         parts = [
             f"{what} {b * s:.{d}f} -> {a * s:.{d}f} ({100 * (a / b - 1):+.1f} %)"

@@ -24,7 +24,7 @@ def command(
         str | None,
         option(
             "--card",
-            "Built-in card (ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0) or a file. Default: the card of the scores' car.",
+            "Built-in card (ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0, quarter-car-active, quarter-car-semiactive) or a file. Default: the card of the scores' car.",
         ),
     ] = None,
     write: Annotated[
@@ -74,10 +74,13 @@ def _environment(scores: list[dict[str, Any]]) -> str:
 
     Raises `InputError` for scores of different cars.
     """
+    from ..benchmark.tracks import TRACKS
+
     names = dict.fromkeys(str(score.get("network")) for score in scores)
     if len(names) > 1:
         raise InputError(f"the scores are of different cars: {', '.join(map(plain, names))}")
-    known = {network: name for name, network in ENVIRONMENTS.items()}
+    known = {track.network: track.card for track in TRACKS.values()}
+    known |= {network: name for name, network in ENVIRONMENTS.items()}
     return known.get(next(iter(names), ""), "ISDSuspension-v0")
 
 

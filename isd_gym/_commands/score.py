@@ -45,6 +45,13 @@ SensorsOption = Annotated[
 ControllerModelOption = Annotated[
     str | None, option("--model", "Model of the controllers. Default: the vehicle itself.")
 ]
+TrackOption = Annotated[
+    str | None,
+    option(
+        "--track",
+        "Track of the benchmark, such as standard, active-c or semiactive-bump: car, road, speed, road ahead and number of roads at once.",
+    ),
+]
 PointOption = Annotated[
     str | None,
     option(
@@ -56,6 +63,7 @@ PointOption = Annotated[
 
 def command(
     policies: PoliciesArgument,
+    track: TrackOption = None,
     road: RoadOption = "paper",
     map_file: MapOption = None,
     speed: SpeedOption = 20.0,
@@ -71,13 +79,16 @@ def command(
     report: Annotated[Path | None, option("--report DIR", "Write a page with plots to this folder.")] = None,
     trained_with: TrainedOption = None,
     json_file: JsonOption = None,
+    full: Annotated[
+        bool, option("--full", "Print every table, and the bounds and published figures.")
+    ] = False,
 ) -> None:
     """Score policies on the same roads and compare them with the conventional passive car.
 
     The table shows the cost J and the RMS of body acceleration, suspension travel and dynamic tyre load. Each number has
-    its change against passive with a 95 % interval. For a half or full car the tables also have pitch and roll acceleration
-    and each corner. The paper's tables and the known bounds follow where their conditions
-    hold. They are means over random roads, so use at least 32 episodes of 20 s.
+    its change against passive with a 95 % interval. --full adds peaks, energy, times, pitch, roll and each corner, and,
+    where their conditions hold, the paper's tables and the known bounds. They are means over random roads, so use at
+    least 32 episodes of 20 s.
 
     Example: isd-gym score passive isd-passive mpc
     """
@@ -92,6 +103,13 @@ def command(
     from ..records._loggers import ChannelMap
     from ..records._loggers.record_reading import road_of
 
+    chosen = None
+    if track is not None:
+        from ..benchmark.tracks import find_track
+
+        chosen = find_track(track)
+        network, road, speed = chosen.network, chosen.road, chosen.speed
+        preview, episodes = chosen.preview or None, chosen.episodes
     check_file(json_file, network, model, road)
     senses = Sensors.of(sensors)
     if report is not None:
@@ -104,6 +122,8 @@ def command(
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     entries = find_all(policies, plant, model=belief, speed=speed, trained=trained_with, **ahead)
+    if chosen is not None:
+        chosen.check(entries)
     drives: dict[str, Any] = {
         "road": ground,
         "speed": speed,
@@ -112,12 +132,12 @@ def command(
         "duration": duration,
         "sensors": senses,
     }
-    card = track = None
+    card = place = None
     if against is not None:
         from ..benchmark import _cards as cards
 
         card = cards.load(against)
-        track = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]
+        place = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]
     ceilings = bounds.known_ceilings(plant, ground, speed, duration)
     known = bounds.reachable(plant, ground, speed, episodes, seed, duration)
     with progress() as update:
@@ -140,6 +160,6 @@ def command(
 
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)
-    print_score(result)
-    if card is not None and track is not None:
-        print_track(card, track, [made])
+    print_score(result, full=full)
+    if card is not None and place is not None:
+        print_track(card, place, [made])

@@ -56,7 +56,7 @@ def read_score(path: str | Path) -> dict[str, Any]:
     if not (isinstance(data, dict) and data.get("schema") == SCORE):
         raise InputError(f"{shown(str(path))} is no score ({SCORE})")
     check(data, SCORE, where)
-    for key in SAME:
+    for key in (*SAME, "version"):
         if key not in data:
             raise InputError(f"{where} has no {shown(key)}; score again with this version")
     return data
@@ -120,8 +120,18 @@ def _episodes(score: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
     return raw
 
 
+def _release(data: Mapping[str, Any]) -> list[str]:
+    """Return the first two numbers of the version of a score or a card, within which figures stay the same."""
+    return str(data.get("version")).split(".")[:2]
+
+
 def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
     """Return the track of a card with the roads of a score."""
+    if _release(score) != _release(card):
+        raise InputError(
+            f"the score is of version {score.get('version')}, the card of version {card['version']}: score again with "
+            f"version {card['version']}"
+        )
     whys = []
     shown_road = (row.get("preview", {}).get("value", 0.0) for row in score["policies"])
     ahead = max(shown_road, default=0.0)

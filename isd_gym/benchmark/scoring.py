@@ -328,6 +328,9 @@ MEASURES = {
     "energy": "J",
     "peak_body_acceleration": "m/s^2",
     "peak_suspension_travel": "m",
+    # share of the control steps in which a travel exceeds its limit, and in which a linear tyre would pull on the road
+    "travel_exceedance": "-",
+    "wheel_lift": "-",
 }
 
 
@@ -357,6 +360,9 @@ def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, t
     def peak(signals: list[np.ndarray]) -> np.ndarray:
         return np.max([np.abs(signal).max(axis=0) for signal in signals], axis=0)
 
+    def share(corners: list[np.ndarray]) -> np.ndarray:
+        return np.any(corners, axis=0).mean(axis=0)
+
     energy = np.zeros(run.body_acceleration.shape[1])
     for corner in car.driven:
         current, rate = run.signals[corner.named("current")], run.signals[corner.named("device_travel_rate")]
@@ -368,6 +374,15 @@ def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, t
         "energy": energy,
         "peak_body_acceleration": peak([run.body_acceleration]),
         "peak_suspension_travel": peak(run.of("suspension_travel")),
+        "travel_exceedance": share(
+            [np.abs(l) > LIMITS["suspension_travel"] for l in run.of("suspension_travel")]
+        ),
+        "wheel_lift": share(
+            [
+                np.zeros_like(load, bool) if static is None else load < -static
+                for load, static in zip(run.of("tyre_load"), car.static_tyre_loads, strict=True)
+            ]
+        ),
     }
     out = {}
     for name, unit in units(car).items():
@@ -517,8 +532,11 @@ class Score:
         Returns:
             Content of a score file (`isd-score/1`).
         """
+        from .. import __version__
+
         return {
             "schema": SCHEMA,
+            "version": __version__,
             "road": self.road,
             "speed": {"value": self.speed, "unit": "m/s"},
             "network": self.network,
