@@ -939,7 +939,14 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/yardsticks.md": (yardsticks, yardstick_models),
     "docs/validation/missing-physics.md": (missing_physics, missing_physics_sets, missing_physics_cases),
     "docs/reference/environment.md": (environment,),
-    "docs/reference/tracks.md": (tracks, active_roads, semiactive_roads, half_car_card, full_car_card, regeneration),
+    "docs/reference/tracks.md": (
+        tracks,
+        active_roads,
+        semiactive_roads,
+        half_car_card,
+        full_car_card,
+        regeneration,
+    ),
     "docs/reference/limits.md": (gates, gate_sets, limits, mistaken, shares),
 }
 
