@@ -236,7 +236,7 @@ def _bounds(space: Mapping[str, Any]) -> set[float]:
 
 
 #: options of the training that decide how a policy is run, with their values
-TRAINED = {"observation": ("measured", "history"), "action": ("current", "increment")}
+TRAINED = {"observation": ("measured", "history"), "action": ("current", "share", "increment")}
 #: built-in cars, to tell which of them an archive was trained on
 CARS = ("quarter-car-isd", "half-car-isd", "full-car-isd")
 
@@ -259,7 +259,7 @@ def trained_options(text: str) -> dict[str, str]:
         if name not in (*TRAINED, "normalize") or not value:
             raise InputError(
                 f"{shown(pair)} is no option of a training: there are observation=measured or history, "
-                "action=current or increment, normalize=FILE or none"
+                "action=current, share or increment, normalize=FILE or none"
             )
         out[name] = value
     return out
@@ -297,8 +297,7 @@ def _features(
         w = _width("history", car, step)
         asked["observation"] = "history" if is_scaled and shape == [w * _frames(shape, w)] else "measured"
     if asked["action"] is None:
-        is_increment = asked["observation"] == "history" and limit == 1.0
-        asked["action"] = "increment" if is_increment else "current"
+        asked["action"] = "share" if limit == 1.0 else "current"
     for name, known in TRAINED.items():
         if asked[name] not in known:
             raise InputError(
@@ -380,8 +379,8 @@ def convert(
     """Return the deterministic policy of a PPO, A2C, SAC, TD3, DDPG or TQC archive of Stable-Baselines3.
 
     Nothing of the archive is executed. The environments of this package leave their options in the archive. Without
-    them, observations within ±10 of the right width are a history, whose actions in [-1, 1] are increments;
-    other actions in [-1, 1] are shares of the current's limit.
+    them, observations within ±10 of the right width are a history, and actions in [-1, 1] are shares of the
+    current's limit.
 
     Args:
         archive: The .zip file.
@@ -389,7 +388,7 @@ def convert(
             for no normalisation.
         network: Network of the training; None if unknown.
         observation: Observation of the training, 'measured' or 'history'; None to find it.
-        action: Action of the training, 'current' or 'increment'; None to find it.
+        action: Action of the training, 'current', 'share' or 'increment'; None to find it.
         name: Name of the policy; None for the stem of the file.
 
     Returns:

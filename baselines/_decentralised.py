@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isd_gym.physics._vehicle import vehicle
-from isd_gym.physics.cost import StageCost
 
 from .controller import BatchController, steps_ahead
 from .lqg import STEEPEST
@@ -21,23 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from isd_gym.physics._vehicle import Vehicle
+    from isd_gym.physics.cost import StageCost
     from isd_gym.physics.network import Network
 
 #: measured signals of a corner, in the order of a quarter car's observation after the acceleration
 OWN = ("suspension_travel", "suspension_travel_rate", "device_travel", "device_travel_rate", "current")
-
-
-def corner_cost(cost: StageCost) -> StageCost:
-    """Return the stage cost of a quarter car: the sum of the weights of vertical, pitch and roll
-    acceleration, and the references of the quarter car."""
-    motions = cost.acceleration + cost.pitch + cost.roll
-    return StageCost(
-        acceleration=round(motions, 12),
-        travel=cost.travel,
-        tyre_load=cost.tyre_load,
-        current=cost.current,
-        current_reference=cost.current_reference,
-    )
 
 
 def _corner_view(car: Vehicle) -> np.ndarray:
@@ -56,7 +43,7 @@ def at_each_corner(
 ) -> list[BatchController]:
     """Return a controller for each corner with a current."""
     car = vehicle(model)
-    return [make(car.quarter_car(corner), corner_cost(cost)) for corner in car.driven]
+    return [make(car.quarter_car(corner), cost.of_corner) for corner in car.driven]
 
 
 class Decentralised(BatchController):

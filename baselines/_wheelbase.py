@@ -19,10 +19,10 @@ import numpy as np
 
 from isd_gym._common.errors import InputError
 from isd_gym.physics._car_prediction import CarWeights, car_model, car_regulator
-from isd_gym.physics._prediction import prediction_model
+from isd_gym.physics._prediction import DESIGN_SPEED, prediction_model
 from isd_gym.physics.cost import StageCost
 
-from ._decentralised import Decentralised, corner_cost
+from ._decentralised import Decentralised
 from ._estimator import Estimator
 from .controller import DesignedController, clean
 from .friction import FrictionMpc, FrictionMpcSettings, with_preview
@@ -31,8 +31,6 @@ from .lqg import STEEPEST, LawSettings
 if TYPE_CHECKING:
     from isd_gym.physics._car_prediction import CarModel
     from isd_gym.physics.network import Network
-
-DESIGN_SPEED = 20.0  # m/s, at which `ROAD_INTENSITY` holds
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,7 @@ class WheelbaseMpc(Decentralised):
         )
         self.prediction, self.estimator = m, _ = wheelbase_model(name, model, control_step, own)
         car = m.car
-        cost = corner_cost(StageCost.of(cost, car.axes, len(car.corners)))
+        cost = StageCost.of(cost, car.axes, len(car.corners)).of_corner
         base = replace(base, road_intensity=m.road_intensity)
         self._ahead = [m.rises_ahead(car.corners.index(corner)) for corner in car.driven]
         corners = []

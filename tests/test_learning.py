@@ -109,7 +109,10 @@ def test_a_reference_leaves_the_order_of_policies_unchanged():
 
 
 def test_a_group_shares_a_road_and_its_rewards_have_no_sum():
-    env = gymnasium.make_vec("ISDHalfCarLearning-v0", 6, cars_per_road=3, road="C+bump", duration=0.4)
+    relative = {"reward": "relative", "reward_scale": 1.0}
+    env = gymnasium.make_vec(
+        "ISDHalfCarLearning-v0", 6, cars_per_road=3, road="C+bump", duration=0.4, **relative
+    )
     single = made("ISDHalfCarLearning-v0", road="C+bump", duration=0.4, reward="cost")
     env.reset(seed=5), single.reset(seed=6)
     rng = np.random.default_rng(0)
@@ -268,7 +271,7 @@ WRONG = [
     ({"hold": 1.5}, "hold must be a whole number"),
     ({"hold": True}, "hold must be a whole number"),
     ({"reward": "own"}, "reward must be one of cost, relative"),
-    ({"action": "voltage"}, "action must be one of current, increment"),
+    ({"action": "voltage"}, "action must be one of current, share, increment"),
     ({"observation": "memory"}, "observation must be one of"),
     ({"preview": 0.1}, "preview is for observation"),
     ({"control_step": np.nan}, "control_step must be a number"),

@@ -59,7 +59,7 @@ def without_options(path):
 def assert_drives_as_predicted(policy, model, network, *, steps=400):
     """The policy on measured signals commands what `model.predict` does on histories, step by step."""
     drives = dict(network=network, autoreset_mode="disabled")
-    histories = gym.make_vec("ISDSuspension-v0", 2, observation="history", action="increment", **drives)
+    histories = gym.make_vec("ISDSuspension-v0", 2, observation="history", action="share", **drives)
     signals = gym.make_vec("ISDSuspension-v0", 2, **drives)
     seen, _ = histories.reset(seed=5)
     measured, _ = signals.reset(seed=5)
@@ -70,7 +70,7 @@ def assert_drives_as_predicted(policy, model, network, *, steps=400):
     for _ in range(steps):
         features = seen if normalize is None else normalize.normalize_obs(seen)
         shares, _ = model.predict(features, deterministic=True)
-        wanted = np.clip(measured[:, -currents:] + 0.5 * shares, -5.0, 5.0)
+        wanted = 5.0 * shares
         commanded = np.reshape(policy.act_batch(measured), wanted.shape)
         np.testing.assert_allclose(commanded, wanted, atol=2e-4)
         largest = max(largest, np.abs(wanted).max())
@@ -179,7 +179,7 @@ def test_the_environment_leaves_its_options_in_the_archive(tmp_path):
     learner("PPO", "ISDSuspensionLearning-v0").learn(32).save(tmp_path / "n.zip")
     held = json.loads(zipfile.ZipFile(tmp_path / "n.zip").read("data"))["observation_space"]["isd_gym"]
     assert held == {
-        "network": CAR, "observation": "history", "action": "increment", "hold": 2, "control_step": 0.005, "preview": None,
+        "network": CAR, "observation": "history", "action": "share", "hold": 1, "control_step": 0.005, "preview": None,
     }  # fmt: skip
 
 

@@ -93,7 +93,7 @@ TrainedOption = Annotated[
     option(
         "--trained-with NAME=VALUE,...",
         "Options of the training of a .zip that was saved without them: observation=measured or history, "
-        "action=current or increment, normalize=FILE or none, joined by commas.",
+        "action=current, share or increment, normalize=FILE or none, joined by commas.",
     ),
 ]
 ColumnsOption = Annotated[

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -18,6 +18,7 @@ from gymnasium import spaces
 from .._common.errors import InputError, shown
 from ..physics import elements as el
 from ..physics._batch import Batch, ranges
+from ..physics._kernel.layout import REWARD
 from ..physics._tyre_contact import warn_of_pulling_tyres
 from ..physics._vehicle import CURRENT_LIMIT, SLEW_RATE, Vehicle, state_channels, vehicle
 from ..physics.cost import StageCost
@@ -25,6 +26,9 @@ from ..physics.network import Network
 from ..physics.road import Road, road
 from ._history import BOUND, Remembered, history_of
 from ._sensors import Sensors, Sight
+
+if TYPE_CHECKING:
+    from ..physics._value import Value
 
 CONTROL_STEP = 5e-3  # s
 #: limits of options: control step [s], duration of an episode and preview [s], speed [m/s], control steps per action
@@ -38,7 +42,7 @@ SHOWN = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, W
 OBSERVATIONS = (*SHOWN, "history")
 EXCEEDS = ("exceeds_acceleration", "exceeds_travel")
 USUAL_SPEED = 20.0  # m/s
-REWARDS, ACTIONS = ("cost", "relative"), ("current", "increment")
+REWARDS, ACTIONS = ("cost", "relative", "shaped"), ("current", "share", "increment")
 #: factor on the relative reward: the sum over a discounted second is then about 2 in an untrained car
 RELATIVE_SCALE = 0.1
 
@@ -60,10 +64,13 @@ class Options:
     # measured, full (adds the state), preview (adds the road ahead) or history (scaled signals,
     # their changes, velocities of the body, and the front corners as they were before the rear wheels arrive)
     observation: str = "measured"
-    # cost: minus the stage cost; relative: the cost of a reference on the same road minus the own cost, times
-    # `RELATIVE_SCALE`. The reference is the same car without current, or the mean of a group (`cars_per_road`)
+    # cost: minus the stage cost; shaped: minus the stage cost, the change of the state's value, and without the
+    # effect of the road's news, by a linear model of the car (`isd_gym.physics._value`); relative: the cost of a
+    # reference on the same road minus the own cost, times `RELATIVE_SCALE`. The reference is the same car without
+    # current, or the mean of a group (`cars_per_road`)
     reward: str = "cost"
-    # current: commanded currents [A]; increment: their rates as shares of the drive's fastest rate (100 A/s)
+    # current: commanded currents [A]; share: commanded currents as shares of 5 A; increment: their rates as shares of
+    # the drive's fastest rate (100 A/s)
     action: str = "current"
     # number of control steps for which an action is held; the reward is the mean over them
     hold: int = 1
@@ -98,6 +105,11 @@ class Options:
                 )
         if self.preview is not None and self.observation != "preview":
             raise InputError('preview is for observation="preview" alone; leave it out')
+        if self.reward == "shaped" and self.observation == "preview":
+            raise InputError(
+                'reward="shaped" is for policies that do not see the road ahead; choose another observation, or '
+                'reward="relative"'
+            )
         if self.preview is None and self.observation == "preview":
             put(self, "preview", PREVIEW)
         for name, low, high, unit in (
@@ -245,6 +257,7 @@ class Task:
             shows=SHOWN.index(options.observation) if options.observation in SHOWN else 0,
             lifted=[(0.0,) * of.corners] * of.signals + [self.vehicle.shares(c) for c in extra],
             threads=threads,
+            value=self._value(),
         )
         self.group = group
         self._reference: Batch | None = None
@@ -268,6 +281,14 @@ class Task:
         warn_of_pulling_tyres(
             self.vehicle, [road(r) for r in varied.get("road", (options.road,))], max(map(float, speeds))
         )
+
+    def _value(self) -> Value | None:
+        """Return the value of the linear car for a shaped reward."""
+        if self.options.reward != "shaped":
+            return None
+        from ..physics._value import value_of
+
+        return value_of(self.network, self.cost, self.options.control_step, self.options.speed)
 
     def _bind(self) -> None:
         """Let commanded currents be written where the cars read them."""
@@ -336,13 +357,17 @@ class Task:
         batch, of, hold = self.batch, self.batch.of, self.options.hold
         means = 1 + len(self.vehicle.costs)
         watch = self.is_faulty or self._remembered is not None
-        reference = 0.0
+        row = of.shaped if self.options.reward == "shaped" else REWARD
+        earned, reference = 0.0, 0.0
         for k in range(hold):
             if self.options.action == "increment":
                 np.multiply(np.clip(self.actions, -1.0, 1.0), self._slew, out=batch.target)
                 np.add(batch.target, batch.currents, out=batch.target)
+            elif self.options.action == "share":
+                np.multiply(self.actions, CURRENT_LIMIT, out=batch.target)  # which the kernel limits
             batch.step()
             results = batch.results
+            earned = earned + results[row, : batch.count]
             if k == 0 and hold > 1:
                 sums, marks, broken = results[:means].copy(), results[of.exceeds :].copy(), batch.broken
             elif k > 0:
@@ -357,7 +382,7 @@ class Task:
         if hold > 1:
             results[:means], results[of.exceeds :] = sums / hold, marks
             batch.broken = broken
-        reward = batch.judged[0].copy()
+        reward = earned / hold
         if self.options.reward == "relative":
             if self.group > 1:
                 by_road = reward.reshape(-1, self.group)
@@ -410,7 +435,7 @@ class Task:
             "control_step": self.options.control_step,
             "observation": self.options.observation,
             "preview": self.batch.points,
-            "reward": self._reference is not None,
+            "reward": self.options.reward == "shaped" or self._reference is not None,
             "sensors": self.sensors.to_dict(),
             "randomize": sorted(self.batch.drawn),
             "longest delay of a rear wheel": self.batch.kept,

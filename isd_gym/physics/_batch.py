@@ -30,6 +30,7 @@ from .tracks import SUM_STATES
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from ._value import Value
     from .network import Channel
 
 NO_SATURATION = 1e9
@@ -126,6 +127,7 @@ class Batch:
         self.results = np.zeros((of.results, wide))
         self.speeds = np.full(count, self.speed)
         self.threads = 1
+        self._value_rows = 0
         self._arguments()
 
     def _tables(self) -> np.ndarray:
@@ -192,6 +194,7 @@ class Batch:
         late = min(LATE, self.groups // threads)
         ends = [0, *(late + (self.groups - late) * i // threads for i in range(1, threads + 1))]
         inputs = (self.substeps + 1) * at.inputs + self.substeps * (at.currents + 2 + self.of.tracks)
+        inputs += self._value_rows
         self._calls = [
             (*arguments, aligned(TOGETHER, inputs, WIDTH).ravel(), begin, stop)
             for begin, stop in zip(ends[:-1], ends[1:], strict=True)
@@ -223,6 +226,7 @@ class Batch:
         shows: int = place.MEASURED,
         lifted: Sequence[Sequence[float]] = (),
         threads: int = 1,
+        value: Value | None = None,
     ) -> None:
         """Let every step limit the commanded currents in `target`, and compute rewards, costs and
         observations.
@@ -230,7 +234,8 @@ class Batch:
         `weights` are the factors of `StageCost.factors`, `bounds` those of the measured signals without
         the currents. An observation has `width` numbers and shows `MEASURED`, `WHOLE` or `AHEAD` of
         `layout`. `lifted` (outputs, corners) is the share of the road's height that is subtracted from
-        each output. The results do not depend on `threads`.
+        each output. The results do not depend on `threads`. With the `value` of the linear car, every step also
+        computes the shaped reward.
         """
         of = self.of
         self._setup[place.IS_COMMANDED], self._setup[place.SHOWS] = True, shows
@@ -238,6 +243,10 @@ class Batch:
         self._settings[of.bounds : of.lifted] = bounds
         shares = np.ravel(lifted)
         self._settings[of.lifted : of.lifted + len(shares)] = shares
+        if value is not None:
+            self._setup[[place.SHAPE, place.LINE]] = len(self._settings), value.line
+            self._settings = np.concatenate([self._settings, value.numbers])
+            self._value_rows = sum(value.slope.shape) + self.substeps
         self.seen, self.threads = np.zeros((self.count, width), np.float32), threads
         self._arguments()
 
@@ -291,7 +300,7 @@ class Batch:
             states = np.zeros(of.filters)
             first, second = self.counters[:, i]
             self.counters[:, i] = track_noise(first, second, poles, gains, SUM_STATES, states, rough)
-            cars[of.rough : of.outputs, i] = states
+            cars[of.rough : of.value, i] = states
         else:
             from ._kernel.cars import road_noise
 
@@ -442,7 +451,7 @@ class Batch:
     def judged(self) -> np.ndarray:
         """Results of the last step (rows, count): minus the cost, terms of the cost, dynamic tyre loads [N], and
         whether acceleration and travel are beyond the limits of Table 5."""
-        return self.results[: self.of.broken, : self.count]
+        return self.results[: self.of.shaped, : self.count]
 
     def forget(self, which: np.ndarray | slice) -> None:
         """Clear the results of restarted cars."""

@@ -32,8 +32,9 @@ PAPER_CAR = "quarter-car-isd"
 # typical rate of the device on the paper's road, at which the level of a friction is evaluated [m/s]
 SLIDING = 0.05
 N_SENSORS = 5  # number of measured signals that depend on the physics; the sixth is the present current
+DESIGN_SPEED = 20.0  # speed of the road intensity below [m/s]
 #: two-sided intensity of the road's vertical velocity [m^2/s], the paper's road at 20 m/s
-ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20.0
+ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * DESIGN_SPEED
 
 
 @dataclass(frozen=True)

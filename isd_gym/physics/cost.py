@@ -121,6 +121,18 @@ class StageCost:
                 )
         return given
 
+    @property
+    def of_corner(self) -> StageCost:
+        """Stage cost of a quarter car: the sum of the weights of vertical, pitch and roll acceleration, and the
+        references of the quarter car."""
+        return StageCost(
+            acceleration=round(self.acceleration + self.pitch + self.roll, 12),
+            travel=self.travel,
+            tyre_load=self.tyre_load,
+            current=self.current,
+            current_reference=self.current_reference,
+        )
+
     @cached_property
     def quadratic(self) -> tuple[float, float, float, float]:
         """Return the factors on the squares of acceleration [m/s^2], travel [m], tyre load [N] and current [A]

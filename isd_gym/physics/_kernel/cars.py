@@ -8,7 +8,7 @@ import numpy as np
 
 from ..cost import square
 from .jit import compiled
-from .lanes import bits, load, noise, select, some, spread, store
+from .lanes import bits, fused, load, noise, select, some, spread, store
 from .layout import (
     ACCELERATION_LIMIT,
     AHEAD,
@@ -20,9 +20,11 @@ from .layout import (
     IS_COMMANDED,
     KEPT,
     KEPT_NOW,
+    LINE,
     NOW,
     QUARTER_CAR,
     REWARD,
+    SHAPE,
     SHOWS,
     SLEW_LIMIT,
     SUBSTEPS,
@@ -90,7 +92,9 @@ def drive(
     nc, size = at.currents, at.height * WIDTH
     c_at = (substeps + 1) * at.inputs
     road_at = c_at + substeps * nc
-    span = (road_at + substeps * (2 + CAR.tracks)) * WIDTH  # memory of a group
+    shape_at = road_at + substeps * (2 + CAR.tracks)
+    shape_size = shape_rows(at.states, CAR.tracks, CAR.currents, setup[LINE], substeps) if setup[SHAPE] else 0
+    span = (shape_at + shape_size) * WIDTH  # memory of a group
     together = 1 if own else TOGETHER
     broken = 0
     for head in range(begin, stop, together):
@@ -111,6 +115,10 @@ def drive(
             tracks_at = ground(
                 setup, cars, ways, table, rings, ahead, settings, u, road_at, wide, first, count
             )
+            if setup[SHAPE]:
+                state = states[group * size : (group + 1) * size]
+                points = ahead.shape[1] // CAR.tracks
+                foresee(setup, at, state, cars, ways, history, settings, u, shape_at, wide, group, points)
             wheels(setup, at.inputs, cars, history, u, tracks_at, mats[0], wide, group, count)
             for j in range(nc):
                 row = setup[CAR.current_of + j]
@@ -136,6 +144,9 @@ def drive(
             pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
             outputs(pool, own, at, ints, state, count)
             broken += record_outcome(at, state, cars, settings, results, wide, first, count)
+            if setup[SHAPE]:
+                u = room[(group - head) * span : (group - head + 1) * span]
+                shape(setup, at, state, cars, history, settings, results, u, shape_at, wide, group)
             for l in range(count):
                 for j in range(CAR.measured):
                     seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)]
@@ -376,6 +387,113 @@ def record_outcome(at, state, cars, settings, results, wide, first, count):
         number_wrong += wrong & 1
         wrong >>= 1
     return number_wrong
+
+
+def shape_rows(states, tracks, currents, line, substeps):
+    """Return the rows of the state of the value function and of the news of the road of a control step."""
+    return states + tracks * line + currents + (tracks + 1) * substeps
+
+
+def foresee(setup, at, state, cars, ways, history, settings, u, x_at, wide, group, points):
+    """Add the value of the news of the road in a control step to the value of the state before the step.
+
+    The news are the rises of the tracks in the physics steps, less their expectations before the control step. The noise
+    is drawn again from the counters, since a road with a preview was drawn earlier.
+    """
+    substeps, first = setup[SUBSTEPS], group * WIDTH
+    size = car_state(setup, at, state, cars, history, settings, u, x_at, wide, group, setup[KEPT_NOW])
+    news_at, news = x_at + size, CAR.tracks * substeps
+    noise_at = news_at + news
+    begin = 0
+    for t in range(CAR.tracks):
+        end, counter = CAR.sum_filters if t == 0 else CAR.filters, (CAR.counter + t) * wide + first
+        for k in range(substeps):
+            back = points * substeps + substeps - 1 - k
+            store(u, (noise_at + k) * WIDTH, noise(ways, counter, -back))
+            noise(ways, counter, back)
+            store(u, (news_at + t * substeps + k) * WIDTH, spread(0.0))
+        for i in range(begin, end):
+            gain, pole = load(cars, (CAR.gain + i) * wide + first), load(cars, (CAR.pole + i) * wide + first)
+            height = spread(0.0)
+            for k in range(substeps):
+                place, before = (news_at + t * substeps + k) * WIDTH, height
+                height = fused(pole, height, gain * load(u, (noise_at + k) * WIDTH))
+                store(u, place, load(u, place) + (height - before))
+        begin = end
+    if CAR.tracks == 2:
+        for k in range(substeps):
+            left, right = (news_at + k) * WIDTH, (news_at + substeps + k) * WIDTH
+            common, opposite = load(u, left), load(u, right)
+            store(u, left, common + opposite)
+            store(u, right, common - opposite)
+    place = setup[SHAPE] + at.states * CAR.tracks + size * (size + 1) // 2
+    total = load(cars, CAR.value * wide + first)
+    for i in range(news):
+        slope = spread(0.0)
+        for j in range(size):
+            slope = fused(spread(settings[U(place)]), load(u, (x_at + j) * WIDTH), slope)
+            place += 1
+        total = fused(slope, load(u, (news_at + i) * WIDTH), total)
+    store(cars, CAR.value * wide + first, total + square_form(settings, place, u, news_at, news))
+
+
+def shape(setup, at, state, cars, history, settings, results, u, x_at, wide, group):
+    """Write the shaped reward of a group after its control step.
+
+    The shaped reward is the reward, plus the value of the state before the step and of the news of the road, minus
+    the value of the state after the step. A car beyond its bounds has no value after the step.
+    """
+    first = group * WIDTH
+    now = setup[KEPT_NOW] + setup[SUBSTEPS]
+    size = car_state(setup, at, state, cars, history, settings, u, x_at, wide, group, now)
+    before = load(cars, CAR.value * wide + first)
+    value = square_form(settings, setup[SHAPE] + at.states * CAR.tracks, u, x_at, size)
+    good = load(results, CAR.broken * wide + first) == 0.0
+    value = select(good, value, before)
+    store(results, CAR.shaped * wide + first, load(results, REWARD * wide + first) + (before - value))
+    store(cars, CAR.value * wide + first, value)
+
+
+def car_state(setup, at, state, cars, history, settings, u, x_at, wide, group, now):
+    """Write the state of the value function into u from row `x_at`, and return its size.
+
+    The state is that of the car above the road of the first axle, the rises of each track behind the first axle
+    in the last control steps, and the currents. `now` is the place in the stored tracks of the next physics step.
+    """
+    first, kept, substeps, line = group * WIDTH, setup[KEPT], setup[SUBSTEPS], setup[LINE]
+    lift = setup[SHAPE]
+    for i in range(at.states):
+        x = load(state, i * WIDTH)
+        for t in range(CAR.tracks):
+            height = load(cars, (CAR.height + setup[CAR.leader + t]) * wide + first)
+            x = fused(spread(-settings[U(lift + i * CAR.tracks + t)]), height, x)
+        store(u, (x_at + i) * WIDTH, x)
+    to = x_at + at.states
+    for t in range(CAR.tracks):
+        passed = (group * CAR.tracks + t) * kept
+        for j in range(line):
+            newer = (now - 1 - substeps * j + kept) % kept
+            older = (now - 1 - substeps * (j + 1) + kept) % kept
+            rise = load(history, (passed + newer) * WIDTH) - load(history, (passed + older) * WIDTH)
+            store(u, to * WIDTH, rise)
+            to += 1
+    for j in range(CAR.currents):
+        store(u, to * WIDTH, load(cars, (CAR.current + j) * wide + first))
+        to += 1
+    return to - x_at
+
+
+def square_form(settings, place, u, x_at, size):
+    """Return ``x' V x`` of the rows of u from `x_at`; the upper triangle of V is stored row by row, twice V off
+    the diagonal."""
+    total = spread(0.0)
+    for i in range(size):
+        row = spread(0.0)
+        for j in range(i, size):
+            row = fused(spread(settings[U(place)]), load(u, (x_at + j) * WIDTH), row)
+            place += 1
+        total = fused(row, load(u, (x_at + i) * WIDTH), total)
+    return total
 
 
 def driven(cars, past, depth, row, wide, e):

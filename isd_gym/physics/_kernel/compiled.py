@@ -98,6 +98,11 @@ _STEPS = (
     cars.show_state,
     cars.look,
     cars.record_outcome,
+    cars.shape_rows,
+    cars.foresee,
+    cars.shape,
+    cars.car_state,
+    cars.square_form,
 )
 _ENTRIES = (steps.advance, steps.measure, steps.record, cars.drive)
 _MODULES = (

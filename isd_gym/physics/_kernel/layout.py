@@ -45,7 +45,9 @@ KEPT = 6  # stored physics steps of the tracks, for the wheels behind the first 
 KEPT_NOW = 7  # place of the next physics step in the stored tracks
 ALL = 8  # number of cars, including those that complete the last group
 DEPTH = 9  # stored physics steps of currents, for the drives
-TABLES = 10  # start of the tables of `CarsLayout`
+SHAPE = 10  # place in `settings` of the value function of a shaped reward, see `cars.shape`; 0: no shaping
+LINE = 11  # control steps of each track behind the first axle that the value function knows
+TABLES = 12  # start of the tables of `CarsLayout`
 
 #: measured signals of a corner: travel, its rate, device travel, its rate
 CORNER_SIGNALS = 4
@@ -110,6 +112,7 @@ class CarsLayout(NamedTuple):
     gain: int  # of the filters [m]
     pole: int
     rough: int  # states of the filters [m]
+    value: int  # value function after the last step [-]
     outputs: int  # from here on
     # rows of `ways`, one integer per car
     profile: int  # for every track, the next place in the table of fixed profiles
@@ -124,6 +127,7 @@ class CarsLayout(NamedTuple):
     cost: int  # one term per acceleration, then travel, tyre load, current
     tyre_load: int  # [N], finite also for a broken car
     exceeds: int  # 1 where acceleration, then travel, is outside the limits of Table 5
+    shaped: int  # shaped reward
     broken: int  # 1 for an observation outside its bounds or not finite
     results: int  # total number of rows
 
@@ -142,10 +146,10 @@ def cars_layout(size: CarSize) -> CarsLayout:
         na, corners, nc, tracks, filters, size.sum_filters, measured, measured + corners,
         TABLES, track, track + corners, leader, leader + tracks,
         0, nc, 2 * nc, 3 * nc, 4 * nc, 5 * nc, height, height + corners, height + 2 * corners,
-        gain, gain + filters, gain + 2 * filters, gain + 3 * filters,
+        gain, gain + filters, gain + 2 * filters, gain + 3 * filters, gain + 3 * filters + 1,
         0, tracks, 2 * tracks,
         2, bounds, bounds + measured,
-        REWARD + 1, na + 4, na + 4 + corners, na + 6 + corners, na + 7 + corners,
+        REWARD + 1, na + 4, na + 4 + corners, na + 6 + corners, na + 7 + corners, na + 8 + corners,
     )  # fmt: skip
 
 
