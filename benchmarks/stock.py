@@ -28,6 +28,8 @@ TUNED: dict[str, Any] = {
     "n_steps": 256, "batch_size": 2048, "n_epochs": 1, "gamma": 0.99, "gae_lambda": 1.0,
     "policy_kwargs": {"net_arch": {"pi": [64, 64], "vf": []}},
 }  # fmt: skip
+#: options of all recipes: the reward needs no model of the car
+RELATIVE: dict[str, Any] = {"reward": "relative", "action": "increment", "hold": 2, "reward_scale": 1.0}
 OFF_POLICY: dict[str, Any] = {"hold": 6, "reward_scale": 30.0}
 
 
@@ -88,7 +90,7 @@ def train(name: str, seed: int, folder: Path) -> None:
     torch.set_num_threads(1)
     recipe = RECIPES[name]
     kinds: dict[str, Any] = {"PPO": PPO, "SAC": SAC, "TD3": TD3, "TQC": TQC}
-    cars: Any = make_vec_env(recipe.environment, recipe.cars, cars_per_road=8, **recipe.options)
+    cars: Any = make_vec_env(recipe.environment, recipe.cars, cars_per_road=8, **RELATIVE | recipe.options)
     env = VecNormalize(cars) if recipe.normalized else cars
     more: dict[str, Any] = {}
     if recipe.rate is not None:

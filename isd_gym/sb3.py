@@ -3,7 +3,7 @@
 from stable_baselines3 import PPO
 from isd_gym.sb3 import ScoreCallback, make_vec_env
 
-env = make_vec_env("ISDSuspensionLearning-v0", 1024, cars_per_road=8)
+env = make_vec_env("ISDSuspensionLearning-v0", 1024)
 model = PPO("MlpPolicy", env, n_steps=128, batch_size=4096)
 model.learn(20_000_000, callback=ScoreCallback())
 """
@@ -24,7 +24,7 @@ from ._common.files import check_file, whole
 from ._common.inputs import is_whole
 from .benchmark.driving import Entry
 from .benchmark.policies import find, passive
-from .benchmark.scoring import drive
+from .benchmark.scoring import IDLE, LEARN, drive
 from .env._environment import ISDSuspensionVectorEnv
 from .env._history import history_of
 from .env._task import CONTROL_STEP
@@ -271,6 +271,7 @@ class ScoreCallback(BaseCallback):
             raise InputError(f"ScoreCallback is for a control step of {CONTROL_STEP:g} s")
         begin = time.perf_counter()
         self._passive = self._cost(passive(task.network))
+        self._idle = self._cost(find("isd-passive", task.network))
         found = [find(name, task.network, cost=task.cost, speed=options.speed) for name in self._wanted]
         self.references = {entry.name: self._change(self._cost(entry)) for entry in found}
         if self.verbose:
@@ -331,6 +332,8 @@ class ScoreCallback(BaseCallback):
             print(
                 f"score: {self.num_timesteps:>11,} transitions, J {cost:.4f}, {change:+.2f} % against passive"
             )
+            if abs(cost / self._idle - 1.0) < IDLE:
+                print("score: that is the cost of zero current. So far " + LEARN)
         if self._save is not None and cost < best:
             save_model(self.model, self._save)
         self._last, self._evaluated = time.perf_counter(), self.num_timesteps

@@ -183,6 +183,19 @@ def test_the_environment_leaves_its_options_in_the_archive(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_a_policy_that_learned_nothing_is_told_so(tmp_path, capsys):
+    """The default policy of a new model has currents of some mA."""
+    callback = ScoreCallback(10_000, roads=2, duration=0.5, references=())
+    learner("PPO", "ISDSuspension-v0").learn(32, callback=callback).save(tmp_path / "m.zip")
+    assert "the cost of zero current" in capsys.readouterr().out
+    drives_ = ["--episodes", 2, "--duration", 0.5]
+    err = run("score", "passive", "isd-passive", "skyhook", tmp_path / "m.zip", *drives_)[2]
+    assert err.count("what zero current costs") == 1
+    assert "ISDSuspensionLearning-v0" in err
+    assert "m.zip" in err or "'m'" in err
+
+
 class Bomb:
     def __reduce__(self):
         return exec, ("raise SystemExit('code of the archive was run')",)

@@ -254,7 +254,7 @@ def cost_of(
     roads: int = 32,
     duration: float = 20.0,
     name: str = "ISDSuspensionLearning-v0",
-    hold: int = 1,
+    **options: Any,
 ) -> float:
     """Return J of a policy of the environment for learning, on the roads of the score.
 
@@ -263,7 +263,7 @@ def cost_of(
         roads: Number of roads.
         duration: Length of each road [s].
         name: Name of the environment.
-        hold: Number of control steps per action; a policy that was trained with a hold may drive without one.
+        options: Options of the environment, such as the `action` of the training.
 
     Returns:
         Mean stage cost J [-].
@@ -271,7 +271,7 @@ def cost_of(
     import gymnasium
 
     env = gymnasium.make_vec(
-        name, roads, hold=hold, duration=duration, reward="cost", autoreset_mode="disabled"
+        name, roads, duration=duration, reward="cost", autoreset_mode="disabled", **options
     )
     observations, _ = env.reset(options={"scoring_road": 0})
     costs, over = [], False

@@ -89,15 +89,19 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     oil elasticity and the end stop are part of the device. The goal is a quiet body on a rough road without using
     up the working space.
 
-    | environment | network | corners |
-    |---|---|---|
-    | `ISDSuspension-v0` | quarter-car-isd | one |
-    | `ISDSuspensionEq8-v0` | quarter-car-eq8, equation (8) as printed | one |
-    | `ISDHalfCar-v0` | half-car-isd: the body heaves and pitches | front, rear |
-    | `ISDFullCar-v0` | full-car-isd: the body heaves, pitches and rolls | front left, front right, rear left, rear right |
+    | environment | for | network | corners |
+    |---|---|---|---|
+    | `ISDSuspension-v0` | benchmarks, controllers, cards | quarter-car-isd | one |
+    | `ISDSuspensionLearning-v0` | learning | quarter-car-isd | one |
+    | `ISDSuspensionEq8-v0` | the paper's equation (8) as printed | quarter-car-eq8 | one |
+    | `ISDHalfCar-v0` | benchmarks | half-car-isd: the body heaves and pitches | front, rear |
+    | `ISDHalfCarLearning-v0` | learning | half-car-isd | front, rear |
+    | `ISDFullCar-v0` | benchmarks | full-car-isd: the body heaves, pitches and rolls | front left, front right, rear left, rear right |
+    | `ISDFullCarLearning-v0` | learning | full-car-isd | as above |
 
-    `ISDSuspensionLearning-v0`, `ISDHalfCarLearning-v0` and `ISDFullCarLearning-v0` are the first, third and fourth car with
-    the options that learning algorithms need.
+    Learning algorithms with default hyperparameters end at zero current on the environments for benchmarks. The
+    environments for learning are the same cars with four options: `observation="history"`, `action="share"` (currents in
+    [-1, 1]), `reward="shaped"` and `reward_scale=10`.
 
     The rear wheels meet the road of the front wheels after wheelbase / speed, 0.135 s at 20 m/s. The two tracks of
     the full car are those of an isotropic surface (`isd_gym.physics.tracks`). Corners, signals and currents follow from the network:
@@ -142,6 +146,12 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     three times 0.2 with roll acceleration, and both share 0.3 equally among the travels of the corners. Each signal is taken
     over its RMS in the passive car, which costs about 0.9 in all three. Dynamic tyre load and current can be given
     weights (`cost={"tyre_load": ..., "current": ...}`).
+
+    `reward="shaped"` takes the road's luck out of the reward: minus the stage cost, minus the change of a value V of the
+    state, plus the part of that change that the road of this step causes. V is knowledge of a linear model of the car,
+    nearly as a teacher is. V cancels over a drive and the road's part has a constant mean, so that the order of policies that
+    do not see the road ahead is unchanged; with a learner's discount factor below 1 that is approximate. `info["cost"]` and the score
+    stay the same.
 
     ## Episode
     Starts at rest at the beginning of a new road. Truncated after `duration`, 20 s or 4000 steps by default, or after
