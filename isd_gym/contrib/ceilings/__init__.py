@@ -1,1 +1,0 @@
-"""Bounds of the cost: what no controller, or none that is causal, can do better."""
