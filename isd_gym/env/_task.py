@@ -358,7 +358,8 @@ class Task:
         means = 1 + len(self.vehicle.costs)
         watch = self.is_faulty or self._remembered is not None
         row = of.shaped if self.options.reward == "shaped" else REWARD
-        earned, reference = 0.0, 0.0
+        earned: Any = 0.0
+        reference = 0.0
         for k in range(hold):
             if self.options.action == "increment":
                 np.multiply(np.clip(self.actions, -1.0, 1.0), self._slew, out=batch.target)
