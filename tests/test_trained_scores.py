@@ -65,7 +65,6 @@ def assert_drives_as_predicted(policy, model, network, *, steps=400):
     measured, _ = signals.reset(seed=5)
     normalize = model.get_vec_normalize_env()
     policy.reset_batch(2)
-    currents = policy.currents
     largest = 0.0
     for _ in range(steps):
         features = seen if normalize is None else normalize.normalize_obs(seen)
