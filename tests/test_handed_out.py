@@ -106,7 +106,7 @@ def test_the_helper_takes_the_arguments_of_stable_baselines3():
     pytest.importorskip("stable_baselines3", reason="of isd-gym[agents]")
     from isd_gym.sb3 import BatchedVecEnv, make_vec_env
 
-    given = {"duration": 1.0}
+    given = {"duration": 0.5}
     cars = make_vec_env("ISDHalfCarLearning-v0", n_envs=3, seed=5, env_kwargs=given)
     twin = BatchedVecEnv("ISDHalfCarLearning-v0", 3, **given)
     twin.seed(5)

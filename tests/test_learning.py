@@ -109,11 +109,11 @@ def test_a_reference_leaves_the_order_of_policies_unchanged():
 
 
 def test_a_group_shares_a_road_and_its_rewards_have_no_sum():
-    relative = {"reward": "relative", "reward_scale": 1.0}
+    relative = {"reward": "relative", "reward_scale": 1.0, "hold": 2}
     env = gymnasium.make_vec(
         "ISDHalfCarLearning-v0", 6, cars_per_road=3, road="C+bump", duration=0.4, **relative
     )
-    single = made("ISDHalfCarLearning-v0", road="C+bump", duration=0.4, reward="cost", reward_scale=1.0)
+    single = made("ISDHalfCarLearning-v0", road="C+bump", duration=0.4, **relative | {"reward": "cost"})
     env.reset(seed=5), single.reset(seed=6)
     rng = np.random.default_rng(0)
     for k in range(90):  # over two ends of episodes
