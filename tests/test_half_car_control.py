@@ -16,7 +16,7 @@ from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
 
 HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")
-OF_QUARTER_CARS = ("lqg-preview", "lqr-full", "mpc-friction-preview")
+OF_QUARTER_CARS = ("lqr-full",)
 KINDS = {"half-car-isd": "half car", "full-car-passive": "full car"}
 
 

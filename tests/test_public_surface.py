@@ -55,7 +55,8 @@ isd_gym.benchmark.policies
 isd_gym.benchmark.scoring
     Controller Entry Idle LIMITS PAPER Run SCHEMA Score comfort_point drive frequency_weighting score
     weighted_rms
-    also MEASURES PRINTED check_size compare corner_measures fingerprints measures units unscored
+    also IDLE LEARN MEASURES PRINTED check_size compare corner_measures fingerprints idle_policies measures
+    units unscored
 isd_gym.benchmark.tracks
     TRACKS Track find_track
 isd_gym.diagnosis

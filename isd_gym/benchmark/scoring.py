@@ -12,6 +12,7 @@ import numpy as np
 from .._common.errors import InputError, shown
 from .._common.inputs import check_memory
 from .._common.seeds import generators, named_roads
+from .._common.version import __version__
 from ..env._sensors import Sensors
 from ..physics._vehicle import Vehicle, vehicle
 from ..physics.cost import StageCost, square
@@ -532,8 +533,6 @@ class Score:
         Returns:
             Content of a score file (`isd-score/1`).
         """
-        from .. import __version__
-
         return {
             "schema": SCHEMA,
             "version": __version__,
