@@ -69,7 +69,9 @@ def law(network, speed=20.0):
 
 def cost(policy, speed=20.0, cars=8, steps=1500):
     """Mean cost on the paper's road."""
-    env = ISDSuspensionVectorEnv(cars, network=policy.model, speed=speed, autoreset_mode="disabled")
+    env = ISDSuspensionVectorEnv(
+        cars, network=policy.model, speed=speed, autoreset_mode="disabled", allow_passive=True
+    )
     obs, _ = env.reset(seed=40)
     policy.reset_batch(cars)
     total = 0.0
