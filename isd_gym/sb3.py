@@ -333,7 +333,7 @@ class ScoreCallback(BaseCallback):
                 f"score: {self.num_timesteps:>11,} transitions, J {cost:.4f}, {change:+.2f} % against passive"
             )
             if abs(cost / self._idle - 1.0) < IDLE:
-                print("score: that is the cost of zero current. So far " + LEARN)
+                print(f"score: that is the cost of zero current. {LEARN}")
         if self._save is not None and cost < best:
             save_model(self.model, self._save)
         self._last, self._evaluated = time.perf_counter(), self.num_timesteps

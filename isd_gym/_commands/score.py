@@ -163,7 +163,7 @@ def command(
     print_score(result, full=full)
     for name in idle_policies(result, **drives):
         typer.echo(
-            f"'{name}' costs what zero current costs, within {100 * IDLE:g} %. {LEARN[0].upper() + LEARN[1:]}.",
+            f"'{name}' costs what zero current costs, within {100 * IDLE:g} %. {LEARN}",
             err=True,
         )
     if card is not None and place is not None:
