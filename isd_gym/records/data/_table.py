@@ -232,7 +232,41 @@ def read_table(
         raise InputError(f"{path}: two columns are renamed to one channel")
     wanted = None if expected is None else [inverse.get(c, c) for c in expected]
     found = read_columns(path, wanted, axis=inverse.get(TIME, TIME), resample=resample, columns=header)
-    columns, file_units = {n: x for n, x in found.values.items() if n not in found.texts}, found.units
+    columns, file_units = _as_channels(path, found, rename, units, expected)
+    _find_time(path, columns, file_units)
+    target = {TIME: "s"} | dict(expected or {})
+    out: dict[str, np.ndarray] = {}
+    for name in columns if expected is None else target:
+        if name not in columns:
+            raise MissingColumn(
+                f"{path}: no column {shown(inverse.get(name, name))}; {did_you_mean(name, columns)}", name
+            )
+        values = np.asarray(columns[name])
+        if values.dtype.kind in "fiub" and values.ndim == 1:
+            out[name] = _converted(path, name, values, file_units.get(name), target.get(name))
+        elif expected is not None or name == TIME:
+            raise InputError(f"{path}: column {shown(name)} does not hold plain numbers")
+    time = out.pop(TIME)
+    if len(time) == 0:
+        raise InputError(f"{path}: no samples")
+    signs = signs or {}
+    for name in out:
+        sign = signs.get(name) or signs.get(inverse.get(name, name)) or 1
+        if sign < 0:
+            out[name] = -np.asarray(out[name], float)
+    kept = file_units if expected is None else target
+    return Table(time, out, str(path), {n: u for n, u in kept.items() if n in out and u})
+
+
+def _as_channels(
+    path: Path,
+    found: Columns,
+    rename: dict[str, str],
+    units: Mapping[str, str],
+    expected: Mapping[str, str] | None,
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the columns of a file and their units by channel; columns with text among the numbers are left out."""
+    columns = {n: x for n, x in found.values.items() if n not in found.texts}
     try:
         rename = _by_unit(rename, columns, units, expected)
     except InputError as error:
@@ -240,39 +274,31 @@ def read_table(
     for name in rename if expected is None else ():
         if name not in columns:
             raise InputError(f"{path}: no column {shown(name)} to rename; {did_you_mean(name, columns)}")
-    columns = {rename.get(name, name): values for name, values in columns.items()}
-    file_units = {rename.get(name, name): unit for name, unit in file_units.items()}
-    file_units |= {rename.get(name, name): unit for name, unit in units.items()}
-    if len(columns.get(TIME, ())) < 2 and (TIME not in columns or any(len(x) > 1 for x in columns.values())):
-        columns.pop(TIME, None)  # a single number is a setting
-        other = stamps_of(columns, path, by_name=True)
-        columns[TIME] = columns.pop(other)
-        file_units.setdefault(TIME, file_units.pop(other, time_unit(other)))
-    target = {TIME: "s"} | (dict(expected) if expected is not None else {})
-    out: dict[str, np.ndarray] = {}
-    for name in target if expected is not None else columns:
-        if name not in columns:
-            raise MissingColumn(
-                f"{path}: no column {shown(inverse.get(name, name))}; {did_you_mean(name, columns)}", name
-            )
-        values = np.asarray(columns[name])
-        if values.dtype.kind not in "fiub" or values.ndim != 1:
-            if expected is None and name != TIME:
-                continue
-            raise InputError(f"{path}: column {shown(name)} does not hold plain numbers")
-        try:
-            unit = file_units.get(name) or target.get(name, "")
-            out[name] = convert(values.astype(float), unit, target[name]) if name in target else values
-        except InputError as error:
-            raise InputError(f"{path}: column {shown(name)}: {error}") from None
-    time = out.pop(TIME)
-    if len(time) == 0:
-        raise InputError(f"{path}: no samples")
-    for name in out:
-        if ((signs or {}).get(name) or (signs or {}).get(inverse.get(name, name)) or 1) < 0:
-            out[name] = -np.asarray(out[name], float)
-    kept = target if expected is not None else file_units
-    return Table(time, out, str(path), {n: u for n, u in kept.items() if n in out and u})
+    stated = [*found.units.items(), *units.items()]
+    renamed_units = {rename.get(name, name): unit for name, unit in stated}
+    return {rename.get(name, name): values for name, values in columns.items()}, renamed_units
+
+
+def _find_time(path: Path, columns: dict[str, Any], units: dict[str, str]) -> None:
+    """Rename the column of time stamps to `TIME` where no column of that name holds stamps."""
+    is_short = len(columns.get(TIME, ())) < 2
+    is_alone = TIME in columns and not any(len(x) > 1 for x in columns.values())
+    if not is_short or is_alone:
+        return
+    columns.pop(TIME, None)  # a single number is a setting
+    other = stamps_of(columns, path, by_name=True)
+    columns[TIME] = columns.pop(other)
+    units.setdefault(TIME, units.pop(other, time_unit(other)))
+
+
+def _converted(path: Path, name: str, values: np.ndarray, unit: str | None, target: str | None) -> np.ndarray:
+    """Return a column in the unit `target`; unchanged where no unit is wanted."""
+    if target is None:
+        return values
+    try:
+        return convert(values.astype(float), unit or target, target)
+    except InputError as error:
+        raise InputError(f"{path}: column {shown(name)}: {error}") from None
 
 
 def _by_unit(
