@@ -359,12 +359,13 @@ def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
     damped = int(np.sum(strengths > least)) if strengths.size else 0
     inertial, resisted = _upright(right[:rank].T), _upright(massless @ turn_right[:damped].T)
     pushed, dragged = _upright(left[:, :rank]), left_massless @ turn[:, :damped]
+    # [None]: older NumPy takes a right side with one axis fewer for a vector
     return _Split(
         inertial=inertial,
-        accelerates=np.linalg.solve(pushed.T @ inertias @ inertial, pushed.T),
+        accelerates=np.linalg.solve(pushed.T @ inertias @ inertial, pushed.T[None]),
         massless=massless,
         damped=resisted,
-        yields=np.linalg.solve(dragged.T @ dampings @ resisted, dragged.T),
+        yields=np.linalg.solve(dragged.T @ dampings @ resisted, dragged.T[None]),
         algebraic=massless @ turn_right[damped:].T,
         left_algebraic=left_massless @ turn[:, damped:],
     )
