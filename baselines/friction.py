@@ -18,11 +18,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from isd_gym._common.errors import InputError
-from isd_gym.physics import elements as el
 from isd_gym.physics._kernel import jit
 from isd_gym.physics._prediction import (
     ROAD_INTENSITY,
@@ -44,272 +44,410 @@ __all__ = [
 ]
 
 
-@jit.compiled(error_model="numpy")
-def _forces(free, dry, level, slope, clear, coupling, spread, f, d):
-    """Compute the forces f (nl,) of the laws at the end of a step, and their derivatives d (nl,) by their own rate or elongation.
+class Problem(NamedTuple):
+    """The prediction model and the weights of a plan, for compiled code.
 
-    `free` are the rates (friction) or elongations (stops) without the forces.
+    The states are n, the laws nl, the weighted signals ny, and the steps of the horizon N.
     """
-    nl = len(f)
-    for _ in range(1 if nl < 2 else 2):
-        for j in range(nl):
-            rest = free[j]
-            for i in range(nl):
-                if i != j:
-                    rest += coupling[j, i] * f[i]
-            g = coupling[j, j]
-            if dry[j]:
-                # v = rest + g f erf(v / (sqrt 2 sigma)) has one root, since g < 0; bracketed Newton iteration
-                s = math.sqrt(2.0) * spread[j]
-                low, high = rest + g * level[j], rest - g * level[j]
-                v = rest / (1.0 - g * level[j] * 2.0 / math.sqrt(math.pi) / s)
-                for _ in range(8):
-                    e = math.erf(v / s)
-                    h = v - rest - g * level[j] * e
-                    d[j] = level[j] * 2.0 / math.sqrt(math.pi) / s * math.exp(-((v / s) ** 2))
-                    if h > 0.0:
-                        high = v
-                    else:
-                        low = v
-                    new = v - h / (1.0 - g * d[j])
-                    if not (low <= new <= high):
-                        new = 0.5 * (low + high)
-                    if abs(new - v) < 1e-9:
-                        break
-                    v = new
-                f[j] = level[j] * math.erf(v / s)
-            else:
-                over = abs(rest) - clear[j]
-                if over > 0.0:
-                    f[j] = math.copysign(slope[j] * over / (1.0 - slope[j] * g), rest)
-                    d[j] = slope[j]
-                else:
-                    f[j] = d[j] = 0.0
+
+    A: np.ndarray  # state matrix (n, n)
+    B: np.ndarray  # response of the state to the current (n,)
+    G: np.ndarray  # response of the state to the forces (n, nl)
+    P: np.ndarray  # response of the state to a rise of the road (n,)
+    C: np.ndarray  # weighted signals by the state (ny, n)
+    D: np.ndarray  # weighted signals by the current (ny,)
+    F: np.ndarray  # weighted signals by the forces (ny, nl)
+    #: rate of a friction or elongation of a stop, by the state (nl, n)
+    motion: np.ndarray
+    motion_current: np.ndarray  # and by the current (nl,)
+    coupling: np.ndarray  # and by the forces (nl, nl)
+    is_dry: np.ndarray  # whether a law is friction (nl,)
+    level: np.ndarray  # level of a friction (nl,) [N]
+    stiffness: np.ndarray  # stiffness of a stop (nl,) [N/m]
+    clearance: np.ndarray  # clearance of a stop (nl,) [m]
+    spread: np.ndarray  # spread of the rate of a friction (N, nl) [m/s]
+    weights: np.ndarray  # weights of the signals (ny,)
+    current_weight: float  # weight of the current [1/A^2]
+    move_weight: float  # weight of the change of current [1/A^2]
+    value: np.ndarray  # cost-to-go of the state and the current (n + 1, n + 1)
+    slew: float  # largest change of current per step [A]
+
+
+class Path(NamedTuple):
+    """Course of a plan over N steps, for compiled code."""
+
+    states: np.ndarray  # (N + 1, n)
+    currents: np.ndarray  # (N + 1,) [A]
+    forces: np.ndarray  # forces of the laws at the end of a step (N, nl) [N]
+    slopes: np.ndarray  # derivative of these forces by their rate or elongation (N, nl)
+    signals: np.ndarray  # weighted signals (N, ny)
+
+
+class Feedback(NamedTuple):
+    """Result of a backward sweep, for compiled code."""
+
+    gains: np.ndarray  # gains of the move on state and current (N, n + 1)
+    changes: np.ndarray  # open-loop changes of the moves (N,) [A]
+    nominal: np.ndarray  # states and currents about which the gains hold (N, n + 1)
 
 
 @jit.compiled(error_model="numpy")
-def _roll(x0, i0, moves, gains, nominal, gain_k, alpha, road, m, xs, cs, fs, ds, ys):
-    """Roll the plan forward, with the feedback of the sweep for alpha > 0; return its cost (half the stage costs)."""
-    A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, V, slew = m
-    n, N, nl = len(A), len(moves), len(dry)
-    free = np.empty(nl)
+def _empty_path(problem, steps):
+    """Return a path of zeros."""
+    n, laws, signals = len(problem.A), len(problem.level), len(problem.weights)
+    return Path(
+        states=np.zeros((steps + 1, n)),
+        currents=np.zeros(steps + 1),
+        forces=np.zeros((steps, laws)),
+        slopes=np.zeros((steps, laws)),
+        signals=np.zeros((steps, signals)),
+    )
+
+
+@jit.compiled(error_model="numpy")
+def _empty_feedback(problem, steps):
+    """Return a feedback of zeros."""
+    width = len(problem.A) + 1
+    return Feedback(np.zeros((steps, width)), np.zeros(steps), np.zeros((steps, width)))
+
+
+@jit.compiled(error_model="numpy")
+def _scale(out, vector, factor):
+    """Write a multiple of a vector."""
+    for i in range(len(out)):
+        out[i] = vector[i] * factor
+
+
+@jit.compiled(error_model="numpy")
+def _start_with(out, last):
+    """Write zeros, and `last` into the last column."""
+    width = out.shape[1]
+    for i in range(out.shape[0]):
+        for k in range(width):
+            out[i, k] = 0.0
+        out[i, width - 1] = last[i]
+
+
+@jit.compiled(error_model="numpy")
+def _add_product(out, left, right):
+    """Add the product of two matrices; columns of `left` beyond the rows of `right` are ignored."""
+    for i in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            total = out[i, k]
+            for j in range(right.shape[0]):
+                total += left[i, j] * right[j, k]
+            out[i, k] = total
+
+
+@jit.compiled(error_model="numpy")
+def _add_upper_half(out, left, right):
+    """Add the upper half of ``left.T @ right``; rows of `right` beyond those of `left` are ignored."""
+    for i in range(out.shape[0]):
+        for k in range(i, out.shape[1]):
+            total = out[i, k]
+            for j in range(left.shape[0]):
+                total += left[j, i] * right[j, k]
+            out[i, k] = total
+
+
+@jit.compiled(error_model="numpy")
+def _add_image(out, matrix, vector):
+    """Add the product of a matrix and a vector; columns beyond the length of the vector are ignored."""
+    for i in range(len(out)):
+        total = out[i]
+        for j in range(len(vector)):
+            total += matrix[i, j] * vector[j]
+        out[i] = total
+
+
+@jit.compiled(error_model="numpy")
+def _add_transposed_image(out, matrix, vector):
+    """Add ``matrix.T @ vector``."""
+    for i in range(len(out)):
+        total = out[i]
+        for j in range(matrix.shape[0]):
+            total += matrix[j, i] * vector[j]
+        out[i] = total
+
+
+@jit.compiled(error_model="numpy")
+def _solve(matrix, right):
+    """Replace `right` by the solution of ``matrix @ x = right``, by elimination without pivots; `matrix` is overwritten.
+
+    The matrix is a perturbed identity with a growing diagonal.
+    """
+    size = len(matrix)
+    columns = right.shape[1]
+    for j in range(size):
+        for i in range(j + 1, size):
+            share = matrix[i, j] / matrix[j, j]
+            for k in range(j, size):
+                matrix[i, k] -= share * matrix[j, k]
+            for k in range(columns):
+                right[i, k] -= share * right[j, k]
+    for j in range(size - 1, -1, -1):
+        for k in range(columns):
+            for i in range(j + 1, size):
+                right[j, k] -= matrix[j, i] * right[i, k]
+            right[j, k] /= matrix[j, j]
+
+
+@jit.compiled(error_model="numpy")
+def _friction(rest, gain, level, spread):
+    """Return the expected friction and its derivative by the rate, for a rate `rest` without the friction.
+
+    The rate is the only root of ``v = rest + gain * level * erf(v / (sqrt(2) * spread))`` with a gain below 0, found by a
+    bracketed Newton iteration.
+    """
+    s = math.sqrt(2.0) * spread
+    low, high = rest + gain * level, rest - gain * level
+    v = rest / (1.0 - gain * level * 2.0 / math.sqrt(math.pi) / s)
+    slope = 0.0
+    for _ in range(8):
+        error = v - rest - gain * level * math.erf(v / s)
+        slope = level * 2.0 / math.sqrt(math.pi) / s * math.exp(-((v / s) ** 2))
+        if error > 0.0:
+            high = v
+        else:
+            low = v
+        new = v - error / (1.0 - gain * slope)
+        if not (low <= new <= high):
+            new = 0.5 * (low + high)
+        if abs(new - v) < 1e-9:
+            break
+        v = new
+    return level * math.erf(v / s), slope
+
+
+@jit.compiled(error_model="numpy")
+def _stop(rest, gain, stiffness, clearance):
+    """Return the force of a stop and its derivative by the elongation, for an elongation `rest` without the force."""
+    over = abs(rest) - clearance
+    if over <= 0.0:
+        return 0.0, 0.0
+    return math.copysign(stiffness * over / (1.0 - stiffness * gain), rest), stiffness
+
+
+@jit.compiled(error_model="numpy")
+def _forces(free, k, is_dry, level, stiffness, clearance, coupling, spread, forces, slopes):
+    """Compute the forces of the laws at the end of step `k`, and their slopes.
+
+    `free` (nl,) are the rates (friction) or elongations (stops) without the forces.
+    """
+    laws = len(free)
+    for j in range(laws):
+        forces[k, j] = 0.0
+    for _ in range(min(laws, 2)):  # a single law needs no repetition
+        for j in range(laws):
+            rest = free[j]
+            for i in range(laws):
+                if i != j:
+                    rest += coupling[j, i] * forces[k, i]
+            gain = coupling[j, j]
+            if is_dry[j]:
+                forces[k, j], slopes[k, j] = _friction(rest, gain, level[j], spread[k, j])
+            else:
+                forces[k, j], slopes[k, j] = _stop(rest, gain, stiffness[j], clearance[j])
+
+
+@jit.compiled(error_model="numpy")
+def _allowed(move, current, slew):
+    """Return the nearest move that obeys the limits of current and slew."""
+    return min(max(move, -slew, -CURRENT_LIMIT - current), slew, CURRENT_LIMIT - current)
+
+
+@jit.compiled(error_model="numpy")
+def _roll(start, current, moves, feedback, share, road, problem, path):
+    """Roll the plan forward and return its cost (half the stage costs).
+
+    A `share` above 0 changes the moves by this share of the open-loop changes and by the feedback.
+    """
+    # named once: compiled code counts references at every access to an array of a tuple
+    A, B, G, P, C, D, F = problem.A, problem.B, problem.G, problem.P, problem.C, problem.D, problem.F
+    motion, motion_current, coupling = problem.motion, problem.motion_current, problem.coupling
+    is_dry, level, stiffness = problem.is_dry, problem.level, problem.stiffness
+    clearance, spread, weights, value = problem.clearance, problem.spread, problem.weights, problem.value
+    states, currents, forces, slopes = path.states, path.currents, path.forces, path.slopes
+    signals, gains, changes, nominal = path.signals, feedback.gains, feedback.changes, feedback.nominal
+    n, steps, laws = len(A), len(moves), len(level)
+    free = np.empty(laws)
     cost = 0.0
-    xs[0], cs[0] = x0, i0
-    for k in range(N):
-        w = moves[k]
-        if alpha > 0.0:
-            w += alpha * gain_k[k] + gains[k, n] * (cs[k] - nominal[k, n])
+    states[0], currents[0] = start, current
+    for k in range(steps):
+        move = moves[k]
+        if share > 0.0:
+            move += share * changes[k] + gains[k, n] * (currents[k] - nominal[k, n])
             for i in range(n):
-                w += gains[k, i] * (xs[k, i] - nominal[k, i])
-            w = min(max(w, -slew, -CURRENT_LIMIT - cs[k]), slew, CURRENT_LIMIT - cs[k])
-            moves[k] = w
-        c = cs[k] + w
-        cs[k + 1] = c
+                move += gains[k, i] * (states[k, i] - nominal[k, i])
+            move = _allowed(move, currents[k], problem.slew)
+            moves[k] = move
+        current = currents[k] + move
+        currents[k + 1] = current
         for i in range(n):
-            t = B[i] * c + P[i] * road[k]
+            after = B[i] * current + P[i] * road[k]
             for j in range(n):
-                t += A[i, j] * xs[k, j]
-            xs[k + 1, i] = t
-        for j in range(nl):
-            t = SI[j] * c
+                after += A[i, j] * states[k, j]
+            states[k + 1, i] = after
+        for j in range(laws):
+            rate = motion_current[j] * current
             for i in range(n):
-                t += Sc[j, i] * xs[k + 1, i]
-            free[j] = t
-            fs[k, j] = 0.0
-        _forces(free, dry, level, slope, clear, coupling, spread[k], fs[k], ds[k])
+                rate += motion[j, i] * states[k + 1, i]
+            free[j] = rate
+        _forces(free, k, is_dry, level, stiffness, clearance, coupling, spread, forces, slopes)
         for i in range(n):
-            for j in range(nl):
-                xs[k + 1, i] += G[i, j] * fs[k, j]
-        cost += 0.5 * (qm * w * w + qc * c * c)
-        for r in range(len(q)):
-            t = D[r] * c
+            for j in range(laws):
+                states[k + 1, i] += G[i, j] * forces[k, j]
+        cost += 0.5 * (problem.move_weight * move * move + problem.current_weight * current * current)
+        for r in range(len(weights)):
+            signal = D[r] * current
             for i in range(n):
-                t += C[r, i] * xs[k + 1, i]
-            for j in range(nl):
-                t += F[r, j] * fs[k, j]
-            ys[k, r] = t
-            cost += 0.5 * q[r] * t * t
+                signal += C[r, i] * states[k + 1, i]
+            for j in range(laws):
+                signal += F[r, j] * forces[k, j]
+            signals[k, r] = signal
+            cost += 0.5 * weights[r] * signal * signal
     for i in range(n):
         for j in range(n):
-            cost += 0.5 * V[i, j] * xs[N, i] * xs[N, j]
-        cost += V[i, n] * xs[N, i] * cs[N]
-    return cost + 0.5 * V[n, n] * cs[N] ** 2
+            cost += 0.5 * value[i, j] * states[steps, i] * states[steps, j]
+        cost += value[i, n] * states[steps, i] * currents[steps]
+    return cost + 0.5 * value[n, n] * currents[steps] ** 2
 
 
 @jit.compiled(error_model="numpy")
-def _sweep(moves, m, xs, cs, ds, ys, gains, gain_k):
-    """Run the backward sweep: gains (N, n+1) and open-loop changes gain_k (N,) of the moves, within their box."""
-    A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, Vend, slew = m
-    n, N, nl, ny = len(A), len(moves), len(dry), len(q)
-    V = Vend.copy()
-    p = np.empty(n + 1)
-    for i in range(n + 1):
-        t = V[i, n] * cs[N]
-        for j in range(n):
-            t += V[i, j] * xs[N, j]
-        p[i] = t
-    Z = np.empty((n, n + 1))  # derivative of the next state by (state, current)
-    J = np.empty((nl, n + 1))  # derivative of the forces
-    Y = np.empty((ny, n + 1))  # derivative of the signals
-    L = np.empty((nl, nl))
-    T = np.empty((n + 1, n + 1))
-    H = np.empty((n + 1, n + 1))
-    g = np.empty(n + 1)
-    for k in range(N - 1, -1, -1):
-        for i in range(n):
-            for j in range(n):
-                Z[i, j] = A[i, j]
-            Z[i, n] = B[i]
-        active = False
-        for j in range(nl):
-            active = active or ds[k, j] != 0.0
-        for j in range(nl):
-            for i in range(n + 1):
-                J[j, i] = 0.0
-        if active:
-            for j in range(nl):
-                if ds[k, j] != 0.0:
-                    for i in range(n + 1):
-                        t = SI[j] if i == n else 0.0
-                        for r in range(n):
-                            t += Sc[j, r] * Z[r, i]
-                        J[j, i] = ds[k, j] * t
-                for i in range(nl):
-                    L[j, i] = (1.0 if i == j else 0.0) - ds[k, j] * coupling[j, i]
-            for j in range(nl):  # Gauss elimination; L is a perturbed identity with a growing diagonal
-                for i in range(j + 1, nl):
-                    if L[i, j] != 0.0:
-                        t = L[i, j] / L[j, j]
-                        for r in range(j, nl):
-                            L[i, r] -= t * L[j, r]
-                        for r in range(n + 1):
-                            J[i, r] -= t * J[j, r]
-            for j in range(nl - 1, -1, -1):
-                for r in range(n + 1):
-                    t = J[j, r]
-                    for i in range(j + 1, nl):
-                        t -= L[j, i] * J[i, r]
-                    J[j, r] = t / L[j, j]
-            for j in range(nl):
-                if ds[k, j] != 0.0:
-                    for i in range(n):
-                        for r in range(n + 1):
-                            Z[i, r] += G[i, j] * J[j, r]
+def _differentiate_step(problem, slopes, k, state, forces, signals, system):
+    """Compute the derivatives of next state, forces and signals by (state, current) at step `k`; `system` (nl, nl) is scratch."""
+    A, B, coupling = problem.A, problem.B, problem.coupling
+    n, laws = len(A), len(coupling)
+    is_free = True
+    for j in range(laws):
+        is_free = is_free and slopes[k, j] == 0.0
+    for i in range(n):
+        for r in range(n):
+            state[i, r] = A[i, r]
+        state[i, n] = B[i]
+    _start_with(forces, problem.motion_current)
+    if is_free:
+        for j in range(laws):
+            forces[j, n] = 0.0
+    else:
+        _add_product(forces, problem.motion, state)
+        for j in range(laws):
+            for r in range(n + 1):
+                forces[j, r] *= slopes[k, j]
+            for r in range(laws):
+                system[j, r] = -slopes[k, j] * coupling[j, r]
+            system[j, j] += 1.0
+        _solve(system, forces)
+        _add_product(state, problem.G, forces)
+    _start_with(signals, problem.D)
+    _add_product(signals, problem.C, state)
+    _add_product(signals, problem.F, forces)
+
+
+@jit.compiled(error_model="numpy")
+def _sweep(moves, problem, path, feedback):
+    """Run the backward sweep over a plan, and write the feedback of the moves within their limits."""
+    weights, states, currents, slopes = problem.weights, path.states, path.currents, path.slopes
+    gains, changes, nominal = feedback.gains, feedback.changes, feedback.nominal
+    n, steps, laws, ny = len(problem.A), len(moves), len(problem.level), len(weights)
+    state, forces, signals = np.empty((n, n + 1)), np.empty((laws, n + 1)), np.empty((ny, n + 1))
+    system = np.empty((laws, laws))
+    weighted = np.empty((ny, n + 1))
+    value, across, curvature = problem.value.copy(), np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
+    slope, gradient = np.empty(n + 1), np.empty(n + 1)
+    _scale(slope, value[:, n], currents[steps])
+    _add_image(slope, value, states[steps])
+    for k in range(steps - 1, -1, -1):
+        current, after = currents[k], currents[k + 1]
+        _differentiate_step(problem, slopes, k, state, forces, signals, system)
         for r in range(ny):
             for i in range(n + 1):
-                t = D[r] if i == n else 0.0
-                for j in range(n):
-                    t += C[r, j] * Z[j, i]
-                for j in range(nl):
-                    t += F[r, j] * J[j, i]
-                Y[r, i] = t
+                weighted[r, i] = signals[r, i] * weights[r]
+        _start_with(across, value[:, n])
+        _add_product(across, value, state)
         for i in range(n + 1):
+            gradient[i] = 0.0
             for r in range(n + 1):
-                t = V[i, n] if r == n else 0.0
-                for j in range(n):
-                    t += V[i, j] * Z[j, r]
-                T[i, r] = t
+                curvature[i, r] = 0.0
+        gradient[n] = slope[n]
+        _add_transposed_image(gradient, state, slope)
+        _add_transposed_image(gradient, weighted, path.signals[k])
+        gradient[n] += problem.current_weight * after
+        for r in range(n + 1):
+            curvature[n, r] = across[n, r]
+        _add_upper_half(curvature, state, across)
+        _add_upper_half(curvature, weighted, signals)
         for i in range(n + 1):
-            t = p[n] if i == n else 0.0
-            for j in range(n):
-                t += Z[j, i] * p[j]
-            for r in range(ny):
-                t += Y[r, i] * q[r] * ys[k, r]
-            g[i] = t
-            for r in range(i, n + 1):
-                t = T[n, r] if i == n else 0.0
-                for j in range(n):
-                    t += Z[j, i] * T[j, r]
-                for j in range(ny):
-                    t += Y[j, i] * q[j] * Y[j, r]
-                H[i, r] = t
-                H[r, i] = t
-        H[n, n] += qc
-        g[n] += qc * cs[k + 1]
-        qww = H[n, n] + qm
-        qw = g[n] + qm * moves[k]
-        best = -qw / qww
-        low = max(-slew, -CURRENT_LIMIT - cs[k]) - moves[k]
-        high = min(slew, CURRENT_LIMIT - cs[k]) - moves[k]
-        step = min(max(best, low), high)
-        gain_k[k] = step
-        if low < best < high:
-            for i in range(n + 1):
-                gains[k, i] = -H[n, i] / qww
-            for i in range(n + 1):
-                p[i] = g[i] - H[n, i] * qw / qww
-                for r in range(n + 1):
-                    V[i, r] = H[i, r] - H[n, i] * H[n, r] / qww
-        else:
-            for i in range(n + 1):
+            for r in range(i):
+                curvature[i, r] = curvature[r, i]
+        curvature[n, n] += problem.current_weight
+        by_move = gradient[n] + problem.move_weight * moves[k]
+        twice_by_move = curvature[n, n] + problem.move_weight
+        best = -by_move / twice_by_move
+        low = max(-problem.slew, -CURRENT_LIMIT - current) - moves[k]
+        high = min(problem.slew, CURRENT_LIMIT - current) - moves[k]
+        change = min(max(best, low), high)
+        changes[k] = change
+        nominal[k, n] = current
+        for i in range(n):
+            nominal[k, i] = states[k, i]
+        is_within = low < best < high
+        for i in range(n + 1):
+            by_both = curvature[i, n]
+            if is_within:
+                gains[k, i] = -by_both / twice_by_move
+                slope[i] = gradient[i] - by_both * by_move / twice_by_move
+            else:
                 gains[k, i] = 0.0
-            for i in range(n + 1):
-                p[i] = g[i] + H[n, i] * step
-                for r in range(n + 1):
-                    V[i, r] = H[i, r]
+                slope[i] = gradient[i] + by_both * change
+            for r in range(n + 1):
+                value[i, r] = curvature[i, r]
+                if is_within:
+                    value[i, r] -= by_both * curvature[r, n] / twice_by_move
 
 
 @jit.compiled(error_model="numpy")
-def _plan(x, current, moves, road, m, iterations):
+def _improve(start, current, moves, road, problem, iterations, path, other, feedback, trial):
+    """Improve the plan of a car in place, and return its cost; `path` to `trial` are scratch."""
+    cost = _roll(start, current, moves, feedback, 0.0, road, problem, path)
+    for _ in range(iterations):
+        _sweep(moves, problem, path, feedback)
+        share, new = 1.0, cost
+        for _ in range(5):
+            trial[:] = moves
+            new = _roll(start, current, trial, feedback, share, road, problem, other)
+            if new < cost:
+                break
+            share *= 0.4
+        if not new < cost:
+            break
+        gained = cost - new
+        cost = new
+        moves[:] = trial
+        path, other = other, path
+        if gained < 1e-4 * cost:
+            break
+    return cost
+
+
+@jit.compiled(error_model="numpy")
+def _plan(x, current, moves, road, problem, iterations):
     """Improve the plans of all cars in place, and return the number of discarded plans (not finite).
 
     x (n, cars), current (cars,), moves (cars, N), road (cars, N) [m] per step.
     """
-    n, cars, N, nl, ny = len(m[0]), x.shape[1], moves.shape[1], len(m[10]), len(m[15])
-    xs, cs, fs, ds, ys = (
-        np.zeros((N + 1, n)),
-        np.zeros(N + 1),
-        np.zeros((N, nl)),
-        np.zeros((N, nl)),
-        np.zeros((N, ny)),
-    )
-    xt, ct, ft, dt, yt = (
-        np.zeros_like(xs),
-        np.zeros_like(cs),
-        np.zeros_like(fs),
-        np.zeros_like(ds),
-        np.zeros_like(ys),
-    )
-    gains, gain_k, nominal, trial = np.zeros((N, n + 1)), np.zeros(N), np.zeros((N, n + 1)), np.empty(N)
-    broken, slew = 0, m[-1]
+    cars, steps = moves.shape
+    path, other = _empty_path(problem, steps), _empty_path(problem, steps)
+    feedback, trial = _empty_feedback(problem, steps), np.empty(steps)
+    broken = 0
     for e in range(cars):
-        x0 = np.ascontiguousarray(x[:, e])
-        w = moves[e]
-        c = current[e]
-        for k in range(N):  # the warm start must be feasible from the present current
-            w[k] = min(max(w[k], -slew, -CURRENT_LIMIT - c), slew, CURRENT_LIMIT - c)
-            c += w[k]
-        cost = _roll(x0, current[e], w, gains, nominal, gain_k, 0.0, road[e], m, xs, cs, fs, ds, ys)
-        for _ in range(iterations):
-            _sweep(w, m, xs, cs, ds, ys, gains, gain_k)
-            for k in range(N):
-                for i in range(n):
-                    nominal[k, i] = xs[k, i]
-                nominal[k, n] = cs[k]
-            alpha, better = 1.0, False
-            for _ in range(5):
-                trial[:] = w
-                new = _roll(
-                    x0, current[e], trial, gains, nominal, gain_k, alpha, road[e], m, xt, ct, ft, dt, yt
-                )
-                if new < cost:
-                    better = True
-                    break
-                alpha *= 0.4
-            if not better:
-                break
-            gained = cost - new
-            cost = new
-            w[:] = trial
-            xs, xt = xt, xs
-            cs, ct = ct, cs
-            fs, ft = ft, fs
-            ds, dt = dt, ds
-            ys, yt = yt, ys
-            if gained < 1e-4 * cost:
-                break
+        start, plan, present = np.ascontiguousarray(x[:, e]), moves[e], current[e]
+        for k in range(steps):  # the warm start must be feasible from the present current
+            plan[k] = _allowed(plan[k], present, problem.slew)
+            present += plan[k]
+        cost = _improve(start, current[e], plan, road[e], problem, iterations, path, other, feedback, trial)
         if not math.isfinite(cost):
-            w[:] = 0.0
+            plan[:] = 0.0
             broken += 1
     return broken
 
@@ -374,33 +512,47 @@ class FrictionMpc(DesignedController[FrictionMpcSettings]):
             _, V = move_regulator(linear, design)
             self._problem = self._pack(m, linear.A, V)
 
-    def _pack(self, m: Model, A_linear: np.ndarray, V: np.ndarray) -> tuple:
-        s, nl = self.settings, len(m.laws)
-        dry = np.array([e.bound is not None for e in m.laws], bool)
+    def _pack(self, m: Model, A_linear: np.ndarray, value: np.ndarray) -> Problem:
+        is_dry = np.array([e.bound is not None for e in m.laws], bool)
         # friction depends on its rate, a stop on its elongation
-        S = np.where(dry[:, None], m.S, m.E) if nl else np.zeros((0, m.n))
-        coupling = S @ m.G + np.where(dry[:, None], m.SF, 0.0) if nl else np.zeros((0, 0))
-        slope = np.array([e.stiffness if isinstance(e, el.BumpStop) else 0.0 for e in m.laws])
-        clear = np.array([e.clearance if isinstance(e, el.BumpStop) else np.inf for e in m.laws])
-        spread = np.empty((s.horizon, nl))
+        motion = np.where(is_dry[:, None], m.S, m.E)
+        coupling = motion @ m.G + np.where(is_dry[:, None], m.SF, 0.0)
+        weights = self.weights.signals
+        rows = np.flatnonzero(weights)
+        return Problem(
+            A=np.ascontiguousarray(m.A),
+            B=np.ascontiguousarray(m.B),
+            G=np.ascontiguousarray(m.G),
+            P=np.ascontiguousarray(m.P),
+            C=m.C[rows],
+            D=m.D[rows],
+            F=m.F[rows],
+            motion=motion,
+            motion_current=np.where(is_dry, m.SI, 0.0),
+            coupling=coupling,
+            is_dry=is_dry,
+            level=m.levels(),
+            stiffness=np.array([getattr(e, "stiffness", 0.0) for e in m.laws]),
+            clearance=np.array([getattr(e, "clearance", np.inf) for e in m.laws]),
+            spread=self._spread(m, A_linear, motion),
+            weights=weights[rows],
+            current_weight=float(self.weights.current),
+            move_weight=float(self.weights.move),
+            value=np.ascontiguousarray(value),
+            slew=self.slew,
+        )
+
+    def _spread(self, m: Model, A_linear: np.ndarray, motion: np.ndarray) -> np.ndarray:
+        """Return the spread of rates or elongations (horizon, laws) that the unknown road causes ahead."""
+        s = self.settings
+        spread = np.empty((s.horizon, len(m.laws)))
         W = np.zeros((m.n, m.n))
         for k in range(s.horizon):
             if k >= self._points:
                 W = A_linear @ W @ A_linear.T + m.W
-            spread[k] = np.hypot(s.spread * np.sqrt(np.einsum("ji,ik,jk->j", S, W, S)), s.floor)
-        q = self.weights.signals
-        rows = np.flatnonzero(q)
-        arrays = (
-            *(m.A, m.B, m.G, m.P, m.C[rows], m.D[rows], m.F[rows], S, np.where(dry, m.SI, 0.0)),
-            *(coupling, dry, m.levels(), slope, clear, spread, q[rows]),
-        )
-        return (
-            *(np.ascontiguousarray(a) for a in arrays),
-            float(self.weights.current),
-            float(self.weights.move),
-            np.ascontiguousarray(V),
-            self.slew,
-        )
+            deviation = np.sqrt(np.einsum("ji,ik,jk->j", motion, W, motion))
+            spread[k] = np.hypot(s.spread * deviation, s.floor)
+        return spread
 
     def _start(self, count: int) -> None:
         self.estimator.reset(count)

@@ -11,7 +11,15 @@ import pytest
 from isd_gym.baselines._estimator import Estimator
 from isd_gym.baselines._qp import Osqp, Outcome
 from isd_gym.baselines.controller import clean, limit
-from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _forces, _plan, _roll
+from isd_gym.baselines.friction import (
+    FrictionMpc,
+    FrictionMpcSettings,
+    _empty_feedback,
+    _empty_path,
+    _friction,
+    _plan,
+    _roll,
+)
 from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.baselines.mpc import Mpc, MpcSettings
 from program import refused
@@ -267,11 +275,9 @@ def test_expected_friction_balances_rate_and_force():
     for _ in range(200):
         free, spread = rng.normal(0, 0.2), 10 ** rng.uniform(-3.5, -0.5)
         g = -(10 ** rng.uniform(-6, -3))
-        f, d = np.zeros(1), np.zeros(1)
-        law = np.array([True]), np.array([500.0]), np.zeros(1), np.full(1, np.inf)
-        _forces(np.array([free]), *law, np.array([[g]]), np.array([spread]), f, d)
-        v = free + g * f[0]
-        assert f[0] == pytest.approx(500.0 * math.erf(v / (math.sqrt(2) * spread)), abs=0.5)
+        f, _ = _friction(free, g, 500.0, spread)
+        v = free + g * f
+        assert f == pytest.approx(500.0 * math.erf(v / (math.sqrt(2) * spread)), abs=0.5)
 
 
 def test_one_sweep_solves_a_linear_problem():
@@ -292,13 +298,11 @@ def test_plan_is_a_local_minimum():
     x = np.linalg.pinv(m.C[[1, 2, 3, 4]]) @ np.array([0.01, 0.15, 0.003, -0.05])
     moves = np.zeros((1, 12))
     _plan(x[:, None], np.array([0.3]), moves, np.zeros((1, 12)), controller._problem, 60)
-    nl, ny = len(m.laws), len(controller._problem[15])
-    shapes = [(13, m.n), (13,), (12, nl), (12, nl), (12, ny)]
-    empty, none = np.zeros((12, m.n + 1)), np.zeros(12)
+    problem = controller._problem
 
     def cost(w):
-        kept = (np.zeros(shape) for shape in shapes)
-        return _roll(x, 0.3, w.copy(), empty, empty, none, 0.0, none.copy(), controller._problem, *kept)
+        path, feedback = _empty_path(problem, 12), _empty_feedback(problem, 12)
+        return _roll(x, 0.3, w.copy(), feedback, 0.0, np.zeros(12), problem, path)
 
     best = cost(moves[0])
     for k in range(12):
