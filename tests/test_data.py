@@ -13,7 +13,7 @@ from isd_gym._common.errors import InputError
 from isd_gym.records.data import Table, check, read_table, write_table
 from isd_gym.records.data._quality import held_samples
 from isd_gym.records.data._signals import stamp_rounding, unwrapped
-from isd_gym.records.data._table import read_columns, read_rasters
+from isd_gym.records.data._table import read_columns
 
 STEP = 0.002
 INPUTS = {"road": "displacement", "current": "current"}
@@ -219,78 +219,6 @@ def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path, form):
     assert list(read_table(path, rename={second: "load"})["load"]) == [10, 20]
     words = r"called 'Force': .* and .*; choose one with --rename COLUMN=CHANNEL"
     refused(words, read_table, path, expected={"Force": "m"})
-
-
-def lvm(columns="One", separator="Tab", comma=False, segments=1, extra=""):
-    """A LabVIEW measurement file: a ramp and its square at 100 Hz, 300 samples a segment, in `columns` of stamps."""
-    cut = "\t" if separator == "Tab" else ","
-    names = ["Load", "Travel (mm)"]
-    head = ["LabVIEW Measurement", f"Writer_Version{cut}2", "Reader_Version" + cut + "2"]
-    head += [f"Separator{cut}{separator}"]
-    head += [f"Decimal_Separator{cut},"] if comma else []
-    head += [f"Multi_Headings{cut}Yes", f"X_Columns{cut}{columns}", f"Time_Pref{cut}Relative"]
-    head += [f"Date{cut}2024/05/01", f"Time{cut}12:00:00.5", "***End_of_Header***", cut]
-    out = head
-    for s in range(segments):
-        rows = [["Channels", "2"], ["Samples", "17", "17"]]  # some writers tell a wrong number
-        rows += [["Date", *["2024/05/01"] * 2], ["Time", *[f"12:00:{10 * s:02d}.5"] * 2]]
-        rows += [["Y_Unit_Label", "N", "mm"], ["X_Dimension", "Time", "Time"], ["X0", "0.0E+0", "0.0E+0"]]
-        rows += [["Delta_X", "0.010000", "0.010000"], ["***End_of_Header***"]]
-        x = {"One": [["X_Value"], []], "Multi": [["X_Value"], ["X_Value"]], "No": [["X_Value"], []]}[columns]
-        rows += [[*x[0], names[0], *x[1], names[1], "Comment"]]
-        for k in range(300):
-            t = [f"{0.01 * k:.6f}"] if columns != "No" else [""]
-            late = [f"{0.01 * k + 0.005:.6f}"] if columns == "Multi" else []
-            rows.append([*t, f"{0.5 * k:.6f}", *late, f"{k * k:.6f}", *(["begin"] if k == 0 else [])])
-        text = [cut.join(r) for r in rows]
-        out = [*out, *([s.replace(".", ",") for s in text] if comma else text), extra, ""]
-    return "\r\n".join(out)
-
-
-@pytest.mark.parametrize("columns", ["One", "Multi", "No"])
-@pytest.mark.parametrize(("separator", "comma"), [("Tab", False), ("Tab", True), ("Comma", False)])
-def test_labview_files_are_read(tmp_path, columns, separator, comma):
-    path = tmp_path / "x.lvm"
-    path.write_text(lvm(columns, separator, comma))
-    table = read_table(path, rename={"Load": "force"}, expected={"force": "kN"})
-    assert table.time == pytest.approx(0.01 * np.arange(300))
-    assert table["force"] == pytest.approx(5e-4 * np.arange(300))
-    if columns != "Multi":
-        both = read_table(path, expected={"Load": "N", "Travel": "m"})
-        assert both["Travel"] == pytest.approx(1e-3 * np.arange(300.0) ** 2)
-        assert list(read_table(path).units.values()) == ["N", "mm"]
-        return
-    first, second = read_rasters(path)
-    assert second.values["time"] == pytest.approx(0.01 * np.arange(300) + 0.005)
-    refused("different rasters", read_table, path, expected={"Load": "N", "Travel": "m"})
-    between = read_table(path, expected={"Load": "N", "Travel": "m"}, resample=True)
-    assert between["Load"] == pytest.approx(50 * between.time)
-
-
-def test_segments_of_a_labview_file_follow_one_another(tmp_path):
-    path = tmp_path / "x.lvm"
-    path.write_text(lvm(segments=2))
-    table = read_table(path)
-    assert len(table) == 600 and table.time[300] == pytest.approx(10.0)  # by the times in the headers
-    assert list(table["Load"][300:302]) == [0, 0.5]
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda s: s.replace("0.500000", "oops", 1), "line 2[0-9], column 'Load': 'oops' is not a number"),
-        (lambda s: s[: s.index("X_Value")], "holds no data"),
-        (lambda s: s.replace("X_Dimension\tTime", "X_Dimension\tFrequency"), "recorded over 'Frequency'"),
-        (lambda s: s.replace("Travel (mm)", "Load").replace("Y_Unit", "Unit"), "names 'Load' twice"),
-        (lambda s: s[:30], "holds no data"),
-    ],
-)
-def test_a_bad_labview_file_is_answered_in_one_line(tmp_path, change, words):
-    path = tmp_path / "x.lvm"
-    path.write_text(change(lvm(extra="***Start_Special***\r\n3 words here\r\n***End_Special***")))
-    refused(words, read_table, path)
-    path.write_text(change(lvm("No").replace("Delta_X", "Delta")))
-    refused("", read_table, path)
 
 
 @pytest.mark.parametrize("rate", [1024.0, 900.0, 256.0, 48.0, 2048.0])

@@ -1,6 +1,5 @@
-"""Files of other programs: Excel, MATLAB 7.3, TDMS, universal files, and packed ones; good, broken and hostile."""
+"""Files of other programs: Excel, MATLAB 7.3 and TDMS; good, broken and hostile."""
 
-import gzip
 import sys
 import zipfile
 
@@ -12,13 +11,12 @@ from program import refused
 from isd_gym._common.errors import InputError
 from isd_gym.physics.network import Network
 from isd_gym.records._loggers.record_reading import records_of
-from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.records.data import Table, read_table
 from isd_gym.records.data._table import read_rasters
 
 openpyxl = pytest.importorskip("openpyxl")
 h5py = pytest.importorskip("h5py")
 nptdms = pytest.importorskip("nptdms")
-pyuff = pytest.importorskip("pyuff")
 
 TIME = np.arange(200) * 0.01
 FORCE = 3.0 * np.sin(7.0 * TIME)
@@ -44,22 +42,6 @@ def tdms(path, groups):
     with nptdms.TdmsWriter(path) as writer:
         for group, name, values, properties in groups:
             writer.write_segment([nptdms.ChannelObject(group, name, values, properties)])
-
-
-def uff(path, channels, binary=0):
-    file = pyuff.UFF(str(path))
-    for k, (name, x, y, unit) in enumerate(channels):
-        file.write_sets(
-            pyuff.prepare_58(
-                binary=binary, func_type=1, rsp_node=k + 1, rsp_dir=3, ref_dir=3, ref_node=1, data=y, x=x, id1=name,
-                id2="", id3="", id4="", id5="", ord_data_type=4, num_pts=len(y), abscissa_spacing=1, abscissa_min=x[0],
-                abscissa_inc=x[1] - x[0], abscissa_spec_data_type=17, ordinate_spec_data_type=12,
-                ordinate_axis_units_lab=unit, orddenom_spec_data_type=0, ver_num=0, load_case_id=0, z_axis_value=0.0,
-                rsp_ent_name="NONE", ref_ent_name="NONE", orddenom_axis_units_lab="NONE", z_axis_axis_units_lab="NONE",
-                abscissa_axis_units_lab="s",
-            ),
-            "add",
-        )  # fmt: skip
 
 
 def test_a_workbook_is_read_like_a_text_table(tmp_path):
@@ -182,57 +164,10 @@ def test_a_bad_tdms_file_is_one_line(tmp_path):
     unread(tmp_path / "c.tdms", "no numeric channel")
 
 
-@pytest.mark.filterwarnings("ignore")  # pyuff leaves files open when it writes
-@pytest.mark.parametrize("binary", [0, 1])
-def test_time_series_of_a_universal_file_are_channels(tmp_path, binary):
-    uff(tmp_path / "a.uff", [("force", TIME, FORCE, "N"), ("NONE", TIME, 2 * FORCE, "NONE")], binary)
-    (raster,) = read_rasters(tmp_path / "a.uff")
-    assert set(raster.values) == {"time", "force", "node 2 +Z"} and raster.units["force"] == "N"
-    assert np.allclose(raster.values["time"], TIME, atol=1e-6)
-    assert np.allclose(raster.values["force"], FORCE, atol=1e-5)
-    assert np.allclose(read_table(tmp_path / "a.uff", expected={"force": "N"})["force"], FORCE, atol=1e-5)
-
-
-def test_a_bad_universal_file_is_one_line(tmp_path):
-    (tmp_path / "a.uff").write_text("hello\n" * 10)
-    unread(tmp_path / "a.uff")
-    (tmp_path / "b.unv").write_text("    -1\n    58\nforce\n    -1\n")
-    unread(tmp_path / "b.unv")
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".mat", ".lvm"])
-def test_a_packed_file_is_read_like_its_content(tmp_path, suffix):
-    plain = tmp_path / f"a{suffix}"
-    if suffix == ".lvm":
-        head = "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\nChannels\t1\n***End_of_Header***\n"
-        rows = (f"{t}\t{f}\n" for t, f in zip(TIME, FORCE, strict=True))
-        plain.write_text(head + "X_Value\tforce\n" + "".join(rows))
-    else:
-        write_table(plain, Table(TIME, {"force": FORCE}))
-    packed = tmp_path / f"b{suffix}.gz"
-    packed.write_bytes(gzip.compress(plain.read_bytes()))
-    assert np.array_equal(read_table(packed)["force"], read_table(plain)["force"])
-    assert len(read_rasters(packed)) == len(read_rasters(plain)) == 1
-
-
-def test_a_bad_packed_file_is_one_line_with_its_name(tmp_path, monkeypatch):
-    (tmp_path / "a.csv.gz").write_bytes(b"time,force\n0,1\n")
-    unread(tmp_path / "a.csv.gz", "cannot be unpacked")
-    (tmp_path / "b.csv.gz").write_bytes(gzip.compress(b"time,force\n0,1\n1,2\n")[:-12])
-    unread(tmp_path / "b.csv.gz", "cannot be unpacked")
-    (tmp_path / "c.csv.gz").write_bytes(gzip.compress(b"time,force\n"))
-    unread(tmp_path / "c.csv.gz")
-    (tmp_path / "d.gz").write_bytes(gzip.compress(b"time,force\n0,1\n"))
-    unread(tmp_path / "d.gz", "cannot tell the format")
-    (tmp_path / "e.csv.gz").write_bytes(gzip.compress(bytes(60_000_000)))
-    monkeypatch.setenv("ISD_GYM_READ_LIMIT_GB", "0.02")
-    unread(tmp_path / "e.csv.gz", "the limit is 0.02")
-
-
 @pytest.mark.parametrize(
     ("suffix", "module", "extra"),
     [
-        (".xlsx", "openpyxl", "files"), (".tdms", "nptdms", "files"), (".uff", "pyuff", "files"),
+        (".xlsx", "openpyxl", "files"), (".tdms", "nptdms", "files"),
         (".parquet", "pyarrow", "io"), (".mf4", "asammdf", "io"),
     ],
 )  # fmt: skip

@@ -43,7 +43,7 @@ REPORT = 0.2
 RecordsArgument = Annotated[
     list[Path],
     typer.Argument(
-        help="Measured records with time and the model's channels (CSV, Excel, Parquet, .mat, .mf4, .tdms, .uff, .gz). Join files of several loggers "
+        help="Measured records with time and the model's channels (CSV, Excel, Parquet, .mat, .mf4, .tdms). Join files of several loggers "
         "by +: body.csv+wheel.mf4."
     ),
 ]
@@ -172,9 +172,9 @@ def _files_of_case(
     folder: Path, validate: list[Path], model: str | None
 ) -> tuple[list[Path], list[Path], str | None]:
     """Return the records, the held-out records and the model of a folder. Options have priority."""
-    from ..records.data._table import suffix_of, suffixes
+    from ..records.data._table import suffixes
 
-    records = sorted(p for p in folder.iterdir() if suffix_of(p) in suffixes())
+    records = sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes())
     held = [p for p in records if p.name.startswith("validation")]
     fitted = [p for p in records if p not in held]
     if not fitted:

@@ -26,7 +26,7 @@ from .console import check_file, terminal_columns, write_json
 FilesArgument = Annotated[
     list[Path],
     typer.Argument(
-        help="Files of one run, one per logger: CSV, TSV, .lvm, .mat, Parquet, MDF.", metavar="FILE..."
+        help="Files of one run, one per logger: CSV, Excel, Parquet, .mat, .mf4, .tdms.", metavar="FILE..."
     ),
 ]
 ChannelModelOption = Annotated[

@@ -35,7 +35,7 @@ def command(
     data: Annotated[
         list[Path],
         typer.Argument(
-            help="Table with time and the model's inputs (CSV, Excel, Parquet, .mat, .mf4, .tdms, .uff, .gz), or several with --compare. Join files of "
+            help="Table with time and the model's inputs (CSV, Excel, Parquet, .mat, .mf4, .tdms), or several with --compare. Join files of "
             "several loggers by +: a.csv+b.mf4."
         ),
     ],

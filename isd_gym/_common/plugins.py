@@ -1,12 +1,10 @@
-"""Entry points through which other packages offer policies, commands and readers of files."""
+"""Entry points through which other packages offer policies and commands."""
 
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
 
 POLICIES, COMMANDS = "isd_gym.policies", "isd_gym.commands"
-#: formats of tables by suffix
-READERS = "isd_gym.readers"
 
 
 def plugins(group: str, name: str | None = None) -> list[EntryPoint]:

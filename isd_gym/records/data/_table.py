@@ -1,13 +1,9 @@
-"""Tables of measured channels: read from text, Parquet, MATLAB and MDF files and from the formats of plugins, packed or not; written."""
+"""Tables of measured channels: read from text, Excel, Parquet, MATLAB, MDF and TDMS files; written."""
 
 from __future__ import annotations
 
 import csv
-import functools
 import os
-import tempfile
-import zlib
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +12,7 @@ import numpy as np
 
 from ..._common.errors import InputError, MissingColumn, how_to_install, shown
 from ..._common.files import whole
-from ..._common.inputs import memory_limit, plain_file, too_large
-from ..._common.plugins import READERS, plugins
+from ..._common.inputs import plain_file
 from ..._common.units import convert
 from ._columns import (
     TIME,
@@ -30,20 +25,14 @@ from ._columns import (
     stamps_of,
     time_unit,
 )
-from ._lvm import read_lvm, read_lvm_rasters
 from ._signals import even_stamps, stamp_rounding
 from ._text import read_text, read_text_rasters
 from ._writing import write_binary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     Reader = Callable[[Path, Choice, str, bool, Sequence[str] | None], Columns]
-
-#: suffix of a packed file, such as test.csv.gz
-PACKED = ".gz"
-#: bytes unpacked at a time
-UNPACKED = 1 << 20
 
 
 def _vector(values: Any) -> np.ndarray:
@@ -121,7 +110,7 @@ def read_columns(
 
     All tables of the project are read here. Separators, decimal commas, preambles and units in a text file
     are detected. `read_table` adds a time base and channel names. `axis` is the time column of MATLAB and MDF files; `resample`
-    interpolates MDF and LVM channels on several rasters linearly to the finest raster; `columns` names all columns of a text file
+    interpolates MDF and TDMS channels on several rasters linearly to the finest raster; `columns` names all columns of a text file
     without a header row.
     """
     path = Path(path)
@@ -130,8 +119,7 @@ def read_columns(
         raise InputError(f"{path}: is a folder, not a table")
     plain_file(path)
     try:
-        with unpacked(path) as file:
-            return kind.read(file, wanted, axis, resample, columns)
+        return kind.read(path, wanted, axis, resample, columns)
     except InputError:
         raise
     except ImportError as error:
@@ -145,7 +133,7 @@ def read_columns(
 def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list[Columns]:
     """Return the content of a file, one entry per raster.
 
-    The groups of an MDF or LVM file have their own time stamps, named 'time' [s], and so have tables side by
+    The groups of an MDF or TDMS file have their own time stamps, named 'time' [s], and so have tables side by
     side in a text file (`_columns.side_by_side`). Other formats have one raster.
     """
     path = Path(path)
@@ -153,41 +141,7 @@ def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list
     if kind.read_rasters is None:
         return [read_columns(path, columns=columns)]
     plain_file(path)
-    with unpacked(path) as file:
-        return kind.read_rasters(file, columns)
-
-
-def suffix_of(path: Path) -> str:
-    """Return the suffix that gives the format of a file, in small letters; of test.csv.gz, the suffix .csv."""
-    suffix = path.suffix.lower()
-    return Path(path.stem).suffix.lower() if suffix == PACKED else suffix
-
-
-@contextmanager
-def unpacked(path: Path) -> Iterator[Path]:
-    """Give the content of a packed file as a temporary file; other files as they are."""
-    if path.suffix.lower() != PACKED:
-        yield path
-        return
-    import gzip
-
-    limit, size = memory_limit(), 0
-    with tempfile.TemporaryDirectory() as folder:
-        content = Path(folder) / Path(path.stem).name
-        try:
-            with gzip.open(path) as packed, content.open("wb") as out:
-                while part := packed.read(UNPACKED):
-                    size += len(part)
-                    if size > limit:
-                        raise too_large(str(path), size, limit)
-                    out.write(part)
-        except (OSError, EOFError, zlib.error) as error:
-            raise InputError(f"{path}: cannot be unpacked ({_one_line(error)})") from None
-        try:
-            yield content
-        except InputError as error:
-            error.args = (str(error).replace(str(content), str(path)), *error.args[1:])
-            raise
+    return kind.read_rasters(path, columns)
 
 
 def read_table(
@@ -202,8 +156,7 @@ def read_table(
 ) -> Table:
     """Read a table of channels over time from a file.
 
-    The suffix gives the format: .csv .txt .tsv .dat .lvm .xlsx .parquet .mat .mf4 .mdf .tdms .uff .unv, each
-    also with .gz. No content of a file is executed. Among columns that differ only by their unit, such as "Force (V)" and "Force (N)", the name
+    The suffix gives the format: .csv .txt .tsv .dat .xlsx .parquet .mat .mf4 .mdf .tdms. No content of a file is executed. Among columns that differ only by their unit, such as "Force (V)" and "Force (N)", the name
     "Force" means the column whose unit fits the channel.
 
     Args:
@@ -213,7 +166,7 @@ def read_table(
             default.
         expected: Channel -> wanted unit. Exactly these channels are returned, converted; a column without a
             unit is assumed to have the wanted unit. None for all numeric columns, unconverted.
-        resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster, instead
+        resample: Interpolate MDF and TDMS channels on several rasters linearly to the finest raster, instead
             of an error.
         header: Names of all columns of a text file without a header row, with or without units.
         signs: Factor 1 or -1 by channel or by column; -1 for a sensor that is turned round.
@@ -416,7 +369,6 @@ _PACKAGE = "isd_gym.records._formats"
 _PARQUET = f"{_PACKAGE}.parquet"
 _TEXT = Format(read_text, read_text_rasters)
 _MDF = binary_format(f"{_PACKAGE}.mdf", has_own_stamps=True)
-_UNIVERSAL = binary_format(f"{_PACKAGE}.uff", has_own_stamps=True)
 
 
 def _sheet(path: Path) -> str:
@@ -436,39 +388,30 @@ def _read_workbook_rasters(path: Path, columns: Sequence[str] | None = None) -> 
     return read_text_rasters(path, columns, _sheet(path))
 
 
-#: formats by suffix; entry points `READERS` of other packages announce others
+#: formats by suffix
 _FORMATS = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat"), _TEXT),
     ".parquet": binary_format(_PARQUET),
     ".mat": Format(_read_mat),
     ".mf4": _MDF,
     ".mdf": _MDF,
-    ".lvm": Format(read_lvm, read_lvm_rasters, has_own_stamps=True),
     ".tdms": binary_format(f"{_PACKAGE}.tdms", has_own_stamps=True),
-    ".uff": _UNIVERSAL,
-    ".unv": _UNIVERSAL,
     ".xlsx": Format(_read_workbook, _read_workbook_rasters),
 }
 
 
-@functools.cache
 def suffixes() -> tuple[str, ...]:
     """Return the suffixes of all files that can be read, in small letters, such as '.csv'."""
-    return (*_FORMATS, *(f".{p.name}" for p in plugins(READERS)))
+    return tuple(_FORMATS)
 
 
 def format_of(path: Path) -> Format:
     """Return the format of a file by its suffix."""
-    suffix = suffix_of(path)
-    if suffix in _FORMATS:
-        return _FORMATS[suffix]
-    for point in plugins(READERS, suffix.removeprefix(".")):
-        found: Format = point.load()
-        return found
-    known = " ".join(suffixes())
-    raise InputError(
-        f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known}, or with {PACKED})"
-    )
+    found = _FORMATS.get(path.suffix.lower())
+    if found is None:
+        known = " ".join(_FORMATS)
+        raise InputError(f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known})")
+    return found
 
 
 # ---------------------------------------------------------------------------------------------------- writing
