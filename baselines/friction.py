@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 
-class Problem(NamedTuple):
+class _Problem(NamedTuple):
     """The prediction model and the weights of a plan, for compiled code.
 
     The states are n, the laws nl, the weighted signals ny, and the steps of the horizon N.
@@ -73,7 +73,7 @@ class Problem(NamedTuple):
     slew: float  # largest change of current per step [A]
 
 
-class Path(NamedTuple):
+class _Path(NamedTuple):
     """Course of a plan over N steps, for compiled code."""
 
     states: np.ndarray  # (N + 1, n)
@@ -83,7 +83,7 @@ class Path(NamedTuple):
     signals: np.ndarray  # weighted signals (N, ny)
 
 
-class Feedback(NamedTuple):
+class _Feedback(NamedTuple):
     """Result of a backward sweep, for compiled code."""
 
     gains: np.ndarray  # gains of the move on state and current (N, n + 1)
@@ -95,7 +95,7 @@ class Feedback(NamedTuple):
 def _empty_path(problem, steps):
     """Return a path of zeros."""
     n, laws, signals = len(problem.A), len(problem.level), len(problem.weights)
-    return Path(
+    return _Path(
         states=np.zeros((steps + 1, n)),
         currents=np.zeros(steps + 1),
         forces=np.zeros((steps, laws)),
@@ -108,7 +108,7 @@ def _empty_path(problem, steps):
 def _empty_feedback(problem, steps):
     """Return a feedback of zeros."""
     width = len(problem.A) + 1
-    return Feedback(np.zeros((steps, width)), np.zeros(steps), np.zeros((steps, width)))
+    return _Feedback(np.zeros((steps, width)), np.zeros(steps), np.zeros((steps, width)))
 
 
 @jit.compiled(error_model="numpy")
@@ -512,14 +512,14 @@ class FrictionMpc(DesignedController[FrictionMpcSettings]):
             _, V = move_regulator(linear, design)
             self._problem = self._pack(m, linear.A, V)
 
-    def _pack(self, m: Model, A_linear: np.ndarray, value: np.ndarray) -> Problem:
+    def _pack(self, m: Model, A_linear: np.ndarray, value: np.ndarray) -> _Problem:
         is_dry = np.array([e.bound is not None for e in m.laws], bool)
         # friction depends on its rate, a stop on its elongation
         motion = np.where(is_dry[:, None], m.S, m.E)
         coupling = motion @ m.G + np.where(is_dry[:, None], m.SF, 0.0)
         weights = self.weights.signals
         rows = np.flatnonzero(weights)
-        return Problem(
+        return _Problem(
             A=np.ascontiguousarray(m.A),
             B=np.ascontiguousarray(m.B),
             G=np.ascontiguousarray(m.G),

@@ -33,7 +33,7 @@ def test_help_is_light_and_knows_the_commands_of_all_packages():
     )
     done = python(code)
     assert done.stdout.strip().endswith("[]"), done.stderr
-    for words in ("train    Train a policy", "reproduce  Compare every table", "record   Save a policy"):
+    for words in ("train    Train a policy", "reproduce  Compare every table"):
         assert words in done.stdout
     missed = run("trian")
     assert missed.returncode == 2 and "Did you mean 'train'?" in missed.stderr
@@ -155,7 +155,7 @@ def test_networks_lists_the_element_types():
         (["score", "passive", "--raod", "C"], "--raod"),
         (["score", "passive", "--json", "there"], "it is a folder"),
         (["simulate", "quarter-car-isd", "d.csv", "--out", "o.csv", "--step", "0"], "--step"),
-        (["show", "mpc", "--seconds", "nan", "--out", "a.gif"], "seconds"),
+        (["show", "mpc", "--seconds", "nan", "--out", "a.mp4"], "seconds"),
         (["reproduce", "--out", "r", "--json", "no/such/x.json"], "no folder 'no/such'"),
         (["train", "dqn", "--out", "r"], "'dqn' is not one of"),
         (["score", "passive", "--network", "force-rig"], "'force-rig' is no car"),
@@ -204,8 +204,7 @@ def test_a_diagnosis_is_not_begun_on_a_mistake(more, message, tmp_path):
 @pytest.mark.parametrize(
     ("missing", "args", "extra"),
     [
-        pytest.param("pygame", ["show", "passive", "--out", "a.gif"], "render", marks=pytest.mark.slow),
-        pytest.param("minari", ["record", "passive", "--out", "drives"], "record", marks=pytest.mark.slow),
+        pytest.param("pygame", ["show", "passive", "--out", "a.mp4"], "render", marks=pytest.mark.slow),
         ("torch", ["train", "ppo", "--out", "run"], "agents"),
     ],
 )

@@ -40,9 +40,6 @@ isd_gym.baselines.mpc
     MpcSettings
     also ACCELERATION_LIMIT Mpc PAPER TRAVEL_LIMIT
 isd_gym.benchmark
-isd_gym.benchmark.datasets
-    write_dataset
-    also ID
 isd_gym.benchmark.driving
     Controller Entry cost_of
     also Crew Driver Idle travel

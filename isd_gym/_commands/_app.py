@@ -15,7 +15,7 @@ GROUPS = {
     "Drive and score": ("score", "show", "card", "policies", "networks", "sweep", "ceiling", "reproduce"),
     "Train": ("train", "convert"),
     "Find missing physics": ("diagnose", "simulate"),
-    "Data": ("inspect", "record", "export"),
+    "Data": ("inspect", "export"),
 }
 
 

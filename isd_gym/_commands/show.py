@@ -26,7 +26,7 @@ def command(
     policy: PolicyArgument,
     against: Annotated[str | None, option("--against POLICY", "Second policy, on the same road.")] = None,
     out: Annotated[
-        Path | None, option("--out FILE", "Write a film (.mp4 or .gif) instead of opening a window.")
+        Path | None, option("--out FILE", "Write a film (.mp4) instead of opening a window.")
     ] = None,
     road: RoadOption = "paper",
     speed: SpeedOption = 20.0,
@@ -50,8 +50,8 @@ def command(
     check_file(out)
     if seconds > LONGEST:
         raise InputError(f"--seconds: a drive that is shown lasts at most {LONGEST:g} s, not {seconds:g}")
-    if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
-        raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
+    if out is not None and out.suffix.lower() != ".mp4":
+        raise InputError(f"cannot write a film to '{out}': end the name in .mp4")
     plant = Network.load(network)
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     names = [name for name in (policy, against) if name is not None]

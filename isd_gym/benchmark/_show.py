@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from ..physics.network import Network
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 #: size of a picture [px] by number of cars
 SIZE = {1: (960, 600), 2: (1200, 640)}
 WIDE = (1400, 600)  # of two cars with a left and a right track, which have two views each
-GIF = 0.75  # factor on the size; a GIF stores every pixel, and has half the frames
+FPS = 50.0  # frames of a film per second
 
 
 def snapshots(
@@ -69,11 +69,11 @@ def snapshots(
 
 
 @contextmanager
-def _renderer(mode: Any, network: Network, cars: int, scale: float = 1.0) -> Iterator[Any]:
+def _renderer(mode: Any, network: Network, cars: int) -> Iterator[Any]:
     from ..view._rendering import Renderer
 
-    size = WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
-    width, height = (round(scale * side) for side in size)
+    is_wide = cars == 2 and vehicle(network).wheels.tracks == 2
+    width, height = WIDE if is_wide else SIZE[cars]
     drawn = Renderer(mode, width=width, height=height, cars=cars)
     try:
         yield drawn
@@ -89,14 +89,12 @@ def film(
     progress: Callable[[float], None] | None = None,
     **drive: Any,
 ) -> None:
-    """Write a film of policies: an MP4 with 50 or a GIF with 25 frames per second."""
+    """Write an MP4 film of policies."""
     from ..env._task import CONTROL_STEP
     from ..view._rendering import write_video
 
     network = Network.load(network)
-    gif = Path(path).suffix.lower() == ".gif"
-    fps = 25.0 if gif else 50.0
-    every = round(1.0 / (fps * CONTROL_STEP))
+    every = round(1.0 / (FPS * CONTROL_STEP))
     total = max(1, round(drive.get("seconds", 10.0) / CONTROL_STEP))
 
     def frames(renderer: Any) -> Iterator[NDArray[np.uint8]]:
@@ -106,8 +104,8 @@ def film(
             if progress is not None and k % 50 == 0:
                 progress(k / total)
 
-    with _renderer("rgb_array", network, len(entries), GIF if gif else 1.0) as renderer:
-        write_video(path, frames(renderer), fps=fps)
+    with _renderer("rgb_array", network, len(entries)) as renderer:
+        write_video(path, frames(renderer), fps=FPS)
     if progress is not None:
         progress(1.0)
 
