@@ -106,6 +106,143 @@ def _run(
     return simulate(cells, t, inputs, step=step, initial=initial, derivatives=derivatives)
 
 
+def _named(model: Model, name: str) -> Element:
+    return next(e for e in model["elements"] if e.get("name") == name)
+
+
+def _vary(model: Model, share: float, r: Generator, but: Iterable[str] = ()) -> None:
+    """Scale the main parameters of a model's elements, but those named in `but`, by up to a share either way."""
+    for e in model["elements"]:
+        if e["type"] in MAIN and e["name"] not in but:
+            e[MAIN[e["type"]]] *= 1 + share * r.uniform(-1, 1)
+
+
+def _vary_masses(model: Model, share: float, r: Generator) -> None:
+    for node in model["masses"]:
+        model["masses"][node] *= 1 + share * r.uniform(-1, 1)
+
+
+def _matched(secret: Secret, base_model: Model) -> Secret:
+    """The secret with the effects that hang on an element of the base of its size."""
+    for e in secret.add:
+        if e["type"] == "tyre_lift_off":  # takes back what the linear tyre pulls
+            e["stiffness"] = _named(base_model, "tyre")["stiffness"]
+        if e["type"] == "x_fading_damping":  # all of the damper, and when cold as strong
+            e["damping"] = _named(base_model, *secret.replace)["damping"]
+    return secret
+
+
+def _hide(true: Model, secret: Secret) -> tuple[list[Element], list[list[Any]]]:
+    """Put a secret into the true model; returns the hidden elements, and the effects with their places."""
+    found: list[list[Any]] = []
+    for name, other in secret.replace.items():
+        e = _named(true, name)
+        if not secret.unknown:
+            found.append([other["type"], e["between"]])
+        new = {"name": name, "between": e["between"], **other}
+        e.clear()
+        e.update(new)
+    for name in secret.drop:
+        e = _named(true, name)
+        if name == "oil":
+            found.append(["series_compliance", None])
+        else:
+            found.append([e["type"], None if len(secret.drop) > 1 else e["between"]])
+    true["masses"].update(secret.masses)
+    hidden = _plus(true, secret.add, "hidden")
+    for e in hidden:
+        place = e.get("between") or e.get("channel")
+        if "element" in e:
+            place = _named(true, e["element"])["between"]
+        found.append([e["type"], place])
+    for i, e in enumerate(secret.series):
+        hidden += _plus(true, [_into_series(true, e, f"hidden_node_{i + 1}")], f"series_{i + 1}")
+        found.append([e["type"], None])
+    return hidden, found
+
+
+def _place(e: Element) -> tuple[str, str]:
+    return e["type"], str(e.get("between") or e.get("element"))
+
+
+def _add_nuisances(
+    true: Model, group: str, secret: Secret, hidden: list[Element], count: int | None, r: Generator
+) -> list[Element]:
+    """Add small effects that nobody knows at places without a hidden effect, and return these effects."""
+    pool = {"car": car_nuisances, "rig": rig_nuisances}.get(group, lambda r: [])(r)
+    # a few per cent on a rough road as on a smooth one: motion goes with the root of its level
+    for e in pool:
+        power = {"cubic_stiffness": 1.0, "quadratic_damping": 0.5}.get(e["type"], 0.0)
+        for key in {"stiffness", "damping"} & e.keys():
+            e[key] /= secret.level**power
+    taken = {_place(e) for e in hidden}
+    pool = [e for e in pool if _place(e) not in taken]
+    if count is None:
+        count = 2 if group == "rig" else int(r.integers(2, 5))
+    chosen = r.permutation(len(pool))[: min(count, len(pool))]
+    return _plus(true, [pool[i] for i in sorted(chosen)], "nuisance")
+
+
+def _move_damping(true: Model, nuisances: list[Element]) -> list[Element]:
+    """Put nuisances at a car's damper where its damper is: on a massless node they would push for ever."""
+    damper = next((e["between"] for e in true["elements"] if e.get("name") == "damper"), DAMPER)
+    moved = [e for e in nuisances if e.get("between") == list(DAMPER)]
+    for e in moved:
+        e["between"] = list(damper)
+    return moved
+
+
+def _believed(base_model: Model, secret: Secret, spread: float, r: Generator) -> Model:
+    """The model as its owner believes it, with the uncertainty of its parameters."""
+    owner = copy.deepcopy(base_model)
+    _vary_masses(owner, spread, r)
+    _vary(owner, spread, r, secret.drop)
+    owner["uncertainty"] = {f"{node}.mass": spread for node in owner["masses"]}
+    for e in owner["elements"]:
+        if e["type"] in MAIN and e["name"] not in secret.drop:
+            owner["uncertainty"][f"{e['name']}.{MAIN[e['type']]}"] = spread
+    _drop(owner, secret.drop)
+    return owner
+
+
+def _without_hidden(true: Model, base_model: Model, secret: Secret, moved: list[Element]) -> Model:
+    """The truth but for the hidden effect; `moved`: nuisances that return to the damper's place."""
+    without = copy.deepcopy(true)
+    originals = {e["name"]: e for e in base_model["elements"]}
+    at_damper = {e["name"] for e in moved}
+    kept = []
+    for e in without["elements"]:
+        name = e.get("name")
+        if str(name).startswith(("hidden", "series")):
+            continue
+        if name in at_damper:
+            e["between"] = list(DAMPER)
+        kept.append(copy.deepcopy(originals[name]) if name in originals else e)
+    without["elements"] = kept
+    without["masses"] = {n: m for n, m in without["masses"].items() if n not in secret.masses}
+    _drop(without, secret.drop)
+    return without
+
+
+def _drop(model: Model, names: Iterable[str]) -> None:
+    for name in names:
+        if name == "oil":
+            _without_node(model, name)
+        else:
+            model["elements"].remove(_named(model, name))
+
+
+def _measured(model: Model, inputs: dict[str, Array], imperfect: float, r: Generator) -> dict[str, Array]:
+    """The inputs as sensors see them: all but currents with a share of noise."""
+    table = {}
+    for channel in model["inputs"]:
+        column = inputs[channel["name"]]
+        if channel["quantity"] != "current":
+            column = column + imperfect * np.std(column) * r.standard_normal(len(column))
+        table[channel["name"]] = column
+    return table
+
+
 def make_case(
     kind: str,
     seed: int,
@@ -133,149 +270,63 @@ def make_case(
     moving = bool(r.random() < 0.5) and group == "car" if moving is None else moving
     size = 2 * round(duration / FINE / 2) + 1
     lead = round(3.0 / FINE) if moving else 0
-    plain = Secret()
+    starts = ((0.03, 0.0), (-0.02, 0.15)) if group == "decay" else ()
+    initial = [{"mass": state} for state in starts] or [{}, {}]
 
-    def initial(record: int) -> dict[str, tuple[float, float]]:
-        return {"mass": ((0.03, 0.0), (-0.02, 0.15))[record]} if group == "decay" else {}
-
-    base_model = base(r, plain)
-    for e in base_model["elements"]:  # the rig at hand is not the textbook's
-        if e["type"] in MAIN:
-            e[MAIN[e["type"]]] *= 1 + 0.1 * r.uniform(-1, 1)
-    for node in base_model["masses"]:
-        base_model["masses"][node] *= 1 + 0.1 * r.uniform(-1, 1)
+    base_model = base(r, Secret())
+    _vary(base_model, 0.1, r)  # the rig at hand is not the textbook's
+    _vary_masses(base_model, 0.1, r)
     streams = [r.spawn(1)[0] for _ in range(2)]
-    draws = [copy.deepcopy(s.bit_generator.state) for s in streams]
 
-    def inputs(secret: Secret) -> list[dict[str, Array]]:
-        for s, state in zip(streams, draws, strict=True):
-            s.bit_generator.state = copy.deepcopy(state)
-        return [make_inputs(s, secret, size + lead, bool(i)) for i, s in enumerate(streams)]
-
-    def base_element(name: str) -> Element:
-        return next(e for e in base_model["elements"] if e["name"] == name)
+    def inputs(secret: Secret, record: int) -> dict[str, Array]:
+        return make_inputs(copy.deepcopy(streams[record]), secret, size + lead, bool(record))
 
     if kind in SCALED:
         effect, where = SCALED[kind]
-        secret = scaled(effect, where, r, scale(base_model, where, inputs(plain)[0], size, initial(0)))
+        size_of = scale(base_model, where, inputs(Secret(), 0), size, initial[0])
+        secret = scaled(effect, where, r, size_of)
     else:
         secret = {**CAR, **RIG, **OTHER}[kind](r)
-    for e in secret.add:
-        if e["type"] == "tyre_lift_off":  # takes back what the linear tyre pulls
-            e["stiffness"] = base_element("tyre")["stiffness"]
-        if e["type"] == "x_fading_damping":  # all of the damper, and when cold as strong
-            e["damping"] = base_element(*secret.replace)["damping"]
-    driven = inputs(secret)
+    secret = _matched(secret, base_model)
 
-    # the truth
     true = copy.deepcopy(base_model)
-    found: list[list[Any]] = []
-    for name, other in secret.replace.items():
-        e = next(e for e in true["elements"] if e["name"] == name)
-        if not secret.unknown:
-            found.append([other["type"], e["between"]])
-        new = {"name": name, "between": e["between"], **other}
-        e.clear()
-        e.update(new)
-    for name in secret.drop:
-        e = next(e for e in true["elements"] if e["name"] == name)
-        split = len(secret.drop) > 1 or name == "oil"
-        found.append(["series_compliance" if name == "oil" else e["type"], None if split else e["between"]])
-    true["masses"].update(secret.masses)
-    hidden = _plus(true, secret.add, "hidden")
-    for e in hidden:
-        place = e.get("between") or e.get("channel")
-        if "element" in e:
-            place = next(m["between"] for m in true["elements"] if m["name"] == e["element"])
-        found.append([e["type"], place])
-    for i, e in enumerate(secret.series):
-        hidden += _plus(true, [_into_series(true, e, f"hidden_node_{i + 1}")], f"series_{i + 1}")
-        found.append([e["type"], None])
+    hidden, found = _hide(true, secret)
+    small = _add_nuisances(true, group, secret, hidden, nuisances, r)
+    moved = _move_damping(true, small) if group == "car" else []
+    owner = _believed(base_model, secret, spread, r)
+    without = _without_hidden(true, base_model, secret, moved)
     answer: list[list[Any]] | str = "unknown" if secret.unknown else found
-    pool = {"car": car_nuisances, "rig": rig_nuisances}.get(group, lambda r: [])(r)
-    # a few per cent on a rough road as on a smooth one: motion goes with the root of its level
-    for e in pool:
-        power = {"cubic_stiffness": 1.0, "quadratic_damping": 0.5}.get(e["type"], 0.0)
-        for key in ("stiffness", "damping"):
-            if key in e:
-                e[key] /= secret.level**power
-    taken = {(e["type"], str(e.get("between") or e.get("element"))) for e in hidden}
-    pool = [n for n in pool if (n["type"], str(n.get("between") or n.get("element"))) not in taken]
-    count = (2 if group == "rig" else int(r.integers(2, 5))) if nuisances is None else nuisances
-    chosen = r.permutation(len(pool))[: min(count, len(pool))]
-    small = _plus(true, [pool[i] for i in sorted(chosen)], "nuisance")
-    damper = next((e["between"] for e in true["elements"] if e.get("name") == "damper"), None)
-    behind = [e for e in small if e.get("between") == list(DAMPER) and group == "car"]
-    for e in behind:  # less damping is the damper's: on a massless node of its own it would push for ever
-        e["between"] = list(damper or DAMPER)
 
-    # the owner's model
-    owner = copy.deepcopy(base_model)
-    owner["uncertainty"] = {}
-    for node in owner["masses"]:
-        owner["masses"][node] *= 1 + spread * r.uniform(-1, 1)
-        owner["uncertainty"][f"{node}.mass"] = spread
-    for e in owner["elements"]:
-        if e["type"] in MAIN and e["name"] not in secret.drop:
-            e[MAIN[e["type"]]] *= 1 + spread * r.uniform(-1, 1)
-            owner["uncertainty"][f"{e['name']}.{MAIN[e['type']]}"] = spread
-    without = copy.deepcopy(true)  # the truth but for what is hidden
-    without["elements"] = [
-        e for e in without["elements"] if not str(e.get("name")).startswith(("hidden", "series"))
-    ]
-    for e in without["elements"]:
-        if e.get("name") in {b["name"] for b in behind}:
-            e["between"] = list(DAMPER)
-    without["masses"] = {n: m for n, m in without["masses"].items() if n not in secret.masses}
-    for e in without["elements"]:
-        original = next((b for b in base_model["elements"] if b["name"] == e.get("name")), None)
-        if original is not None:
-            e.clear()
-            e.update(copy.deepcopy(original))
-    for m in (owner, without):
-        for name in secret.drop:
-            if name == "oil":
-                _without_node(m, name)
-            else:
-                m["elements"] = [e for e in m["elements"] if e.get("name") != name]
+    def run(model: Model, record: int, driven: dict[str, Array]) -> dict[str, Array]:
+        y = _run(model, driven, size + lead, initial[record], step)
+        return {name: values[lead::2] for name, values in y.items()}
 
-    # the records
-    outputs = [o["name"] for o in base_model["outputs"]]
     records: list[dict[str, Array]] = []
     noise: dict[str, float] = {}
     visibility: dict[str, float] = {}
-    for i, u in enumerate(driven):
-        y = {k: v[lead::2] for k, v in _run(true, u, size + lead, initial(i), step).items()}
+    # what moves a machine is measured better than what moves a car
+    imperfect = 1e-5 if group in ("rig", "drive") else 2e-3
+    for i in range(2):
+        driven = inputs(secret, i)
+        y = run(true, i, driven)
         if i == 0:
-            noise = {k: 10 ** (-snr_db / 20) * float(np.std(y[k])) for k in outputs}
-            plainly = _run(without, u, size + lead, initial(i), step) if answer else None
-            for k in outputs:
-                change = (
-                    0.0 if plainly is None else float(np.sqrt(np.mean((y[k] - plainly[k][lead::2]) ** 2)))
-                )
-                visibility[k] = change / noise[k]
-        table = {"time": np.arange(len(y[outputs[0]])) * 2 * FINE}
-        for item in base_model["inputs"]:
-            column = u[item["name"]][lead::2]
-            if item["quantity"] != "current":
-                # what moves a machine is measured better than what moves a car
-                imperfect = 1e-5 if group in ("rig", "drive") else 2e-3
-                column = column + imperfect * np.std(column) * r.standard_normal(len(column))
-            table[item["name"]] = column
-        for k in outputs:
-            table[k] = y[k] + _ar1(r, len(y[k]), noise[k])
-        records.append(table)
+            noise = {k: 10 ** (-snr_db / 20) * float(np.std(y[k])) for k in y}
+            plain = run(without, i, driven) if answer else y
+            visibility = {k: float(np.sqrt(np.mean((y[k] - plain[k]) ** 2))) / noise[k] for k in y}
+        seen = {name: column[lead::2] for name, column in driven.items()}
+        table = {"time": np.arange(size // 2 + 1) * 2 * FINE} | _measured(base_model, seen, imperfect, r)
+        records.append(table | {k: y[k] + _ar1(r, len(y[k]), noise[k]) for k in y})
     return Case(
-        kind,
-        seed,
-        owner,
-        records[0],
-        records[1],
-        answer,
-        {"model": true, "hidden": hidden, "nuisances": small},
-        snr_db,
-        spread,
-        visibility,
+        kind=kind,
+        seed=seed,
+        model=owner,
+        estimation=records[0],
+        validation=records[1],
+        answer=answer,
+        truth={"model": true, "hidden": hidden, "nuisances": small},
+        snr_db=snr_db,
+        spread=spread,
+        visibility=visibility,
     )
 
 
