@@ -20,9 +20,7 @@ def command(
             autocompletion=complete(network_names),
         ),
     ] = None,
-    draw: Annotated[
-        Path | None, option("--draw FILE", "Draw the network to this file: .svg, .png or .pdf.")
-    ] = None,
+    draw: Annotated[Path | None, option("--draw FILE", "Draw the network to this file (.svg).")] = None,
     elements: Annotated[
         bool, option("--elements", "List the element types: law, parameters with units, and options.")
     ] = False,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 INK, MUTED, PALE = "#262b30", "#606870", "#dfe3e7"
 BLACK, BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, OLIVE = (
-    "#262b30", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7A4B2A", "#8A8A00",
+    "#262b30", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a4b2a", "#8a8a00",
 )  # fmt: skip
 DPI = 160
 #: colours of the figures in print, and on a dark page
@@ -167,9 +167,7 @@ class Picture:
     @property
     def inline(self) -> str:
         """The picture as an element of a page, in the colours of the page."""
-        text = self.drawing
-        for colour in THEMED:
-            text = text.replace(colour, f"var(--c{colour[1:]}, {colour})")
+        text = themed(self.drawing)
         for name, note in self.notes.items():
             text = text.replace(f'<g id="{name}">', f"<g><title>{escape(note)}</title>")
         head = f'<svg class="chart" style="width:{self.width}px" role="img" aria-label="{escape(self.alt)}"'
@@ -178,6 +176,13 @@ class Picture:
     def save(self, folder: Path) -> None:
         """Write the picture as an SVG file."""
         (folder / f"{self.stem}.svg").write_text(self.drawing + "\n", encoding="utf-8")
+
+
+def themed(drawing: str) -> str:
+    """Return the SVG of a figure in the colours of its page."""
+    for colour in THEMED:
+        drawing = drawing.replace(colour, f"var(--c{colour[1:]}, {colour})")
+    return drawing
 
 
 def as_picture(

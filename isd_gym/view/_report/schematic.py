@@ -1,225 +1,144 @@
-"""Schematic of a network: nodes as bars, masses as boxes, elements between nodes with their values.
+"""Schematic of a network: a row for each node, and a wire with a symbol for each element between two rows.
 
-Reduction of the graph finds series and parallel groups: series groups are drawn one below another, parallel
-groups side by side. Other structures (a bridge) are drawn at the side, with wires that may cross. A drawing
-is a list of strokes and words, written as SVG (in the colours of the reader's page), PNG or PDF.
+Elements in series share a column, elements in parallel stand side by side: each element takes the first column that is free
+between its two rows. The drawing is SVG, in the colours of the reader's page where it is part of a page.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..._common.errors import InputError
+from ..._common.files import write_text
 from ..._common.units import practical
 from ...physics import elements as el
-from .plots import channel_text, number, unit_text
+from ...physics.network import GROUND
+from .plots import BLUE, INK, MUTED, VERMILLION, channel_text, number, themed, unit_text
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
-    from ...physics.network import Body, Channel, Lever, Network
+    from ...physics.network import Channel, Lever, Network
 
-GROUND = "ground"
-SYMBOL = 46.0  # height of an element's symbol [px]
-TALL = 84.0  # height of an element with its wires [px]
+    #: text, colour, and whether it is bold
+    Words = list[tuple[str, str, bool]]
+
+HALF = 23.0  # half the height of a symbol [px]
+TALL = 84.0  # least distance of two rows [px]
 BOX = 34.0  # height of a mass [px]
+LINE = 13.0  # distance of two lines of text [px]
 LETTER = 6.1  # mean width of a letter of the small print [px]
-SMALL = 11.0
-SUFFIXES = (".svg", ".png", ".pdf")
-#: colours outside of a page: ink, muted, found, signal
-PLAIN = {"ink": "#262b30", "muted": "#606870", "found": "#D55E00", "signal": "#0072B2"}
+SMALL = 11.0  # size of the small print [px]
+SYMBOL = 44.0  # width of a symbol with its margins [px]
+MARGIN = 10.0  # margin of the sheet [px]
+PAPER = "#ffffff"
+MOVES = ("displacement", "velocity", "acceleration")
+
+# paths of symbols, about the middle of an element
+_SPRING = "M0-23v5l8 3-16 6 16 6-16 6 16 6-16 6 8 3v5"
+_POT = "M-9-6v18h18v-18M0 12v11M0-23v25M-7 2h14"
+_ARROW = "M-13 13l26-26m-6 1l6-1-1 6"
+_PLATES = "M0-23v9h-3v24M0 23v-9h3v-24M-3-8l-5 4M-3-4l-5 4M-3 0l-5 4M-3 4l-5 4"
+SYMBOLS = {
+    "linear_stiffness": _SPRING,
+    "series_compliance": _SPRING,
+    "cubic_stiffness": _SPRING + _ARROW,
+    "linear_damping": _POT,
+    "quadratic_damping": _POT + _ARROW,
+    "asymmetric_damping": _POT + _ARROW,
+    "inertance": "M0-23v26M-9-12v24h18v-24M0 12v11M0-12l3 2M0-8l3 2M0-4l3 2M0 0l3 2M3-3a4 4 0 1 0 8 0a4 4 0 1 0-8 0",
+    "coulomb_friction": _PLATES,
+    "stribeck_friction": _PLATES,
+    "bump_stop": "M0-23v14M-9-9h18M-7 9h14l-4-12h-6zM0 9v14",
+    "backlash": "M0-23v19M-6-4h12M-9-10h5M4-10h5M-9-10v20h18v-20M0 10v13",
+    "lever": "M0-23v11h-11v12h22v12h-11v11M0 0l-5 8h10z",
+    "motor": "M0-23v11M0 12v11M-12 0a12 12 0 1 0 24 0a12 12 0 1 0-24 0",
+}
+_BOX = "M0-23v11M0 12v11M-11-12h22v24h-22z"
+#: letters in symbols; other elements without a symbol have an f
+LETTERS = {
+    "motor": "M", "gas_spring": "p", "hysteresis": "z", "cogging_force": "~", "terminal_inertia": "m",
+    "tabulated_force": "F",
+}  # fmt: skip
 
 
-# ------------------------------------------------------------------------------------------------- the drawing
-
-
-@dataclass
-class _Stroke:
-    """A polyline through points (x, y) [px], of a part of the network; colours have names."""
-
-    points: list[tuple[float, float]]
-    part: str = ""
-    colour: str = "ink"
-    width: float = 1.4
-    closed: bool = False
-    filled: bool = False
-    dashed: bool = False
-
-
-@dataclass
-class _Word:
-    """A text at a position [px], of a part of the network; anchored at its 'start', 'middle' or 'end'."""
-
-    x: float
-    y: float
-    text: str
-    part: str = ""
-    colour: str = "ink"
-    anchor: str = "start"
-    bold: bool = False
-    size: float = SMALL
-
-
-@dataclass
 class Drawing:
-    """Strokes and words on a sheet."""
+    """A drawing as SVG marks of the parts of a network, and the box that the marks fill."""
 
-    width: float = 0.0  # width of the sheet [px]
-    height: float = 0.0  # height of the sheet [px]
-    strokes: list[_Stroke] = field(default_factory=list)  # polylines
-    words: list[_Word] = field(default_factory=list)  # texts
-    title: str = ""  # title
+    def __init__(self, title: str) -> None:
+        """Start an empty drawing."""
+        self.title = title
+        self.parts: dict[str, list[str]] = {}
+        self.left, self.right, self.foot = 0.0, 0.0, 0.0
+
+    def _add(self, part: str, mark: str, xs: Sequence[float], foot: float) -> None:
+        self.parts.setdefault(part, []).append(mark)
+        self.left, self.right = min(self.left, *xs), max(self.right, *xs)
+        self.foot = max(self.foot, foot)
+
+    def path(self, part: str, x: float, y: float, d: str, colour: str, width: float = 1.4) -> None:
+        """Draw a path about a point."""
+        mark = f'<path transform="translate({x:.1f} {y:.1f})" d="{d}" fill="none" stroke="{colour}" stroke-width="{width}"/>'
+        self._add(part, mark, (x - HALF, x + HALF), y)
+
+    def line(
+        self, part: str, start: tuple[float, float], end: tuple[float, float], colour: str = INK,
+        width: float = 1.4, dash: str = "none",
+    ) -> None:  # fmt: skip
+        """Draw a straight line."""
+        (x0, y0), (x1, y1) = start, end
+        place = f'x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"'
+        mark = f'<line {place} stroke="{colour}" stroke-width="{width}" stroke-dasharray="{dash}"/>'
+        self._add(part, mark, (x0, x1), max(y0, y1))
+
+    def box(self, part: str, left: float, right: float, top: float) -> None:
+        """Draw the box of a mass."""
+        place = f'x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{BOX}"'
+        mark = f'<rect {place} fill="{PAPER}" stroke="{INK}" stroke-width="1.6"/>'
+        self._add(part, mark, (left, right), top + BOX)
+
+    def word(
+        self, part: str, x: float, y: float, text: str, colour: str = INK, anchor: str = "start",
+        weight: str = "normal", size: float = SMALL,
+    ) -> float:  # fmt: skip
+        """Write a text, and return its right end."""
+        wide = LETTER * len(text) * size / SMALL
+        begin = x - wide * {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor]
+        look = f'font-size="{size}" font-weight="{weight}" text-anchor="{anchor}" fill="{colour}"'
+        halo = f'paint-order="stroke" stroke="{PAPER}" stroke-width="3"'
+        mark = f'<text x="{x:.1f}" y="{y:.1f}" {look} {halo}>{escape(text)}</text>'
+        self._add(part, mark, (begin, begin + wide), y)
+        return begin + wide
+
+    def arrow(self, part: str, x: float, low: float, high: float, ends: str) -> None:
+        """Draw a vertical arrow; `ends` are 'up' or 'both'."""
+        heads = f"M0 0V{high - low:.1f}m-3 5l3-5 3 5" + ("M-3-5l3 5 3-5" if ends == "both" else "")
+        self.path(part, x, low, heads, BLUE, 1.2)
 
     def svg(self, *, inline: bool = False) -> str:
         """Return the drawing as SVG."""
-
-        def colour(name: str) -> str:
-            return (
-                {"ink": "currentColor"}.get(name, f"var(--{name}, {PLAIN[name]})") if inline else PLAIN[name]
-            )
-
-        paper = "var(--paper, #fff)" if inline else "#fff"
-        parts: dict[str, list[str]] = {}
-        for s in self.strokes:
-            path = " ".join(f"{x:.1f},{y:.1f}" for x, y in s.points)
-            paint = colour(s.colour)
-            fill = paint if s.filled else (paper if s.closed else "none")
-            dash = ' stroke-dasharray="4 3"' if s.dashed else ""
-            tag = "polygon" if s.closed else "polyline"
-            parts.setdefault(s.part, []).append(
-                f'<{tag} points="{path}" fill="{fill}" stroke="{paint}" stroke-width="{s.width}"{dash}/>'
-            )
-        for w in self.words:
-            weight = ' font-weight="600"' if w.bold else ""
-            parts.setdefault(w.part, []).append(
-                f'<text x="{w.x:.1f}" y="{w.y:.1f}" font-size="{w.size}" text-anchor="{w.anchor}" '
-                f'fill="{colour(w.colour)}"{weight} paint-order="stroke" stroke="{paper}" stroke-width="3">{escape(w.text)}</text>'
-            )
-        body = "".join(f'<g data-part="{escape(name)}">{"".join(marks)}</g>' for name, marks in parts.items())
-        size = f'width="{self.width:.0f}" height="{self.height:.0f}" viewBox="0 0 {self.width:.0f} {self.height:.0f}"'
+        wide, tall = self.right - self.left + 2 * MARGIN, self.foot + MARGIN
+        marks = (f'<g data-part="{escape(name)}">{"".join(m)}</g>' for name, m in self.parts.items())
+        size = f'width="{wide:.0f}" height="{tall:.0f}" viewBox="{self.left - MARGIN:.0f} 0 {wide:.0f} {tall:.0f}"'
         # in a page the drawing shrinks to the width of the text, as long as its words remain readable
-        style = f' style="min-width:{0.8 * self.width:.0f}px"' if inline else ""
-        head = f'<svg xmlns="http://www.w3.org/2000/svg" {size}{style} class="schematic" role="img" font-family="system-ui, sans-serif" stroke-linejoin="round">'
-        back = "" if inline else f'<rect width="{self.width:.0f}" height="{self.height:.0f}" fill="#fff"/>'
-        return f"{head}<title>{escape(self.title)}</title>{back}{body}</svg>"
+        style = f'style="min-width:{0.8 * wide:.0f}px"' if inline else f'style="background:{PAPER}"'
+        look = 'class="schematic" role="img" font-family="system-ui, sans-serif" stroke-linejoin="round"'
+        text = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {style} {look}><title>{escape(self.title)}</title>{"".join(marks)}</svg>'
+        return themed(text) if inline else text
 
-    def save(self, path: str | Path) -> Path:
-        """Write the drawing in the format of the suffix."""
-        from ..._common.files import whole, write_text
-
-        path = Path(path)
-        check_suffix(path)
-        if path.suffix.lower() == ".svg":
-            write_text(path, self.svg() + "\n")
-            return path
-        from matplotlib.patches import Polygon
-
-        from .plots import figure, halo, style
-
-        with style(), whole(path) as temporary:
-            fig = figure(self.width / 96, self.height / 96)
-            fig.set_layout_engine("none")
-            ax = fig.add_axes((0, 0, 1, 1))
-            ax.set_axis_off()
-            ax.set_xlim(0, self.width)
-            ax.set_ylim(self.height, 0)
-            for s in self.strokes:
-                if s.closed:
-                    face = PLAIN[s.colour] if s.filled else "white"
-                    ax.add_patch(
-                        Polygon(
-                            s.points, facecolor=face, edgecolor=PLAIN[s.colour], lw=0.75 * s.width, zorder=2
-                        )
-                    )
-                else:
-                    xs, ys = zip(*s.points, strict=True)
-                    ax.plot(xs, ys, color=PLAIN[s.colour], lw=0.75 * s.width, ls="--" if s.dashed else "-")
-            for w in self.words:
-                ha = {"start": "left", "middle": "center", "end": "right"}[w.anchor]
-                ax.text(
-                    w.x, w.y, w.text, fontsize=0.75 * w.size * 0.94, color=PLAIN[w.colour], ha=ha, va="baseline",
-                    fontweight="bold" if w.bold else "normal", zorder=4, parse_math=False, path_effects=halo(),
-                )  # fmt: skip
-            bare = {"CreationDate": None} if path.suffix.lower() == ".pdf" else {"Software": None}
-            fig.savefig(temporary, format=path.suffix[1:].lower(), dpi=192, metadata=bare)
-        return path
+    def save(self, path: str | Path) -> None:
+        """Write the drawing as an SVG file."""
+        check_suffix(Path(path))
+        write_text(Path(path), self.svg() + "\n")
 
 
 def check_suffix(path: Path) -> None:
     """Check that a file name has the suffix of a drawing."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(
-            f"cannot draw to '{path}': end the name in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
-        )
-
-
-# ------------------------------------------------------------------------------------- series, parallel, the rest
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """An element, a series group from the top down (with the nodes between its parts), or a parallel group."""
-
-    top: str
-    bottom: str
-    element: el.Element | Lever | None = None
-    parts: tuple[_Piece, ...] = ()
-    inner: tuple[str, ...] = ()
-
-    @property
-    def series(self) -> bool:
-        """Whether the piece is a series group."""
-        return bool(self.inner)
-
-    def flipped(self) -> _Piece:
-        """Return the piece upside down."""
-        parts = tuple(p.flipped() for p in self.parts)
-        if self.series:
-            parts = parts[::-1]
-        return _Piece(self.bottom, self.top, self.element, parts, self.inner[::-1])
-
-    def reads(self, top: str) -> _Piece:
-        """Return the piece with a given upper node."""
-        return self if self.top == top else self.flipped()
-
-
-def _reduced(pieces: Sequence[_Piece], keep: Iterable[str]) -> list[_Piece]:
-    """Merge pieces in parallel and in series as far as possible; the nodes to `keep` stay."""
-    pieces, keep = list(pieces), set(keep)
-    while True:
-        by_pair: dict[frozenset[str], list[_Piece]] = {}
-        for p in pieces:
-            by_pair.setdefault(frozenset((p.top, p.bottom)), []).append(p)
-        merged = []
-        for group in by_pair.values():
-            if len(group) == 1:
-                merged.append(group[0])
-                continue
-            top, bottom = group[0].top, group[0].bottom
-            flat: list[_Piece] = []
-            for p in (g.reads(top) for g in group):
-                flat += p.parts if p.parts and not p.series else (p,)
-            merged.append(_Piece(top, bottom, parts=tuple(flat)))
-        pieces = merged
-        ends: dict[str, list[_Piece]] = {}
-        for p in pieces:
-            for n in (p.top, p.bottom):
-                ends.setdefault(n, []).append(p)
-        node = next((n for n, at in ends.items() if len(at) == 2 and n not in keep), None)
-        if node is None:
-            return pieces
-        first, second = ends[node]
-        upper = first if first.bottom == node else first.flipped()
-        lower = second.reads(node)
-        parts = (upper.parts if upper.series else (upper,)) + (lower.parts if lower.series else (lower,))
-        joined = _Piece(upper.top, lower.bottom, parts=parts, inner=(*upper.inner, node, *lower.inner))
-        at = min(pieces.index(first), pieces.index(second))
-        pieces = [p for p in pieces if p is not first and p is not second]
-        pieces.insert(at, joined)
+    if path.suffix.lower() != ".svg":
+        raise InputError(f"cannot draw to '{path}': end the name in .svg")
 
 
 # --------------------------------------------------------------------------------------------------- words
@@ -228,23 +147,19 @@ def _reduced(pieces: Sequence[_Piece], keep: Iterable[str]) -> list[_Piece]:
 def _values_text(e: el.Element | Lever, network: Network) -> list[str]:
     """Return the parameters of an element or lever with their units, one a line."""
     if not isinstance(e, el.Element):
-        return [
-            f"ratio {number(e.ratio, _digits(e.ratio))} {e.unit}".removesuffix(" m/m").removesuffix(
-                " rad/rad"
-            )
-        ]
+        unit = "" if e.unit in ("m/m", "rad/rad") else f" {e.unit}"
+        return [f"ratio {number(e.ratio, _digits(e.ratio))}{unit}"]
     if isinstance(e, el.TabulatedForce) and e.scale == 1.0:
         return [f"table over {' and '.join(k for k in ('elongation', 'rate') if getattr(e, k))}"]
     out = []
     for f in el.parameter_fields(type(e)):
         value = getattr(e, f.name)
-        if not isinstance(value, int | float):
-            continue
-        # rotational elements have other units than the class states
-        unit = unit_text(network.unit_of(f"{e.name}.{f.name}"))
-        factor, unit = practical(float(value), unit)
-        scaled = number(factor * value, _digits(value))
-        out.append(f"{scaled} {unit}" if unit else f"{channel_text(f.name)} {scaled}")
+        if isinstance(value, int | float):
+            # rotational elements have other units than the class states
+            unit = unit_text(network.unit_of(f"{e.name}.{f.name}"))
+            factor, unit = practical(float(value), unit)
+            scaled = number(factor * value, _digits(value))
+            out.append(f"{scaled} {unit}" if unit else f"{channel_text(f.name)} {scaled}")
     return out[:3]
 
 
@@ -256,535 +171,316 @@ def _briefly(e: el.Element, network: Network) -> str:
 
 
 def _digits(value: float) -> int:
-    """Return the number of significant digits of a value, from two to four."""
+    """Return the number of significant digits of a value, from one to four."""
     for n in (1, 2, 3):
         if value == 0 or math.isclose(float(f"{value:.{n - 1}e}"), value, rel_tol=1e-9):
-            return max(n, 1)
+            return n
     return 4
 
 
 def _channel(c: Channel) -> str:
     unit = unit_text(c.unit)
-    more = "" if getattr(c, "measured", True) else ", not measured"
-    return f"{channel_text(c.name)} [{unit}]{more}" if unit else channel_text(c.name) + more
+    text = f"{channel_text(c.name)} [{unit}]" if unit else channel_text(c.name)
+    return text if getattr(c, "measured", True) else f"{text}, not measured"
+
+
+class _Labels:
+    """Texts of a network; `found` are the names of highlighted elements."""
+
+    def __init__(self, network: Network, found: Iterable[str]) -> None:
+        self.network, self.found = network, set(found)
+
+    def colour(self, name: str, other: str = INK) -> str:
+        return VERMILLION if name in self.found else other
+
+    def output(self, c: Channel) -> tuple[str, str]:
+        """Return an output with the effects at its sensor, and its colour."""
+        sensors = [e for e in self.network.elements if e.place == "channel" and e.where[0] == c.name]
+        text = ", ".join([_channel(c), *(_briefly(e, self.network) for e in sensors)])
+        return text, VERMILLION if self.found & {e.name for e in sensors} else BLUE
+
+    def element(self, e: el.Element | Lever) -> Words:
+        """Return the lines beside an element: name, values, effects at the element and its channels."""
+        net = self.network
+        lines = [(channel_text(e.name), self.colour(e.name), True)]
+        lines += [(text, self.colour(e.name, MUTED), False) for text in _values_text(e, net)]
+        for other in net.elements:
+            if other.place == "element" and other.where[0] == e.name:
+                lines.append((_briefly(other, net), self.colour(other.name, MUTED), False))
+        lines += [(f"← {_channel(c)}", BLUE, False) for c in net.inputs if e.name in c.elements]
+        for c in net.outputs:
+            if e.name in c.elements:
+                text, colour = self.output(c)
+                lines.append((f"→ {text}", colour, False))
+        return lines
+
+    def mass(self, node: str, mass: float) -> str:
+        unit = "kg m²" if node in self.network.turning else "kg"
+        texts = [f"{channel_text(node)}  {number(mass, _digits(mass))} {unit}"]
+        for body in self.network.bodies:
+            if body.name == node:
+                texts += [f"{axis} {number(i, _digits(i))} kg m²" for axis, i in body.inertias.items()]
+        return ", ".join(texts)
 
 
 # -------------------------------------------------------------------------------------------------- the layout
 
 
-class _Sheet:
-    def __init__(self, network: Network, found: Iterable[str]) -> None:
-        self.net = network
-        self.found = set(found)
-        self.out = Drawing(
-            title=f"{network.name}: {network.description}" if network.description else network.name
-        )
-        self.y: dict[str, tuple[float, float]] = {}  # node -> upper and lower edge
-        self.x: dict[str, list[float]] = {}  # node -> positions of attached elements
-        self.beside: dict[str, list[str]] = {}  # element -> further texts at the element
-        self.carried = {**network.masses, **{b.name: b.mass for b in network.bodies}}
-        #: points and angles are drawn at the box of their body
+class _Layout:
+    """Rows of nodes, and columns of elements. Points and angles of a body belong to the row of their body."""
+
+    def __init__(self, network: Network, labels: _Labels) -> None:
+        self.network, self.labels = network, labels
+        self.masses = {**network.masses, **{b.name: b.mass for b in network.bodies}}
         self.home = {n: b.name for b in network.bodies for n in b.nodes[1:]}
-        self.points = {p.name: (p.x, p.y) for b in network.bodies for p in b.points}
-        self.attached: dict[str, list[float]] = {}  # point -> positions of attached elements
-        self.columns: dict[str, float] = {}  # measured distance -> position of its arrow
-        self.right = 0.0  # right end of the elements
-        # element -> channels of the element, and their colours
-        self.signal: dict[str, list[tuple[str, str]]] = {}
-        for e in network.elements:
-            if e.place == "element":
-                self.beside.setdefault(e.where[0], []).append(_briefly(e, network))
-        for c in network.inputs:
-            for name in c.elements:
-                self.signal.setdefault(name, []).append((f"← {_channel(c)}", "signal"))
-        for c in network.outputs:
-            text, ink = self.output(c)
-            for name in c.elements:
-                self.signal.setdefault(name, []).append((f"→ {text}", ink))
+        between: list[el.Element | Lever] = [e for e in network.elements if e.place == "between"]
+        self.elements = {e.name: e for e in (*between, *network.levers)}
+        self.ends = {n: tuple(self.home.get(k, k) for k in e.between) for n, e in self.elements.items()}
+        self.top, self.bottoms = self._poles()
+        near = self._neighbours(self.elements)
+        self.groups = _components(near, {self.top, *self.bottoms})
+        self.row = self._rows(near)
+        self.x: dict[str, float] = {}  # position of each element
 
-    def output(self, c: Channel) -> tuple[str, str]:
-        """Return an output with the effects at its sensor, and its colour."""
-        sensors = [e for e in self.net.elements if e.place == "channel" and e.where[0] == c.name]
-        found = any(e.name in self.found for e in sensors)
-        text = ", ".join([_channel(c), *(_briefly(e, self.net) for e in sensors)])
-        return text, "found" if found else "signal"
+    def _neighbours(self, names: Iterable[str]) -> dict[str, set[str]]:
+        near: dict[str, set[str]] = {}
+        for name in names:
+            first, second = self.ends[name]
+            near.setdefault(first, set()).add(second)
+            near.setdefault(second, set()).add(first)
+        return near
 
-    def stroke(self, *what: Any, **look: Any) -> None:
-        """Draw a `_Stroke`."""
-        self.out.strokes.append(_Stroke(*what, **look))
+    def _poles(self) -> tuple[str, list[str]]:
+        """Return the top node, and the bottom nodes: the ground or the moved node; for a car with bodies, all moved nodes.
 
-    def word(self, *what: Any, **look: Any) -> None:
-        """Write a `_Word`."""
-        self.out.words.append(_Word(*what, **look))
+        Found elements are ignored, so that the arrangement of the model stays the same.
+        """
+        known = [n for n in self.ends if n not in self.labels.found] or list(self.ends)
+        near = self._neighbours(known)
+        moved = [str(c.at) for c in self.network.inputs if c.at in near and c.quantity in MOVES]
+        bottom = GROUND if GROUND in near else moved[0] if moved else min(near)
+        bottoms = list(dict.fromkeys([bottom, *moved])) if self.network.bodies else [bottom]
+        far, ring = dict.fromkeys(bottoms, 0), set(bottoms)
+        for distance in range(1, len(near)):
+            ring = {m for n in ring for m in near[n]} - set(far)
+            far |= dict.fromkeys(sorted(ring), distance)
+        # among the most distant nodes: a mass, such as a car's body
+        inner = [n for n in far if n not in bottoms]
+        top = max(inner, key=lambda n: (n in self.masses, far[n], self.masses.get(n, 0.0)))
+        return top, bottoms
 
-    # sizes
+    def _rows(self, near: dict[str, set[str]]) -> dict[str, int]:
+        """Return the row of each node: in each group by the voltages of a network of resistors."""
+        level = dict.fromkeys(near, 0.5) | dict.fromkeys(self.bottoms, 1.0) | {self.top: 0.0}
+        inner = [n for group in self.groups for n in group]
+        for _ in range(200):
+            for n in inner:
+                level[n] = sum(level[m] for m in near[n]) / len(near[n])
+        row = {self.top: 0}
+        for group in self.groups:
+            order = sorted(group, key=lambda n: (round(level[n], 6), n))
+            row |= {n: k for k, n in enumerate(order, start=1)}
+        return row | dict.fromkeys(self.bottoms, max(row.values()) + 1)
 
-    def words(self, e: el.Element | Lever) -> list[tuple[str, str, bool]]:
-        colour = "found" if e.name in self.found else "ink"
-        lines = [(channel_text(e.name), colour, True)]
-        lines += [(t, "found" if colour == "found" else "muted", False) for t in _values_text(e, self.net)]
-        for t in self.beside.get(e.name, []):
-            hit = any(
-                o.name in self.found
-                for o in self.net.elements
-                if o.place == "element" and o.where[0] == e.name
+    def span(self, name: str) -> tuple[int, int]:
+        """Return the upper and the lower row of an element."""
+        first, second = sorted(self.row[n] for n in self.ends[name])
+        return first, second
+
+    def height(self, row: int) -> float:
+        """Return the distance from a row to the next row."""
+        lines = [
+            len(self.labels.element(e)) for n, e in self.elements.items() if self.span(n) == (row, row + 1)
+        ]
+        return max([TALL, *(30.0 + LINE * count for count in lines)])
+
+    def members(self, group: set[str]) -> list[str]:
+        """Return the elements at the nodes of a group, long elements first; without nodes, those from the top to the bottom."""
+        poles = {self.top, *self.bottoms}
+        names = [
+            n for n, ends in self.ends.items() if set(ends) & group or (not group and set(ends) <= poles)
+        ]
+        return sorted(names, key=lambda n: self.span(n)[0] - self.span(n)[1])
+
+    def place(self, names: Sequence[str], x: float) -> float:
+        """Place elements in columns from x on, and return the right end of the columns."""
+        columns: list[list[str]] = []
+        for name in names:
+            upper, lower = self.span(name)
+            free = (
+                column
+                for column in columns
+                if all(upper >= self.span(n)[1] or lower <= self.span(n)[0] for n in column)
             )
-            lines.append((t, "found" if hit else "muted", False))
-        return lines + [(t, ink, False) for t, ink in self.signal.get(e.name, [])]
-
-    def width(self, p: _Piece) -> float:
-        if p.element is not None:
-            return 44.0 + LETTER * max(len(t) for t, _, _ in self.words(p.element))
-        if p.series:
-            return self.margin(p) + max(
-                [self.width(q) for q in p.parts] + [self.node_width(n) for n in p.inner]
-            )
-        return sum(self.width(q) for q in p.parts)
-
-    def margin(self, p: _Piece) -> float:
-        """Return the width at the left for the names of nodes without mass."""
-        return max([LETTER * len(n) + 8.0 for n in p.inner if n not in self.carried], default=0.0)
-
-    def tall(self, n: str) -> float:
-        return BOX if n in self.carried else 0.0
-
-    def node_width(self, n: str) -> float:
-        return 30.0 + LETTER * 1.1 * len(self.mass_text(n)) if n in self.carried else 30.0
-
-    def mass_text(self, n: str) -> str:
-        mass = self.carried[n]
-        text = (
-            f"{channel_text(n)}  {number(mass, _digits(mass))} {'kg m²' if n in self.net.turning else 'kg'}"
-        )
-        inertias = next((b.inertias for b in self.net.bodies if b.name == n), {})
-        return ", ".join([text, *(f"{axis} {number(i, _digits(i))} kg m²" for axis, i in inertias.items())])
-
-    def height(self, p: _Piece) -> float:
-        if p.element is not None:
-            return max(TALL, 30.0 + 13.0 * len(self.words(p.element)))
-        if p.series:
-            return sum(map(self.height, p.parts)) + sum(map(self.tall, p.inner))
-        return max(map(self.height, p.parts))
-
-    # placing
-
-    def place(self, p: _Piece, x: float, top: float, bottom: float, wide: float) -> None:
-        """Draw a piece in the strip of width `wide` from x, between two heights."""
-        if p.element is not None:
-            self.draw_element(p, x, top, bottom, wide)
-        elif p.series:
-            spare = (bottom - top - self.height(p)) / len(p.parts)
-            at = top
-            x, wide = x + self.margin(p), wide - self.margin(p)
-            for k, q in enumerate(p.parts):
-                tall = self.height(q) + spare
-                if k:
-                    n = p.inner[k - 1]
-                    self.y[n] = (at, at + self.tall(n))
-                    at += self.tall(n)
-                self.place(q, x, at, at + tall, wide)
-                at += tall
-        else:
-            spare = (wide - self.width(p)) / len(p.parts)
-            for q in p.parts:
-                own = self.width(q) + spare
-                self.place(q, x, top, bottom, own)
-                x += own
-
-    def ends(self, p: _Piece) -> tuple[str, str]:
-        """Return the upper and lower node of an element's piece in the network; points of bodies keep their names."""
-        assert p.element is not None
-        where = p.element.between
-        first, second = where
-        return (first, second) if self.home.get(first, first) == p.top else (second, first)
-
-    def draw_element(self, p: _Piece, x: float, top: float, bottom: float, wide: float) -> None:
-        e = p.element
-        assert e is not None
-        words = self.words(e)
-        own = 44.0 + LETTER * max(len(t) for t, _, _ in words)
-        cx, cy = x + 0.5 * (wide - own) + 20.0, 0.5 * (top + bottom)
-        part = f"el:{e.name}"
-        colour = "found" if e.name in self.found else "ink"
-        for n, own_end in zip((p.top, p.bottom), self.ends(p), strict=True):
-            self.x.setdefault(n, []).append(cx)
-            if own_end in self.home:
-                self.attached.setdefault(own_end, []).append(cx)
-        half = SYMBOL / 2
-
-        def line(points: Sequence[tuple[float, float]], **how: Any) -> None:
-            shifted = [(cx + a, cy + b) for a, b in points]
-            self.stroke(shifted, part, colour, **how)
-
-        line([(0, top - cy), (0, -half)])
-        line([(0, half), (0, bottom - cy)])
-        kind = e.type if isinstance(e, el.Element) else "lever"
-        symbol = SYMBOLS.get(kind, _BOX)
-        for points, how in symbol:
-            line(points, **how)
-        if kind not in SYMBOLS or kind in LETTERED:
-            self.word(cx, cy + 4, LETTERED.get(kind, "f"), part, colour, "middle", True, 12.0)
-        at = cy - 6.5 * (len(words) - 1) + 4
-        for text, ink, bold in words:
-            self.word(cx + 18.0, at, text, part, ink, bold=bold)
-            at += 13.0
-
-    def draw_nodes(self) -> None:
-        net, moved = self.net, {c.at for c in self.net.inputs if c.at and c.quantity in MOVES}
-        for n, (top, bottom) in self.y.items():
-            xs = self.x.get(n) or [60.0]
-            part = f"node:{n}"
-            middle = 0.5 * (min(xs) + max(xs))
-            if n in self.carried:
-                half = max(0.5 * (max(xs) - min(xs)) + 22.0, 0.5 * self.node_width(n))
-                left, right = middle - half, middle + half
-                if any(b.name == n for b in net.bodies):
-                    right = max(right, self.right)
-                corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
-                self.stroke(corners, part, width=1.6, closed=True)
-                x, y = 0.5 * (left + right), 0.5 * (top + bottom) + 4
-                self.word(x, y, self.mass_text(n), part, "ink", "middle", True, 12.5)
-            else:
-                at = 0.5 * (top + bottom)
-                left, right = min(xs) - 12.0, max(xs) + 12.0
-                fixed = n == GROUND or n in moved
-                if fixed:
-                    left, right = left - 16.0, right + 16.0
-                self.stroke([(left, at), (right, at)], part, width=2.6 if fixed else 1.8)
-                if n == GROUND:
-                    for k in range(int((right - left) // 9)):
-                        self.stroke([(left + 9 * k + 9, at), (left + 9 * k, at + 9)], part, "muted", 1.0)
-                else:
-                    # a name inside the drawing, left of its bar, if the space is free
-                    self.word(left - 5, at + 4, channel_text(n), part, "muted", "end")
-            self.edge[n] = (left, right, 0.5 * (top + bottom))
-        for body in net.bodies:
-            if body.name in self.y:
-                self.draw_points(body)
-
-    def draw_points(self, body: Body) -> None:
-        """Draw the points of a body along its lower edge if elements are attached, otherwise along its upper
-        edge; and its angles."""
-        left, right, _ = self.edge[body.name]
-        top, bottom = self.y[body.name]
-        free = [p.name for p in body.points if p.name not in self.attached]
-        for node in (p.name for p in body.points):
-            part = f"node:{node}"
-            if node in self.attached:
-                xs = self.attached[node]
-                self.stroke([(min(xs) - 8, bottom), (max(xs) + 8, bottom)], part, width=4.0)
-                self.y[node] = (bottom, bottom)
-            else:
-                at = left + (right - left) * (free.index(node) + 1) / (len(free) + 1)
-                self.stroke([(at - 5, top - 7), (at + 5, top - 7), (at, top)], part, closed=True, filled=True)
-                self.word(at + 9, top - 4, channel_text(node), part, "muted")
-            self.edge[node] = self.edge[body.name]
-        for k, (axis, node) in enumerate(body.angles.items()):
-            part, cx, cy = f"node:{node}", right - 14.0 - 24.0 * k, 0.5 * (top + bottom)
-            turn = [
-                (cx + 8 * math.cos(a), cy + 8 * math.sin(a))
-                for a in (0.25 * math.pi * i for i in range(-2, 5))
-            ]
-            self.stroke(turn, part, width=1.2)
-            x, y = turn[-1]
-            self.stroke([(x + 1, y - 5), (x, y), (x + 5, y + 1)], part, width=1.2)
-            self.word(cx, cy + 3.5, axis[0], part, "muted", "middle", size=9.0)
-            self.edge[node] = self.edge[body.name]
-
-    def height_of(self, n: str) -> float:
-        """Return the height of the arrow for a node's motion; for a point with elements, the lower edge of its body."""
-        return self.y[n][1] if n in self.attached else self.edge[n][2]
-
-    def keep_column(self, p: _Piece, x: float) -> float:
-        """Reserve space at the right of a corner for measured distances, and return the end of the space."""
-        nodes: set[str] = set()
-        todo = [p]
-        while todo:
-            q = todo.pop()
-            nodes |= set(q.element.between) if q.element is not None else set()
-            todo += q.parts
-        for c in self.net.outputs:
-            if c.between is not None and set(c.between) <= nodes:
-                self.columns[c.name] = x + 8.0
-                x += 26.0 + LETTER * len(self.output(c)[0])
+            column = next(free, [])
+            if not column:
+                columns.append(column)
+            column.append(name)
+        named: set[str] = set(self.masses)
+        for column in columns:
+            nodes = {end for name in column for end in self.ends[name]} - named
+            named |= nodes
+            x += max([LETTER * len(n) for n in nodes], default=0.0)  # names stand left of their bars
+            self.x |= dict.fromkeys(column, x + SYMBOL / 2)
+            texts = [text for name in column for text, _, _ in self.labels.element(self.elements[name])]
+            x += SYMBOL + LETTER * max(map(len, texts))
         return x
 
-    edge: dict[str, tuple[float, float, float]]
+    def at(self, node: str) -> list[float]:
+        """Return the positions of the elements at a node; of all elements at a body for a free point or an angle."""
+        own = [self.x[n] for n, e in self.elements.items() if node in e.between and n in self.x]
+        return own or [self.x[n] for n, ends in self.ends.items() if self.home.get(node, node) in ends]
 
 
-MOVES = ("displacement", "velocity", "acceleration")
-Symbol = list[tuple[list[tuple[float, float]], dict[str, Any]]]
+def _components(near: dict[str, set[str]], poles: set[str]) -> list[set[str]]:
+    """Return the groups of nodes that hang together without the poles."""
+    groups: list[set[str]] = []
+    for start in near:
+        if start in poles or any(start in group for group in groups):
+            continue
+        group, fresh = {start}, {start}
+        while fresh:
+            fresh = {m for n in fresh for m in near[n]} - group - poles
+            group |= fresh
+        groups.append(group)
+    return groups
 
 
-def _zigzag(reach: float = 8.0, turns: int = 6) -> list[tuple[float, float]]:
-    half = SYMBOL / 2
-    inner = [(reach * (-1) ** k, -half + 6 + (SYMBOL - 12) * (k + 0.5) / turns) for k in range(turns)]
-    return [(0.0, -half), (0.0, -half + 5), *inner, (0.0, half - 5), (0.0, half)]
+class _Sheet:
+    """The drawing of a layout, group by group from the left."""
 
+    def __init__(self, network: Network, found: Iterable[str]) -> None:
+        self.network, self.labels = network, _Labels(network, found)
+        self.layout = layout = _Layout(network, self.labels)
+        title = f"{network.name}: {network.description}" if network.description else network.name
+        self.out = Drawing(title)
+        self.out.word("", 0.0, 20.0, network.name, weight="bold", size=14.0)
+        self.y: dict[int, float] = {}
+        y = 56.0
+        for row in range(max(layout.row.values()) + 1):
+            self.y[row] = y
+            is_thick = any(layout.row[n] == row and n in layout.masses for n in layout.row)
+            y += layout.height(row) + BOX * is_thick
+        self.end: dict[str, float] = {}  # right end of each node and its texts
+        self.drawn: set[str] = set()
+        self.x = 0.0
 
-def _circle(radius: float) -> list[tuple[float, float]]:
-    return [(radius * math.cos(a), radius * math.sin(a)) for a in (2 * math.pi * k / 40 for k in range(40))]
+    def draw(self) -> Drawing:
+        layout = self.layout
+        for group in (*layout.groups, set[str]()):
+            names = layout.members(group)
+            self.x = layout.place(names, self.x)
+            for name in names:
+                self.draw_element(name)
+            self.draw_nodes(group)
+        self.draw_nodes({layout.top, *layout.bottoms})
+        return self.out
 
+    def edges(self, node: str) -> tuple[float, float]:
+        """Return the heights of the upper and the lower edge of a node."""
+        node = self.layout.home.get(node, node)
+        y = self.y[self.layout.row[node]]
+        return y, y + BOX * (node in self.layout.masses)
 
-_HALF = SYMBOL / 2
-_BOX: Symbol = [
-    ([(0.0, -_HALF), (0.0, -12.0)], {}),
-    ([(0.0, 12.0), (0.0, _HALF)], {}),
-    ([(-11.0, -12.0), (11.0, -12.0), (11.0, 12.0), (-11.0, 12.0)], {"closed": True}),
-]
-_POT: Symbol = [
-    ([(-9.0, -6.0), (-9.0, 12.0), (9.0, 12.0), (9.0, -6.0)], {}),
-    ([(0.0, 12.0), (0.0, _HALF)], {}),
-    ([(0.0, -_HALF), (0.0, 2.0)], {}),
-    ([(-7.0, 2.0), (7.0, 2.0)], {"width": 2.2}),
-]
-_ARROW: Symbol = [([(-13.0, 13.0), (13.0, -13.0)], {}), ([(7.0, -12.0), (13.0, -13.0), (12.0, -7.0)], {})]
-_PLATES: Symbol = [
-    ([(0.0, -_HALF), (0.0, -14.0), (-3.0, -14.0), (-3.0, 10.0)], {"width": 2.2}),
-    ([(0.0, _HALF), (0.0, 14.0), (3.0, 14.0), (3.0, -10.0)], {"width": 2.2}),
-    *(([(-3.0, -8.0 + 4 * k), (-8.0, -4.0 + 4 * k)], {"width": 1.0}) for k in range(4)),
-]
-_STOP: Symbol = [
-    ([(0.0, -_HALF), (0.0, -9.0)], {}),
-    ([(-9.0, -9.0), (9.0, -9.0)], {"width": 2.2}),
-    ([(-7.0, 9.0), (7.0, 9.0), (3.0, -3.0), (-3.0, -3.0)], {"closed": True, "filled": True}),
-    ([(0.0, 9.0), (0.0, _HALF)], {}),
-]
-_INERTER: Symbol = [
-    ([(0.0, -_HALF), (0.0, 3.0)], {}),
-    ([(-9.0, -12.0), (-9.0, 12.0), (9.0, 12.0), (9.0, -12.0)], {}),
-    ([(0.0, 12.0), (0.0, _HALF)], {}),
-    *(([(0.0, -12.0 + 3.5 * k), (3.0, -10.2 + 3.5 * k)], {"width": 1.0}) for k in range(5)),
-    ([(x + 6.0, y - 3.0) for x, y in _circle(4.0)], {"closed": True}),
-]
-_SPRING: Symbol = [(_zigzag(), {})]
-_PLAY: Symbol = [
-    ([(0.0, -_HALF), (0.0, -4.0)], {}),
-    ([(-6.0, -4.0), (6.0, -4.0)], {"width": 2.2}),
-    ([(-9.0, -10.0), (-9.0, 10.0), (9.0, 10.0), (9.0, -10.0)], {}),
-    ([(-9.0, -10.0), (-4.0, -10.0)], {}),
-    ([(4.0, -10.0), (9.0, -10.0)], {}),
-    ([(0.0, 10.0), (0.0, _HALF)], {}),
-]
-SYMBOLS: Mapping[str, Symbol] = {
-    "linear_stiffness": _SPRING,
-    "series_compliance": _SPRING,
-    "cubic_stiffness": [*_SPRING, *_ARROW],
-    "linear_damping": _POT,
-    "quadratic_damping": [*_POT, *_ARROW],
-    "asymmetric_damping": [*_POT, *_ARROW],
-    "inertance": _INERTER,
-    "coulomb_friction": _PLATES,
-    "stribeck_friction": _PLATES,
-    "bump_stop": _STOP,
-    "backlash": _PLAY,
-    "lever": [
-        ([(0.0, -_HALF), (0.0, -12.0), (-11.0, -12.0), (-11.0, 0.0)], {}),
-        ([(-11.0, 0.0), (11.0, 0.0)], {"width": 2.4}),
-        ([(11.0, 0.0), (11.0, 12.0), (0.0, 12.0), (0.0, _HALF)], {}),
-        ([(0.0, 0.0), (-5.0, 8.0), (5.0, 8.0)], {"closed": True, "filled": True}),
-    ],
-    "motor": [
-        ([(0.0, -_HALF), (0.0, -12.0)], {}),
-        ([(0.0, 12.0), (0.0, _HALF)], {}),
-        (_circle(12.0), {"closed": True}),
-    ],
-}
-LETTERED = {
-    "motor": "M",
-    "gas_spring": "p",
-    "hysteresis": "z",
-    "cogging_force": "~",
-    "terminal_inertia": "m",
-    "tabulated_force": "F",
-}
+    def draw_element(self, name: str) -> None:
+        layout, out, e = self.layout, self.out, self.layout.elements[name]
+        upper, lower = sorted(layout.ends[name], key=layout.row.__getitem__)
+        top, bottom = self.edges(upper)[1], self.edges(lower)[0]
+        bottom = max(bottom, top + TALL)  # both ends may have one row
+        x, y, part, colour = layout.x[name], 0.5 * (top + bottom), f"el:{name}", self.labels.colour(name)
+        out.line(part, (x, top), (x, y - HALF), colour)
+        out.line(part, (x, y + HALF), (x, bottom), colour)
+        kind = e.type if isinstance(e, el.Element) else "lever"
+        out.path(part, x, y, SYMBOLS.get(kind, _BOX), colour)
+        if kind not in SYMBOLS or kind in LETTERS:
+            out.word(part, x, y + 4, LETTERS.get(kind, "f"), colour, "middle", "bold", 12.0)
+        lines = self.labels.element(e)
+        at = y - 0.5 * LINE * (len(lines) - 1) + 4
+        for text, ink, is_bold in lines:
+            out.word(part, x + 18, at, text, ink, weight="bold" if is_bold else "normal")
+            at += LINE
 
+    def draw_nodes(self, nodes: set[str]) -> None:
+        """Draw nodes with their points, then the channels of these nodes."""
+        for node in sorted(nodes):
+            self.draw_node(node)
+        self.drawn |= nodes | {n for n, home in self.layout.home.items() if home in nodes}
+        for c in (*self.network.inputs, *self.network.outputs):
+            if c.at is not None and self.layout.home.get(c.at, c.at) in nodes:
+                self.draw_signal(c)
+        for c in self.network.outputs:
+            ends = {self.layout.home.get(n, n) for n in c.between or ()}
+            inner = ends - {self.layout.top, *self.layout.bottoms}
+            if ends and (inner or ends) & nodes and (inner or ends) <= self.drawn:
+                self.draw_distance(c)
 
-def _pieces(sheet: _Sheet) -> list[_Piece]:
-    """Return elements and levers as pieces between drawn nodes; a point of a body is drawn at the body."""
-    out = []
-    between: list[el.Element | Lever] = [e for e in sheet.net.elements if e.place == "between"]
-    for e in (*between, *sheet.net.levers):
-        first, second = e.between
-        top, bottom = (sheet.home.get(n, n) for n in (first, second))
-        out.append(_Piece(top, bottom if bottom != top else second, element=e))
-    return out
+    def draw_node(self, node: str) -> None:
+        layout, out, part = self.layout, self.out, f"node:{node}"
+        xs, (top, bottom) = layout.at(node), self.edges(node)
+        left, right = min(xs) - 12, max(xs) + 12
+        if node == layout.top and node in layout.masses:
+            right = max(right, self.x)
+        if node in layout.masses:
+            text = self.labels.mass(node, layout.masses[node])
+            wide = max(right - left + 20, 30 + 1.2 * LETTER * len(text))
+            left, right = 0.5 * (left + right - wide), 0.5 * (left + right + wide)
+            out.box(part, left, right, top)
+            out.word(part, 0.5 * (left + right), 0.5 * (top + bottom) + 4, text, INK, "middle", "bold", 12.5)
+        else:
+            is_moved = any(c.at == node and c.quantity in MOVES for c in self.network.inputs)
+            is_fixed = is_moved or node == GROUND
+            out.line(part, (left, top), (right, top), width=2.6 if is_fixed else 1.8)
+            out.word(part, left - 5, top + 4, channel_text(node), MUTED, "end")
+        if node == GROUND:
+            for k in range(int((right - left) // 9)):
+                out.line(part, (left + 9 * k + 9, top), (left + 9 * k, top + 9), MUTED, 1.0)
+        self.end[node] = right
+        self.x = max(self.x, right)
+        points = [n for n, home in layout.home.items() if home == node]
+        for k, point in enumerate(points, start=1):
+            own = [layout.x[n] for n, e in layout.elements.items() if point in e.between]
+            x = sum(own) / len(own) if own else left + (right - left) * k / (len(points) + 1)
+            text = channel_text(point.removeprefix(f"{node}."))
+            out.word(f"node:{point}", x, top - 5 - LINE * (k % 2), text, MUTED, "middle")
+            self.end[point] = right
 
+    def draw_signal(self, c: Channel) -> None:
+        """Draw an input or an output of one node; of moved nodes, the arrow has two heads."""
+        node = self.layout.home.get(str(c.at), str(c.at))
+        part, text, colour = f"ch:{c.name}", f"{_channel(c)} in", BLUE
+        if c in self.network.outputs:
+            text, colour = self.labels.output(c)
+        is_moved = c in self.network.inputs and c.quantity in MOVES
+        count = sum(part in self.out.parts for part in (f"ch:{d.name}" for d in self.beside(node)))
+        first = self.edges(node)[0] + (17.0 if node in self.layout.masses else 4.0)
+        x, y = self.end[node] + 14, first + 17.0 * count
+        self.out.arrow(part, x, y + 3, y - 12, "both" if is_moved else "up")
+        self.x = max(self.x, self.out.word(part, x + 9, y, text, colour))
 
-def _poles(sheet: _Sheet, pieces: Sequence[_Piece]) -> tuple[str, list[str]]:
-    """Return the top node, and the bottom nodes: the ground or the moved node; for a car with bodies, all moved nodes.
+    def beside(self, node: str) -> list[Channel]:
+        """Return the channels that are written beside a node."""
+        channels = (*self.network.inputs, *self.network.outputs)
+        return [c for c in channels if c.at is not None and self.layout.home.get(c.at, c.at) == node]
 
-    Found elements are ignored, so that the arrangement of the model stays the same.
-    """
-    network = sheet.net
-    known = [p for p in pieces if p.element is not None and p.element.name not in sheet.found] or pieces
-    nodes = {n for p in known for n in (p.top, p.bottom)}
-    moved = [c.at for c in network.inputs if c.at in nodes and c.quantity in MOVES]
-    bottom = GROUND if GROUND in nodes else moved[0] if moved else min(nodes)
-    bottoms = list(dict.fromkeys([bottom, *map(str, moved)])) if network.bodies else [bottom]
-    near: dict[str, set[str]] = {}
-    for p in known:
-        near.setdefault(p.top, set()).add(p.bottom)
-        near.setdefault(p.bottom, set()).add(p.top)
-    far, ring = dict.fromkeys(bottoms, 0), bottoms
-    while ring:
-        ring = sorted({m for n in ring for m in near[n]} - set(far))
-        for n in ring:
-            far[n] = 1 + min(far[m] for m in near[n] if m in far)
-    # among the most distant nodes: a mass, such as a car's body, with the most elements
-    mass = sheet.carried
-    top = max(far, key=lambda n: (far[n] > 0, n in mass, n in moved, far[n], mass.get(n, 0.0)))
-    if bottom == GROUND and moved and not mass:
-        top = str(moved[0])
-    if top in bottoms:
-        top = next(n for p in pieces for n in (p.top, p.bottom) if n != bottom)
-    return top, [n for n in bottoms if n != top]
+    def draw_distance(self, c: Channel) -> None:
+        """Draw an output between two nodes: an arrow at the right of all that is drawn."""
+        assert c.between is not None
+        part, x = f"ch:{c.name}", self.x + 12
+        # from the lower edge of the top node, to the upper edge of others
+        heights = [self.edges(n)[self.layout.home.get(n, n) == self.layout.top] for n in c.between]
+        for node, y in zip(c.between, heights, strict=True):
+            start = self.end.get(node, x)
+            self.out.line(part, (start + 4, y), (x + 6, y), MUTED, 0.6, "4 3")
+        self.out.arrow(part, x, max(heights), min(heights), "both")
+        text, colour = self.labels.output(c)
+        self.x = self.out.word(part, x + 7, 0.5 * sum(heights), text, colour)
 
 
 def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
     """Return the drawing of a network."""
     if not any(e.place == "between" for e in network.elements):
         raise InputError("a network without elements between nodes cannot be drawn")
-    sheet = _Sheet(network, found)
-    sheet.edge = {}
-    pieces = _pieces(sheet)
-    top, bottoms = _poles(sheet, pieces)
-    rest = _reduced(pieces, {top, *bottoms})
-    main = [p for p in rest if top in (p.top, p.bottom) and {p.top, p.bottom} & set(bottoms)]
-    others = [p for p in rest if p not in main]
-    margin, head = 90.0, 46.0
-    x = margin
-    tallest = max([sheet.height(p) for p in main] + [_levels_height(sheet, others, top, bottoms)])
-    sheet.y[top] = (head, head + sheet.tall(top))
-    begin = sheet.y[top][1]
-    for bottom in bottoms:
-        sheet.y[bottom] = (begin + tallest, begin + tallest + sheet.tall(bottom))
-    for p in main:
-        wide = sheet.width(p)
-        sheet.place(p.reads(top), x, begin, begin + tallest, wide)
-        x += wide
-        if network.bodies:
-            x = sheet.keep_column(p, x)
-    if others:
-        x = _place_others(sheet, others, top, bottoms, x, begin, tallest)
-    sheet.right = x
-    sheet.draw_nodes()
-    _signals(sheet, x)
-    return sheet.out
-
-
-def _depths(pieces: Sequence[_Piece], top: str, bottoms: Collection[str]) -> dict[str, int]:
-    """Return the rows of the nodes outside of series and parallel groups, from the top down."""
-    near: dict[str, set[str]] = {}
-    for p in pieces:
-        near.setdefault(p.top, set()).add(p.bottom)
-        near.setdefault(p.bottom, set()).add(p.top)
-    # voltages of a chain of resistors: every inner node lies between its neighbours
-    level = {n: 0.0 if n == top else 1.0 if n in bottoms else 0.5 for n in near}
-    for _ in range(200):
-        for n in near:
-            if n != top and n not in bottoms:
-                level[n] = sum(level[m] for m in near[n]) / len(near[n])
-    order = sorted((n for n in near if n != top and n not in bottoms), key=lambda n: (round(level[n], 6), n))
-    return {n: k + 1 for k, n in enumerate(order)}
-
-
-def _levels_height(sheet: _Sheet, pieces: Sequence[_Piece], top: str, bottoms: Collection[str]) -> float:
-    if not pieces:
-        return 0.0
-    rows = len(_depths(pieces, top, bottoms)) + 1
-    return rows * (max(map(sheet.height, pieces)) + BOX)
-
-
-def _place_others(
-    sheet: _Sheet,
-    pieces: Sequence[_Piece],
-    top: str,
-    bottoms: Collection[str],
-    x: float,
-    begin: float,
-    tallest: float,
-) -> float:
-    """Place pieces outside of series and parallel groups: each node in a row, each piece in a column."""
-    depth = _depths(pieces, top, bottoms)
-    pitch = tallest / (len(depth) + 1)
-    for n, k in depth.items():
-        at = begin + k * pitch - 0.5 * sheet.tall(n)
-        sheet.y[n] = (at, at + sheet.tall(n))
-    for p in sorted(pieces, key=lambda p: sum(sheet.y[n][0] for n in (p.top, p.bottom))):
-        p = p if sheet.y[p.top][0] < sheet.y[p.bottom][0] else p.flipped()
-        wide = sheet.width(p) + 14.0
-        sheet.place(p, x, sheet.y[p.top][1], sheet.y[p.bottom][0], wide)
-        x += wide
-    return x
-
-
-def _arrow(sheet: _Sheet, x: float, y0: float, y1: float, part: str, both: bool = False) -> None:
-    """Draw a vertical arrow from y0 to y1."""
-    s = math.copysign(5.0, y1 - y0)
-    sheet.stroke([(x, y0), (x, y1)], part, "signal", 1.2)
-    sheet.stroke([(x - 3.5, y1 - s), (x, y1), (x + 3.5, y1 - s)], part, "signal", 1.2)
-    if both:
-        sheet.stroke([(x - 3.5, y0 + s), (x, y0), (x + 3.5, y0 + s)], part, "signal", 1.2)
-
-
-def _signals(sheet: _Sheet, x: float) -> None:
-    """Draw inputs and outputs at and between nodes, then set the size of the sheet."""
-    net, out = sheet.net, sheet.out
-    right = max([x, *(e[1] for e in sheet.edge.values())]) + 10.0
-    used: dict[str, int] = {}
-    taken: dict[str, float] = {}  # node -> end of its texts
-    widest = right
-    sides = [(c, f"{_channel(c)} in", "signal", c.quantity != "force") for c in net.inputs]
-    sides += [(c, *sheet.output(c), False) for c in net.outputs]
-    for c, words, ink, both in sides:
-        node = c.at
-        if node not in sheet.edge:
-            continue
-        _, end, at = sheet.edge[node]
-        stack = sheet.home.get(node, node)
-        k = used[stack] = used.get(stack, -1) + 1
-        part = f"ch:{c.name}"
-        ax, ay = end + 14.0, at + 17.0 * k
-        # positive values point up; moved nodes have arrows in both directions
-        _arrow(sheet, ax, ay + 7, ay - 8, part, both=both)
-        sheet.word(ax + 9, ay + 4, words, part, ink)
-        taken[node] = max(taken.get(node, 0.0), ax + 12 + LETTER * 1.03 * len(words))
-        widest = max(widest, taken[node])
-    beside = widest + 16.0
-    for c in net.outputs:
-        if c.between is None or not set(c.between) <= set(sheet.edge):
-            continue
-        part = f"ch:{c.name}"
-        own = sheet.columns.get(c.name)
-        column = beside if own is None else own
-        ys = [sheet.height_of(n) for n in c.between]
-        for n, y in zip(c.between, ys, strict=True):
-            if n in sheet.attached:  # the arrow reaches the body
-                continue
-            start = max(sheet.edge[n][1], taken.get(n, 0.0)) + 4
-            sheet.stroke([(start, y), (column + 6, y)], part, "muted", 0.6, dashed=True)
-        _arrow(sheet, column, max(ys), min(ys), part, both=True)
-        text, ink = sheet.output(c)
-        # beside the arrow, away from the height of a node
-        place = min(ys) + 0.5 * (max(ys) - min(ys))
-        sheet.word(column + 7, place, text, part, ink)
-        if own is None:
-            beside += 26.0 + LETTER * len(text)
-            widest = max(widest, beside)
-    low = min(
-        [a for s in out.strokes for a, _ in s.points]
-        + [w.x - (LETTER * len(w.text) if w.anchor == "end" else 0) for w in out.words]
-    )
-    shift = low - 10.0
-    for s in out.strokes:
-        s.points = [(a - shift, b) for a, b in s.points]
-    for w in out.words:
-        w.x -= shift
-    out.width = widest - shift + 14.0
-    out.height = max([b for s in out.strokes for _, b in s.points] + [w.y for w in out.words]) + 18.0
-    out.words.insert(0, _Word(10.0, 20.0, net.name, "", "ink", bold=True, size=14.0))
-    out.width = max(out.width, 40.0 + 8.0 * len(net.name))
+    return _Sheet(network, found).draw()
 
 
 def place_parts(network: Network, where: Sequence[str]) -> list[str]:
