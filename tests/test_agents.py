@@ -132,10 +132,6 @@ def test_a_folder_gives_the_same_policy_back(rng, tmp_path):
     assert back.model == policy.model
 
 
-def edit(path, **changes):
-    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
-
-
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [
@@ -143,15 +139,8 @@ def edit(path, **changes):
         (lambda d: (d / JSON_NAME).unlink(), f"no {JSON_NAME}"),
         (lambda d: (d / WEIGHTS_NAME).write_bytes((d / WEIGHTS_NAME).read_bytes()[:-1] + b"\0"), "altered"),
         (lambda d: (d / JSON_NAME).write_text("{"), "not JSON"),
-        (lambda d: (d / JSON_NAME).write_text('{"clip": NaN}'), "NaN is no number"),
-        (lambda d: (d / JSON_NAME).write_text("[" * 5000), "levels|not JSON"),
         (lambda d: (d / JSON_NAME).write_bytes(b"\xff\xfe"), "not JSON"),
         (lambda d: (d / JSON_NAME).write_text("[1]"), "schema"),
-        (lambda d: edit(d / JSON_NAME, memory={"scale": "x"}), "memory"),
-        (lambda d: edit(d / JSON_NAME, memory={"scale": [1.0]}), "memory"),
-        (lambda d: edit(d / JSON_NAME, action={"mode": "jump"}), "mode"),
-        (lambda d: edit(d / JSON_NAME, action={"boost": 2}), "boost"),
-        (lambda d: edit(d / JSON_NAME, actor={"layers": []}), "activation|layers"),
     ],
 )
 def test_a_spoilt_folder_is_one_clear_line(rng, tmp_path, spoil, says):

@@ -334,8 +334,7 @@ def test_clean_records_pass_at_any_usual_noise_and_rate(seed):
     assert serious(judged(car(step=step, seconds=2400 * step))) == []
 
 
-@pytest.mark.parametrize("levels", [200, 2000, 20000])
-@pytest.mark.parametrize("snr_db", [26.0, 50.0, 300.0])
+@pytest.mark.parametrize(("levels", "snr_db"), [(200, 26.0), (2000, 50.0), (200, 300.0), (20000, 300.0)])
 def test_encoders_and_rounded_files_pass(levels, snr_db):
     table = car(snr_db=snr_db)
     grid = {n: np.ptp(table[n]) / levels for n in table.columns}

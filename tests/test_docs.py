@@ -1,6 +1,7 @@
 """What the documentation says works: its code runs, its commands parse, the site builds, the notebooks run."""
 
 import importlib.util
+import logging
 import os
 import re
 import shlex
@@ -61,11 +62,13 @@ def cases(paths, wanted=lambda path: True, slow=()):
 
 @pytest.fixture
 def types_as_they_were():
-    """A page may register an element: it is forgotten afterwards."""
+    """A page may register an element, and a library's logger writes to the captured stream: both are forgotten afterwards."""
     known = dict(elements.TYPES)
     yield
     for kind in set(elements.TYPES) - set(known):
         del elements.TYPES[kind]
+    for name in list(logging.root.manager.loggerDict):
+        logging.getLogger(name).handlers.clear()
 
 
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")

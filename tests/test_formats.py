@@ -53,13 +53,6 @@ def test_a_workbook_is_read_like_a_text_table(tmp_path):
     assert set(raster.values) == {"time", "force"}
 
 
-def test_two_runs_side_by_side_in_a_workbook_are_rasters(tmp_path):
-    rows = [["time1", "force1", "time2", "force2"], *zip(TIME, FORCE, TIME, 2 * FORCE, strict=True)]
-    excel(tmp_path / "a.xlsx", [list(r) for r in rows])
-    first, second = read_rasters(tmp_path / "a.xlsx")
-    assert np.allclose(2 * first.values["force"], second.values["force"])
-
-
 def test_a_bad_workbook_is_one_line(tmp_path, monkeypatch):
     excel(tmp_path / "a.xlsx", [["only", "text"], ["no", "numbers"]])
     unread(tmp_path / "a.xlsx", "no sheet with rows of numbers")

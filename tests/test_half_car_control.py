@@ -80,15 +80,6 @@ def test_on_a_decoupled_half_car_each_corner_is_driven_as_a_quarter_car(policy):
     assert np.abs(wanted).max(axis=1).min() > 0.3
 
 
-def test_a_full_car_has_a_controller_at_each_corner():
-    run = drive(find("skyhook", FULL), FULL, episodes=2, duration=2.0)
-    base = drive(find("isd-passive", FULL), FULL, episodes=2, duration=2.0)
-    from isd_gym.physics.cost import FULL_CAR
-
-    assert (run.cost(FULL_CAR) < base.cost(FULL_CAR)).all()
-    assert all(np.abs(run.signals[f"current_{c.name}"]).max() > 0.1 for c in run.car.corners)
-
-
 @pytest.mark.parametrize("name", ["lqg", *baselines.WHOLE_CAR])
 @pytest.mark.parametrize("step", [4e-3, 5e-3])
 def test_the_slew_limit_is_a_rate(name, step):

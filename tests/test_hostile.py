@@ -363,6 +363,8 @@ def spoilt(tmp_path, **change):
         ("action.limit", 50.0, "limit must be > 0 and at most 5 A, not 50"),
         ("action.limit", 10**200, "at most 5 A"),
         ("action.gain", "x", "gain"),
+        ("action.mode", "jump", "mode"),
+        ("action.boost", 2, "boost"),
         ("network", "/etc/passwd", "network must be an object"),
         ("weights", None, "garbles"),
         ("training", 1, "training must be an object"),

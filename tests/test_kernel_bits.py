@@ -1,13 +1,9 @@
 """A car is the same car to the last bit: alone, beside others, with matrices of its own or shared ones."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 from builders import channel, damper, element, friction, network, spring
 
-from isd_gym.physics._batch import Batch
 from isd_gym.physics.network import Channel, Network
 from isd_gym.physics.simulate import Plant
 
@@ -109,43 +105,3 @@ def test_parameters_of_their_own_are_networks_of_their_own(other):
     together = Plant(nets, STEP).run(inputs, samples=1501)
     for l, one in enumerate(nets):
         np.testing.assert_array_equal(together[:, :, l], Plant(one, STEP).run(inputs, samples=1501)[:, :, 0])
-
-
-@pytest.mark.parametrize("model", ["quarter-car-isd", "quarter-car-passive"])
-@pytest.mark.parametrize("spread", [{}, {"body.mass": (0.8, 1.2)}])
-def test_a_car_of_a_batch_is_the_car_alone(model, spread):
-    """Two blocks, the last one not full; a car without a motor has no current to be driven by."""
-    count, net = 131, Network.load(model)
-    rng = np.random.default_rng(1)
-    currents = rng.uniform(-5, 5, (300, count))
-
-    def drive(batch, cars):
-        for i, c in enumerate(cars):
-            batch.reset(i, np.random.default_rng(c))
-        out = []
-        for row in currents:
-            batch.cars[0] = row[cars]
-            out.append(batch.step().copy())
-        return np.array(out)
-
-    many = drive(Batch(count, net, randomize=spread, road_="C+bump"), list(range(count)))
-    assert np.isfinite(many).all()
-    for i in (0, 64, 127, 128, 130):
-        alone = drive(Batch(1, net, randomize=spread, road_="C+bump"), [i])
-        np.testing.assert_array_equal(many[:, :, i], alone[:, :, 0])
-
-
-@pytest.mark.parametrize("twin", [copy.deepcopy, lambda batch: pickle.loads(pickle.dumps(batch))])
-def test_a_copied_batch_goes_on_alike_and_on_its_own(twin):
-    batch = Batch(3, Network.load("quarter-car-isd"), preview=0.1)
-    for i in range(3):
-        batch.reset(i, np.random.default_rng(i))
-    batch.step()
-    other = twin(batch)
-    for current in (5.0, -5.0, 2.0):
-        batch.cars[0] = other.cars[0] = current
-        np.testing.assert_array_equal(batch.step(), other.step())
-        np.testing.assert_array_equal(batch.road_ahead(), other.road_ahead())
-    before = other.out.copy()
-    batch.step()
-    np.testing.assert_array_equal(other.out, before)

@@ -46,21 +46,6 @@ def test_a_flywheel_on_a_rack_is_a_mass_of_its_inertia_over_the_ratio_squared():
     assert built.unit_of("pinion.ratio") == "m/rad"
 
 
-def test_friction_at_a_shaft_is_a_friction_force_at_the_rack():
-    """A torque of 6 N m at 0.012 m/rad holds 500 N, sticking and slipping."""
-
-    def rubbing(levers, name, **more):
-        seal = friction(name, "ground", 6.0 if levers else 500.0)
-        return model({"mass": 20.0}, [SPRING, seal], [PUSH], MOTION, levers, **more)
-
-    t = np.arange(0.0, 3.0, 1e-3)
-    push = {"push": 900.0 * np.sin(6.0 * t)}
-    shaft = simulate(rubbing([lever("pinion", "mass", "shaft", 0.012, "m/rad")], "shaft"), t, push)
-    rod = simulate(rubbing([], "mass"), t, push)
-    assert np.sum(np.abs(np.diff(rod["place"])) < 1e-7) > 100  # it sticks
-    assert np.abs(shaft["place"] - rod["place"]).max() < 1e-9 * np.abs(rod["place"]).max()
-
-
 def test_the_kernel_agrees_with_another_integrator_on_an_inerter_as_built():
     """Rack, pinion and flywheel with friction at the shaft: 0.1 % of the motion's deviation."""
     data = rack().to_dict()

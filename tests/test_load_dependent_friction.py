@@ -43,59 +43,6 @@ def driven(seconds=4.0, step=1e-3, size=30.0, weight=0.0):
     return time, {"drive": drive - weight * np.minimum(time, 1.0), "weight": weight * np.minimum(time, 1.0)}
 
 
-def constant(level):
-    """Return Coulomb friction as a Stribeck curve without a fall, which the kernel solves on the same way as a friction under load."""
-    return {"type": "stribeck_friction", "level": level, "static_level": level, "stribeck_velocity": 0.01}
-
-
-@pytest.mark.parametrize("squeeze", [0.0, 0.02, -0.05])
-def test_under_a_constant_load_it_is_coulomb_friction_of_that_level(squeeze):
-    """A brake whose pad a moved node presses with a known force."""
-
-    def brake(rub):
-        parts = [damper("cart", "ground", 3.0, "guide"), builders.spring("screw", "ground", 500.0, "clip")]
-        rub = {"name": "rub", "between": ["cart", "ground"], **rub}
-        return builders.cart(*parts, rub, inputs=["push force cart", "screw displacement screw"])
-
-    time = np.arange(0.0, 4.0, 1e-3)
-    inputs = {"push": 12.0 * np.sin(5.0 * time), "screw": np.full(len(time), squeeze)}
-    level = LEVEL + GAIN * abs(500.0 * squeeze)
-    seen, plain = (simulate(brake(r), time, inputs)["speed"] for r in (under("clip"), constant(level)))
-    assert np.abs(seen - plain).max() < 1e-9
-    assert np.ptp(plain) > 0.1
-
-
-def exact(time, inputs, parts):
-    """Return the speed of the rotor and the place of the link (n,), by semi-implicit Euler steps with a projection, `parts` per sample."""
-    h = (time[1] - time[0]) / parts
-    x, v, y, w, out = 0.0, 0.0, 0.0, 0.0, []
-    for k in range(len(time)):
-        out.append((v, y))
-        after = min(k + 1, len(time) - 1)
-        for j in range(parts):
-            share = (j + 0.5) / parts
-            drive, weight = (
-                inputs[n][k] + share * (inputs[n][after] - inputs[n][k]) for n in ("drive", "weight")
-            )
-            spring, oil = 4000.0 * (x - y), 8.0 * (v - w)
-            level = LEVEL + GAIN * abs(spring)
-            free = v + h * (drive - spring - oil)
-            v = free - np.clip(free, -h * level, h * level)
-            w += h / 3.0 * (weight + spring + oil - 6.0 * w)
-            x, y = x + h * v, y + h * w
-    return np.array(out).T
-
-
-def test_a_drive_under_load_moves_as_an_independent_integration_says():
-    time, inputs = driven(weight=25.0)
-    speed, place = exact(time, inputs, 40)
-    seen = simulate(joint(), time, inputs)
-    plain = simulate(joint(friction={"type": "coulomb_friction", "level": LEVEL}), time, inputs)
-    assert np.abs(plain["place"] - place).max() > 0.05 * np.abs(place).max()  # the gain matters
-    assert np.abs(seen["place"] - place).max() < 5e-3 * np.abs(place).max()
-    assert np.sqrt(np.mean((seen["speed"] - speed) ** 2)) < 5e-3 * speed.std()
-
-
 def test_a_heavier_load_needs_more_force_to_break_away():
     time = np.arange(0.0, 20.0, 1e-3)
     forces = []

@@ -186,8 +186,8 @@ def test_smooth_laws_are_of_second_order_and_friction_of_first():
 def test_hysteresis_with_any_exponent_is_the_integral_of_its_law():
     """Against the differential equation in small steps, and at any length of a step within its bound."""
     law = el.Hysteresis.law
-    for exponent in (0.5, 1.5, 2.0, 4.0):
-        for shape in (0.2, 0.5, 0.9):
+    for exponent in (0.5, 1.0, 1.5, 2.0, 4.0):
+        for shape in (0.0, 0.5, 0.9):
             for start in (-0.9, 0.0, 0.5):
                 p, way = np.array([100.0, 1e4, exponent, shape]), 2e-3
                 z, n = 100.0 * start, 20_000

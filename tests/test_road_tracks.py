@@ -34,19 +34,6 @@ def responses(ground, width, speed, step, n):
     return parts[:, :SUM_STATES].sum(axis=1), parts[:, SUM_STATES:].sum(axis=1)
 
 
-def words(counter, count):
-    """Unit-variance numbers of one SplitMix64 counter, in whole numbers of Python."""
-    mask, out = (1 << 64) - 1, []
-    sigma = math.sqrt(4 * (2**32 - 1) / 12)
-    for _ in range(count):
-        counter = (counter + 0x9E3779B97F4A7C15) & mask
-        w = ((counter ^ (counter >> 30)) * 0xBF58476D1CE4E5B9) & mask
-        w = ((w ^ (w >> 27)) * 0x94D049BB133111EB) & mask
-        w ^= w >> 31
-        out.append((sum((w >> 16 * i) & 0xFFFF for i in range(4)) - 4 * 0xFFFF / 2) / sigma)
-    return out
-
-
 def test_the_fitted_density_is_positive_at_all_frequencies():
     n = np.geomspace(1e-7, 1e5, 4000)
     square, poles = (2 * np.pi * 1.5 * n[:, None]) ** 2, np.square(tracks.COHERENCE_POLES)
@@ -102,37 +89,6 @@ def test_filters_are_stable_and_cached():
         gains[0] = 0.0
     poles, gains = road("flat").track_filters(1.5, 20.0, 1e-3)
     assert not gains.any() and np.all(poles <= 1.0)
-
-
-def test_drawn_numbers_are_those_of_the_counters():
-    """The compiled recursion equals whole numbers and floats of Python to the last bit, for one track and for two."""
-    ground, speed, step, count = iso_road("B"), 17.0, 1e-3, 40
-    rng = np.random.default_rng(8)
-    seeds = [int(rng.integers(0, 2**64, dtype=np.uint64)) for _ in range(2)]
-    noises = [words(seed, count) for seed in seeds]
-
-    gain, pole = ground.noise(speed, step)
-    height, single = 0.0, [0.0]
-    for xi in noises[0]:
-        height = pole * height + gain * xi
-        single.append(height)
-    got = ground.heights(count * step, speed=speed, step=step, rng=np.random.default_rng(8))
-    assert got.tolist() == single
-
-    poles, gains = (a.tolist() for a in ground.track_filters(1.5, speed, step))
-    states, left, right = [0.0] * TRACK_STATES, [0.0], [0.0]
-    for pair in zip(*noises, strict=True):
-        for i in range(TRACK_STATES):
-            states[i] = poles[i] * states[i] + gains[i] * pair[i >= SUM_STATES]
-        half_sum, half_difference = states[0], states[SUM_STATES]
-        for i in range(1, SUM_STATES):
-            half_sum += states[i]
-        for i in range(SUM_STATES + 1, TRACK_STATES):
-            half_difference += states[i]
-        left.append(half_sum + half_difference)
-        right.append(half_sum - half_difference)
-    got = ground.wheel_heights(AXLE, count * step, speed=speed, step=step, rng=np.random.default_rng(8))
-    assert got.tolist() == [left, right]
 
 
 def test_continued_draws_are_one_draw():

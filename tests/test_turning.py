@@ -95,20 +95,6 @@ def test_what_turns_is_not_mixed_with_what_moves_along_a_line(model, words):
     refused(words, Network.load, model)
 
 
-def test_a_constant_force_accelerates_evenly():
-    t = np.arange(0, 1, 1e-3)
-    out = simulate(cart(element("slope", "constant_force", "cart", "ground", force=-3.0)), t, {"push": 0 * t})
-    assert np.allclose(out["speed"][1:], 1.5 * t[1:], atol=2e-3)
-
-
-def test_a_friction_that_differs_by_direction_holds_and_slides_at_its_own_level_either_way():
-    rub = element("rub", "asymmetric_friction", "cart", "ground", extension=6.0, compression=2.0)
-    t = np.arange(0, 4, 1e-3)
-    for push, speed in ((5.9, 0.0), (-1.9, 0.0), (8.0, 1.0), (-4.0, -1.0)):  # net force / mass over a second
-        v = simulate(cart(rub), t, {"push": np.full(len(t), push)})["speed"]
-        assert v[1000] == pytest.approx(speed, abs=2e-3)
-
-
 def test_a_damping_that_starts_at_zero_may_be_fitted():
     model = {**PENDULUM, "uncertainty": {"bearing.damping": 0.1}}
     held = [spring("arm", "ground", G, "gravity"), damper("arm", "ground", 0.0, "bearing")]
