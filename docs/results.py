@@ -228,6 +228,7 @@ def lift_off() -> str:
 
 #: track -> what separates policies there
 DISCRIMINATES = {
+    "full-car-preview-0.2": "use of 4 m of road ahead, by four currents",
     "preview-0.2": "use of 4 m of road ahead",
     "preview-0.1": "use of 2 m of road ahead",
     "half-car": "memory: the rear wheels meet the road of the front wheels 0.135 s later; two currents for heave and pitch",
