@@ -26,8 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import grading
-import stock as stock_study
-import study
+import learning
 import tracks as tracks_of
 from table import table
 
@@ -441,126 +440,9 @@ def options(of: type) -> str:
 # --------------------------------------------------------------------------------------------------- learning
 
 
-def paired(by: dict[str, np.ndarray], name: str, rivals: dict[str, int]) -> list[str]:
-    """Cells with the change of J against each rival to its number of digits; empty against itself and for the passive car."""
-    cells = []
-    for rival, digits in rivals.items():
-        value, low, high = study.change(by[name], by[rival][0], np.random.default_rng(0))
-        same = name in (rival, "passive")
-        cells.append("" if same else f"{percent(value, digits)} {interval(low, high, digits)}")
-    return cells
-
-
-def learned() -> str:
-    """Trained policies against the best MPC and the LQG, condition by condition."""
-    found = json.loads((BENCHMARKS / "study.json").read_text(encoding="utf-8"))
-    body = []
-    for condition, costs in found["costs"].items():
-        by = study.groups(costs)
-        rivals = {study.best_mpc(by): 2, "lqg": 2}
-        body.append([condition, *paired(by, "ppo", rivals), *paired(by, "sac", rivals)])
-    heads = [
-        "condition",
-        "PPO against the best MPC",
-        "PPO against LQG",
-        "SAC against the best MPC",
-        "SAC against LQG",
-    ]
-    return markdown(heads, body, "lrrrr")
-
-
-def learned_preview() -> str:
-    """PPO that sees the road against the controllers that see as much."""
-    body = []
-    for ahead in ("0.1", "0.2"):
-        found = json.loads((BENCHMARKS / f"preview-{ahead}.json").read_text(encoding="utf-8"))
-        by = study.groups(found["costs"]["training road"])
-        loads, shares = study.loads(found, "training road"), study.shares(found, "training road")
-        for name in ("lqg-preview", "mpc-friction-preview", "ppo"):
-            row = [f"{ahead} s", f"`{name}`", f"{study.iqm(by[name].mean(axis=1)):.4f}"]
-            row.append(percent(float(study.iqm(loads[name] / loads["passive"] - 1))))
-            row.append(f"{100 * shares[name]:.1f} %")
-            body.append([*row, *paired(by, name, {"passive": 1, "mpc-friction-preview": 2})])
-    heads = ["road ahead", "policy", "J", "tyre load", "of the reachable gain", "against `passive`", "against `mpc-friction-preview`"]  # fmt: skip
-    return markdown(heads, body, "llrrrrr")
-
-
-def learned_half_car() -> str:
-    """Trained policies of the half car against controllers with and without wheelbase preview."""
-    found = json.loads((BENCHMARKS / "half-car-study.json").read_text(encoding="utf-8"))
-    by = study.groups(found["costs"]["training road"])
-    rivals = {"passive": 1, "mpc-friction": 1, "lqg-wheelbase": 2, "mpc-wheelbase": 2}
-    body = []
-    for name, own in by.items():
-        runs = [t for key, t in found["training"].items() if key.partition("/")[0] == name]
-        if runs:
-            trained = f"{len(runs)}, {min(run['settings']['steps'] for run in runs) / 1e6:g} M"
-            cost = f"{study.iqm(own.mean(axis=1)):.4f}"
-            body.append([f"`{name}`", trained, cost, *paired(by, name, rivals)])
-    heads = ["policy", "seeds, steps each", "J", *(f"against `{rival}`" for rival in rivals)]
-    return markdown(heads, body, "llrrrrr")
-
-
-def stock() -> str:
-    """Stock Stable-Baselines3 on the environment for learning, over training seeds."""
-    found = json.loads((BENCHMARKS / "stock.json").read_text(encoding="utf-8"))
-    body = []
-    for name, row in found["recipes"].items():
-        if name.partition(",")[0] == "half":
-            continue
-        own = np.array(row["costs"])
-        ground = {k: np.array(v) for k, v in found["references"][row["network"]].items()}
-        rival = "mpc" if "mpc" in ground else "lqg-wheelbase"
-        cells = []
-        for reference in ("passive", rival):
-            value, low, high = stock_study.change(own, ground[reference])
-            cells.append(f"{percent(value)} {interval(low, high)}")
-        each = 100 * (own.mean(axis=1) / ground["passive"].mean() - 1)
-        seconds = f"{np.mean(row['processor_seconds']):.0f} s"
-        body.append(
-            [
-                f"`{name}`",
-                str(len(own)),
-                f"{row['decisions'] / 1e6:g} M",
-                seconds,
-                *cells[:1],
-                f"{max(each):+.1f} %".replace("-", "−"),
-                f"{cells[1]} `{rival}`",
-            ]
-        )
-    heads = [
-        "recipe of benchmarks/stock.py",
-        "seeds",
-        "decisions",
-        "processor time",
-        "J against `passive`",
-        "worst seed",
-        "against the reference",
-    ]
-    return markdown(heads, body, "lrrrrrr")
-
-
-def stock_options() -> str:
-    """Half of the recipe with one option changed, over two training seeds."""
-    found = json.loads((BENCHMARKS / "stock.json").read_text(encoding="utf-8"))
-    body = []
-    for name, row in found["recipes"].items():
-        first, _, changed = name.partition(", ")
-        if first != "half":
-            continue
-        passive = np.mean(found["references"][row["network"]]["passive"])
-        each = [percent(np.mean(costs) / passive - 1.0) for costs in row["costs"]]
-        seconds = f"{np.mean(row['processor_seconds']):.0f} s"
-        body.append(
-            [changed or "nothing", seconds, percent(np.mean(row["costs"]) / passive - 1.0), ", ".join(each)]
-        )
-    return markdown(["changed", "processor time", "J against `passive`", "each seed"], body, "lrrr")
-
-
-def study_table() -> str:
-    """Every policy of the study in every condition."""
-    found = json.loads((BENCHMARKS / "study.json").read_text(encoding="utf-8"))
-    return re.sub(r"-(?=\d)", "−", study.table(found).strip())
+def learning_study() -> str:
+    """Algorithms and settings on the environments for learning, over training seeds."""
+    return learning.table()
 
 
 # ---------------------------------------------------------------------------------------- public measurements
@@ -926,14 +808,12 @@ def elements() -> str:
 PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "README.md": (headline,),
     "docs/tutorials/half-car.md": (half_car,),
-    "docs/tutorials/train.md": (stock,),
     "docs/explanation/baselines.md": (wheelbase,),
     "docs/explanation/ceiling.md": (ceilings,),
     "docs/explanation/road.md": (pulling, lift_off),
     "docs/reference/elements.md": (elements,),
-    "docs/explanation/study.md": (study_table, learned_preview, learned_half_car, stock_options),
+    "docs/explanation/study.md": (learning_study,),
     "docs/validation/controllers.md": (scores, ceilings, steps),
-    "docs/validation/learning.md": (learned, learned_preview, learned_half_car),
     "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
     "docs/validation/public-data.md": (sources,),

@@ -3,8 +3,6 @@
 import hashlib
 import io
 import json
-from dataclasses import replace
-from functools import cache
 from importlib.util import find_spec
 from itertools import pairwise
 
@@ -19,9 +17,11 @@ from isd_gym.baselines import make
 from program import python, refused
 
 from isd_gym.benchmark.policies import conventional
-from isd_gym.contrib.training.settings import MEMORY
+from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
+
+MEMORY = Memory.of(vehicle(Network.load("quarter-car-isd")))
 
 
 def small_policy(rng, head=None, memory=MEMORY):
@@ -29,14 +29,6 @@ def small_policy(rng, head=None, memory=MEMORY):
     layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
     car = Network.load("quarter-car-isd")
     return Policy(layers, memory=memory, head=head or Head("increment"), network=car)
-
-
-@cache
-def filtered():
-    """The memory with the LQG's estimate of the default car."""
-    from isd_gym.contrib.training.estimate import lqg_filter
-
-    return replace(MEMORY, filter=lqg_filter(Network.load("quarter-car-isd")))
 
 
 @pytest.fixture
@@ -84,7 +76,7 @@ def test_each_car_has_a_memory_of_its_own(rng):
 
 def test_a_residual_of_nothing_is_the_lqg():
     """The filter in float32 and in its own coordinates commands what `isd_gym.baselines.lqg` does, stick and slip included."""
-    memory = filtered()
+    memory = Policy.load("ppo").memory
     layers = [(np.zeros((1, memory.width(6))), np.zeros(1))]
     policy = Policy(layers, memory=memory, head=Head("residual"))
     assert Memory.from_dict(json.loads(json.dumps(memory.to_dict()))) == memory
@@ -240,11 +232,11 @@ def test_the_adapter_is_the_single_environment(sb3):
 
 
 def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
-    from isd_gym.contrib.training.environment import Remember
     from isd_gym.sb3 import make_vec_env
 
-    brief = dict(rescale=False, max_episode_steps=4, stagger=True)
-    env = Remember(make_vec_env("ISDSuspension-v0", 2, **brief), MEMORY, Head("increment"))
+    env = make_vec_env(
+        "ISDSuspension-v0", 2, rescale=False, max_episode_steps=4, stagger=True, observation="history"
+    )
     env.seed(0)
     start = env.reset()
     ends = {}
@@ -253,8 +245,8 @@ def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
         for i in np.flatnonzero(done):
             ends[int(i)] = k
             assert infos[i]["TimeLimit.truncated"]
-            # the last features know the past, the first of the new episode do not
-            assert infos[i]["terminal_observation"][11] != 0.0
+            # the last observation knows the past, the first of the new episode does not
+            assert infos[i]["terminal_observation"][6:].any()
             assert np.all(obs[i, 6:] == 0.0) and obs[i].shape == start[i].shape
     assert ends == {0: 3, 1: 1}  # staggered
 

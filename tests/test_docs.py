@@ -30,8 +30,6 @@ SLOW = {
     "docs/guides/other-library.md",
     "docs/tutorials/diagnose.md",
     "docs/tutorials/effect.md",
-    "docs/explanation/study.md",  # its table, by bootstrap
-    "docs/validation/learning.md",
     "notebooks/2-train-and-compare.ipynb",
     "notebooks/3-from-a-csv-to-a-corrected-model.ipynb",
 }

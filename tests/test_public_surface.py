@@ -115,14 +115,14 @@ isd_gym.view
 
 
 def public_modules(package=isd_gym.__name__, path=isd_gym.__path__):
-    """Return the dotted names of the public modules, packages included, without those of `contrib`."""
+    """Return the dotted names of the public modules, packages included."""
     found = [package]
     modules = [m.name for m in pkgutil.iter_modules(path)]
     if package == "isd_gym":
         modules += ["agents", "baselines"]  # folders of their own in a source tree
     for module in dict.fromkeys(modules):
         name = f"{package}.{module}"
-        if module.startswith("_") or name == "isd_gym.contrib":
+        if module.startswith("_"):
             continue
         folder = find_spec(name).submodule_search_locations
         inside = public_modules(name, folder) if folder else [name]

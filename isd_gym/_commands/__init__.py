@@ -18,6 +18,7 @@ from . import (
     show,
     simulate,
     sweep,
+    train,
     warm,
 )
 from ._app import FiniteCommand, SeveralValuesCommand, app
@@ -35,6 +36,7 @@ for _name, _command in (
     ("inspect", inspect.command),
     ("simulate", simulate.command),
     ("sweep", sweep.command),
+    ("train", train.command),
     ("convert", convert.command),
     ("export", export.command),
     ("reproduce", reproduce.command),

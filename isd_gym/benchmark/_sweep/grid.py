@@ -52,7 +52,7 @@ SCHEMA = "isd-sweep/1"
 #: largest numbers of conditions and items, largest number in a grid, and largest size of a file of a grid
 #: [bytes]
 CONDITIONS, ITEMS, LARGEST, BELONGING = 10_000, 1_000_000, 1e100, 2**30
-#: beside the benchmark, since `isd-gym train --randomize` draws from the ranges of the robust track
+#: beside the benchmark, since `isd-gym train --randomize robust` draws from the ranges of the robust track
 BUILT_IN = Path(benchmark.__file__).parent / "grids"
 SENSES = tuple(f.name for f in fields(Sensors))
 #: keys of [random]: ranges of numbers, and choices

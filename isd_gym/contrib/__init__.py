@@ -1,1 +1,0 @@
-"""The command `isd-gym train`."""
