@@ -138,3 +138,5 @@ def test_roads_ahead_are_refused():
 def test_a_car_without_a_motor_is_refused():
     with pytest.raises(InputError, match="motor"):
         gym.make("ISDSuspension-v0", network="quarter-car-passive", reward="shaped")
+    with pytest.raises(InputError, match=r'controlled damper, .* choose reward="relative"'):
+        gym.make("ISDSuspension-v0", network="quarter-car-semiactive", reward="shaped")

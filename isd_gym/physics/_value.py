@@ -89,7 +89,7 @@ def value_of(network: Network, cost: StageCost, step: float, speed: float) -> Va
         Value of the linear car.
 
     Raises:
-        InputError: The network has no motor.
+        InputError: The network has no motor, or a controlled damper.
     """
     return _value_of(json.dumps(network.to_dict()), cost, step, speed)
 
@@ -100,6 +100,11 @@ def _value_of(text: str, cost: StageCost, step: float, speed: float) -> Value:
     car = vehicle(network)
     if not any(corner.motor for corner in car.corners):
         raise InputError(f"network '{network.name}' has no motor: a shaped reward is for a car that acts")
+    if any(isinstance(e, el.ControlledDamper) for e in network.elements):
+        raise InputError(
+            f"network '{network.name}' has a controlled damper, for which no linear model is known: choose "
+            'reward="relative"'
+        )
     intensity = ROAD_INTENSITY * speed / DESIGN_SPEED
     damping = _dampers(car, cost, step, intensity)
     model = car_model(network, step, speed, damping=damping, road_intensity=intensity)
