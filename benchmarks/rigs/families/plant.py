@@ -28,101 +28,143 @@ GROUND = "ground"
 CREEP = 2e-4
 """Speed below which dry friction is viscous, as a share of the plant's typical speed."""
 
+# springs, dampers, dry friction, and links with a state of their own
+(
+    SPRING,
+    CUBIC,
+    GAS,
+    BUMP,
+    PLAY,
+    COGGING,
+    SINE,
+    TANH,
+    SWITCHED,
+    IMPULSE,
+    DAMPER,
+    QUADRATIC,
+    ASYMMETRIC,
+    POSITION,
+    THINNING,
+    COULOMB,
+    STRIBECK,
+    TIMED,
+    WEDGE,
+    BISTABLE,
+    HYSTERESIS,
+    MAXWELL,
+    FADING,
+    BUSHING,
+) = range(24)
 #: type -> (code, parameters in order, with what they are where an element does not say)
 LAWS: dict[str, tuple[int, dict[str, float | None]]] = {
-    "linear_stiffness": (0, {"stiffness": None}),
-    "linear_damping": (1, {"damping": None}),
-    "coulomb_friction": (2, {"level": None}),
-    "stribeck_friction": (3, {"level": None, "static_level": None, "stribeck_velocity": None}),
-    "quadratic_damping": (4, {"damping": None}),
-    "asymmetric_damping": (5, {"extension": None, "compression": None}),
-    "cubic_stiffness": (6, {"stiffness": None}),
-    "gas_spring": (7, {"force": None, "length": None, "exponent": 1.3}),
-    "bump_stop": (8, {"clearance": None, "stiffness": None, "side": 0.0}),
-    "hysteresis": (10, {"level": None, "stiffness": None, "exponent": 1.0, "shape": 0.5}),
-    "cogging_force": (11, {"amplitude": None, "pitch": None, "phase": 0.0}),
+    "linear_stiffness": (SPRING, {"stiffness": None}),
+    "linear_damping": (DAMPER, {"damping": None}),
+    "coulomb_friction": (COULOMB, {"level": None}),
+    "stribeck_friction": (STRIBECK, {"level": None, "static_level": None, "stribeck_velocity": None}),
+    "quadratic_damping": (QUADRATIC, {"damping": None}),
+    "asymmetric_damping": (ASYMMETRIC, {"extension": None, "compression": None}),
+    "cubic_stiffness": (CUBIC, {"stiffness": None}),
+    "gas_spring": (GAS, {"force": None, "length": None, "exponent": 1.3}),
+    "bump_stop": (BUMP, {"clearance": None, "stiffness": None, "side": 0.0}),
+    "hysteresis": (HYSTERESIS, {"level": None, "stiffness": None, "exponent": 1.0, "shape": 0.5}),
+    "cogging_force": (COGGING, {"amplitude": None, "pitch": None, "phase": 0.0}),
     # the spring that stands there, with play: what a backlash in series makes of it
-    "x_spring_with_play": (9, {"stiffness": None, "gap": None}),
+    "x_spring_with_play": (PLAY, {"stiffness": None, "gap": None}),
     # what a spring lacks to be a sine (gravity on a pendulum), or to be a tanh
-    "x_sine_less_linear": (12, {"stiffness": None, "length": None}),
-    "x_tanh_less_linear": (13, {"stiffness": None, "length": None}),
-    "x_switched_stiffness": (14, {"stiffness": None, "period": None, "duty": None}),
-    "x_position_damping": (15, {"damping": None, "length": None}),
-    "x_maxwell": (16, {"stiffness": None, "time": None}),
-    "x_timed_friction": (17, {"level": None, "period": None, "duty": None}),
-    "x_wedge_friction": (18, {"slope": None, "length": None}),
-    "x_fading_damping": (19, {"damping": None, "energy": None}),
-    "x_bistable_friction": (20, {"level": None, "width": None}),
-    "x_shear_thinning": (21, {"damping": None, "velocity": None}),
-    "x_impulse": (22, {"force": None, "period": None, "width": None}),
+    "x_sine_less_linear": (SINE, {"stiffness": None, "length": None}),
+    "x_tanh_less_linear": (TANH, {"stiffness": None, "length": None}),
+    "x_switched_stiffness": (SWITCHED, {"stiffness": None, "period": None, "duty": None}),
+    "x_position_damping": (POSITION, {"damping": None, "length": None}),
+    "x_maxwell": (MAXWELL, {"stiffness": None, "time": None}),
+    "x_timed_friction": (TIMED, {"level": None, "period": None, "duty": None}),
+    "x_wedge_friction": (WEDGE, {"slope": None, "length": None}),
+    "x_fading_damping": (FADING, {"damping": None, "energy": None}),
+    "x_bistable_friction": (BISTABLE, {"level": None, "width": None}),
+    "x_shear_thinning": (THINNING, {"damping": None, "velocity": None}),
+    "x_impulse": (IMPULSE, {"force": None, "period": None, "width": None}),
     # the damper that stands there, on an elastic bushing: what a compliance in series makes of it, and a backlash where it has play
-    "x_damper_on_bushing": (23, {"damping": None, "stiffness": None, "gap": 0.0}),
+    "x_damper_on_bushing": (BUSHING, {"damping": None, "stiffness": None, "gap": 0.0}),
 }
 SIDES = {"both": 0.0, "extension": 1.0, "compression": -1.0}
-DRY = ("coulomb_friction", "stribeck_friction", "x_timed_friction", "x_wedge_friction", "x_bistable_friction")
+
+
+@numba.njit(cache=True)
+def _beyond_play(d, gap):
+    return d - min(max(d, -0.5 * gap), 0.5 * gap)
+
+
+@numba.njit(cache=True)
+def _spring(code, p, d, t):
+    if code == SPRING:
+        return p[0] * d
+    if code == CUBIC:
+        return p[0] * d**3
+    if code == GAS:
+        return p[0] * (1.0 - (1.0 + d / p[1]) ** (-p[2]))
+    if code == BUMP:
+        if d > p[0] and p[2] >= 0.0:
+            return p[1] * (d - p[0])
+        return p[1] * (d + p[0]) if d < -p[0] and p[2] <= 0.0 else 0.0
+    if code == PLAY:
+        return p[0] * _beyond_play(d, p[1])
+    if code == COGGING:
+        return p[0] * math.sin(2.0 * math.pi * d / p[1] + p[2])
+    if code == SINE:
+        return p[0] * (p[1] * math.sin(d / p[1]) - d)
+    if code == TANH:
+        return p[0] * (p[1] * math.tanh(d / p[1]) - d)
+    if code == SWITCHED:
+        return p[0] * d if (t / p[1]) % 1.0 < p[2] else 0.0
+    # IMPULSE: a knock every period that nobody measured
+    s = (t / p[1]) % 1.0 * p[1] / p[2]
+    return p[0] * math.sin(math.pi * s) if s < 1.0 else 0.0
+
+
+@numba.njit(cache=True)
+def _damper(code, p, d, v):
+    if code == DAMPER:
+        return p[0] * v
+    if code == QUADRATIC:
+        return p[0] * v * abs(v)
+    if code == ASYMMETRIC:
+        return (p[0] if v > 0.0 else p[1]) * v
+    if code == POSITION:
+        return p[0] * (d / p[1]) ** 2 * v
+    return p[0] * v / math.sqrt(1.0 + (v / p[1]) ** 2)  # THINNING
+
+
+@numba.njit(cache=True)
+def _level(code, p, d, v, t):
+    """Level of dry friction [N]."""
+    if code == STRIBECK:
+        return p[0] + (p[1] - p[0]) * math.exp(-((v / p[2]) ** 2))
+    if code == TIMED:
+        return p[0] if (t / p[1]) % 1.0 < p[2] else 0.0
+    if code == WEDGE:  # the further out, the harder it rubs
+        return p[0] * p[1] * (d / p[1]) ** 2
+    if code == BISTABLE:  # rubs only near the middle
+        return p[0] * math.exp(-((d / p[1]) ** 4))
+    return p[0]
 
 
 @numba.njit(cache=True)
 def _force(code, p, d, v, z, t):
     """Force of a link and the rate of its own state."""
-    if code == 0:
-        return p[0] * d, 0.0
-    if code == 1:
-        return p[0] * v, 0.0
-    if code == 2:
-        return p[0] * min(max(v / p[5], -1.0), 1.0), 0.0
-    if code == 3:
-        level = p[0] + (p[1] - p[0]) * math.exp(-((v / p[2]) ** 2))
-        return level * min(max(v / p[5], -1.0), 1.0), 0.0
-    if code == 4:
-        return p[0] * v * abs(v), 0.0
-    if code == 5:
-        return (p[0] if v > 0.0 else p[1]) * v, 0.0
-    if code == 6:
-        return p[0] * d**3, 0.0
-    if code == 7:
-        return p[0] * (1.0 - (1.0 + d / p[1]) ** (-p[2])), 0.0
-    if code == 8:
-        if d > p[0] and p[2] >= 0.0:
-            return p[1] * (d - p[0]), 0.0
-        if d < -p[0] and p[2] <= 0.0:
-            return p[1] * (d + p[0]), 0.0
-        return 0.0, 0.0
-    if code == 9:
-        half = 0.5 * p[1]
-        return p[0] * (d - min(max(d, -half), half)), 0.0
-    if code == 10:
+    if code < DAMPER:
+        return _spring(code, p, d, t), 0.0
+    if code < COULOMB:
+        return _damper(code, p, d, v), 0.0
+    if code < HYSTERESIS:
+        return _level(code, p, d, v, t) * min(max(v / p[5], -1.0), 1.0), 0.0
+    if code == HYSTERESIS:
         w = (abs(z) / p[0]) ** p[2]
         return z, p[1] * (v - (p[3] * abs(v) * math.copysign(1.0, z) + (1.0 - p[3]) * v) * w)
-    if code == 11:
-        return p[0] * math.sin(2.0 * math.pi * d / p[1] + p[2]), 0.0
-    if code == 12:
-        return p[0] * (p[1] * math.sin(d / p[1]) - d), 0.0
-    if code == 13:
-        return p[0] * (p[1] * math.tanh(d / p[1]) - d), 0.0
-    if code == 14:
-        return (p[0] * d if (t / p[1]) % 1.0 < p[2] else 0.0), 0.0
-    if code == 15:
-        return p[0] * (d / p[1]) ** 2 * v, 0.0
-    if code == 16:  # spring and damper in series; z is the spring's force
+    if code == MAXWELL:  # spring and damper in series; z is the spring's force
         return z, p[0] * v - z / p[1]
-    if code == 17:
-        return (p[0] * min(max(v / p[5], -1.0), 1.0) if (t / p[1]) % 1.0 < p[2] else 0.0), 0.0
-    if code == 18:  # the further out, the harder it rubs
-        return p[0] * p[1] * (d / p[1]) ** 2 * min(max(v / p[5], -1.0), 1.0), 0.0
-    if code == 19:  # the work done, z, thins it
+    if code == FADING:  # the work done, z, thins it
         return p[0] * v / (1.0 + z / p[1]), p[0] * v * v / (1.0 + z / p[1])
-    if code == 20:  # rubs only near the middle
-        return p[0] * math.exp(-((d / p[1]) ** 4)) * min(max(v / p[5], -1.0), 1.0), 0.0
-    if code == 21:
-        return p[0] * v / math.sqrt(1.0 + (v / p[1]) ** 2), 0.0
-    if code == 23:  # z is the bushing's elongation
-        half = 0.5 * p[2]
-        f = p[1] * (z - min(max(z, -half), half))
-        return f, v - f / p[0]
-    # a knock every period that nobody measured
-    s = (t / p[1]) % 1.0 * p[1] / p[2]
-    return (p[0] * math.sin(math.pi * s) if s < 1.0 else 0.0), 0.0
+    f = p[1] * _beyond_play(z, p[2])  # BUSHING: z is its elongation
+    return f, v - f / p[0]
 
 
 @numba.njit(cache=True)
@@ -249,79 +291,91 @@ def integrate(
     proportion. initial: displacement [m] and velocity [m/s] of free nodes. creep: see `CREEP`; ten times
     as much is ten times as quick.
     """
-    by_node = {i["at"]: i for i in model["inputs"] if i["quantity"] == "displacement"}
+    by_node = {i["at"]: i["name"] for i in model["inputs"] if i["quantity"] == "displacement"}
     moved, carried = list(by_node), inertias(model)
-    nodes = [n for n in carried if n not in moved] + moved + [GROUND]
-    n, m = len(nodes) - len(moved) - 1, len(moved)
-    points, arms = [], []
-    for name, body in model.get("bodies", {}).items():
-        for point, place in body["points"].items():
-            points.append((nodes.index(name), nodes.index(f"{name}.pitch")))
-            arms.append(-place["x"])  # nose down is positive
-            nodes.append(point)
-    weights = np.eye(
-        n + m + 1 + len(points), n + m + 1
-    )  # of what moves by itself in the motion of every node
+    n, m = len(set(carried) - set(moved)), len(moved)
+    nodes = [*(node for node in carried if node not in moved), *moved, GROUND]
+    points, arms, riding = _riders(model, nodes)
+    nodes += riding
+    weights = np.eye(len(nodes), n + m + 1)  # of what moves by itself in the motion of every node
     for k, ((centre, angle), arm) in enumerate(zip(points, arms, strict=True)):
         weights[n + m + 1 + k, [centre, angle]] = 1.0, arm
     mass = np.diag([carried.get(node, 0.0) for node in nodes[: n + m + 1]])
-    ends, codes, P, names = [], [], [], []
-    for e in model["elements"]:
-        if "between" not in e or e["type"] == "motor":
-            continue
-        i, j = (nodes.index(k) for k in e["between"])
-        if e["type"] == "inertance":
-            mass += e["inertance"] * np.outer(weights[i] - weights[j], weights[i] - weights[j])
-            names.append((e["name"], -1, (i, j, e["inertance"])))
-            continue
-        code, defaults = LAWS[e["type"]]
-        values = [
-            SIDES.get(v, v) if isinstance(v, str) else v for v in (e.get(k, d) for k, d in defaults.items())
-        ]
-        names.append((e["name"], len(codes), None))
-        ends.append((i, j))
-        codes.append(code)
-        P.append([*values, *[0.0] * (5 - len(values)), creep * speed])
+    links = [e for e in model["elements"] if e["type"] in LAWS]
+    inerters = [e for e in model["elements"] if e["type"] == "inertance"]
+    ends = {e["name"]: tuple(nodes.index(k) for k in e["between"]) for e in links + inerters}
+    for e in inerters:
+        i, j = ends[e["name"]]
+        mass += e["inertance"] * np.outer(weights[i] - weights[j], weights[i] - weights[j])
+    link_ends = [ends[e["name"]] for e in links]
+    codes = [LAWS[e["type"]][0] for e in links]
+    parameters = [_parameters(e, creep * speed) for e in links]
     inverse = np.linalg.inv(mass[:n, :n]) if n else np.zeros((0, 0))
     motion = np.zeros((size, m, 6))
     for j, node in enumerate(moved):
-        motion[:, j] = _quintic(inputs[by_node[node]["name"]], interval)
-    push = np.zeros((size, n, 4))
-    motors = {e["name"]: e for e in model["elements"] if e["type"] == "motor"}
-    for i in model["inputs"]:
-        if i["quantity"] == "force":
-            push[:, nodes.index(i["at"])] += _cubic(inputs[i["name"]], interval)
-        elif i["quantity"] == "current":
-            motor = motors[i["element"]]
-            thrust = motor["thrust_constant"] * motor.get("ratio", 1.0) * _cubic(inputs[i["name"]], interval)
-            for node, sign in zip(motor["between"], (-1.0, 1.0), strict=True):
-                if node in nodes[:n]:
-                    push[:, nodes.index(node)] += sign * thrust
+        motion[:, j] = _quintic(inputs[by_node[node]], interval)
     y = np.zeros(2 * n + len(codes))
     for node, (position, velocity) in (initial or {}).items():
         y[nodes.index(node)], y[n + nodes.index(node)] = position, velocity
-    steps = math.ceil(max(2.0, interval * _fastest(weights[:, :n], inverse, ends, codes, P) / 1.2))
+    fastest = _fastest(weights[:, :n], inverse, link_ends, codes, parameters)
+    steps = math.ceil(max(2.0, interval * fastest / 1.2))
     plant = (
         np.array(points, dtype=np.int64).reshape(-1, 2),
         np.array(arms, dtype=float),
-        np.array(ends, dtype=np.int64).reshape(-1, 2),
+        np.array(link_ends, dtype=np.int64).reshape(-1, 2),
         np.array(codes, dtype=np.int64),
-        np.array(P, dtype=float).reshape(-1, 6),
+        np.array(parameters, dtype=float).reshape(-1, 6),
     )
+    push = _pushes(model, inputs, nodes[:n], size, interval)
     X, V, A, F = _march(y, n, plant, inverse, mass[:n, n : n + m].copy(), motion, push, interval, steps)
     if not (np.isfinite(X).all() and np.isfinite(V).all()):
         raise ArithmeticError("the plant does not stay finite")
-    link = {}
-    for name, k, inert in names:
-        link[name] = F[:, k] if inert is None else inert[2] * (A[:, inert[0]] - A[:, inert[1]])
+    force = {e["name"]: F[:, k] for k, e in enumerate(links)}
+    for e in inerters:
+        i, j = ends[e["name"]]
+        force[e["name"]] = e["inertance"] * (A[:, i] - A[:, j])
     load = {}
     for node in moved:
         j = nodes.index(node)
         load[node] = A[:, : n + m + 1] @ mass[j]
-        for k, (first, second) in enumerate(ends):
+        for k, (first, second) in enumerate(link_ends):
             load[node] = load[node] + F[:, k] * ((first == j) - (second == j))
     columns = [dict(zip(nodes, c.T, strict=True)) for c in (X, V, A)]
-    return Run(*columns, link, load)
+    return Run(*columns, {e["name"]: force[e["name"]] for e in model["elements"] if e["name"] in force}, load)
+
+
+def _riders(model: Model, nodes: list[str]) -> tuple[list[tuple[int, int]], list[float], list[str]]:
+    """Points of bodies: places of centre and angle among the nodes, arms [m] and names."""
+    points, arms, names = [], [], []
+    for name, body in model.get("bodies", {}).items():
+        for point, place in body["points"].items():
+            points.append((nodes.index(name), nodes.index(f"{name}.pitch")))
+            arms.append(-place["x"])  # nose down is positive
+            names.append(point)
+    return points, arms, names
+
+
+def _parameters(e: Element, creep: float) -> list[float]:
+    """Parameters of a link, and at the end the speed [m/s] below which its friction is viscous."""
+    values = [e.get(key, usual) for key, usual in LAWS[e["type"]][1].items()]
+    numbers = [SIDES[v] if isinstance(v, str) else v for v in values]
+    return [*numbers, *[0.0] * (5 - len(numbers)), creep]
+
+
+def _pushes(model: Model, inputs: Mapping[str, Signal], free: list[str], size: int, interval: float) -> Array:
+    """Forces of the inputs on the free nodes as polynomials (size, n, 4)."""
+    push = np.zeros((size, len(free), 4))
+    motors = {e["name"]: e for e in model["elements"] if e["type"] == "motor"}
+    for i in model["inputs"]:
+        if i["quantity"] == "force":
+            push[:, free.index(i["at"])] += _cubic(inputs[i["name"]], interval)
+        elif i["quantity"] == "current":
+            motor = motors[i["element"]]
+            thrust = motor["thrust_constant"] * motor.get("ratio", 1.0) * _cubic(inputs[i["name"]], interval)
+            for node, sign in zip(motor["between"], (-1.0, 1.0), strict=True):
+                if node in free:
+                    push[:, free.index(node)] += sign * thrust
+    return push
 
 
 def inertias(model: Model) -> dict[str, float]:
@@ -334,26 +388,23 @@ def inertias(model: Model) -> dict[str, float]:
 
 def _fastest(weights: Array, inverse: Array, ends: Any, codes: list[int], P: list[list[float]]) -> float:
     """Fastest rate [1/s] at which the plant can answer: the links' steepest slopes over the mass that they move."""
-    by_code = {code: name for name, (code, _) in LAWS.items()}
     slow, fast = 0.0, 0.0
     for (i, j), code, p in zip(ends, codes, P, strict=True):
-        name = by_code[code]
         across = weights[i] - weights[j]  # what is moved or ground does not give way
         gives = float(across @ inverse @ across)
-        if name in ("linear_stiffness", "x_spring_with_play", "x_switched_stiffness", "x_maxwell"):
+        if code in (SPRING, PLAY, SWITCHED, MAXWELL):
             slow += 4.0 * abs(p[0]) * gives
-        elif name in ("bump_stop", "hysteresis"):
+        elif code in (BUMP, HYSTERESIS, BUSHING):
             slow += 4.0 * p[1] * gives
-        elif name == "x_damper_on_bushing":
-            slow += 4.0 * p[1] * gives
-            fast += p[1] / p[0]
-        elif name in ("linear_damping", "x_position_damping", "x_fading_damping", "x_shear_thinning"):
+        elif code in (DAMPER, POSITION, FADING, THINNING):
             fast += abs(p[0]) * gives
-        elif name == "asymmetric_damping":
+        elif code == ASYMMETRIC:
             fast += max(abs(p[0]), abs(p[1])) * gives
-        elif name in DRY:
-            level = {"x_wedge_friction": 4.0 * p[0] * p[1], "stribeck_friction": p[1]}.get(name, p[0])
+        elif COULOMB <= code < HYSTERESIS:
+            level = {WEDGE: 4.0 * p[0] * p[1], STRIBECK: p[1]}.get(code, p[0])
             fast += level / p[5] * gives
+        if code == BUSHING:
+            fast += p[1] / p[0]
     # fifty steps to a period of the stiffest spring; dry friction within Runge-Kutta's limit of stability
     return max(fast, 8.0 * math.sqrt(slow))
 
