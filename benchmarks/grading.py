@@ -301,24 +301,32 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if len(values) else None
+
+
+def _closed(rows: Sequence[Row], wanted: str) -> list[float]:
+    """Shares of the gap that diagnoses of rigs of a sort close, where they have one."""
+    gaps = [r["diagnosis"]["gap"]["closed"] for r in rows if "diagnosis" in r and sort(r) == wanted]
+    return [gap for gap in gaps if gap is not None]
+
+
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
     """The figures of a run, as numbers: those of the table's last row, names, gap, intervals, values, time."""
-    count = Counter((sort(r), graded(r)) for r in rows)
+    grades = {s: [graded(r) for r in rows if sort(r) == s] for s in ("effect", "clean", "unknown")}
+    kinds = [kind_graded(r) for r in rows if sort(r) == "effect"]
 
-    def rate(s: str, g: str) -> float | None:
-        whole = sum(v for (k, _), v in count.items() if k == s)
-        return count[s, g] / whole if whole else None
+    def rate(s: str, wanted: str) -> float | None:
+        return _mean([g == wanted for g in grades[s]])
 
-    sure = [ok for c, ok in names_with_confidence(rows) if c >= 0.99]
-    mid = [ok for c, ok in names_with_confidence(rows) if 0.9 <= c < 0.99]
-    closed = {
-        s: [
-            r["diagnosis"]["gap"]["closed"]
-            for r in rows
-            if "diagnosis" in r and sort(r) == s and r["diagnosis"]["gap"]["closed"] is not None
-        ]
-        for s in ("effect", "unknown")
-    }
+    stated = names_with_confidence(rows)
+    sure = [ok for c, ok in stated if c >= 0.99]
+    mid = [ok for c, ok in stated if 0.9 <= c < 0.99]
+    closed = _closed(rows, "effect")
     errors, inside, base = values(rows)
     seconds = [r["seconds"] for r in rows]
     return {
@@ -326,12 +334,8 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "right": rate("effect", "right"),
         "wrong": rate("effect", "wrong"),
         "missed": rate("effect", "missed"),
-        "counts": {
-            s: sum(v for (k, _), v in count.items() if k == s) for s in ("effect", "clean", "unknown")
-        },
-        "kind_wrong": float(np.mean([kind_graded(r) == "wrong" for r in rows if sort(r) == "effect"]))
-        if any(sort(r) == "effect" for r in rows)
-        else None,
+        "counts": {s: len(of_sort) for s, of_sort in grades.items()},
+        "kind_wrong": _mean([kind == "wrong" for kind in kinds]),
         "clean_left_alone": rate("clean", "right"),
         "unknown_recognised": rate("unknown", "right"),
         "unknown_named": rate("unknown", "wrong"),
@@ -339,22 +343,20 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "broke_off": sum("error" in r for r in rows),
         "out_of_time": sum(bool(r.get("timed_out")) for r in rows),
         "names_at_0.99": len(sure),
-        "names_at_0.99_right": float(np.mean(sure)) if sure else None,
+        "names_at_0.99_right": _mean(sure),
         "names_at_0.9_to_0.99": len(mid),
-        "names_at_0.9_to_0.99_right": float(np.mean(mid)) if mid else None,
-        "closed_median": float(np.median(closed["effect"])) if closed["effect"] else None,
-        "closed_least": min(closed["effect"], default=None),
-        "closed_unknown_median": float(np.median(closed["unknown"])) if closed["unknown"] else None,
-        "value_error_median": float(np.median(errors)) if errors else None,
+        "names_at_0.9_to_0.99_right": _mean(mid),
+        "closed_median": _median(closed),
+        "closed_least": min(closed, default=None),
+        "closed_unknown_median": _median(_closed(rows, "unknown")),
+        "value_error_median": _median(errors),
         "intervals": len(inside),
-        "intervals_hold": float(np.mean(inside)) if inside else None,
+        "intervals_hold": _mean(inside),
         "base_intervals": len(base),
-        "base_intervals_hold": float(np.mean(base)) if base else None,
-        "kind_right": float(np.mean([kind_graded(r) == "right" for r in rows if sort(r) == "effect"]))
-        if any(sort(r) == "effect" for r in rows)
-        else None,
+        "base_intervals_hold": _mean(base),
+        "kind_right": _mean([kind == "right" for kind in kinds]),
         "reliability": {level: reliability(rows, level) for level in LEVELS},
-        "seconds_median": float(np.median(seconds)) if seconds else None,
+        "seconds_median": _median(seconds),
         "seconds_longest": max(seconds, default=None),
     }
 
