@@ -19,7 +19,7 @@ three nuisances, each below 1.5 % of the motion.
 from __future__ import annotations
 
 from . import case as _case
-from .case import Case, Family, save
+from .case import Case, Family
 from .rigs import FAMILIES
 from .unseen import UNSEEN
 
@@ -34,4 +34,4 @@ def make_case(kind: str, seed: int) -> Case:
     return _case.make_case({**FAMILIES, **UNSEEN}[kind.split(".")[0]], kind, seed)
 
 
-__all__ = ["FAMILIES", "KINDS", "UNSEEN_KINDS", "Case", "Family", "make_case", "save"]
+__all__ = ["FAMILIES", "KINDS", "UNSEEN_KINDS", "Case", "Family", "make_case"]

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import copy
-import json
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -296,25 +294,3 @@ class Noise:
                 white = level * np.sqrt(1 - memory**2) * r.standard_normal(rig.size + 50)
                 table[k] = column + lfilter([1.0], [1.0, -memory], white)[50:]
         return table
-
-
-def save(cases: Any, folder: Path | str) -> None:
-    """Write cases as the shared rigs are: a folder each, and `FOLDER.truth.json` beside them."""
-    folder = Path(folder)
-    truth = {}
-    for case in cases:
-        place = folder / case.name
-        place.mkdir(parents=True, exist_ok=True)
-        (place / "model.json").write_text(json.dumps(case.model, indent=1))
-        for which, table in (("estimation", case.estimation), ("validation", case.validation)):
-            if table is not None:
-                np.savetxt(
-                    place / f"{which}.csv",
-                    np.column_stack(list(table.values())),
-                    fmt="%.9g",
-                    delimiter=",",
-                    header=",".join(table),
-                    comments="",
-                )
-        truth[case.name] = case.record()
-    folder.with_name(f"{folder.name}.truth.json").write_text(json.dumps(truth, indent=1))

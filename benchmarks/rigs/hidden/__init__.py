@@ -10,39 +10,7 @@ A force cell reads everything that acts between its terminals, so the record of 
 effects that stand side by side with that element.
 """
 
-from __future__ import annotations
-
-import json
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
-
 from .make import ALL_KINDS, family, make_case
 from .secret import Case
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-__all__ = ["ALL_KINDS", "Case", "family", "make_case", "save"]
-
-
-def save(cases: Iterable[Case], folder: Path | str) -> None:
-    """Write cases as the shared blind rigs are: a folder each, and `truth.json`."""
-    folder = Path(folder)
-    truth = {}
-    for case in cases:
-        place = folder / case.name
-        place.mkdir(parents=True, exist_ok=True)
-        (place / "model.json").write_text(json.dumps(case.model, indent=1))
-        for which, table in (("estimation", case.estimation), ("validation", case.validation)):
-            np.savetxt(
-                place / f"{which}.csv",
-                np.column_stack(list(table.values())),
-                fmt=["%.4f"] + ["%.6g"] * (len(table) - 1),
-                delimiter=",",
-                header=",".join(table),
-                comments="",
-            )
-        truth[case.name] = case.record()
-    (folder / "truth.json").write_text(json.dumps(truth, indent=1))
+__all__ = ["ALL_KINDS", "Case", "family", "make_case"]
