@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from program import refused, run
+from program import assert_one_line, refused, run
 
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark.policies import find_all
@@ -55,6 +55,11 @@ def test_a_score_on_a_track_is_compared_with_its_card(tmp_path):
 def test_a_track_that_does_not_exist_is_told_in_one_line():
     refused("no track 'active-g'; did you mean 'active", lambda: find_track("active-g"))
     refused("no track 'x'; there are standard, ", lambda: find_track("x"))
+
+
+def test_a_track_sets_the_conditions_alone():
+    done = run("score", "passive", "--track", "active-bump", "--road", "A", "--episodes", 2)
+    assert_one_line(done, "--track sets --road, --episodes; leave out one or the other")
 
 
 @pytest.mark.parametrize(

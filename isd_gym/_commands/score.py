@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .._common.errors import InputError
 from ._card_table import print_track
 from ._options import (
     DurationOption,
@@ -61,7 +62,21 @@ PointOption = Annotated[
 ]
 
 
+#: parameters of the command that a track sets
+SET_BY_TRACK = ("network", "road", "map_file", "speed", "preview", "episodes")
+
+
+def _refuse_conditions(context: typer.Context) -> None:
+    """Raise `InputError` for options beside --track that the track sets."""
+    named = context.get_parameter_source("track")
+    conditions = [p for p in context.command.params if p.name in SET_BY_TRACK]
+    given = [p.opts[0] for p in conditions if context.get_parameter_source(str(p.name)) == named]
+    if given:
+        raise InputError(f"--track sets {', '.join(given)}; leave out one or the other")
+
+
 def command(
+    context: typer.Context,
     policies: PoliciesArgument,
     track: TrackOption = None,
     road: RoadOption = "paper",
@@ -108,6 +123,7 @@ def command(
         from ..benchmark.tracks import find_track
 
         chosen = find_track(track)
+        _refuse_conditions(context)
         network, road, speed = chosen.network, chosen.road, chosen.speed
         preview, episodes = chosen.preview or None, chosen.episodes
     check_file(json_file, network, model, road)
