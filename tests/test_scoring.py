@@ -10,7 +10,7 @@ from program import refused
 
 from isd_gym.benchmark import scoring
 from isd_gym.benchmark.policies import Idle, conventional, passive
-from isd_gym.benchmark.scoring import Entry, drive, frequency_weighting, score, weighted_rms
+from isd_gym.benchmark.scoring import Entry, frequency_weighting, score, weighted_rms
 from isd_gym.physics.network import Network
 
 CAR = Network.load("quarter-car-isd")
@@ -44,22 +44,6 @@ def test_weighted_rms_of_a_sine():
     t = np.arange(4000) * 5e-3
     expected = np.sqrt(2) * frequency_weighting(np.array([5.0]))[0]
     assert weighted_rms(2 * np.sin(2 * np.pi * 5.0 * t), 5e-3) == pytest.approx(expected, rel=1e-6)
-
-
-def test_batched_and_single_controllers_score_alike():
-    class Single(Constant):
-        fallbacks = 0
-
-    class Batched(Single):
-        def reset_batch(self, n):
-            self.n = n
-
-        def act_batch(self, observations):
-            return np.full(self.n, self.current)
-
-    entries = (Entry("c", lambda: Single(1.5)), Entry("c", lambda: Batched(1.5)))
-    a, b = (drive(entry, CAR, episodes=2, duration=1.0) for entry in entries)
-    np.testing.assert_array_equal(a.body_acceleration, b.body_acceleration)
 
 
 def test_table_holds_what_the_contract_asks():

@@ -310,10 +310,6 @@ def fails(observation):
 class Wants:
     def __init__(self, gain):
         pass
-
-
-class Empty:
-    pass
 """
 
 
@@ -345,7 +341,6 @@ def test_own_controllers_are_scored_by_file_and_name(own):
         (":nothing", "act returned None, not a current"),
         (":fails", "AttributeError"),
         (":Wants", "TypeError"),
-        (":Empty", "no method act"),
     ],
 )
 def test_a_wrong_controller_is_one_line(own, name, says):
