@@ -43,12 +43,20 @@ MEASURED = tuple(
 )
 
 
+RESET_OPTIONS = ("road", "speed", "scoring_road")
 RENDER_MODES = ["human", "rgb_array"]  # of one car; a window shows no batch
 
 
 def _can_draw() -> bool:
     """Return whether the drawing library is installed."""
     return find_spec("pygame") is not None
+
+
+def _check_options(options: Mapping[str, Any], known: Sequence[str]) -> None:
+    """Raise `InputError` for an option that a reset does not have."""
+    unknown = [shown(name) for name in options if name not in known]
+    if unknown:
+        raise InputError(f"reset has the options {', '.join(known)}, not {', '.join(unknown)}")
 
 
 def _check_render_mode(mode: str | None, known: list[str]) -> None:
@@ -158,8 +166,19 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     `max_episode_steps` of `gymnasium.make`, shorter or longer. Terminated only if the state leaves the bounds of the
     observation, which does not happen by itself.
 
+    `reset(seed=..., options=...)` takes these options:
+
+    | option | content |
+    |---|---|
+    | `road` | road of this and all following episodes, as in `isd_gym.env.Options`, such as "C" |
+    | `speed` | speed of this and all following episodes [m/s] |
+    | `scoring_road` | number of a scoring road, from 0, which no seed reaches; car i of a vector environment has that number + i |
+
+    A vector environment also has `reset_mask`. Other cars take the road and the speed at their next episode. The shaped reward
+    and the front corners in `observation="history"` keep the speed of the environment, as with `randomize`.
+
     ## Info
-    Of `reset` and of `step`:
+    Of `reset` and of `step`. `exceeds_...` are constraint signals for safe reinforcement learning:
 
     | key | content | unit |
     |---|---|---|
@@ -219,12 +238,12 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
         self._limit = _time_limit_around(self) or self.max_episode_steps
-        options = dict(options or {})
+        options = options or {}
+        _check_options(options, RESET_OPTIONS)
+        self.task.drive_on(options)
         if "scoring_road" in options:
-            self._np_random = scoring_generator(road_index(options.pop("scoring_road"), "scoring_road"))
+            self._np_random = scoring_generator(road_index(options["scoring_road"], "scoring_road"))
             self._np_random_seed = -1  # as Gymnasium says where the seed is not known
-        if options:
-            raise InputError(f"reset has the option scoring_road, not {', '.join(map(shown, options))}")
         batch = self.task.batch
         self.task.begin(0, self.np_random)
         self._ready = True
@@ -492,13 +511,11 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         with self._alone():
-            options = dict(options or {})
-            mask = self._mask(options.pop("reset_mask", None))
-            fresh = self._generators(seed, options.pop("scoring_road", None))
-            if options:
-                raise InputError(
-                    f"reset has the options reset_mask and scoring_road, not {', '.join(map(shown, options))}"
-                )
+            options = options or {}
+            _check_options(options, (*RESET_OPTIONS, "reset_mask"))
+            mask = self._mask(options.get("reset_mask"))
+            fresh = self._generators(seed, options.get("scoring_road"))
+            self.task.drive_on(options)
             self._rngs = fresh
             self._restart(np.flatnonzero(mask))
             # the other cars keep their observations

@@ -16,6 +16,7 @@ import numpy as np
 from gymnasium import spaces
 
 from .._common.errors import InputError, shown
+from .._common.inputs import is_number
 from ..physics import elements as el
 from ..physics._batch import Batch, ranges
 from ..physics._kernel.layout import REWARD
@@ -471,6 +472,18 @@ class Task:
         if self._remembered is not None:
             self._remembered.set_state(i, state["history"])
         self._weights[i] = state["weight"]
+
+    def drive_on(self, options: Mapping[str, Any]) -> None:
+        """Take road and speed from the options of a reset, for this and all following episodes."""
+        if "road" not in options and "speed" not in options:
+            return
+        ground, speed = road(options.get("road", self.batch.road)), options.get("speed", self.batch.speed)
+        if not is_number(speed) or not 1e-3 <= speed <= FASTEST:
+            raise InputError(f"speed must be a number from 0.001 to {FASTEST:g} m/s, not {shown(speed)}")
+        for batch in (self.batch, self._reference):
+            if batch is not None:
+                batch.drive_on(ground, float(speed))
+        warn_of_pulling_tyres(self.vehicle, [ground], float(speed))
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
         """Put a car, and its reference, at rest at the start of a new road."""

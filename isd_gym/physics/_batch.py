@@ -252,6 +252,24 @@ class Batch:
 
     # ---------------------------------------------------------------------------------------- reset
 
+    def drive_on(self, ground: Road, speed: float) -> None:
+        """Set road and speed [m/s] of all following episodes.
+
+        Raises:
+            InputError: `randomize` draws the road or the speed, or the rear wheels follow later than at any speed of the
+                options.
+        """
+        for name, is_new in (("road", ground is not self.road), ("speed", speed != self.speed)):
+            if is_new and name in self.randomize:
+                raise InputError(f"randomize draws the {name}: leave it out of the options of reset")
+        late = math.ceil(max(self.vehicle.wheels.delays(speed, self.plant.step)))
+        if late and late + self.substeps + 2 > self.kept:
+            raise InputError(
+                f"at {speed:g} m/s the rear wheels follow later than at the speed of the environment: make the "
+                f"environment with speed={speed:g}"
+            )
+        self.road, self.speed = ground, speed
+
     def reset(self, i: int, rng: np.random.Generator) -> None:
         """Put a car at rest at the start of a new road."""
         if self._spread:
