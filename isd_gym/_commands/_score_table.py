@@ -85,6 +85,11 @@ def print_score(result: Any, *, full: bool) -> None:
         f"{result.drives}{sight}; RMS, change against passive{interval}"
     )
     console.print(title)
+    if result.model is not None:
+        factors = ", ".join(f"{plain(name)} x {factor:.4g}" for name, factor in result.shift.items())
+        console.print(
+            f"controllers have the model {plain(result.model.name)}; vehicle against it: {factors or 'other elements'}"
+        )
     names = {"policy": [Text(plain(row["policy"], 40)) for row in result.policies]}
     tables: list[Any] = [(main,)]
     if full:

@@ -168,6 +168,7 @@ def command(
             progress=update,
             **drives,
         )
+    result.model = belief if belief != plant else None
     result.references |= bounds.bounds_beside(result, known, ceilings)
     made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
     write_json(json_file, made)

@@ -516,6 +516,22 @@ class Score:
     comparable: Comparable = field(default_factory=Comparable)  # allowed bounds and published figures
     cost: StageCost = field(default_factory=StageCost)  # stage cost of the car
     point: str = ""  # point of the body of the evaluation by ISO 2631-1
+    model: Network | None = field(
+        repr=False, default=None
+    )  # model of the controllers, where it is not the plant
+
+    @property
+    def shift(self) -> dict[str, float]:
+        """Parameters of the plant over those of the controllers' model, where both have them and differ [-]."""
+        if self.model is None or self.plant is None:
+            return {}
+        assumed = {name: value for name, value in self.model.parameters.items() if value}
+        true = self.plant.parameters
+        return {
+            name: true[name] / assumed[name]
+            for name in assumed
+            if true.get(name, assumed[name]) != assumed[name]
+        }
 
     @property
     def drives(self) -> str:
@@ -544,6 +560,7 @@ class Score:
             "seed": self.seed,
             **({} if self.sensors.perfect else {"sensors": self.sensors.to_dict()}),
             **({"comfort_point": self.comfort} if self.comfort else {}),
+            **({"model": {"name": self.model.name, "shift": self.shift}} if self.model else {}),
             "policies": self.policies,
             "references": self.references,
             "roads": self.roads,
