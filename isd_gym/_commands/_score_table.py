@@ -23,98 +23,140 @@ def _sentence(result: Any) -> str:
     return f"{plain(best['policy'], 40)}: J {100 * q['change']:+.1f} %{interval} against passive."
 
 
+#: part of a table: text of a row of the score by heading of the column
+Part = dict[str, Callable[[Any], str]]
+
+
+def _quantity(name: str, digits: int, scale: float = 1.0) -> Callable[[Any], str]:
+    """Return the text of a quantity of a row."""
+    return lambda row: f"{row[name]['value'] * scale:.{digits}f}"
+
+
+class _Table:
+    """The columns of a score, for a terminal of a width."""
+
+    def __init__(self, result: Any, *, is_narrow: bool) -> None:
+        self.result, self.is_narrow = result, is_narrow
+
+    def changed(self, name: str, digits: int, scale: float = 1.0) -> Callable[[Any], str]:
+        """Return the text of a quantity of a row with its change and interval."""
+
+        def text(row: Any) -> str:
+            q = row[name]
+            out = _quantity(name, digits, scale)(row)
+            if q.get("change", 0.0) != 0.0:
+                out += ("\n" if self.is_narrow else " ") + f"{100 * q['change']:+.1f} %"
+                if self.result.episodes > 1:
+                    out += f"\n[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
+            return out
+
+        return text
+
+    def main(self) -> Part:
+        return {
+            "cost J": self.changed("cost", 3),
+            "acceleration\nm/s²": self.changed("body_acceleration_rms", 3),
+            "travel\nmm": self.changed("suspension_travel_rms", 2, 1e3),
+            "tyre load\nN": self.changed("tyre_load_rms", 0),
+        }
+
+    def shares(self) -> Part:
+        heads = {
+            "share_of_reachable_gain": "of the gain\nreachable",
+            "share_of_causal_gain": "of the causal\ngain",
+            "share_of_lq_gain": "of the LQ\nbound's gain",
+        }
+
+        def share(name: str) -> Callable[[Any], str]:
+            return lambda row: "" if row[name] is None else f"{round(100 * row[name])} %"
+
+        told = {name for row in self.result.policies for name in heads if row.get(name) is not None}
+        return {head: share(name) for name, head in heads.items() if name in told}
+
+    def motion(self) -> Part:
+        comfort = f", {plain(self.result.comfort)}" if self.result.comfort else ""
+        return {
+            f"W_k{comfort}\nm/s²": _quantity("weighted_acceleration_rms", 3),
+            "peak acc.\nm/s²": _quantity("peak_body_acceleration", 2),
+            "peak travel\nmm": _quantity("peak_suspension_travel", 1, 1e3),
+            "current\nA": _quantity("current_rms", 2),
+            "energy\nJ": _quantity("energy", 0),
+        }
+
+    def work(self) -> Part:
+        return {
+            "exceed-\nances": lambda row: str(sum(row["limit_violations"].values())),
+            "fall-\nbacks": lambda row: str(row["fallbacks"]),
+            "processor ms\nper step": lambda row: f"{1e3 * row['control_time']['median']:.3f}",
+            "\n99.9 %": lambda row: f"{1e3 * row['control_time']['p99_9']:.3f}",
+        }
+
+    def corners(self) -> list[Part]:
+        from ..benchmark.scoring import corner_measures
+
+        return [
+            {head: self.changed(name, digits, scale) for name, (head, digits, scale) in group.items()}
+            for group in corner_measures(self.result.policies[0])
+        ]
+
+    def all(self) -> list[list[Part]]:
+        """Return the parts of each table."""
+        main, motion, share, work = self.main(), self.motion(), self.shares(), self.work()
+        if self.is_narrow:
+            return [[main], [motion], [share, work], self.corners()]
+        return [[main, share], [motion, work], self.corners()]
+
+
+def _title(result: Any) -> str:
+    ahead = sorted({row["preview"]["value"] for row in result.policies} - {0.0})
+    sight = f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
+    interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
+    return (
+        f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
+        f"{result.drives}{sight}; RMS, change against passive{interval}"
+    )
+
+
 def print_score(result: Any, *, full: bool) -> None:
     """Print the table of a score and a sentence; with `full` all tables, the paper's tables and the bounds."""
     from rich.text import Text
 
-    from ..benchmark.scoring import PAPER, corner_measures
-
     console = printer()
-    narrow = console.width < 106
-
-    def cell(q: dict[str, Any], digits: int, scale: float = 1.0) -> str:
-        text = f"{q['value'] * scale:.{digits}f}"
-        if "change" in q and q["change"] != 0.0:
-            text += f"{chr(10) if narrow else ' '}{100 * q['change']:+.1f} %"
-            if result.episodes > 1:
-                text += f"\n[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
-        return text
-
-    main: dict[str, Callable[[Any], str]] = {
-        "cost J": lambda r: cell(r["cost"], 3),
-        "acceleration\nm/s²": lambda r: cell(r["body_acceleration_rms"], 3),
-        "travel\nmm": lambda r: cell(r["suspension_travel_rms"], 2, 1e3),
-        "tyre load\nN": lambda r: cell(r["tyre_load_rms"], 0),
-    }
-    share: dict[str, Callable[[Any], str]] = {}
-    if any(row["share_of_reachable_gain"] is not None for row in result.policies):
-        share["of the gain\nreachable"] = lambda r: f"{round(100 * r['share_of_reachable_gain'])} %"
-    if any(row["share_of_causal_gain"] is not None for row in result.policies):
-        share["of the causal\ngain"] = lambda r: (
-            "" if r["share_of_causal_gain"] is None else f"{round(100 * r['share_of_causal_gain'])} %"
-        )
-    if any("share_of_lq_gain" in row for row in result.policies):
-        share["of the LQ\nbound's gain"] = lambda r: f"{round(100 * r['share_of_lq_gain'])} %"
-    motion: dict[str, Callable[[Any], str]] = {
-        (f"W_k, {plain(result.comfort)}" if result.comfort else "W_k") + "\nm/s²": lambda r: (
-            f"{r['weighted_acceleration_rms']['value']:.3f}"
-        ),
-        "peak acc.\nm/s²": lambda r: f"{r['peak_body_acceleration']['value']:.2f}",
-        "peak travel\nmm": lambda r: f"{1e3 * r['peak_suspension_travel']['value']:.1f}",
-        "current\nA": lambda r: f"{r['current_rms']['value']:.2f}",
-        "energy\nJ": lambda r: f"{r['energy']['value']:.0f}",
-    }
-    work: dict[str, Callable[[Any], str]] = {
-        "exceed-\nances": lambda r: str(sum(r["limit_violations"].values())),
-        "fall-\nbacks": lambda r: str(r["fallbacks"]),
-        "processor ms\nper step": lambda r: f"{1e3 * r['control_time']['median']:.3f}",
-        "\n99.9 %": lambda r: f"{1e3 * r['control_time']['p99_9']:.3f}",
-    }
-    corners: list[dict[str, Callable[[Any], str]]] = [
-        {
-            head: lambda r, name=name, digits=digits, scale=scale: cell(r[name], digits, scale)  # type: ignore[misc]
-            for name, (head, digits, scale) in group.items()
-        }
-        for group in corner_measures(result.policies[0])
-    ]
-    ahead = sorted({row["preview"]["value"] for row in result.policies} - {0.0})
-    sight = f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
-    interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
-    title = (
-        f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
-        f"{result.drives}{sight}; RMS, change against passive{interval}"
-    )
-    console.print(title)
+    table = _Table(result, is_narrow=console.width < 106)
+    console.print(_title(result))
     if result.model is not None:
         factors = ", ".join(f"{plain(name)} x {factor:.4g}" for name, factor in result.shift.items())
         console.print(
             f"controllers have the model {plain(result.model.name)}; vehicle against it: {factors or 'other elements'}"
         )
     names = {"policy": [Text(plain(row["policy"], 40)) for row in result.policies]}
-    tables: list[Any] = [(main,)]
-    if full:
-        tables = [(main,), (motion,), (share, work)] if narrow else [(main, share), (motion, work)]
-        tables.append(corners)
-    for parts in tables:
-        print_columns(
-            names,
-            *({head: [say(row) for row in result.policies] for head, say in part.items()} for part in parts),
+    for parts in table.all() if full else [[table.main()]]:
+        columns = (
+            {head: [say(row) for row in result.policies] for head, say in part.items()} for part in parts
         )
+        print_columns(names, *columns)
     if not full:
         console.print(_sentence(result) + " More: --full.")
         return
-    for name, (before, after) in PAPER.items() if not result.comparable.tables else ():
-        parts = [
-            f"{what} {b * s:.{d}f} -> {a * s:.{d}f} ({100 * (a / b - 1):+.1f} %)"
-            for what, b, a, s, d in zip(
-                ("acceleration", "travel [mm]", "tyre load"),
-                before,
-                after,
-                (1, 1e3, 1),
-                (3, 2, 0),
-                strict=True,
-            )
-        ]
-        console.print(f"The paper's {name}: " + ", ".join(parts), style="dim")
-    for line in (r for r in result.references.values() if isinstance(r, str)):
-        console.print(plain(line, 400), style="dim")
+    if not result.comparable.tables:
+        for line in _paper_lines():
+            console.print(line, style="dim")
+    for line in result.references.values():
+        if isinstance(line, str):
+            console.print(plain(line, 400), style="dim")
+
+
+def _paper_lines() -> list[str]:
+    """Return the rows of the paper's tables, one a line."""
+    from ..benchmark.scoring import PAPER
+
+    lines = []
+    for name, (before, after) in PAPER.items():
+        (a0, l0, t0), (a1, l1, t1) = before, after
+        parts = (
+            f"acceleration {a0:.3f} -> {a1:.3f} ({100 * (a1 / a0 - 1):+.1f} %)",
+            f"travel [mm] {1e3 * l0:.2f} -> {1e3 * l1:.2f} ({100 * (l1 / l0 - 1):+.1f} %)",
+            f"tyre load {t0:.0f} -> {t1:.0f} ({100 * (t1 / t0 - 1):+.1f} %)",
+        )
+        lines.append(f"The paper's {name}: " + ", ".join(parts))
+    return lines

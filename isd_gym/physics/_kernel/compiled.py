@@ -77,7 +77,7 @@ _ALONE = (contact.beside, contact.touch, contact.apply, contact.contact)
 _SEVERAL = (contact.among_others, contact.beside_others, contact.touch, contact.apply, contact.contacts)
 _LAWS = (
     law_forces.parameters, law_forces.held, law_forces.seen, law_forces.force_beside, law_forces.update_friction, law_forces.push,
-    newton.eliminate, newton.resting, newton.answers, newton.excess, newton.bracketed, newton.newton,
+    newton.eliminate, newton.resting, newton.answers, newton.excess, newton.bracketed, newton.slopes, newton.newton,
     solve.settle, solve.busy, solve.finish, solve.solved, solve.yields, solve.lacks, solve.between, solve.at_once,
 )  # fmt: skip
 _INSTEAD = {

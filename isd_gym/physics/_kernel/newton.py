@@ -35,19 +35,8 @@ def newton(mats, own, ints, state, l):
             f = state[U((at.acting + j) * WIDTH + l)]
             state[U(start + j)] = f
             state[U(step + j)] = state[U((at.answer + j) * WIDTH + l)] - f
-            by_d, by_s, stick = 0.0, 0.0, 0.0
-            if j < ns:
-                answer = state[U((at.answer + j) * WIDTH + l)]
-                away = 1e-7 if turn % 2 == 0 else -1e-7  # alternate sides of a kink
-                dd = away * (1e-3 + abs(seen(mats, own, at, state, n + j, l, -1)))
-                ds = away * (1e-2 + abs(seen(mats, own, at, state, n + nl + j, l, -1)))
-                by_d = (force_beside(mats, own, ints, state, j, l, dd, 0.0)[0] - answer) / dd
-                by_s = (force_beside(mats, own, ints, state, j, l, 0.0, ds)[0] - answer) / ds
-            else:
-                gain = number(mats, own, at.gains + j * at.rows + n + j, l)
-                level = state[U((at.tried + j) * WIDTH + l)]
-                if gain < 0.0 and abs(state[U((at.answer + j) * WIDTH + l)]) < level:
-                    stick = -1.0 / gain
+            away = 1e-7 if turn % 2 == 0 else -1e-7  # alternate sides of a kink
+            by_d, by_s, stick = slopes(mats, own, ints, state, j, l, away)
             for i in range(nl):
                 column = at.gains + i * at.rows + n + j
                 first = number(mats, own, column, l)
@@ -93,6 +82,26 @@ def newton(mats, own, ints, state, l):
         if state[U(at.failed * WIDTH + l)] == 0.0:
             state[U(at.failed * WIDTH + l)] = -1.0  # in this step
             state[U((at.failed + 1) * WIDTH + l)] = last
+
+
+def slopes(mats, own, ints, state, j, l, away):
+    """Return the slopes of law j of lane l: of a smooth law by elongation and rate, of friction that sticks by its rate.
+
+    Differences of a smooth law are to the side of the sign of `away`, the relative distance.
+    """
+    at = layout(ints)
+    n, nl = at.states, at.laws
+    answer = state[U((at.answer + j) * WIDTH + l)]
+    if j < at.smooth:
+        dd = away * (1e-3 + abs(seen(mats, own, at, state, n + j, l, -1)))
+        ds = away * (1e-2 + abs(seen(mats, own, at, state, n + nl + j, l, -1)))
+        by_d = (force_beside(mats, own, ints, state, j, l, dd, 0.0)[0] - answer) / dd
+        by_s = (force_beside(mats, own, ints, state, j, l, 0.0, ds)[0] - answer) / ds
+        return by_d, by_s, 0.0
+    gain = number(mats, own, at.gains + j * at.rows + n + j, l)
+    if gain < 0.0 and abs(answer) < state[U((at.tried + j) * WIDTH + l)]:
+        return 0.0, 0.0, -1.0 / gain
+    return 0.0, 0.0, 0.0
 
 
 def bracketed(mats, own, ints, state, l):

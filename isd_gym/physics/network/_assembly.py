@@ -149,16 +149,7 @@ def _assemble(networks: Sequence[Network], extra: Sequence[Channel]) -> list[Ass
         if e.loaded:  # the kernel passes the load instead of the elongation
             elongation[:, j] = outputs.force_of(getattr(e, "load", ""), f"element '{e.name}'")
     if any(c.quantity != "displacement" for c in network.moving):
-        lacking = unknown(network, _spans(size))
-        places = [column for column, what in lacking if what == "displacement"]
-        for j, e in enumerate(laws[0]):
-            if e.plane == "rate" and GROUND in e.where:
-                elongation[:, j, places] = 0.0
-        rows = [_without_rounding(row) for row in rows]
-        for k in range(len(networks)):
-            complete(
-                network, lacking, motion.rate[k], elongation[k], elongation_rate[k], [row[k] for row in rows]
-            )
+        rows = _complete_motions(network, laws[0], motion, elongation, elongation_rate, rows, size)
     if not all(np.isfinite(m).all() for m in (motion.rate, motion.position, motion.velocity, *rows)):
         raise InputError(TOO_FAR_APART)
     algebraic = np.abs(nodes.of_nodes(motion.algebraic)).sum(axis=1) > NO_SHARE
@@ -186,6 +177,28 @@ def _assemble(networks: Sequence[Network], extra: Sequence[Channel]) -> list[Ass
         )
         for k in range(len(networks))
     ]
+
+
+def _complete_motions(
+    network: Network,
+    laws: Sequence[el.Element],
+    motion: _Motion,
+    elongation: np.ndarray,
+    elongation_rate: np.ndarray,
+    rows: list[np.ndarray],
+    size: Size,
+) -> list[np.ndarray]:
+    """Return the rows of the outputs without rounding, after a check that nothing needs a motion that no input tells."""
+    lacking = unknown(network, _spans(size))
+    places = [column for column, what in lacking if what == "displacement"]
+    for j, e in enumerate(laws):
+        if e.plane == "rate" and GROUND in e.where:
+            elongation[:, j, places] = 0.0
+    rows = [_without_rounding(row) for row in rows]
+    for k in range(len(elongation)):
+        seen = [row[k] for row in rows]
+        complete(network, lacking, motion.rate[k], elongation[k], elongation_rate[k], seen)
+    return rows
 
 
 def _without_rounding(rows: np.ndarray) -> np.ndarray:

@@ -23,44 +23,27 @@ def cut(network: Network, node: str) -> Network:
     Raises:
         InputError: No output measures the motion of the node, or no moved node lies behind the node.
     """
-    if node not in network.nodes:
-        raise InputError(f"cut: no node {shown(node)}; there are {', '.join(network.nodes)}")
-    body = next((b.name for b in network.bodies if node in b.nodes), None)
-    if body is not None:
-        raise InputError(
-            f"cut: '{node}' is part of body '{body}', and its motion is not that of the whole body: cut at another node"
-        )
-    if node in network.moved_nodes:
-        raise InputError(f"cut: '{node}' is moved by an input already: there is nothing to leave out")
-    seen = [c for c in network.outputs if c.at == node and c.quantity in MOTIONS]
-    if not seen:
-        raise InputError(
-            f"cut: no output measures the motion of '{node}'; its accelerometer would be an output with "
-            f'"quantity": "acceleration", "at": "{node}"'
-        )
+    seen = _motions_at(network, node)
     drive = min(seen, key=lambda c: MOTIONS.index(c.quantity))
     behind = _behind(network, node)
-    kept = [e for e in network.elements if e.place == "between" and _stays(e.where, node, behind)]
+    between = [e for e in network.elements if e.place == "between" and _stays(e.where, node, behind)]
     bodies = tuple(b for b in network.bodies if b.name not in behind)
     levers = tuple(v for v in network.levers if _stays(v.between, node, behind))
-    alive = {n for e in kept for n in e.where} | {n for n in network.masses if n not in behind}
-    alive |= {n for b in bodies for n in b.nodes} | {n for v in levers for n in v.between}
-    names = {e.name for e in kept}
-    masses = {n: m for n, m in network.masses.items() if n in alive and n != node}
-    if not masses and not kept and not bodies:
+    alive = set(network.masses) - set(behind)
+    alive = alive.union(*(e.where for e in between), *(b.nodes for b in bodies), *(v.between for v in levers))
+    names = {e.name for e in between}
+    masses = {n: m for n, m in network.masses.items() if n in alive - {node}}
+    if not masses and not between and not bodies:
         raise InputError(f"cut: nothing is left on this side of '{node}'")
     inputs = [c for c in network.inputs if _heard(c, alive - {node}, names)]
     moved = Channel(drive.name, drive.quantity, drive.unit, at=node, axis=drive.axis)
     fixed = {node, GROUND, *(str(c.at) for c in inputs if c.quantity in MOTIONS)}
-    outputs = [
-        c for c in network.outputs if c is not drive and _heard(c, alive, names) and not _idle(c, fixed)
+    others = [c for c in network.outputs if c is not drive and _heard(c, alive, names)]
+    outputs = [c for c in others if not _idle(c, fixed) and not _is_foreign_force(c, fixed - {node})]
+    places = names | {c.name for c in outputs}  # of effects at elements and channels
+    kept = [
+        e for e in network.elements if (e.name in names if e.place == "between" else e.where[0] in places)
     ]
-    outputs = [c for c in outputs if c.quantity != "force" or c.at is None or c.at in fixed - {node}]
-    heard = {c.name for c in outputs}
-    kept += [e for e in network.elements if e.place == "element" and e.where[0] in names]
-    kept += [e for e in network.elements if e.place == "channel" and e.where[0] in heard]
-    order = {e.name: k for k, e in enumerate(network.elements)}
-    kept.sort(key=lambda e: order[e.name])
     if not outputs:
         raise InputError(f"cut: no output is left to compare with on this side of '{node}'")
     part = replace(
@@ -76,6 +59,31 @@ def cut(network: Network, node: str) -> Network:
         uncertainty={},
     )
     return part.with_uncertainty(network.uncertainty)
+
+
+def _motions_at(network: Network, node: str) -> list[Channel]:
+    """Return the outputs that measure the motion of a node at which a model can be cut."""
+    if node not in network.nodes:
+        raise InputError(f"cut: no node {shown(node)}; there are {', '.join(network.nodes)}")
+    body = next((b.name for b in network.bodies if node in b.nodes), None)
+    if body is not None:
+        raise InputError(
+            f"cut: '{node}' is part of body '{body}', and its motion is not that of the whole body: cut at another node"
+        )
+    if node in network.moved_nodes:
+        raise InputError(f"cut: '{node}' is moved by an input already: there is nothing to leave out")
+    seen = [c for c in network.outputs if c.at == node and c.quantity in MOTIONS]
+    if not seen:
+        raise InputError(
+            f"cut: no output measures the motion of '{node}'; its accelerometer would be an output with "
+            f'"quantity": "acceleration", "at": "{node}"'
+        )
+    return seen
+
+
+def _is_foreign_force(c: Channel, fixed: set[str]) -> bool:
+    """Return whether an output is the force at a node that no input moves any more."""
+    return c.quantity == "force" and c.at is not None and c.at not in fixed
 
 
 def cut_nodes(network: Network) -> list[str]:
