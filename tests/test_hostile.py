@@ -202,26 +202,28 @@ class Plain:
     pass
 
 
+#: constructors that numpy pickles, under the names of the installed version
+RECONSTRUCT, SCALAR = np.zeros(0).__reduce__()[0], np.float64(0.0).__reduce__()[0]
 HOSTILE_MEANS = {
     "pointers of bytes": Calls(np.ndarray, (1, 6), "O", b"\x41" * 48),
     "objects in disguise": Calls(
         np.ndarray, (6,), Calls(np.dtype, "V8", False, True, state=(3, "|", None, ("a",), {"a": (np.dtype("O"), 0)}, 8, 1, 0)), b"\x41" * 48
     ),
     "a dtype's state": Calls(
-        np._core.multiarray._reconstruct, np.ndarray, (0,), b"b",
+        RECONSTRUCT, np.ndarray, (0,), b"b",
         state=(1, (6,), Calls(np.dtype, "f8", False, True, state=(3, "|", None, None, None, 8, 1, 63)), False, b"\x41" * 48),
     ),
     "a dtype of objects": Calls(
-        np._core.multiarray._reconstruct, np.ndarray, (0,), b"b",
+        RECONSTRUCT, np.ndarray, (0,), b"b",
         state=(1, (6,), np.dtype("O"), False, [1] * 6),
     ),
     "objects": np.array([None] * 6, object),
     "code": Calls(os.system, "exit 1"),
     "less than told": Calls(
-        np._core.multiarray._reconstruct, np.ndarray, (0,), b"b",
+        RECONSTRUCT, np.ndarray, (0,), b"b",
         state=(1, (2**40,), np.dtype("f8"), False, b"\x00" * 48),
     ),
-    "a scalar of objects": Calls(np._core.multiarray.scalar, np.dtype("O"), b"\x41" * 8),
+    "a scalar of objects": Calls(SCALAR, np.dtype("O"), b"\x41" * 8),
     "not finite": np.full(6, np.nan),
 }  # fmt: skip
 
