@@ -59,6 +59,16 @@ SHOWN = {
 }
 
 
+def read(file: Path) -> Any:
+    """The content of a JSON file."""
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def stored(name: str) -> Any:
+    """The content of a file that a benchmark wrote."""
+    return read(BENCHMARKS / name)
+
+
 def percent(share: float, digits: int = 1) -> str:
     """A share as a signed percentage."""
     return f"{100 * share:+.{digits}f} %".replace("-", "−")
@@ -144,7 +154,7 @@ def ceilings() -> str:
 
 def steps() -> str:
     """Time per step of the controllers on the paper's road."""
-    found = json.loads((BENCHMARKS / "mpc.json").read_text(encoding="utf-8"))["steps"]
+    found = stored("mpc.json")["steps"]
     body = []
     for label in ("lqg", "mpc-paper, horizon 20", "mpc", "mpc-friction", "mpc-friction-preview"):
         row = found[f"{label}, road paper"]
@@ -156,7 +166,7 @@ def steps() -> str:
 
 def half_car() -> str:
     """Controllers of the half car, with and without wheelbase preview."""
-    found = json.loads((BENCHMARKS / "half-car.json").read_text(encoding="utf-8"))
+    found = stored("half-car.json")
     names = (
         "body_acceleration_rms",
         "pitch_acceleration_rms",
@@ -176,7 +186,7 @@ def half_car() -> str:
 def wheelbase() -> str:
     """The gain by wheelbase preview over the speed."""
     body = []
-    for found in json.loads((BENCHMARKS / "wheelbase.json").read_text(encoding="utf-8"))["speeds"]:
+    for found in stored("wheelbase.json")["speeds"]:
         rows, bound = found["policies"], found["lq_bound"]
         body.append(
             [
@@ -197,7 +207,7 @@ def wheelbase() -> str:
 
 def pulling() -> str:
     """Share of the control steps in which the linear tyre pulls, by road and speed."""
-    found = json.loads((BENCHMARKS / "rough-roads.json").read_text(encoding="utf-8"))["shares"]
+    found = stored("rough-roads.json")["shares"]
     speeds = sorted({row["speed"] for row in found})
     body = []
     for name in ("quarter-car-passive", "quarter-car-isd", "half-car-isd", "full-car-isd"):
@@ -209,7 +219,7 @@ def pulling() -> str:
 
 def lift_off() -> str:
     """Figures of the linear tyre over the figures of a tyre that lifts off."""
-    found = json.loads((BENCHMARKS / "rough-roads.json").read_text(encoding="utf-8"))
+    found = stored("rough-roads.json")
     body = []
     for row in found["effects"]:
         change = {k: v / row["lifts_off"][k] - 1 for k, v in row["linear"].items() if k != "share"}
@@ -244,7 +254,7 @@ def bound_of(track: Track) -> str:
         if found is not None:
             return f"{percent(found['change'])} searched, {percent(found['proven_without_stops'])} proven without end stops"
     if track.card == "ISDHalfCar-v0":
-        speeds = json.loads((BENCHMARKS / "wheelbase.json").read_text(encoding="utf-8"))["speeds"]
+        speeds = stored("wheelbase.json")["speeds"]
         (found,) = (s["lq_bound"] for s in speeds if s["speed"]["value"] == 20.0)
         return f"{percent(found['change'])} linear-quadratic, without friction and limits"
     return "not known"
@@ -306,7 +316,7 @@ def semiactive_roads() -> str:
 def budget_of(policy: str) -> str:
     """Steps and time of the training of a shipped policy."""
     file = ROOT / "agents" / "policies" / policy / "policy.json"
-    training = json.loads(file.read_text(encoding="utf-8"))["training"]
+    training = read(file)["training"]
     return f"{training['settings']['steps'] / 1e6:g} M steps, {training['seconds'] / 60:.0f} min of one core"
 
 
@@ -347,7 +357,7 @@ def tracks() -> str:
 
 def robust_row() -> tuple[float, *tuple[str, ...]]:
     """Row of the robust track: the mean change of J over the conditions."""
-    found = json.loads(tracks_of.ROBUST.read_text(encoding="utf-8"))
+    found = read(tracks_of.ROBUST)
     rows = sorted(found["overall"], key=lambda row: row["change"]["value"])
     by = {row["policy"]: row["change"]["value"] for row in rows}
     cells = []
@@ -381,7 +391,7 @@ def full_car_card() -> str:
 def regeneration() -> str:
     """Processor time of each card."""
     body = []
-    for name, found in json.loads(tracks_of.TIMES.read_text(encoding="utf-8")).items():
+    for name, found in read(tracks_of.TIMES).items():
         for track, seconds in found["processor_seconds"].items():
             body.append([name, track, f"{seconds:.0f} s"])
     return markdown(["card", "track", "processor time"], body, "llr")
@@ -458,7 +468,7 @@ def suites() -> str:
         return "–" if value is None else f"{100 * value:.0f} % of {count}"
 
     body = []
-    for name, f in json.loads((BENCHMARKS / "diagnosis.json").read_text(encoding="utf-8")).items():
+    for name, f in stored("diagnosis.json").items():
         n = f["counts"]
         body.append(
             [
@@ -485,7 +495,7 @@ FEWEST = 10
 def calibration() -> str:
     """Stated probability against the share of true statements, by level."""
     body = []
-    for name, f in json.loads((BENCHMARKS / "diagnosis.json").read_text(encoding="utf-8")).items():
+    for name, f in stored("diagnosis.json").items():
         for level in grading.LEVELS:
             for b in f["reliability"][level]:
                 if b["stated"] >= 0.5 and b["names"] >= FEWEST:
@@ -505,7 +515,7 @@ def calibration() -> str:
 
 def limits() -> str:
     """Every limit of the verdict, with the verdicts that change where the limit is halved or doubled."""
-    found = json.loads((BENCHMARKS / "ablation.json").read_text(encoding="utf-8"))
+    found = stored("ablation.json")
     changes: dict[str, list[str]] = {}
     for c in found["changes"]:
         if c["variation"].startswith(("× 0.5 ", "× 2 ")):
@@ -527,7 +537,7 @@ def limits() -> str:
 
 def gates() -> str:
     """The verdicts that change where a gate always passes."""
-    found = json.loads((BENCHMARKS / "ablation.json").read_text(encoding="utf-8"))
+    found = stored("ablation.json")
     body = [
         [c["rule"].removeprefix("gate "), str(len(c["better"])), str(len(c["worse"]))]
         for c in found["changes"]
@@ -538,7 +548,7 @@ def gates() -> str:
 
 def gate_sets() -> str:
     """The verdicts that change where several gates always pass together: pairs that change more than each alone, and all idle gates."""
-    found = json.loads((BENCHMARKS / "ablation.json").read_text(encoding="utf-8"))
+    found = stored("ablation.json")
     rigs = {c["rule"]: {*c["better"], *c["worse"], *c["other"]} for c in found["changes"]}
     sets = [c for c in found["changes"] if c["variation"] == "removed together"]
     body = []
@@ -560,7 +570,7 @@ def mistaken() -> str:
 
 def shares() -> str:
     """How often doubtful places and kinds are true, and the probability stated with the limit varied."""
-    found = json.loads((BENCHMARKS / "ablation-shares.json").read_text(encoding="utf-8"))
+    found = stored("ablation-shares.json")
     body = []
     for name, run in found.items():
         for row in run["shares"]:
@@ -574,7 +584,7 @@ def shares() -> str:
 def measurements() -> str:
     """What is known of every public data set, what the diagnosis answers, and whether that is right."""
     body = []
-    for entry in json.loads(MEASURED.read_text(encoding="utf-8")).values():
+    for entry in read(MEASURED).values():
         answer = entry.get("diagnosis")
         judged = {"right": "yes", "wrong": "**no**", "missed": "undecided", None: "open"}
         body.append(
@@ -600,7 +610,7 @@ def first_looks() -> str:
         return f"{sum(sure)} of {len(sure)}" if sure else "–"
 
     body = []
-    for look in json.loads((BENCHMARKS / "first-looks.json").read_text(encoding="utf-8")):
+    for look in stored("first-looks.json"):
         rigs = look["rigs"]
         said = {level: [s for r in rigs for s in r["stated"][level]] for level in ("law", "kind", "place")}
         body.append(
@@ -621,10 +631,10 @@ def first_looks() -> str:
 def first_looks_by_rig() -> str:
     """What was known of each rig before its first look, and the answer; without the rigs of `measurements`."""
     grades = {"right": "yes", "wrong": "**no**", "missed": "undecided"}
-    listed = json.loads(MEASURED.read_text(encoding="utf-8"))
+    listed = read(MEASURED)
     body = [
         [f"{r['rig']} <small>({r['source']})</small>", r["known"], r["answer"], grades[r["law"]], grades[r["kind"]]]
-        for look in json.loads((BENCHMARKS / "first-looks.json").read_text(encoding="utf-8"))
+        for look in stored("first-looks.json")
         for r in look["rigs"]
         if r["name"] not in listed
     ]  # fmt: skip
@@ -635,7 +645,7 @@ def sources() -> str:
     """Where the public data sets are, their licences, and the records that are compared."""
     body = [
         [f"`{name}`", entry["source"], entry["licence"], entry["records"], entry["model"]]
-        for name, entry in json.loads(MEASURED.read_text(encoding="utf-8")).items()
+        for name, entry in read(MEASURED).items()
     ]
     return markdown(["name", "source", "licence", "records", "nominal model"], body, "lllll")
 
@@ -661,13 +671,13 @@ def read_answers(folder: Path) -> None:
     Args:
         folder: holds NAME/diagnosis.json for every data set that was run.
     """
-    entries = json.loads(MEASURED.read_text(encoding="utf-8"))
-    expected = json.loads((BENCHMARKS / "real.json").read_text(encoding="utf-8"))
+    entries = read(MEASURED)
+    expected = stored("real.json")
     for name, entry in entries.items():
         file = folder / name / "diagnosis.json"
         if not file.exists():
             continue
-        diagnosis = json.loads(file.read_text(encoding="utf-8"))
+        diagnosis = read(file)
         before = entry.get("diagnosis", {})
         answer = answer_of(diagnosis)
         grade = before.get("grade") if before.get("answer") == answer else None
@@ -699,7 +709,7 @@ PUBLISHED = [
 
 def yardsticks() -> str:
     """Figures of the completed models on the official splits, beside the published ones."""
-    found = json.loads((BENCHMARKS / "yardsticks.json").read_text(encoding="utf-8"))
+    found = stored("yardsticks.json")
     silverbox = " / ".join(f"{v:.2f}" for v in found["silverbox"]["figures"].values())
     ours = ["**`isd-gym diagnose`**", f"**{silverbox}**", f"**{found['emps']['figures']['test']:.2f}**"]
     return markdown(["method", "Silverbox [mV]", "EMPS [mm]"], [ours, *map(list, PUBLISHED)], "lrr")
@@ -708,7 +718,7 @@ def yardsticks() -> str:
 def yardstick_models() -> str:
     """Completed models of the official splits: effects, parameters, figures and time."""
     body = []
-    for name, f in json.loads((BENCHMARKS / "yardsticks.json").read_text(encoding="utf-8")).items():
+    for name, f in stored("yardsticks.json").items():
         effects = ", ".join(e.replace("_", " ") for e in f["effects"])
         values = ", ".join(f"{path} {value:.4g}" for path, value in f["parameters"].items())
         figures = "; ".join(f"{k.replace('_', ' ')} {v:.2f} {f['unit']}" for k, v in f["figures"].items())
@@ -731,7 +741,7 @@ TOOLS = {
 
 
 def _missing_physics() -> dict[str, Any]:
-    return json.loads((BENCHMARKS / "missing_physics.json").read_text(encoding="utf-8"))
+    return stored("missing_physics.json")
 
 
 def missing_physics() -> str:
