@@ -224,7 +224,9 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
         self._steps = 0
         #: length of an episode by the options [decisions]
         self.max_episode_steps = self._limit = self.task.episode
-        self._is_plain, self._actions = self.task.is_plain, self.task.actions[:, 0]
+        self._is_plain, self._is_direct = self.task.is_plain, self.task.is_direct
+        self._gain = self.task.gain if self._is_direct else 1.0
+        self._bind()
         self._drawn: dict[str, Any] = {}
         self._onlooker = Onlooker(self.task, 0) if render_mode is not None else None
 
@@ -270,7 +272,7 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
                 current = target if type(target) is float else _number(target)
                 if not isfinite(current):
                     raise InputError(f"the action must be finite, not {current}")
-                self._actions[i] = current
+                self._actions[i] = self._gain * current
         except InputError:
             raise
         except (TypeError, ValueError, OverflowError):
@@ -285,7 +287,11 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
             reward, broken = told[0], told[-1] != 0.0
             obs = self.task.observe()[0] if broken or self.task.is_faulty else batch.first_seen.copy()
         else:
-            reward = float(self.task.advance()[0])
+            if self._is_direct:
+                batch.step()
+                reward = self.task.options.reward_scale * float(batch.results[self.task.reward_row, 0])
+            else:
+                reward = float(self.task.advance()[0])
             told = batch.alone()
             broken = told[-1] != 0.0
             obs = self.task.observe()[0].copy()
@@ -365,7 +371,11 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._make_info = info_maker(self.task.step_info)
-        self._actions = self.task.actions[:, 0]
+        self._bind()
+
+    def _bind(self) -> None:
+        """Let actions be written where the car, or the task, reads them."""
+        self._actions = (self.task.batch.target if self._is_direct else self.task.actions)[:, 0]
 
 
 def _time_limit_around(env: ISDSuspensionEnv) -> int | None:

@@ -198,6 +198,25 @@ class Remembered:
             _repeat(self.features, self.past, self.newest, self.repeated, rows, self.places, self._first_late)
         return self.features
 
+    def clipped(self) -> np.ndarray:
+        """Return the features within ±`BOUND`, as a new array."""
+        out = np.empty_like(self.features)
+        _clip(self.features, BOUND, out)
+        return out
+
+
+@jit.compiled(error_model="numpy")
+def _clip(features, bound, out):  # type: ignore[no-untyped-def]
+    """Write the features within ±bound; `np.clip` takes five times as long for one car."""
+    for i in range(features.shape[0]):
+        for j in range(features.shape[1]):
+            value = features[i, j]
+            if value > bound:
+                value = np.float32(bound)
+            elif value < -bound:
+                value = np.float32(-bound)
+            out[i, j] = value
+
 
 @jit.compiled(error_model="numpy")
 def _advance(features, observations, scale, ratio, order, leaks, keep, gain):  # type: ignore[no-untyped-def]

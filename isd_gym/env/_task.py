@@ -177,6 +177,13 @@ class Options:
             and self.reward_scale == 1.0
         )
 
+    @property
+    def is_direct(self) -> bool:
+        """Whether a decision is one control step whose currents and reward are multiples of the action and of a result."""
+        return (
+            self.hold == 1 and self.action != "increment" and self.reward != "relative" and not self.per_level
+        )
+
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Options:
         """Return options from a mapping, with defaults for missing names.
@@ -269,6 +276,10 @@ class Task:
         self._usual = usual_level(self.batch) if options.per_level else 0.0
         self._slew = SLEW_RATE * control_step
         self.actions = np.zeros((of.currents, count))
+        #: whether a decision of a single car needs numbers alone: `gain` times the action, and `reward_scale` times a result
+        self.is_direct = options.is_direct
+        self.gain = CURRENT_LIMIT if options.action == "share" else 1.0
+        self.reward_row = of.shaped if options.reward == "shaped" else REWARD
         self._bind()
         self.is_plain = options.is_plain
         self._channel_faults = _channel_faults(self.network, [signal.name for signal in self.measured])
@@ -358,7 +369,6 @@ class Task:
         batch, of, hold = self.batch, self.batch.of, self.options.hold
         means = 1 + len(self.vehicle.costs)
         watch = self.is_faulty or self._remembered is not None
-        row = of.shaped if self.options.reward == "shaped" else REWARD
         earned: Any = 0.0
         reference = 0.0
         for k in range(hold):
@@ -369,7 +379,7 @@ class Task:
                 np.multiply(self.actions, CURRENT_LIMIT, out=batch.target)  # which the kernel limits
             batch.step()
             results = batch.results
-            earned = earned + results[row, : batch.count]
+            earned = earned + results[self.reward_row, : batch.count]
             if k == 0 and hold > 1:
                 sums, marks, broken = results[:means].copy(), results[of.exceeds :].copy(), batch.broken
             elif k > 0:
@@ -405,7 +415,7 @@ class Task:
             obs = np.clip(np.nan_to_num(obs), -self._bounds, self._bounds)
         if self._remembered is not None:
             self._remembered.see(obs)
-            obs = np.clip(self._remembered.features, -BOUND, BOUND)
+            obs = self._remembered.clipped()
         return obs
 
     def _sense(
