@@ -124,8 +124,36 @@ def test_held_out_records_decide_about_a_small_gain_where_their_gap_is_wide(
         say=lambda line: None,
         _screen=lambda now, settings: ([best], 0.0),
     )
-    found = forward_backward.Search._add_best(search, SimpleNamespace(fit=1.0), [], is_wide=is_wide)
+    now = SimpleNamespace(fit=1.0, hypotheses=())
+    found = forward_backward.Search._add_best(search, now, [], is_wide=is_wide)
     assert (found is best) == goes_on
+
+
+@pytest.mark.parametrize(("known", "taken"), [((), 0), (("gravity",), 1)])
+def test_a_further_law_is_the_best_on_the_validation_records(monkeypatch, known, taken):
+    """Friction beside the sine of gravity was fitted to a pendulum and not tested: another pair was ahead on the training records."""
+    monkeypatch.setattr(forward_backward, "gap", lambda problem, fit: fit)
+    label = [SimpleNamespace(label="law")]
+    ranked = [
+        SimpleNamespace(deviance=-90.0, fit=0.1, hypotheses=label, error=2.0),
+        SimpleNamespace(deviance=-80.0, fit=0.1, hypotheses=label, error=1.0),
+        SimpleNamespace(deviance=-70.0, fit=0.1, hypotheses=label, error=None),
+    ]
+
+    def score(candidate, weights):
+        if candidate.error is None:
+            raise np.linalg.LinAlgError
+        return SimpleNamespace(mean_square=candidate.error)
+
+    search = forward_backward.Search(
+        SimpleNamespace(problem=None, weights=lambda candidate: None, score=score),
+        settings=None,
+        criteria=CRITERIA,
+        say=lambda line: None,
+    )
+    monkeypatch.setattr(forward_backward.Search, "_screen", lambda *given: (ranked, 0.0))
+    now = SimpleNamespace(fit=1.0, hypotheses=known)
+    assert search._add_best(now, [], is_wide=False) is ranked[taken]
 
 
 def test_a_law_of_an_earlier_stage_competes_with_a_pair():

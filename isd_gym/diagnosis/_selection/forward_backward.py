@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -149,13 +150,24 @@ class Search:
         ranked, before = self._screen(now, self.settings)
         if not ranked:
             return None
-        best = ranked[0]
+        best = self._best_on_validation(now, ranked) if now.hypotheses else ranked[0]
         gain = before - best.deviance
         self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
         stages.append(ranked)
         least = 0.0 if is_wide else c.deviance_gain
         is_weak = gain <= least and c.least_removed * gap(p, now.fit) < gap(p, best.fit)
         return None if is_weak else best
+
+    def _best_on_validation(self, now: Candidate, ranked: Sequence[Candidate]) -> Candidate:
+        """Return the candidate with the smallest weighted error on the validation records: beside a first effect, training records alone
+        prefer laws that make up for its errors."""
+        weights, errors = self.evaluator.weights(now), []
+        for candidate in ranked:
+            try:
+                errors.append(self.evaluator.score(candidate, weights).mean_square)
+            except BROKEN:
+                errors.append(math.inf)
+        return ranked[int(np.argmin(errors))]
 
     # -- backward elimination -----------------------------------------------------------------------------
     def select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
