@@ -157,7 +157,7 @@ def test_networks_lists_the_element_types():
         (["simulate", "quarter-car-isd", "d.csv", "--out", "o.csv", "--step", "0"], "--step"),
         (["show", "mpc", "--seconds", "nan", "--out", "a.mp4"], "seconds"),
         (["reproduce", "--out", "r", "--json", "no/such/x.json"], "no folder 'no/such'"),
-        (["train", "dqn", "--out", "r"], "'dqn' is not one of"),
+        (["train", "dqn", "--out", "r"], "not 'dqn'"),
         (["score", "passive", "--network", "force-rig"], "'force-rig' is no car"),
         (["score", "passive", "--network", "quater-car-isd"], "did you mean 'quarter-car-isd'?"),
         (["networks", "there"], "cannot read model 'there': it is a folder"),

@@ -45,7 +45,6 @@ class WholeCar(Laws):
     """Channels and motors of a model of a `car` with an output matrix `C` (channels, n)."""
 
     car: Vehicle
-    C: np.ndarray
 
     @property
     def network(self) -> Network:
@@ -123,7 +122,7 @@ class CarModel(WholeCar):
                 errors.append(sensors.body_acceleration / apart)
             else:
                 errors.append(getattr(sensors, signal.kind))
-        return steady_gain(self, np.diag(np.square(errors)), sensors.memory, self.drifts, noise)
+        return steady_gain(self.network, self, np.diag(np.square(errors)), sensors.memory, self.drifts, noise)
 
 
 @dataclass(frozen=True)

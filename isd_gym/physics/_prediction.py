@@ -24,7 +24,6 @@ from .road import paper_road
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ._car_prediction import CarModel
     from .cost import StageCost
     from .network import Channel
 
@@ -60,7 +59,11 @@ class Sensors:
 class Laws:
     """States and laws of a model with a state matrix `A` (n, n) and nonlinear `laws`."""
 
+    step: float  # control step [s]
     A: np.ndarray
+    C: np.ndarray  # signals by the state (signals, n)
+    W: np.ndarray  # covariance of the road's effect per step (n, n)
+    road_intensity: float  # two-sided intensity of the road's velocity [m^2/s]
     laws: tuple[el.Element, ...]
 
     @property
@@ -413,11 +416,12 @@ def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarr
 
 def kalman_gain(model: Model, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
     """Return the steady gain L (n, 5) of ``x += L (y - C x - D I)``; covariance `noise` (n, n) is added to that of the road."""
-    return steady_gain(model, sensors.covariance, sensors.memory, model.heave[:, None], noise)
+    return steady_gain(model.network, model, sensors.covariance, sensors.memory, model.heave[:, None], noise)
 
 
 def steady_gain(
-    model: Model | CarModel,
+    network: Network,
+    model: Laws,
     covariance: np.ndarray,
     memory: float,
     drifts: np.ndarray,
@@ -435,7 +439,7 @@ def steady_gain(
     # random walk of the absolute speed whose filter, against white road velocity, has this time constant
     for drift in drifts.T:
         W = W + model.road_intensity * model.step / memory**2 * np.outer(drift, drift)
-    V = riccati(model.network, model.A.T, C.T, W, covariance)
+    V = riccati(network, model.A.T, C.T, W, covariance)
     return np.linalg.solve(C @ V @ C.T + covariance, C @ V).T
 
 
