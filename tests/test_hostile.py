@@ -48,7 +48,6 @@ from isd_gym.records.data import _isolated as isolated
         ("score passive --episodes 1 --duration 1e12", "GB of memory"),
         ("score passive --duration 0.01 --episodes 1000000000000", "GB of memory"),
         ("score passive --duration 0.01 --episodes 99999999999999999999", "GB of memory"),
-        ("record passive --out {tmp} --duration 1e12", "GB of memory"),
         ("show passive --seconds 1e12", "--seconds: a drive"),
     ],
 )
