@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from isd_gym.view._rendering import Renderer, backend
 from isd_gym.view._rendering.canvas import Canvas
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pytest
 
 
@@ -24,6 +27,16 @@ def frame(*shots: Any, width: int, height: int) -> np.ndarray:
 def near(picture: np.ndarray, colour: tuple[int, int, int], tolerance: int = 6) -> np.ndarray:
     """Return the pixels of nearly this colour."""
     return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=2)
+
+
+def read_mp4(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """Return the frames of a film of this width and height."""
+    import imageio_ffmpeg
+
+    encoder = imageio_ffmpeg.get_ffmpeg_exe()
+    command = [encoder, "-loglevel", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    raw = subprocess.run(command, capture_output=True, check=True).stdout
+    return np.frombuffer(raw, np.uint8).reshape(-1, size[1], size[0], 3).astype(int)
 
 
 def check_words(poses: list[Any], cars: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:

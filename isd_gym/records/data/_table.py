@@ -446,6 +446,8 @@ def write_table(path: str | Path, table: Table) -> None:
                 data = (table.time, *table.columns.values())
                 writer.writerows(zip(*(column.tolist() for column in data), strict=True))
     except ImportError as error:
-        raise InputError(f"{path}: writing {suffix} needs {error.name or error}: {how_to_install('io')}") from None
+        raise InputError(
+            f"{path}: writing {suffix} needs {error.name or error}: {how_to_install('io')}"
+        ) from None
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or _one_line(error)})") from None
