@@ -433,35 +433,9 @@ class Problem:
         records = [self.records[i] for i in members]
         record, wide = records[0], len(networks)
         every = self.every(record)
-        sparse = self._sparse(record)
-        first = networks[0]
-        motored = any(e.place == "element" for e in first.elements)
         pure = {id(n): bare(n) for n in networks}  # lanes with different initial states share a network
-        h = record.step / every
-        plant = Plant([pure[id(n)] for n in networks] * len(records), h)
-
-        def lanes(columns: Sequence[Array]) -> Array:
-            """A column a record, for all of its lanes."""
-            if len(columns) == 1 and not motored:
-                return columns[0]
-            return np.repeat(np.stack(columns, axis=1), wide, axis=1)
-
-        curves = {
-            name: [self._bent(r, name, every, sparse) for r in records] for name in plant.differentiated
-        }
-        inputs: dict[str, Array] = {}
-        for c in first.inputs:
-            held = c.quantity in HELD
-            if c.name in curves:
-                fine = [curve[0] for curve in curves[c.name]]
-            else:
-                fine = [self._fine(r, c.name, every, held, sparse) for r in records]
-            if motored and c.quantity == "current":
-                made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
-                inputs[c.name] = np.concatenate(made, axis=1)
-            else:
-                inputs[c.name] = lanes(fine)
-        slopes = {n: (lanes([c[1] for c in own]), lanes([c[2] for c in own])) for n, own in curves.items()}
+        plant = Plant([pure[id(n)] for n in networks] * len(records), record.step / every)
+        inputs, slopes = self._inputs_of_lanes(plant, networks, records)
         start = None
         if plant.n:
             given = None
@@ -471,18 +445,54 @@ class Problem:
         out = plant.run(inputs, every=every, samples=record.samples, initial=start, derivatives=slopes)
         with np.errstate(all="ignore"):  # the caller detects a diverged simulation
             out = out * self.factors[:, None]
-        if any(e.place == "channel" for e in first.elements):
-            for lane in range(out.shape[2]):
-                for e in networks[lane % wide].elements:
-                    if e.place == "channel":
-                        j = self.channels.index(e.where[0])
-                        with np.errstate(all="ignore"):  # the caller detects a diverged simulation
-                            out[:, j, lane] = e.apply(out[:, j, lane], record.step)
-        found = {i: out[:, :, k * wide : (k + 1) * wide] for k, i in enumerate(members)}
-        return {
-            i: r.reading(y) if r.reading else r.read(y)
-            for r, (i, y) in zip(records, found.items(), strict=True)
-        }
+            self._distort(out, networks, record.step)
+        read = {}
+        for k, (i, r) in enumerate(zip(members, records, strict=True)):
+            own = out[:, :, k * wide : (k + 1) * wide]
+            read[i] = r.reading(own) if r.reading else r.read(own)
+        return read
+
+    def _inputs_of_lanes(
+        self, plant: Plant, networks: Sequence[Network], records: Sequence[Record]
+    ) -> tuple[dict[str, Array], dict[str, tuple[Array, Array]]]:
+        """Return the inputs at the physics steps, and the derivatives of those that the plant differentiates, a column a lane."""
+        record, first = records[0], networks[0]
+        every, sparse = self.every(record), self._sparse(record)
+        motored = any(e.place == "element" for e in first.elements)
+
+        def lanes(columns: Sequence[Array]) -> Array:
+            """A column a record, for all of its lanes."""
+            if len(columns) == 1 and not motored:
+                return columns[0]
+            return np.repeat(np.stack(columns, axis=1), len(networks), axis=1)
+
+        curves = {}
+        slopes = {}
+        for name in plant.differentiated:
+            curves[name] = [self._bent(r, name, every, sparse) for r in records]
+            _, first_derivative, second_derivative = zip(*curves[name], strict=True)
+            slopes[name] = (lanes(first_derivative), lanes(second_derivative))
+        inputs = {}
+        for c in first.inputs:
+            if c.name in curves:
+                fine = [curve[0] for curve in curves[c.name]]
+            else:
+                fine = [self._fine(r, c.name, every, c.quantity in HELD, sparse) for r in records]
+            if motored and c.quantity == "current":
+                step = record.step / every
+                made = [effective_current(n, c.elements[0], f[:, None], step) for f in fine for n in networks]
+                inputs[c.name] = np.concatenate(made, axis=1)
+            else:
+                inputs[c.name] = lanes(fine)
+        return inputs, slopes
+
+    def _distort(self, out: Array, networks: Sequence[Network], step: float) -> None:
+        """Apply the elements at channels (sensor effects) to the outputs of each lane, in place."""
+        for lane in range(out.shape[2]):
+            for e in networks[lane % len(networks)].elements:
+                if e.place == "channel":
+                    j = self.channels.index(e.where[0])
+                    out[:, j, lane] = e.apply(out[:, j, lane], step)
 
     def _bent(self, record: Record, name: str, every: int, sparse: bool) -> tuple[Array, ...]:
         """Return an input that is differentiated at the physics steps, with its derivatives."""
