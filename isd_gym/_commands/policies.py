@@ -7,7 +7,7 @@ from .console import print_names, write_json
 
 
 def command(json_file: JsonOption = None) -> None:
-    """List the policies that score, show and record know by name.
+    """List the policies that score and show know by name.
 
     These commands also take a trained policy's folder or .zip.
 
