@@ -1,6 +1,6 @@
 """An independent simulator of `isd-model/1` models, against which the project's kernel is validated.
 
-It imports nothing of `isd_gym` and shares none of its ideas. `simulate` writes the force balance of every free node and
+The simulator has no import from `isd_gym` and no algorithm in common with the kernel. `simulate` writes the force balance of every free node and
 integrates that descriptor system
     M dv/dt = P(t) - C v - K x - D F,   dx/dt = v,   M singular wherever a node is massless,
 as it stands, by the two-stage, L-stable, stiffly accurate SDIRK of order 2 (Alexander 1977) at some 10 us. No

@@ -37,7 +37,7 @@ SEED_DISTANCE = 1_000_003
 
 
 def command(
-    recipe: Annotated[str, typer.Argument(help="ppo, sac, or a JSON file of your own.")],
+    recipe: Annotated[str, typer.Argument(help="ppo, sac, ppo-model-free, or a JSON file of your own.")],
     out: Annotated[Path, option("--out DIR", "Folder of the training; an unfinished one goes on.")],
     seed: Annotated[int, option("--seed", "Seed of the training.", min=0)] = 0,
     steps: Annotated[
@@ -206,7 +206,7 @@ def checkpoint(out: Path) -> BaseCallback:
 
 
 def save(model: BaseAlgorithm, out: Path) -> None:
-    """Save the model, and its replay buffer where it has one."""
+    """Save the model, and the replay buffer of an off-policy algorithm."""
     from ..sb3 import save_model
 
     if hasattr(model, "save_replay_buffer"):

@@ -596,7 +596,7 @@ def unscored(
 
 #: relative difference from the cost J of zero current within which a policy is said to do nothing
 IDLE = 0.005
-#: what to do about a policy that does nothing
+#: advice for a trained policy with the cost of zero current
 LEARN = "A trained policy with this cost learned nothing: train longer, on ISDSuspensionLearning-v0, see docs/tutorials/train.md."
 
 

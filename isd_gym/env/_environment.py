@@ -126,7 +126,7 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
     | 2 | | | rear left | A |
     | 3 | | | rear right | A |
 
-    A network without motors is refused. With `allow_passive` it has a current for each corner, which does nothing.
+    A network without motors is refused. With `allow_passive`, such a network has a current without effect for each corner.
 
     ## Observation space
     `Box(-high, high, (signals,), float32)`, the signals that a car can measure. Corners are in the order of the actions.

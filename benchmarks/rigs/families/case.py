@@ -38,7 +38,7 @@ class Family:
 
 @dataclass(frozen=True)
 class Case:
-    """One rig: what its owner has, and what was hidden."""
+    """A rig: the model and records of the owner, and the hidden effects."""
 
     kind: str
     seed: int
@@ -211,10 +211,10 @@ def _attempt(family: Family, hidden: Hidden, kind: str, seed: int, r: Generator)
 def hide(
     rig: Rig, hidden: Hidden, channel: str, stated: dict[str, float], noise: float, r: Generator
 ) -> Change | None:
-    """What is hidden, of a size at which it leaves the share that is drawn for it; None where no size does.
+    """Return the hidden change at a size that leaves the drawn share of error; None where no size leaves that share.
 
-    What is left is judged with all parameters free, so that the law's shape is what is seen; where what is hidden is
-    linear itself, with parameters held as their owner holds them.
+    The error is that of a fit with all parameters free, so that the shape of the law alone is visible. For linear
+    hidden effects, the fit holds the parameters that the owner holds.
     """
     if not hidden.parts:
         return Change()

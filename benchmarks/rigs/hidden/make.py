@@ -100,7 +100,7 @@ def _run(
             derivatives[i["name"]] = (spline(t, 1), spline(t, 2))
     cells = copy.deepcopy(model)
     for output in cells["outputs"]:
-        if "element" in output:  # a force cell reads all that acts between its terminals
+        if "element" in output:  # a force cell reads the sum of the forces between its terminals
             at = next(e["between"] for e in model["elements"] if e.get("name") == output["element"])
             output["element"] = [e["name"] for e in model["elements"] if e.get("between") == at]
     return simulate(cells, t, inputs, step=step, initial=initial, derivatives=derivatives)

@@ -488,6 +488,8 @@ class Problem:
 
     def _distort(self, out: Array, networks: Sequence[Network], step: float) -> None:
         """Apply the elements at channels (sensor effects) to the outputs of each lane, in place."""
+        if not any(e.place == "channel" for e in networks[0].elements):
+            return
         for lane in range(out.shape[2]):
             for e in networks[lane % len(networks)].elements:
                 if e.place == "channel":
