@@ -20,12 +20,12 @@ import numpy as np
 
 from isd_gym._common.errors import InputError, shown
 from isd_gym._common.inputs import is_whole, number
-from isd_gym.env._history import LARGEST, SIGNALS, History, Remembered, history_of
+from isd_gym.env.history import LARGEST, SIGNALS, History, Remembered, history_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from isd_gym.physics._vehicle import Vehicle
+    from isd_gym.physics.vehicle import Vehicle
 
 #: limit of a policy's file: states of a filter
 STATES = 64

@@ -25,9 +25,9 @@ import safetensors.numpy as safetensors
 from isd_gym._common.errors import InputError, plain, shown
 from isd_gym._common.files import whole_folder
 from isd_gym._common.inputs import number, parse_json, read_bytes
-from isd_gym.env._history import LARGEST
-from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
+from isd_gym.env.history import LARGEST
 from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, vehicle
 
 from ._memory import Memory, Recall
 

@@ -15,9 +15,9 @@ from typing import Any
 
 from isd_gym._common.errors import InputError
 from isd_gym.benchmark.driving import Idle
-from isd_gym.physics._vehicle import require_quarter_car, vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import require_quarter_car, vehicle
 
 from ._semiactive import Clipped, controlled_damper
 from .controller import BatchController
@@ -31,7 +31,7 @@ _PREVIEW = 0.25  # default preview of the controllers with preview [s]
 def noisy(share: float) -> Any:
     """Return the standard deviations that an estimator should assume for a share of the robust track's noise (`isd_gym.env._sensors.NOISE`)."""
     from isd_gym.env._sensors import NOISE
-    from isd_gym.physics._prediction import Sensors
+    from isd_gym.physics.prediction import Sensors
 
     clean = Sensors()
     return Sensors(**{k: (getattr(clean, k) ** 2 + (share * v) ** 2) ** 0.5 for k, v in NOISE.items()})

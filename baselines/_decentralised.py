@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.physics._vehicle import vehicle
+from isd_gym.physics.vehicle import vehicle
 
 from .controller import BatchController, steps_ahead
 from .lqg import STEEPEST
@@ -19,9 +19,9 @@ from .lqg import STEEPEST
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isd_gym.physics._vehicle import Vehicle
     from isd_gym.physics.cost import StageCost
     from isd_gym.physics.network import Network
+    from isd_gym.physics.vehicle import Vehicle
 
 #: measured signals of a corner, in the order of a quarter car's observation after the acceleration
 OWN = ("suspension_travel", "suspension_travel_rate", "device_travel", "device_travel_rate", "current")

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.physics._prediction import Model, Sensors, kalman_gain
+from isd_gym.physics.prediction import Model, Sensors, kalman_gain
 
 from .controller import CURRENT
 
 if TYPE_CHECKING:
-    from isd_gym.physics._car_prediction import CarModel
+    from isd_gym.physics.car_prediction import CarModel
 
 
 class Estimator:

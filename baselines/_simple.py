@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isd_gym.physics import elements as el
-from isd_gym.physics._prediction import SLIDING
-from isd_gym.physics._vehicle import require_quarter_car
+from isd_gym.physics.prediction import SLIDING
+from isd_gym.physics.vehicle import require_quarter_car
 
 from .controller import DesignedController
 

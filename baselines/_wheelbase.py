@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isd_gym._common.errors import InputError
-from isd_gym.physics._car_prediction import CarWeights, car_model, car_regulator
-from isd_gym.physics._prediction import DESIGN_SPEED, prediction_model
+from isd_gym.physics.car_prediction import CarWeights, car_model, car_regulator
 from isd_gym.physics.cost import StageCost
+from isd_gym.physics.prediction import DESIGN_SPEED, prediction_model
 
 from ._decentralised import Decentralised
 from ._estimator import Estimator
@@ -29,7 +29,7 @@ from .friction import FrictionMpc, FrictionMpcSettings, with_preview
 from .lqg import STEEPEST, LawSettings
 
 if TYPE_CHECKING:
-    from isd_gym.physics._car_prediction import CarModel
+    from isd_gym.physics.car_prediction import CarModel
     from isd_gym.physics.network import Network
 
 

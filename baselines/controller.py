@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 
 from isd_gym._common.errors import InputError
-from isd_gym.env._environment import MEASURED
-from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT, SLEW_RATE, vehicle
 from isd_gym.physics.cost import StageCost
+from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, SLEW_RATE, vehicle
 
 if TYPE_CHECKING:
     from isd_gym.physics.network import Network
@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 
-_BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
+_BOUNDS = np.array([[signal.bound] for signal in vehicle(Network.load("quarter-car-isd")).measured])
 CURRENT = 5  # index of the present current in the observation of a quarter car
 Settings = TypeVar("Settings")
 

@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from isd_gym._common import jit
 from isd_gym._common.errors import InputError
-from isd_gym.physics._kernel import jit
-from isd_gym.physics._prediction import (
+from isd_gym.physics.prediction import (
     ROAD_INTENSITY,
     Model,
     Sensors,
@@ -34,7 +34,7 @@ from isd_gym.physics._prediction import (
     move_regulator,
     prediction_model,
 )
-from isd_gym.physics._vehicle import CURRENT_LIMIT
+from isd_gym.physics.vehicle import CURRENT_LIMIT
 
 from ._estimator import Estimator
 from .controller import CURRENT, DesignedController, rises, steps_ahead

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from isd_gym.physics._prediction import (
+from isd_gym.physics.prediction import (
     ROAD_INTENSITY,
     Sensors,
     Weights,
@@ -14,7 +14,7 @@ from isd_gym.physics._prediction import (
     prediction_model,
     preview_regulator,
 )
-from isd_gym.physics._vehicle import state_channels
+from isd_gym.physics.vehicle import state_channels
 
 from ._estimator import Estimator
 from .controller import DesignedController, rises

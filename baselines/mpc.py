@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import erf
 
 from isd_gym._common.errors import InputError
-from isd_gym.physics._prediction import (
+from isd_gym.physics.prediction import (
     ROAD_INTENSITY,
     Model,
     Sensors,
@@ -30,7 +30,7 @@ from isd_gym.physics._prediction import (
     prediction_model,
     statistical_linearisation,
 )
-from isd_gym.physics._vehicle import CURRENT_LIMIT
+from isd_gym.physics.vehicle import CURRENT_LIMIT
 
 from ._estimator import Estimator
 from ._qp import Osqp, Program

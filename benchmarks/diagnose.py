@@ -10,7 +10,7 @@ WHAT: home (cars, device rigs), families, a family ("shaken", "half_car"), a kin
 unseen: families that are kept aside, nothing is developed on them; only where asked for. A folder without a truth is one
 of measured rigs: benchmarks/real.json says what may be named there.
 
---out DIR      one file per case (`isd_gym.benchmark._sweep.items`); the same line again goes on with what is not there yet
+--out DIR      one file per case (`isd_gym.benchmark.sweep.items`); the same line again goes on with what is not there yet
 --jobs N       processes, one thread each (all cores without)
 --limit S      processor seconds per case; one that needs more is counted as missed (600)
 --json FILE    figures and rows in one file
@@ -50,7 +50,7 @@ import grading
 from grading import Row
 
 from isd_gym._common.errors import InputError
-from isd_gym.benchmark._sweep import items as engine
+from isd_gym.benchmark.sweep import items as engine
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

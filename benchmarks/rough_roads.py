@@ -20,9 +20,9 @@ import numpy as np
 
 from isd_gym._common.errors import TyreContactWarning
 from isd_gym.physics._tyre_contact import pulling_share
-from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road as find_road
+from isd_gym.physics.vehicle import vehicle
 
 CARS = ("quarter-car-passive", "quarter-car-isd", "half-car-isd", "full-car-isd")
 ROADS = ("paper", "A", "B", "C", "D", "E")

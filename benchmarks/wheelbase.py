@@ -30,7 +30,7 @@ def entry(name: str, network: Any, speed: float) -> Any:
     from isd_gym import baselines
     from isd_gym.benchmark.policies import find
     from isd_gym.benchmark.scoring import Entry
-    from isd_gym.physics._prediction import ROAD_INTENSITY
+    from isd_gym.physics.prediction import ROAD_INTENSITY
 
     if name in ("isd-passive", "skyhook"):
         return find(name, network)
@@ -69,8 +69,8 @@ def bound(network: Any, speed: float) -> dict[str, Any] | None:
 
 def main(argv: list[str] | None = None) -> None:
     """Drive, print a line for each speed, and write the file."""
-    from isd_gym.physics._vehicle import vehicle
     from isd_gym.physics.network import Network
+    from isd_gym.physics.vehicle import vehicle
 
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

@@ -25,7 +25,7 @@ from isd_gym.benchmark.policies import conventional, find
 from isd_gym.physics.network import Channel, Network, linearise
 from isd_gym.physics.road import iso_road, paper_road, road
 from isd_gym.physics.simulate import simulate
-from isd_gym.view._report.schematic import draw
+from isd_gym.view.report.schematic import draw
 
 HERE = Path(__file__).parent / "figures"
 # Okabe and Ito: told apart by the colour-blind too
@@ -302,7 +302,7 @@ def films() -> None:
 def preview() -> None:
     """Change of J over the seconds of road ahead, of the references of the benchmark's card, and the ceilings."""
     from isd_gym.benchmark import _cards as cards
-    from isd_gym.benchmark._ceilings import known
+    from isd_gym.benchmark.ceilings import known
     from isd_gym.physics.network import Network
     from isd_gym.physics.road import road
 

@@ -32,12 +32,12 @@ from table import table
 
 from isd_gym.benchmark import _cards as cards
 from isd_gym.benchmark import lq_bounds
-from isd_gym.benchmark._ceilings import known
+from isd_gym.benchmark.ceilings import known
 from isd_gym.benchmark.tracks import TRACKS
 from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
-from isd_gym.env._task import Options
 from isd_gym.env.registration import ENVIRONMENTS, LEARNING
+from isd_gym.env.task import Options
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.elements import TYPES, parameter_fields
 

@@ -25,10 +25,10 @@ from ._common.inputs import is_whole
 from .benchmark.driving import Entry
 from .benchmark.policies import find, passive
 from .benchmark.scoring import IDLE, LEARN, drive
-from .env._environment import ISDSuspensionVectorEnv
-from .env._history import history_of
-from .env._task import CONTROL_STEP
-from .physics._vehicle import CURRENT_LIMIT, SLEW_RATE
+from .env import ISDSuspensionVectorEnv
+from .env.history import history_of
+from .env.task import CONTROL_STEP
+from .physics.vehicle import CURRENT_LIMIT, SLEW_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-    from .env._task import Task
+    from .env.task import Task
 
 __all__ = [
     "BatchedVecEnv",

@@ -17,9 +17,9 @@ from isd_gym.baselines import make
 from program import python, refused
 
 from isd_gym.benchmark.policies import conventional
-from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import vehicle
 
 MEMORY = Memory.of(vehicle(Network.load("quarter-car-isd")))
 

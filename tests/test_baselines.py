@@ -27,7 +27,9 @@ from program import refused
 from isd_gym import baselines
 from isd_gym.benchmark.scoring import Entry, score
 from isd_gym.env._environment import ISDSuspensionVectorEnv
-from isd_gym.physics._prediction import (
+from isd_gym.physics.cost import StageCost
+from isd_gym.physics.network import Network, linearise
+from isd_gym.physics.prediction import (
     Sensors,
     Weights,
     device_reach,
@@ -38,9 +40,7 @@ from isd_gym.physics._prediction import (
     stationary,
     statistical_linearisation,
 )
-from isd_gym.physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Network, linearise
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
 
 STEP = 5e-3
 CAR = Network.load("quarter-car-isd")

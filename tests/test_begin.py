@@ -14,8 +14,8 @@ from isd_gym.diagnosis.simulation import initial_state, state_of
 from isd_gym.diagnosis.simulation._motions import motions_at
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
-from isd_gym.records._loggers import Recording, Signal
 from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.records.loggers import Recording, Signal
 
 NETWORK = Network.load(CAR)
 STEP = 2.5e-3

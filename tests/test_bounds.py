@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from program import refused
 
-from isd_gym.benchmark import _ceilings as module
+from isd_gym.benchmark import ceilings as module
 from isd_gym.benchmark import lq_bounds as bounds
-from isd_gym.benchmark._ceilings import ceiling, known, passive_cost, reachable
+from isd_gym.benchmark.ceilings import ceiling, known, passive_cost, reachable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive
-from isd_gym.physics._prediction import Weights, prediction_model, preview_regulator, regulator
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
+from isd_gym.physics.prediction import Weights, prediction_model, preview_regulator, regulator
 from isd_gym.physics.road import paper_road, road
 from isd_gym.physics.simulate import Plant
 

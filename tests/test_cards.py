@@ -11,7 +11,7 @@ from program import assert_one_line, refused, run
 
 from isd_gym._commands._card_table import print_track
 from isd_gym.benchmark import _cards as cards
-from isd_gym.benchmark._ceilings import known
+from isd_gym.benchmark.ceilings import known
 from isd_gym.benchmark.scoring import fingerprints, score
 from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 

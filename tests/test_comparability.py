@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from isd_gym.benchmark import _ceilings as beside
+from isd_gym.benchmark import ceilings as beside
 from isd_gym.benchmark._comparability import Comparable, comparable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
 from isd_gym.env._sensors import Sensors
 from isd_gym.physics.network import Network
-from isd_gym.view._report import score as page
+from isd_gym.view.report import score as page
 
 CAR = Network.load("quarter-car-isd")
 HEAVY = CAR.with_parameters({"body.mass": 400.0})

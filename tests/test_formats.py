@@ -10,9 +10,9 @@ from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.physics.network import Network
-from isd_gym.records._loggers.record_reading import records_of
 from isd_gym.records.data import Table, read_table
 from isd_gym.records.data._table import read_rasters
+from isd_gym.records.loggers.record_reading import records_of
 
 openpyxl = pytest.importorskip("openpyxl")
 h5py = pytest.importorskip("h5py")

@@ -12,8 +12,8 @@ from isd_gym.benchmark.driving import Crew, travel
 from isd_gym.benchmark.policies import conventional, find, passive
 from isd_gym.benchmark.scoring import drive, score
 from isd_gym.env._environment import ISDSuspensionVectorEnv
-from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import vehicle
 
 HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")
 OF_QUARTER_CARS = ("lqr-full",)

@@ -13,10 +13,10 @@ from scipy.integrate import trapezoid
 from scipy.special import k1
 
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
-from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.cost import FULL_CAR, HALF_CAR
 from isd_gym.physics.network import Network, linearise
 from isd_gym.physics.road import Road, paper_road
+from isd_gym.physics.vehicle import vehicle
 
 CARS = {"ISDHalfCar-v0": 2, "ISDFullCar-v0": 4}
 NETWORKS = {"ISDHalfCar-v0": "half-car-isd", "ISDFullCar-v0": "full-car-isd"}

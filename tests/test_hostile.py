@@ -27,10 +27,10 @@ from program import assert_one_line, python, refused, run
 from isd_gym._common.errors import InputError, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
 from isd_gym._common.markdown import markdown
-from isd_gym.benchmark._sweep.conditions import Grid, _sound, sweep
-from isd_gym.benchmark._sweep.grid import belongings
-from isd_gym.benchmark._sweep.items import stored
 from isd_gym.benchmark.policies import find
+from isd_gym.benchmark.sweep.conditions import Grid, _sound, sweep
+from isd_gym.benchmark.sweep.grid import belongings
+from isd_gym.benchmark.sweep.items import stored
 from isd_gym.physics import elements as el
 from isd_gym.physics.elements._base import register_file
 from isd_gym.physics.network import Network, linearise

@@ -22,11 +22,11 @@ from isd_gym.records._inspection import head, inspect, lines
 from isd_gym.records._inspection.consistency import integral_consistency
 from isd_gym.records._inspection.facts import sparkline, unit_in_name
 from isd_gym.records._inspection.map_file import save_map
-from isd_gym.records._loggers import ChannelMap, Column, Logger, Raster, mended, runs
-from isd_gym.records._loggers.record_reading import records_of, road_of
 from isd_gym.records.data import Table, write_table
+from isd_gym.records.loggers import ChannelMap, Column, Logger, Raster, mended, runs
+from isd_gym.records.loggers.record_reading import records_of, road_of
 from isd_gym.records.schemas import load
-from isd_gym.view._report.inspection import page
+from isd_gym.view.report.inspection import page
 
 NAMES = {"road": "base", "body_acceleration": "az_body", "wheel_acceleration": "az_wheel", "travel": "stroke"}
 

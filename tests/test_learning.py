@@ -12,8 +12,8 @@ from program import refused
 from isd_gym._common.errors import InputError
 from isd_gym._common.seeds import generators, scoring_generator
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
-from isd_gym.env._history import LEADS, SCALES
-from isd_gym.env._task import RELATIVE_SCALE
+from isd_gym.env.history import LEADS, SCALES
+from isd_gym.env.task import RELATIVE_SCALE
 from isd_gym.physics.road import Road
 
 

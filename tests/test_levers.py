@@ -11,7 +11,7 @@ from rigs import reference
 
 from isd_gym import simulate
 from isd_gym.physics.network import Network, assemble, cut, transfer
-from isd_gym.view._report.schematic import draw
+from isd_gym.view.report.schematic import draw
 
 FREQUENCY = np.geomspace(0.05, 60.0, 60)
 

@@ -15,8 +15,8 @@ from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
-from isd_gym.records._loggers import ChannelMap, Recording, Signal, runs
 from isd_gym.records.data import Table, write_table
+from isd_gym.records.loggers import ChannelMap, Recording, Signal, runs
 
 NETWORK = Network.load(CAR)
 CHANNELS = (*NETWORK.inputs, *NETWORK.outputs)

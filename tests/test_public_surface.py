@@ -40,6 +40,9 @@ isd_gym.baselines.mpc
     MpcSettings
     also ACCELERATION_LIMIT Mpc PAPER TRAVEL_LIMIT
 isd_gym.benchmark
+isd_gym.benchmark.ceilings
+    also Ceiling FEWEST FIGURES SEED SETTINGS bounds_beside ceiling fronts known known_ceilings passive_cost
+    reachable
 isd_gym.benchmark.driving
     Controller Entry cost_of
     also Crew Driver Idle travel
@@ -54,6 +57,14 @@ isd_gym.benchmark.scoring
     weighted_rms
     also IDLE LEARN MEASURES PRINTED check_size compare corner_measures fingerprints idle_policies measures
     units unscored
+isd_gym.benchmark.sweep
+isd_gym.benchmark.sweep.conditions
+    also COMMANDS FOLDER LARGEST RESAMPLES change_cell check_policies drive_item items_are merge overall rows
+    sweep table
+isd_gym.benchmark.sweep.grid
+    also BUILT_IN Condition Grid SCHEMA SENSES belongings built_in draw
+isd_gym.benchmark.sweep.items
+    also Answer ENGINES Outcome SCHEMA Sound Task answer run shard stored
 isd_gym.benchmark.tracks
     TRACKS Track find_track
 isd_gym.diagnosis
@@ -68,9 +79,16 @@ isd_gym.env
     ISDSuspensionEnv ISDSuspensionVectorEnv Options RELATIVE_SCALE Sensors
 isd_gym.env.autoload
     also AT_START spec_of
+isd_gym.env.history
+    also BOUND History LEADS LEAKS Remembered SCALES history_of
 isd_gym.env.registration
     also BY_CORNERS ENVIRONMENTS EPISODE_STEPS LEARNING REWARD_THRESHOLDS register
+isd_gym.env.task
+    also CONTROL_STEP EXCEEDS OBSERVATIONS Options PICTURE_WINDOW PREVIEW RELATIVE_SCALE ROAD_BOUND SCALES
+    SHOWN STATE_BOUND Task USUAL_SPEED info_maker usual_level
 isd_gym.physics
+isd_gym.physics.car_prediction
+    also CarModel CarWeights WholeCar car_model car_regulator columns continuous drifts of_currents
 isd_gym.physics.cost
     FULL_CAR HALF_CAR QUARTER_CAR StageCost square
     also LARGEST MOTIONS Signal
@@ -90,6 +108,11 @@ isd_gym.physics.network
     AXES Assembly Body Channel GROUND Lever MOTIONS Network Point SCHEMA StateSpace UNITS assemble
     assemble_all builtin_networks cut linearise natural_frequencies own_time rejoin slowest_time transfer
     without
+isd_gym.physics.prediction
+    also DESIGN_SPEED Equations Laws Linearised Model N_SENSORS PAPER_CAR ROAD_INTENSITY SLIDING Sensors
+    Weights device_reach dry equations equivalent_damping kalman_gain lift move_regulator paper_reach
+    prediction_model preview_regulator regulator riccati stationary statistical_linearisation steady_gain
+    white_covariance
 isd_gym.physics.road
     NAMES Road bump iso_road on_side paper_road pothole profiled recorded road sweep
     also ISO_CLASSES PAPER_KAPPA PRINTED_KAPPA REFERENCE_FREQUENCY STEEPEST
@@ -100,9 +123,22 @@ isd_gym.physics.simulate
 isd_gym.physics.tracks
     WheelPositions delayed innovations track_filters
     also COHERENCE_POLES COHERENCE_WEIGHTS DIFFERENCE_STATES ONE_WHEEL SUM_STATES TRACK_STATES
+isd_gym.physics.vehicle
+    also AXES CURRENT_LIMIT Corner GRAVITY ROAD SLEW_LIMIT SLEW_RATE Signal Vehicle kind require_quarter_car
+    state_channels vehicle
 isd_gym.records
 isd_gym.records.data
     Finding Format Table check convert read_table write_table
+isd_gym.records.loggers
+    ChannelMap Column Logger Raster Recording Signal files_of mended rasters runs
+isd_gym.records.loggers.grid
+    also inputs_of outputs_of
+isd_gym.records.loggers.mapping
+    also ChannelMap Column JOIN Logger SCHEMA files_of runs
+isd_gym.records.loggers.record_reading
+    also records_of road_of
+isd_gym.records.loggers.recording
+    also EPOCH GAP LEAST Raster Recording Signal UNEVEN continuous even mended rasters rounded sampled spans
 isd_gym.records.schemas
     load
     also NAMES check
@@ -111,6 +147,30 @@ isd_gym.sb3
     also DEFAULT_ID VALIDATION_SEED
 isd_gym.view
     score_report write_report
+isd_gym.view.report
+    check_report check_target notebook_page score_report write_report
+isd_gym.view.report.charts
+    also Axis COLUMNS Chart Dots Item Line MOST_DOTS Marks Panel QUIET Rule Span Ticks decades draw log_ticks
+    picture
+isd_gym.view.report.diagnosis
+    also AFTER BEFORE FIGURES MEASURED MOST_CHANNELS NOISE OVER PERIODS RELATIONS STAGES STRETCH Scale View
+    WORST check_target draw_gap draw_law draw_loops draw_other_loops draw_parameters draw_plane draw_residuals
+    draw_spectra draw_time learned notebook_page write_report
+isd_gym.view.report.forces
+    also Cloud Curve GRID Loops TAPER clouds loops_of measured_loops
+isd_gym.view.report.inspection
+    also page
+isd_gym.view.report.plots
+    also COLOURS DPI LINES LOOKS Look MARKERS Picture STYLE THEMED as_picture caption channel_text density
+    figure halo label_points looks number page percent sentence style themed unit_text units_text versions
+isd_gym.view.report.schematic
+    Drawing check_suffix draw place_parts
+    also BOX HALF LETTER LETTERS LINE MARGIN MOVES PAPER SMALL SYMBOL SYMBOLS TALL
+isd_gym.view.report.score
+    also COLUMNS SCORE_KIND SCORE_PARTS SIGNALS Shown WELCH check_report distribution histories limits
+    score_report spectra trade_off
+isd_gym.view.report.steps
+    also draw_steps force_axis law_axis trend
 """
 
 

@@ -16,10 +16,10 @@ from isd_gym.diagnosis import diagnose
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._inspection import inspect
 from isd_gym.records._inspection.map_file import save_map
-from isd_gym.records._loggers import ChannelMap, Recording
-from isd_gym.records._loggers.record_reading import records_of
 from isd_gym.records.data import Table, read_table
 from isd_gym.records.data._table import read_rasters
+from isd_gym.records.loggers import ChannelMap, Recording
+from isd_gym.records.loggers.record_reading import records_of
 from isd_gym.records.schemas import check as of_schema
 
 PARTS = [spring("mass", "table", 9e3), damper("mass", "table", 45.0)]

@@ -33,9 +33,9 @@ from isd_gym.physics.elements import TYPES, CoulombFriction, parameter_fields
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records import schemas
-from isd_gym.view._report import charts, plots, steps
-from isd_gym.view._report import diagnosis as report
-from isd_gym.view._report import score as score_page
+from isd_gym.view.report import charts, plots, steps
+from isd_gym.view.report import diagnosis as report
+from isd_gym.view.report import score as score_page
 
 jsonschema = pytest.importorskip("jsonschema")
 
@@ -203,7 +203,7 @@ def small_score():
 @pytest.fixture(autouse=True)
 def no_bound(monkeypatch):
     """The causal bound takes seconds and is tested beside the baselines."""
-    monkeypatch.setattr("isd_gym.benchmark._ceilings.fronts", lambda score: [])
+    monkeypatch.setattr("isd_gym.benchmark.ceilings.fronts", lambda score: [])
 
 
 @pytest.fixture

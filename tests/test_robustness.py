@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from isd_gym.benchmark._sweep.conditions import sweep
-from isd_gym.benchmark._sweep.grid import Grid
+from isd_gym.benchmark.sweep.conditions import sweep
+from isd_gym.benchmark.sweep.grid import Grid
 
 ROOT = Path(__file__).parents[1]
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
 from isd_gym.physics.network import Network, builtin_networks
-from isd_gym.view._report import schematic
+from isd_gym.view.report import schematic
 
 SVG = "http://www.w3.org/2000/svg"
 BRIDGE = model(

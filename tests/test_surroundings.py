@@ -11,10 +11,10 @@ import textwrap
 import pytest
 
 from isd_gym._commands._streams import ALIKE, PLAINER, prepare_streams
+from isd_gym._common import jit
 from isd_gym._common.errors import InputError
 from isd_gym._common.files import whole
-from isd_gym.physics._kernel import jit
-from isd_gym.physics._kernel.jit import _Files
+from isd_gym._common.jit import _Files
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
 SCORE = f"{sys.executable} -m isd_gym score passive --episodes 1 --duration 0.1"
@@ -73,7 +73,7 @@ def test_without_the_compiler_is_one_line(tmp_path):
 
 FUNCTION = """
     import sys, warnings
-    from isd_gym.physics._kernel.jit import compiled
+    from isd_gym._common.jit import compiled
 
     @compiled()
     def twice(x):

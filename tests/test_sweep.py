@@ -15,15 +15,15 @@ import pytest
 from program import assert_one_line, refused, run
 
 from isd_gym._common.errors import InputError
-from isd_gym.benchmark._sweep import items as engine
-from isd_gym.benchmark._sweep.conditions import _watched, overall, sweep
-from isd_gym.benchmark._sweep.grid import Condition, Grid
-from isd_gym.benchmark._sweep.items import Task
 from isd_gym.benchmark.driving import Entry
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive, score
-from isd_gym.physics._vehicle import vehicle
+from isd_gym.benchmark.sweep import items as engine
+from isd_gym.benchmark.sweep.conditions import _watched, overall, sweep
+from isd_gym.benchmark.sweep.grid import Condition, Grid
+from isd_gym.benchmark.sweep.items import Task
 from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import vehicle
 
 GRID = """
 policies = ["isd-passive", "skyhook"]

@@ -10,9 +10,9 @@ from program import python
 
 from isd_gym._common.errors import TyreContactWarning
 from isd_gym.physics._tyre_contact import pulling_share
-from isd_gym.physics._vehicle import vehicle
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
+from isd_gym.physics.vehicle import vehicle
 
 QUARTER = "ISDSuspension-v0"
 

@@ -19,11 +19,11 @@ from isd_gym.benchmark.lq_bounds import (
 )
 from isd_gym.benchmark.policies import find
 from isd_gym.env._environment import ISDSuspensionVectorEnv
-from isd_gym.physics._car_prediction import CarWeights, car_model, car_regulator
-from isd_gym.physics._vehicle import vehicle
+from isd_gym.physics.car_prediction import CarWeights, car_model, car_regulator
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
+from isd_gym.physics.vehicle import vehicle
 
 STEP = 5e-3
 

@@ -22,7 +22,7 @@ from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
-from isd_gym.view._report import write_report
+from isd_gym.view.report import write_report
 
 STEP = 0.01
 

@@ -73,8 +73,8 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
 
 def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | None] | None:
     """Return a function from preview [s] to the causal ceiling of a track; None where no ceiling may stand beside the track."""
-    from ..benchmark._ceilings import known_ceilings
     from ..benchmark._comparability import comparable
+    from ..benchmark.ceilings import known_ceilings
     from ..physics.network import Network
     from ..physics.road import road
 

@@ -13,7 +13,7 @@ from .console import printer, write_json
 
 def write_result(result: Any, out: Path, about: dict[str, str]) -> Path | ReportError:
     """Write results and report to `out`. Return the page, or the error where the page could not be drawn."""
-    from ..view._report import write_report
+    from ..view.report import write_report
 
     try:
         return write_report(result, out, about=about)

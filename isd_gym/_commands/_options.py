@@ -183,7 +183,7 @@ def channel_names(
     rate: float | None = None,
 ) -> dict[str, Any]:
     """Return the column of each channel from the options of a command, as arguments of `records_of`."""
-    from ..records._loggers import ChannelMap
+    from ..records.loggers import ChannelMap
 
     named = read_names(rename, unit, columns, sign)
     channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
@@ -207,7 +207,7 @@ def signs_of(values: list[str] | None) -> dict[str, int]:
 
 def check_records(data: list[Path], validate: list[Path]) -> None:
     """Raise `InputError` for a record given twice, or given for fitting and for validation."""
-    from ..records._loggers import files_of
+    from ..records.loggers import files_of
 
     seen: set[Path] = set()
     fitted = [f for word in data for f in files_of(word)]

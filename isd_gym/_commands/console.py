@@ -130,7 +130,7 @@ def warm_up(update: Callable[[str, float], None]) -> None:
     """Compile or load the kernel, with a line of progress."""
     import numpy as np
 
-    from ..env._environment import ISDSuspensionVectorEnv
+    from ..env import ISDSuspensionVectorEnv
 
     update("preparing the kernel", 0.0)
     env = ISDSuspensionVectorEnv(2)

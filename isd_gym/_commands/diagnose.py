@@ -33,8 +33,8 @@ from .console import check_file, lines
 
 if TYPE_CHECKING:
     from ..physics.network import Network
-    from ..records._loggers import Recording
     from ..records.data import Table
+    from ..records.loggers import Recording
 
 #: share of --max-seconds that is kept for the report; of 15 s at most
 REPORT = 0.2
@@ -139,7 +139,7 @@ def command(
     """
     begun = monotonic()
     from ..diagnosis import SearchSettings, diagnose
-    from ..view._report import check_target
+    from ..view.report import check_target
 
     check_file(json_file)
     accept, validate = accept or [], validate or []
@@ -199,7 +199,7 @@ def _read_records(
 ) -> list[Table | Recording]:
     """Return the records of files with the channels of the network, or of its part above --cut."""
     from ..physics.network import cut as cut_at
-    from ..records._loggers.record_reading import records_of
+    from ..records.loggers.record_reading import records_of
 
     part = network if cut is None else cut_at(network, cut)
     wanted = (*part.inputs, *part.outputs)

@@ -65,9 +65,9 @@ def command(
     from ..physics.network import Network
     from ..records._inspection.map_file import save_map
     from ..records._inspection.report import inspect, lines
-    from ..records._loggers import ChannelMap, Column
-    from ..records._loggers.mapping import files_of
-    from ..view._report.inspection import page
+    from ..records.loggers import ChannelMap, Column
+    from ..records.loggers.mapping import files_of
+    from ..view.report.inspection import page
 
     files = [file for word in data for file in files_of(word)]
     for target in (out, html, json_file):

@@ -37,8 +37,8 @@ def command(
         print_names(_element_types())
         return
     if draw is not None:
-        from ..view._report.schematic import check_suffix
-        from ..view._report.schematic import draw as sketch
+        from ..view.report.schematic import check_suffix
+        from ..view.report.schematic import draw as sketch
 
         if name is None:
             raise InputError("--draw wants a network: isd-gym networks NAME --draw FILE")

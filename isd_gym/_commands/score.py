@@ -107,16 +107,16 @@ def command(
 
     Example: isd-gym score passive isd-passive mpc
     """
-    from ..benchmark import _ceilings as bounds
+    from ..benchmark import ceilings as bounds
     from ..benchmark.policies import find_all, passive
     from ..benchmark.scoring import IDLE, LEARN, check_size, idle_policies, unscored
     from ..benchmark.scoring import score as run
-    from ..env._sensors import Sensors
-    from ..physics._vehicle import vehicle
+    from ..env import Sensors
     from ..physics.network import Network
     from ..physics.road import road as find_road
-    from ..records._loggers import ChannelMap
-    from ..records._loggers.record_reading import road_of
+    from ..physics.vehicle import vehicle
+    from ..records.loggers import ChannelMap
+    from ..records.loggers.record_reading import road_of
 
     chosen = None
     if track is not None:
@@ -129,7 +129,7 @@ def command(
     check_file(json_file, network, model, road)
     senses = Sensors.of(sensors)
     if report is not None:
-        from ..view._report import check_report
+        from ..view.report import check_report
 
         check_report(report)
     plant = Network.load(network)
@@ -173,7 +173,7 @@ def command(
     made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
     write_json(json_file, made)
     if report is not None:
-        from ..view._report import score_report
+        from ..view.report import score_report
 
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)

@@ -121,7 +121,7 @@ def _compare(
 ) -> None:
     """Print the errors of a model, and of the model to compare with, on records; write them to the file of --json."""
     from ..diagnosis.simulation._prediction_errors import prediction_errors, removed_share
-    from ..records._loggers.record_reading import records_of
+    from ..records.loggers.record_reading import records_of
 
     check_records(data, [])
     if "by" in named:
@@ -206,10 +206,10 @@ def _write(
     from .._common.units import convert
     from ..diagnosis.simulation._motions import motions_at, motions_of, state_of
     from ..physics.simulate import simulate as run
-    from ..records._loggers import files_of
-    from ..records._loggers.grid import inputs_of, outputs_of
-    from ..records._loggers.record_reading import records_of
     from ..records.data import Table, write_table
+    from ..records.loggers import files_of
+    from ..records.loggers.grid import inputs_of, outputs_of
+    from ..records.loggers.record_reading import records_of
 
     check_file(out, model, *files_of(data))
     by = named.get("by")

@@ -48,8 +48,8 @@ def command(
 
     Example: isd-gym sweep grid.toml --out runs/sweep --jobs 2
     """
-    from ..benchmark._sweep.conditions import check_policies, items_are, sweep
-    from ..benchmark._sweep.grid import Grid
+    from ..benchmark.sweep.conditions import check_policies, items_are, sweep
+    from ..benchmark.sweep.grid import Grid
 
     made = Grid.load(grid)
     check_policies(made)
@@ -77,7 +77,7 @@ def _print(merged: Mapping[str, Any]) -> None:
     """Print the table of a merged sweep."""
     from rich.text import Text
 
-    from ..benchmark._sweep.conditions import change_cell, items_are, rows
+    from ..benchmark.sweep.conditions import change_cell, items_are, rows
 
     names, lines = rows(merged)
     console = printer()

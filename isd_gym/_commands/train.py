@@ -116,8 +116,8 @@ def train(plan: dict[str, Any], car: dict[str, Any], seed: int, out: Path) -> No
     import torch
 
     from ..env.registration import BY_CORNERS
-    from ..physics._vehicle import vehicle
     from ..physics.network import Network
+    from ..physics.vehicle import vehicle
     from ..sb3 import ScoreCallback, make_vec_env
 
     torch.set_num_threads(1)

@@ -18,7 +18,7 @@ def command() -> None:
 
     from ..benchmark.policies import find
     from ..benchmark.scoring import drive
-    from ..env._sensors import Sensors
+    from ..env import Sensors
     from ..physics.network import Network
     from ..physics.simulate import simulate
 

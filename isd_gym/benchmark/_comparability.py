@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from ..physics._vehicle import vehicle
 from ..physics.network import Network
 from ..physics.road import paper_road
 from ..physics.road import road as find_road
+from ..physics.vehicle import vehicle
 
 if TYPE_CHECKING:
-    from ..env._sensors import Sensors
+    from ..env import Sensors
     from ..physics.road import Road
 
 #: smallest sample for statements about the mean over roads, equal to the benchmark's; duration in seconds

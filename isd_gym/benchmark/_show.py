@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._common.errors import InputError
-from ..physics._vehicle import vehicle
 from ..physics.network import Network
+from ..physics.vehicle import vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,8 +38,8 @@ def snapshots(
     seed: int = 0,
 ) -> Iterator[tuple[Snapshot | CarSnapshot, ...]]:
     """Drive policies on the same road."""
-    from ..env._environment import ISDSuspensionEnv
-    from ..env._task import CONTROL_STEP
+    from ..env import ISDSuspensionEnv
+    from ..env.task import CONTROL_STEP
 
     network = Network.load(network)
     cars: list[Any] = []  # name, controller, environment, observation
@@ -90,7 +90,7 @@ def film(
     **drive: Any,
 ) -> None:
     """Write an MP4 film of policies."""
-    from ..env._task import CONTROL_STEP
+    from ..env.task import CONTROL_STEP
     from ..view._rendering import write_video
 
     network = Network.load(network)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from .._common.errors import InputError, shown
-from ..physics._vehicle import CURRENT_LIMIT, kind, vehicle
+from ..physics.vehicle import CURRENT_LIMIT, kind, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import DTypeLike
 
-    from ..env._environment import ISDSuspensionVectorEnv
+    from ..env import ISDSuspensionVectorEnv
     from ..physics.network import Network
 
 __all__ = [

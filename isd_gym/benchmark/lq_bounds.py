@@ -19,17 +19,17 @@ from scipy.optimize import minimize
 
 from .._common.errors import InputError
 from ..physics import elements as el
-from ..physics._vehicle import require_quarter_car, vehicle
 from ..physics.cost import StageCost
 from ..physics.network import Channel, Network, linearise
 from ..physics.road import REFERENCE_FREQUENCY, Road
 from ..physics.road import road as find_road
+from ..physics.vehicle import require_quarter_car, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from ..physics._car_prediction import CarModel, CarWeights
+    from ..physics.car_prediction import CarModel, CarWeights
 
 __all__ = ["Best", "LQPoint", "best_acceleration", "lq_bound"]
 
@@ -497,7 +497,7 @@ def wheelbase_bound(
     Raises:
         InputError: The road is not white in velocity, or the car has two tracks, whose coherence the model leaves out.
     """
-    from ..physics._car_prediction import CarWeights, car_model, car_regulator
+    from ..physics.car_prediction import CarWeights, car_model, car_regulator
     from .policies import conventional
 
     network, ground = Network.load(network), find_road(road)
@@ -553,7 +553,7 @@ def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float
     Returns:
         Mean cost per step [-].
     """
-    from ..physics._prediction import stationary
+    from ..physics.prediction import stationary
 
     q, r = weights.of(model)
     loop = model.A - model.inputs @ K

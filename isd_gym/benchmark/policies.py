@@ -14,10 +14,10 @@ from typing import Any
 
 from .._common.errors import InputError, shown
 from .._common.plugins import POLICIES, plugins
-from ..physics._vehicle import kind, vehicle
 from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.network._bodies import Point
+from ..physics.vehicle import kind, vehicle
 from ._own_controllers import entry_of_file
 from .driving import Entry, Idle
 

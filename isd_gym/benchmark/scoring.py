@@ -13,11 +13,11 @@ from .._common.errors import InputError, shown
 from .._common.inputs import check_memory
 from .._common.seeds import generators, named_roads
 from .._common.version import __version__
-from ..env._sensors import Sensors
-from ..physics._vehicle import Vehicle, vehicle
+from ..env import Sensors
 from ..physics.cost import StageCost, square
 from ..physics.network import Network
 from ..physics.road import road as find_road
+from ..physics.vehicle import Vehicle, vehicle
 from ._comparability import Comparable, comparable
 from .driving import Controller, Crew, Entry, Idle, travel
 from .policies import find_all, passive
@@ -221,7 +221,7 @@ def weighted_rms(acceleration: np.ndarray, step: float) -> np.ndarray:
 def check_size(car: Vehicle, episodes: int, duration: float) -> None:
     """Check before long work that number and length [s] of episodes are positive, and that their signals fit
     into the memory."""
-    from ..env._task import CONTROL_STEP
+    from ..env.task import CONTROL_STEP
 
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")
@@ -270,8 +270,8 @@ def drive(
     Raises:
         InputError: A car breaks, or an argument is invalid.
     """
-    from ..env._environment import ISDSuspensionVectorEnv
-    from ..env._task import CONTROL_STEP
+    from ..env import ISDSuspensionVectorEnv
+    from ..env.task import CONTROL_STEP
 
     plant = entry.network or network
     check_size(vehicle(plant), episodes, duration)

@@ -19,8 +19,8 @@ from .._common.errors import InputError
 from ..physics.network import Network, assemble, rejoin
 from ..physics.network import cut as network_cut
 from ..physics.simulate import pace
-from ..records._loggers.recording import Recording
 from ..records.data import Table
+from ..records.loggers.recording import Recording
 from ._estimation.clock_lag import align_clocks
 from ._estimation.exchanged_roles import invert, prefer_direct_problem
 from ._records.agreement import find_misreading

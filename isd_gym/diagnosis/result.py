@@ -429,7 +429,7 @@ class Diagnosis:
 
     def _repr_html_(self) -> str:
         """Return verdict, the picture of the measured and simulated signals, effects and gap as HTML for notebooks."""
-        from ..view._report import notebook_page
+        from ..view.report import notebook_page
 
         return notebook_page(self)
 
@@ -470,7 +470,7 @@ class Diagnosis:
             ReportError: The report cannot be drawn; the other files are in the folder.
         """
         if report:
-            from ..view._report import write_report
+            from ..view.report import write_report
 
             write_report(self, folder)
             return

@@ -1,7 +1,7 @@
 """The environments of Gymnasium.
 
-- `_environment`: one car, and many at once; `_task` has the options.
-- `_history`, `_sensors`, `_pictures`: observations with memory, imperfect sensors, frames.
+- `_environment`: one car, and many at once; `task` has the options.
+- `history`, `_sensors`, `_pictures`: observations with memory, imperfect sensors, frames.
 - `registration`, `autoload`: names for `gymnasium.make`.
 """
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from ._environment import ISDSuspensionEnv as ISDSuspensionEnv
     from ._environment import ISDSuspensionVectorEnv as ISDSuspensionVectorEnv
     from ._sensors import Sensors as Sensors
-    from ._task import RELATIVE_SCALE as RELATIVE_SCALE
-    from ._task import Options as Options
+    from .task import RELATIVE_SCALE as RELATIVE_SCALE
+    from .task import Options as Options
 
 #: public name -> its module
 _HOME = {
     "ISDSuspensionEnv": "_environment",
     "ISDSuspensionVectorEnv": "_environment",
-    "Options": "_task",
-    "RELATIVE_SCALE": "_task",
+    "Options": "task",
+    "RELATIVE_SCALE": "task",
     "Sensors": "_sensors",
 }
 __all__ = [*_HOME]

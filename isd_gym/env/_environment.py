@@ -24,10 +24,9 @@ from gymnasium.wrappers import TimeLimit
 from .._common.errors import InputError, how_to_install, plain, shown
 from .._common.inputs import is_whole
 from .._common.seeds import road_index, scoring_generator
-from ..physics._vehicle import vehicle
 from ..physics.network import Network
 from ._pictures import Onlooker
-from ._task import Options, Task, info_maker
+from .task import Options, Task, info_maker
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -37,11 +36,6 @@ if TYPE_CHECKING:
     from ..view._rendering import CarSnapshot, Renderer, Snapshot
 
 PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step
-#: measured signals of a quarter car: name, unit, bound
-MEASURED = tuple(
-    (signal.name, signal.unit, signal.bound) for signal in vehicle(Network.load("quarter-car-isd")).measured
-)
-
 
 RESET_OPTIONS = ("road", "speed", "scoring_road")
 RENDER_MODES = ["human", "rgb_array"]  # of one car; a window shows no batch

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..physics import elements as el
-from ..physics._vehicle import CURRENT_LIMIT
 from ..physics.network import GROUND
-from ._task import PICTURE_WINDOW
+from ..physics.vehicle import CURRENT_LIMIT
+from .task import PICTURE_WINDOW
 
 if TYPE_CHECKING:
-    from ..physics._vehicle import Corner
+    from ..physics.vehicle import Corner
     from ..view._rendering import CarSnapshot, CornerSnapshot, Snapshot
-    from ._task import Task
+    from .task import Task
 
 PAST = 4.0  # length of the curves [s]
 

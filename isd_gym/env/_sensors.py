@@ -15,7 +15,7 @@ import numpy as np
 
 from .._common.errors import InputError, shown
 from .._common.inputs import is_number, is_whole
-from ..physics._kernel.jit import compiled
+from .._common.jit import compiled
 
 #: standard deviation of the white noise on each measured signal at noise 1; the current is known exactly
 NOISE = {

@@ -3,5 +3,5 @@
 - `elements`, `network`: laws between nodes, and models made of them; `networks` has the built-in models.
 - `_kernel`, `simulate`, `_balance`: compiled laws, simulation, and the position of rest.
 - `road`, `tracks`, `_tyre_contact`: roads and what a tyre does on them.
-- `_vehicle`, `_batch`, `cost`: a network as a car, many cars side by side, and the stage cost.
+- `vehicle`, `_batch`, `cost`: a network as a car, many cars side by side, and the stage cost.
 """

@@ -21,11 +21,11 @@ from .._common.errors import InputError
 from . import elements as el
 from ._kernel import layout as place
 from ._kernel.layout import TOGETHER, WIDTH, aligned
-from ._vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
 from .network import Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
 from .tracks import SUM_STATES
+from .vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

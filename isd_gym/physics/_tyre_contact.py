@@ -21,8 +21,8 @@ from .network._linear import transfer
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ._vehicle import Vehicle
     from .road import Road
+    from .vehicle import Vehicle
 
 LARGEST_SHARE = 0.01  # of the time with a pulling tyre, above which a warning is given
 FREQUENCIES = np.geomspace(0.1, 100.0, 60)  # of the tyre load [Hz]; wheel hop is near 11 Hz

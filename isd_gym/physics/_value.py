@@ -29,8 +29,9 @@ import numpy as np
 
 from .._common.errors import InputError
 from . import elements as el
-from ._car_prediction import CarWeights, car_model
-from ._prediction import (
+from .car_prediction import CarWeights, car_model
+from .network import Network
+from .prediction import (
     DESIGN_SPEED,
     ROAD_INTENSITY,
     Weights,
@@ -38,13 +39,12 @@ from ._prediction import (
     riccati,
     statistical_linearisation,
 )
-from ._vehicle import vehicle
-from .network import Network
 from .simulate import PHYSICS_STEP
+from .vehicle import vehicle
 
 if TYPE_CHECKING:
-    from ._vehicle import Vehicle
     from .cost import StageCost
+    from .vehicle import Vehicle
 
 #: weights of the causal ceiling: of the change of current instead of the slew limit [1/A^2], and of the
 #: devices' travel over their stop [-]

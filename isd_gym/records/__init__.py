@@ -1,7 +1,7 @@
 """Measurements, and the files that hold measurements.
 
 - `data`: tables and their files; `_formats` reads binary ones in a process of their own.
-- `_loggers`: files of several loggers, and which column is which channel.
+- `loggers`: files of several loggers, and which column is which channel.
 - `schemas`: JSON schemas of the files that the package writes.
 """
 

@@ -1,7 +1,7 @@
 """Pages and pictures.
 
 - `_rendering`: frames and films of cars.
-- `_report`: pages of a score and of a diagnosis.
+- `report`: pages of a score and of a diagnosis.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from .._common.lazy import lazy
 
 TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
-    from ._report import score_report as score_report
-    from ._report import write_report as write_report
+    from .report import score_report as score_report
+    from .report import write_report as write_report
 
 #: public name -> its module
 _HOME = {
-    "score_report": "_report",
-    "write_report": "_report",
+    "score_report": "report",
+    "write_report": "report",
 }
 __all__ = [*_HOME]
 __getattr__, __dir__ = lazy(__name__, _HOME)

@@ -13,7 +13,7 @@ from ...benchmark.lq_bounds import best_acceleration, lq_bound, lq_front
 from ...benchmark.lq_bounds import reference as passive_rms
 from ...benchmark.scoring import PAPER
 from ...physics.road import paper_road
-from ...view._report.plots import LOOKS, figure, number, percent
+from ...view.report.plots import LOOKS, figure, number, percent
 from .study import PRINTED, Claim, Section, Study, Table
 
 if TYPE_CHECKING:

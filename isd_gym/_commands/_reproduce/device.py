@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...view._report.plots import number, percent
+from ...view.report.plots import number, percent
 from .study import Claim, Section, Study
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from ...benchmark._ceilings import reachable as known_optimum
+from ...benchmark.ceilings import reachable as known_optimum
 from ...benchmark.policies import find, passive
 from ...benchmark.scoring import Score, score
 from ...physics.cost import StageCost
 from ...physics.network import Network
-from ...view._report.plots import percent
+from ...view.report.plots import percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

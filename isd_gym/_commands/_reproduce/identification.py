@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ...physics.network import Network
-from ...view._report.plots import number, percent
+from ...view.report.plots import number, percent
 from .rig import identify
 from .study import RIG, RIG_PRINTED, Claim, Section, Study, Table
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._common.files import check_folder, whole_folder, write_text
-from ...view._report.plots import page, percent, style
+from ...view.report.plots import page, percent, style
 from .causal_bound import causal_bound
 from .device import device
 from .identification import table_4

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...view._report.plots import LOOKS, figure, number
+from ...view.report.plots import LOOKS, figure, number
 from .rig import force_test, fundamental
 from .study import AMPLITUDE, INERTANCE, RIG, RIG_PRINTED, Claim, Section, Study
 

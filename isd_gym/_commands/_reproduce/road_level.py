@@ -8,7 +8,7 @@ from ...benchmark.lq_bounds import linear_car, stationary
 from ...benchmark.lq_bounds import reference as passive_rms
 from ...benchmark.scoring import PAPER
 from ...physics.road import PRINTED_KAPPA, paper_road
-from ...view._report.plots import number, percent
+from ...view.report.plots import number, percent
 from .study import SERIES, Claim, Section, Study, Table
 
 if TYPE_CHECKING:

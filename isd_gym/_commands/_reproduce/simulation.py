@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._common.seeds import road_name
-from ...benchmark._ceilings import reachable as known_optimum
+from ...benchmark.ceilings import reachable as known_optimum
 from ...benchmark.scoring import PAPER, Score
-from ...env._task import CONTROL_STEP
+from ...env.task import CONTROL_STEP
 from ...physics.cost import StageCost
-from ...view._report.plots import LOOKS, Look, density, figure, percent
-from ...view._report.plots import Picture as PagePicture
+from ...view.report.plots import LOOKS, Look, density, figure, percent
+from ...view.report.plots import Picture as PagePicture
 from .driving import DRIVEN, drive_all, own_cost, score_rows, triple
 from .study import PRINTED, SERIES, Claim, Section, Study, Table
 

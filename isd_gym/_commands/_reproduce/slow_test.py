@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...view._report.plots import LOOKS, MUTED, figure
+from ...view.report.plots import LOOKS, MUTED, figure
 from .rig import force_test
 from .study import AMPLITUDE, RIG, RIG_PRINTED, TABLE_4, Claim, Section, Study
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from ...view._report.plots import Picture as PagePicture
-from ...view._report.plots import as_picture
+from ...view.report.plots import Picture as PagePicture
+from ...view.report.plots import as_picture
 
 if TYPE_CHECKING:
     from pathlib import Path

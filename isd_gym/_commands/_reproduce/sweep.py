@@ -10,11 +10,11 @@ from ...baselines import make
 from ...benchmark.driving import Crew, Entry, travel
 from ...benchmark.lq_bounds import reference as passive_rms
 from ...benchmark.scoring import PAPER
-from ...env._environment import ISDSuspensionVectorEnv
-from ...env._task import CONTROL_STEP
+from ...env import ISDSuspensionVectorEnv
+from ...env.task import CONTROL_STEP
 from ...physics.cost import StageCost
 from ...physics.network import Network
-from ...view._report.plots import LOOKS, figure, percent
+from ...view.report.plots import LOOKS, figure, percent
 from .study import SERIES, Section, Study, Table
 
 if TYPE_CHECKING:

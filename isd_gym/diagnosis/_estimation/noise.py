@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import welch
 
-from ...physics._kernel.jit import compiled
+from ..._common.jit import compiled
 from .._records.filtering import estimate_white_noise, find_computed_forces
 from .._simulation.interpolation import differences
 from .._simulation.problem import BROKEN, low_pass

@@ -19,9 +19,9 @@ from scipy.sparse import csr_matrix
 from ..._common.errors import InputError
 from ..._common.units import HELD, convert
 from ...physics.simulate import pace
-from ...records._loggers.recording import Recording, Signal, sampled
 from ...records.data import Table, check
 from ...records.data._quality import Scale, admit
+from ...records.loggers.recording import Recording, Signal, sampled
 from .._simulation.interpolation import through
 from .._simulation.problem import BROKEN, Problem, Record
 

@@ -13,9 +13,9 @@ from ..._common.errors import InputError, MissingColumn
 from ..._common.units import HELD, convert
 from ...physics.network import Channel, Network, own_time, slowest_time, without
 from ...physics.simulate import COARSE
-from ...records._loggers.recording import Recording, Signal
 from ...records.data import Table, check, read_table
 from ...records.data._quality import CAR, Scale, admit, known_check, rises_unevenly
+from ...records.loggers.recording import Recording, Signal
 from .._simulation.problem import BROKEN, Problem, Record, thinned
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..._common.arrays import Array
-    from ...records._loggers.recording import Recording
+    from ...records.loggers.recording import Recording
     from .._records.multirate import OutputSampler
 
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
-from ...physics._kernel.jit import compile_seconds
+from ..._common.jit import compile_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

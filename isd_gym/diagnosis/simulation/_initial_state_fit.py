@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ..._common.arrays import Array
-    from ...records._loggers.recording import Recording
+    from ...records.loggers.recording import Recording
 
 #: iterations of a fit to a whole record: the phase of a stiffening decay follows its amplitude over many periods
 ITERATIONS = 12

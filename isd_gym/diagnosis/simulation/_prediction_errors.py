@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from ...records._loggers.recording import Recording
     from ...records.data import Table
+    from ...records.loggers.recording import Recording
 
 #: smallest noise that residuals are weighted with, as a share of the signal's deviation
 LEAST_NOISE = 1e-3

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from ..._common.jit import compiled
 from ..cost import square
-from .jit import compiled
 from .lanes import bits, fused, load, noise, select, some, spread, store
 from .layout import (
     ACCELERATION_LIMIT,

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numba as nb
 from numba.core.options import DefaultOptions
 
+from ..._common import jit
 from .. import cost
 from .. import elements as el
-from . import cars, contact, jit, lanes, law_forces, layout, linear, newton, solve, steps
+from . import cars, contact, lanes, law_forces, layout, linear, newton, solve, steps
 
 
 def _dispatch(functions: Sequence[Callable[..., Any]], fallback: Callable[..., Any]) -> Callable[..., Any]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..._common.jit import compiled
 from .cars import road_noise
-from .jit import compiled
 
 
 @compiled(error_model="numpy")

@@ -12,10 +12,10 @@ from scipy.signal import welch
 
 from ..._common.errors import InputError
 from ..._common.units import TABLE, UNITS, convert, si_of
-from .._loggers.recording import GAP, Raster, even, rounded
 from ..data._columns import unit_known
 from ..data._quality import QUANTITIES, held_samples
 from ..data._signals import even_stamps, stamp_rounding
+from ..loggers.recording import GAP, Raster, even, rounded
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from ..._common.files import write_text
-from .._loggers.mapping import SCHEMA, ChannelMap, Column, Logger
+from ..loggers.mapping import SCHEMA, ChannelMap, Column, Logger
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,7 +15,7 @@ from scipy.signal import correlate
 from ..._common.errors import InputError, shown
 from ..._common.units import convert, units_of
 from ...physics.simulate import simulate
-from .._loggers.mapping import ChannelMap, Column, Logger
+from ..loggers.mapping import ChannelMap, Column, Logger
 from .consistency import integral_consistency
 from .facts import Facts, odd_scale, si_unit, unit_in_name
 from .name_matching import alike
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ...physics.network import Channel, Network
-    from .._loggers.recording import Raster
+    from ..loggers.recording import Raster
 
 COLUMNS = 60  # largest number of columns; with more columns, the best by name and unit
 DRIVES = 40  # largest number of simulated choices of input columns

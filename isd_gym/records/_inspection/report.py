@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..._common.errors import InputError, plain, shown
-from .._loggers.mapping import Logger
-from .._loggers.recording import EPOCH, Raster, continuous, rasters
 from ..data._columns import did_you_mean
+from ..loggers.mapping import Logger
+from ..loggers.recording import EPOCH, Raster, continuous, rasters
 from .facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
 from .map_file import map_content
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ...physics.network import Network
-    from .._loggers.mapping import ChannelMap
+    from ..loggers.mapping import ChannelMap
     from .match import Suggestion
 
 LAST_STAMP = 253402300799.0  # end of the year 9999 [s since 1970]; later stamps are no dates

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from .._common.errors import InputError
-from ..env._task import CONTROL_STEP
+from ..env.task import CONTROL_STEP
 from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.road import Road

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import expm
 
-from ._prediction import (
+from .prediction import (
     ROAD_INTENSITY,
     Laws,
     Sensors,
@@ -30,15 +30,15 @@ from ._prediction import (
     steady_gain,
     white_covariance,
 )
-from ._vehicle import Vehicle, state_channels, vehicle
+from .vehicle import Vehicle, state_channels, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from . import elements as el
-    from ._prediction import Equations
     from .cost import StageCost
     from .network import Network
+    from .prediction import Equations
 
 
 class WholeCar(Laws):

@@ -21,12 +21,12 @@ from ..physics import elements as el
 from ..physics._batch import Batch, ranges
 from ..physics._kernel.layout import REWARD
 from ..physics._tyre_contact import warn_of_pulling_tyres
-from ..physics._vehicle import CURRENT_LIMIT, SLEW_RATE, Vehicle, state_channels, vehicle
 from ..physics.cost import StageCost
 from ..physics.network import Network
 from ..physics.road import Road, road
-from ._history import BOUND, Remembered, history_of
+from ..physics.vehicle import CURRENT_LIMIT, SLEW_RATE, Vehicle, state_channels, vehicle
 from ._sensors import Sensors, Sight
+from .history import BOUND, Remembered, history_of
 
 if TYPE_CHECKING:
     from ..physics._value import Value

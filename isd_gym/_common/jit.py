@@ -17,7 +17,7 @@ import numba as nb
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-from ..._common.errors import InputError
+from .errors import InputError
 
 
 class _Files(IndexDataCacheFile):

@@ -44,7 +44,7 @@ from typing import Any
 from ... import benchmark
 from ..._common.errors import InputError, hint, shown
 from ..._common.inputs import is_number, parse_json, read_bytes
-from ...env._sensors import Sensors
+from ...env import Sensors
 from ...physics.network import Network
 from .items import Task
 
@@ -327,7 +327,7 @@ class Grid:
                 "duration": self.duration,
             }
             arguments = {"policy": policy, **roads, "condition": given, **({"files": files} if files else {})}
-            out.append(Task("isd_gym.benchmark._sweep.conditions:drive_item", arguments))
+            out.append(Task("isd_gym.benchmark.sweep.conditions:drive_item", arguments))
         return out
 
 

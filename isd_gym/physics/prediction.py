@@ -16,10 +16,10 @@ from scipy.linalg import expm, solve_discrete_are
 
 from .._common.errors import InputError
 from . import elements as el
-from ._vehicle import require_quarter_car, state_channels, vehicle
 from .network import Network, assemble
 from .network._linear import slopes
 from .road import paper_road
+from .vehicle import require_quarter_car, state_channels, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

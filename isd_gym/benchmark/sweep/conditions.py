@@ -22,7 +22,7 @@ from .items import run as run_tasks
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from ...physics._vehicle import Vehicle
+    from ...physics.vehicle import Vehicle
 
 RESAMPLES = 4000
 #: kind, mark and parts of the folder of a sweep
@@ -59,8 +59,8 @@ def drive_item(
     Raises:
         InputError: A file is missing or differs on this machine.
     """
-    from ...physics._vehicle import vehicle
     from ...physics.cost import StageCost
+    from ...physics.vehicle import vehicle
     from ..policies import find
     from ..scoring import drive, measures
 
@@ -95,7 +95,7 @@ def drive_item(
 
 def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
     """Return the policy with counted commands: all, not finite, and outside of the limits of Table 5."""
-    from ...physics._vehicle import CURRENT_LIMIT, SLEW_LIMIT
+    from ...physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
     from ..driving import Entry
 
     currents = [i for i, signal in enumerate(car.measured) if signal.kind == "current"]

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .._common import jit
 from .._common.errors import InputError, shown
-from ..physics._kernel import jit
 
 if TYPE_CHECKING:
-    from ..physics._vehicle import Vehicle
+    from ..physics.vehicle import Vehicle
 
 #: limits of a history: signals, orders of change, age of a number [control steps], magnitude of numbers
 SIGNALS, ORDERS, AGES, LARGEST = 1024, 8, 2048, 1e12

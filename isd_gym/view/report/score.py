@@ -296,7 +296,7 @@ def trade_off(shown: Shown) -> Chart:
     """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load."""
     marks = [*_policy_marks(shown), *_published_marks(shown)]
     xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
-    from ...benchmark._ceilings import fronts
+    from ...benchmark.ceilings import fronts
 
     curves = fronts(shown.score)
     lines = []
