@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from isd_gym._common.errors import InputError
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT, SLEW_RATE, vehicle
-
-if TYPE_CHECKING:
-    from isd_gym.physics.network import Network
 
 __all__ = [
     "BatchController",

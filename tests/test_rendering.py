@@ -11,25 +11,29 @@ from program import refused
 
 from isd_gym._common.errors import InputError, how_to_install
 from isd_gym.view import _rendering as rendering
-from isd_gym.view._rendering import Renderer, Snapshot, backend, write_video
+from isd_gym.view._rendering import CarSnapshot, CornerSnapshot, Renderer, backend, write_video
 from isd_gym.view._rendering.canvas import Canvas
 
 pygame = backend.pygame()
 LIMIT = 0.02465  # [m], Table 1's deputy stroke at the terminals
-# at 640x400, exaggerated six times: the wheel's 0.32 m are drawn as 38 px
-PIXELS_PER_METRE = 6.0 * 38.0 / 0.32
-FLOOR = 400 - 58  # row of a flat road at 640x400
+# at 640x400: 90 px are a metre, and motions are exaggerated ten times
+METRE = 90
+PIXELS_PER_METRE = 10 * METRE
+FLOOR = 400 - 66  # row of a flat road at 640x400
+WHEEL = 150  # column of the wheel at 640x400
 
 
 def snapshot(**changes):
     base = {
         "time": 0.0, "body": 0.0, "wheel": 0.0, "piston": 0.0, "joint": 0.0,
-        "road_profile": np.zeros(201), "road_step": 0.05, "speed": 20.0,
+        "road_profiles": np.zeros((1, 201)), "road_step": 0.05, "road_behind": 5.0, "speed": 20.0,
         "current": 0.0, "current_limit": 5.0, "body_acceleration": 0.0, "suspension_travel": 0.0,
         "tyre_load": 0.0, "static_tyre_load": 3826.0, "device_travel_limit": LIMIT,
         "cost": 0.9, "label": "MPC",
     }  # fmt: skip
-    return Snapshot(**{**base, **changes})
+    given = {**base, **changes}
+    corner = {name: given.pop(name) for name in CornerSnapshot.__dataclass_fields__ if name in given}
+    return CarSnapshot(heave=corner["body"], corners=(CornerSnapshot(**corner),), **given)
 
 
 def passive(**changes):
@@ -56,7 +60,7 @@ def body_top(picture):
 
 
 def test_the_body_moves_up_by_the_stated_factor():
-    rise = 0.02
+    rise = 0.015
     still, risen = frame(snapshot()), frame(snapshot(body=rise, piston=rise))
     moved = body_top(scene(still)) - body_top(scene(risen))
     assert moved == pytest.approx(rise * PIXELS_PER_METRE, abs=1.0)
@@ -65,13 +69,13 @@ def test_the_body_moves_up_by_the_stated_factor():
 def test_a_road_that_rises_under_everything_changes_nothing():
     """Only displacements against the road at large are seen, so a long climb does not leave the picture."""
     high = 3.0
-    lifted = snapshot(body=high, wheel=high, piston=high, joint=high, road_profile=np.full(201, high))
+    lifted = snapshot(body=high, wheel=high, piston=high, joint=high, road_profiles=np.full((1, 201), high))
     assert np.array_equal(frame(lifted), frame(snapshot()))
 
 
 def arrows(picture, colour):
     """Widths of the thrust arrows, row by row from the uppermost, beside the main cylinder."""
-    column = scene(picture)[:, 150:172]
+    column = scene(picture)[:, WHEEL - 36 : WHEEL - 14]
     rows, _ = where(column, colour)
     return [int((rows == row).sum()) for row in np.unique(rows)]
 
@@ -92,7 +96,7 @@ def test_thrust_arrows_show_direction_and_size():
 
 def test_the_current_bar_points_to_its_side():
     for current, colour, side in ((4.0, rendering.PULL, 1), (-4.0, rendering.PUSH, -1)):
-        _, columns = where(frame(snapshot(current=current))[48:64, 372:], colour)
+        _, columns = where(frame(snapshot(current=current))[60:74, 372:], colour)
         middle = (14 + 254) / 2  # of the panel
         assert side * (columns.mean() - middle) == pytest.approx(0.4 * 120, abs=4)
         assert np.ptp(columns) == pytest.approx(0.8 * 120, abs=4)
@@ -104,7 +108,7 @@ def test_a_stop_that_is_hit_is_marked_on_its_side():
         picture = frame(snapshot(joint=-travel, suspension_travel=0.0))[:, :300]
         rows, columns = where(picture, rendering.VERMILLION)
         stop = columns[rows < rows.min() + 15]  # the stop stands above the gauge's words
-        assert (stop.mean() > 186 + 24 + 34) == (travel > 0)
+        assert (stop.mean() > WHEEL + 50) == (travel > 0)
         assert np.ptp(stop) < 8
 
 
@@ -118,7 +122,7 @@ def test_the_words_state_the_scales(monkeypatch):
 
     monkeypatch.setattr(Canvas, "text", listen)
     frame(snapshot(suspension_travel=0.029, body_acceleration=-2.9))
-    assert {"−2", "+2", "−20", "+20", "20 mm, vertical ×6"} <= set(said)
+    assert {"−2", "+2", "−20", "+20", "10 mm, vertical ×10"} <= set(said)
     said.clear()
     frame(snapshot(suspension_travel=0.031, body_acceleration=-3.1, body=0.05, piston=0.05))
     assert {"−4", "+4", "−40", "+40"} <= set(said)
@@ -128,11 +132,11 @@ def test_the_words_state_the_scales(monkeypatch):
 def test_the_tyre_squashes_and_lifts():
     def rubber(shot):
         """Height [px] of the tyre between rim and road, with the line of the road."""
-        return int((frame(shot)[FLOOR - 15 : FLOOR + 6, 186].sum(axis=1) < 3 * 75).sum())
+        return int((frame(shot)[FLOOR - 15 : FLOOR + 6, WHEEL].sum(axis=1) < 3 * 75).sum())
 
     # In contact, tyre and road line are one dark piece; off the road, the sky shows between them.
     def pieces(shot):
-        dark = frame(shot)[FLOOR - 15 : FLOOR + 6, 186].sum(axis=1) < 3 * 75
+        dark = frame(shot)[FLOOR - 15 : FLOOR + 6, WHEEL].sum(axis=1) < 3 * 75
         return int(np.count_nonzero(np.diff(dark.astype(int)) == 1) + dark[0])
 
     lift = 0.025
@@ -145,21 +149,21 @@ def test_the_tyre_squashes_and_lifts():
 
 
 def test_the_ground_passes_with_the_speed():
-    step = 0.035  # [s]: 0.7 m at 20 m/s, 28 px
+    step = 0.035  # [s]: 0.7 m at 20 m/s, 63 px
     before, after = (frame(snapshot(time=t))[FLOOR + 10, :371] for t in (1.0, 1.0 + step))
-    moved = np.abs(after[10:300].astype(int) - before[10 + 28 : 300 + 28]).max()
+    moved = np.abs(after[10:300].astype(int) - before[10 + 63 : 300 + 63]).max()
     unmoved = np.abs(after[10:300].astype(int) - before[10:300]).max()
     assert moved <= 12 < unmoved
 
 
 def test_the_road_ahead_is_at_the_right():
-    road = np.zeros(201)
-    road[140:160] = 0.02  # 2 to 3 m ahead: 80 to 120 px to the right of the wheel at 186
-    dark = frame(snapshot(road_profile=road))[:, :371].sum(axis=2) < 3 * 75
+    road = np.zeros((1, 201))
+    road[0, 120:140] = 0.02  # 1 to 2 m ahead
+    dark = frame(snapshot(road_profiles=road))[:, :371].sum(axis=2) < 3 * 75
     surface = np.array([np.nonzero(dark[250:, x])[0].max() for x in range(371)])
     raised = np.nonzero(surface < np.median(surface) - 8)[0]
-    assert raised.min() == pytest.approx(186 + 80, abs=4)
-    assert raised.max() == pytest.approx(186 + 120, abs=4)
+    assert raised.min() == pytest.approx(WHEEL + METRE, abs=4)
+    assert raised.max() == pytest.approx(WHEEL + 2 * METRE, abs=4)
 
 
 def test_curves_are_where_the_values_are():
@@ -168,8 +172,8 @@ def test_curves_are_where_the_values_are():
         picture = renderer.draw(snapshot(time=0.02 * k, body_acceleration=2.0, suspension_travel=-0.02))
     assert picture is not None
     rows, columns = where(picture[:, 420:], rendering.BLUE, 40)
-    upper, lower = rows[(rows > 130) & (rows < 240)], rows[rows > 260]
-    grid = np.nonzero((picture[:, 430] == picture[150, 430]).all(axis=1))[0]
+    upper, lower = rows[(rows > 140) & (rows < 240)], rows[rows > 260]
+    grid = np.nonzero((picture[:, 430] == picture[180, 430]).all(axis=1))[0]
     top, foot = grid[grid < 245].min(), grid[grid < 245].max()
     assert (upper.mean() - top) / (foot - top) == pytest.approx(1 / 6, abs=0.02)  # +2 in a range of -3 to 3
     top, foot = grid[grid > 255].min(), grid[grid > 255].max()
@@ -193,7 +197,7 @@ def test_words_never_touch_nor_leave_the_picture(size, cars, monkeypatch):
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("body", np.nan), ("current", np.inf), ("road_profile", np.array([0.0, np.nan]))],
+    [("body", np.nan), ("current", np.inf), ("road_profiles", np.array([[0.0, np.nan]]))],
 )
 def test_a_bad_snapshot_names_its_field(field, value):
     refused(field, snapshot, **{field: value})

@@ -15,8 +15,8 @@ from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.view import _rendering as rendering
 from isd_gym.view._rendering import CarSnapshot, CornerSnapshot, backend, renderer
 from isd_gym.view._rendering.canvas import Canvas
+from isd_gym.view._rendering.car import CarScene
 from isd_gym.view._rendering.palette import MUTED
-from isd_gym.view._rendering.rigid_car import RigidCarScene
 from isd_gym.view._rendering.wheel import RUBBER
 
 pygame = backend.pygame()
@@ -60,12 +60,12 @@ frame = partial(picture_checks.frame, width=960, height=600)
 def scenes(monkeypatch):
     made = []
 
-    class Kept(RigidCarScene):
+    class Kept(CarScene):
         def __init__(self, *given):
             super().__init__(*given)
             made.append(self)
 
-    monkeypatch.setattr(renderer, "RigidCarScene", Kept)
+    monkeypatch.setattr(renderer, "CarScene", Kept)
     return made
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..physics.road import Road
-    from ..view._rendering import CarSnapshot, Snapshot
+    from ..view._rendering import CarSnapshot
     from .driving import Entry
 
 #: size of a picture [px] by number of cars
@@ -36,7 +36,7 @@ def snapshots(
     speed: float = 20.0,
     seconds: float = 10.0,
     seed: int = 0,
-) -> Iterator[tuple[Snapshot | CarSnapshot, ...]]:
+) -> Iterator[tuple[CarSnapshot, ...]]:
     """Drive policies on the same road."""
     from ..env import ISDSuspensionEnv
     from ..env.task import CONTROL_STEP

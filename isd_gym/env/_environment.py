@@ -24,7 +24,6 @@ from gymnasium.wrappers import TimeLimit
 from .._common.errors import InputError, how_to_install, plain, shown
 from .._common.inputs import is_whole
 from .._common.seeds import road_index, scoring_generator
-from ..physics.network import Network
 from ._pictures import Onlooker
 from .task import Options, Task, info_maker
 
@@ -33,7 +32,8 @@ if TYPE_CHECKING:
 
     from gymnasium.envs.registration import EnvSpec
 
-    from ..view._rendering import CarSnapshot, Renderer, Snapshot
+    from ..physics.network import Network
+    from ..view._rendering import CarSnapshot, Renderer
 
 PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step
 
@@ -340,7 +340,7 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
         if self._onlooker is not None:
             self._onlooker.start()
 
-    def snapshot(self) -> Snapshot | CarSnapshot:
+    def snapshot(self) -> CarSnapshot:
         """Return the content of a picture of the car.
 
         Raises:

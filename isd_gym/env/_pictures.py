@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from .task import PICTURE_WINDOW
 
 if TYPE_CHECKING:
     from ..physics.vehicle import Corner
-    from ..view._rendering import CarSnapshot, CornerSnapshot, Snapshot
+    from ..view._rendering import CarSnapshot, CornerSnapshot
     from .task import Task
 
 PAST = 4.0  # length of the curves [s]
@@ -54,9 +54,42 @@ class Onlooker:
         curves = batch.of.accelerations + (not self.task.network.bodies)
         self._past.append((steps * self.task.decision, *batch.out[:curves, self.car].tolist()))
 
-    def snapshot(self) -> Snapshot | CarSnapshot:
+    def snapshot(self) -> CarSnapshot:
         """Return the content of a picture of the car."""
-        return self._rigid_car() if self.task.network.bodies else self._quarter_car()
+        from ..view._rendering import CarSnapshot
+
+        batch, car = self.task.batch, self.task.vehicle
+        values = batch.out[:, self.car].tolist()
+        accelerations = dict(zip(("vertical", *car.axes), values, strict=False))
+        places = self._places()
+        heave = places[car.body]
+        angles = {axis: places[node] for axis, node in car.angles.items()}
+        corners = []
+        for number, corner in enumerate(car.corners):
+            above = heave - corner.x * angles.get("pitch", 0.0) + corner.y * angles.get("roll", 0.0)
+            corners.append(self._corner(number, corner, places, above))
+        carried = {car.body, *(corner.body for corner in car.corners)}
+        speed = float(batch.speeds[self.car])
+        step = self.task.decision * speed
+        return CarSnapshot(
+            time=self._steps * self.task.decision,
+            heave=heave,
+            pitch=angles.get("pitch"),
+            roll=angles.get("roll"),
+            corners=tuple(corners),
+            points={name: place for name, place in car.points.items() if name not in carried},
+            road_profiles=np.array([self._road(track) for track in range(batch.of.tracks)]),
+            road_step=step,
+            road_behind=(len(self._trail) - 1) * step,
+            speed=speed,
+            body_acceleration=accelerations["vertical"],
+            pitch_acceleration=accelerations.get("pitch"),
+            roll_acceleration=accelerations.get("roll"),
+            suspension_travel=None if self.task.network.bodies else values[batch.of.accelerations],
+            cost=self._cost / max(self._steps, 1),
+            label=self.task.network.name,
+            past=tuple(self._past),
+        )
 
     def _places(self) -> dict[str, float]:
         """Return displacement [m] or angle [rad] of every free node."""
@@ -97,56 +130,3 @@ class Onlooker:
         trail = np.array([heights[track] for heights in self._trail])
         here = float(batch.track_heights[track, self.car])
         return np.concatenate([trail, here + batch.road_ahead(track=track)[self.car]])
-
-    def _drive(self) -> dict[str, Any]:
-        """Return what pictures of all cars have in common."""
-        speed = float(self.task.batch.speeds[self.car])
-        step = self.task.decision * speed
-        return {
-            "time": self._steps * self.task.decision,
-            "speed": speed,
-            "road_step": step,
-            "road_behind": (len(self._trail) - 1) * step,
-            "label": self.task.network.name,
-            "cost": self._cost / max(self._steps, 1),
-            "past": tuple(self._past),
-        }
-
-    def _quarter_car(self) -> Snapshot:
-        from ..view._rendering import Snapshot
-
-        batch, (corner,) = self.task.batch, self.task.vehicle.corners
-        places = self._places()
-        return Snapshot(
-            **vars(self._corner(0, corner, places, places[corner.body])),
-            road_profile=self._road(0),
-            body_acceleration=float(batch.out[0, self.car]),
-            suspension_travel=float(batch.out[batch.of.accelerations, self.car]),
-            **self._drive(),
-        )
-
-    def _rigid_car(self) -> CarSnapshot:
-        from ..view._rendering import CarSnapshot
-
-        batch, car = self.task.batch, self.task.vehicle
-        places = self._places()
-        motions = ("vertical", *car.axes)
-        accelerations = dict(zip(motions, batch.out[: len(motions), self.car].tolist(), strict=True))
-        heave = places[car.body]
-        angles = {axis: places[node] for axis, node in car.angles.items()}
-        corners, carried = [], {car.body, *(corner.body for corner in car.corners)}
-        for number, corner in enumerate(car.corners):
-            above = heave - corner.x * angles.get("pitch", 0.0) + corner.y * angles.get("roll", 0.0)
-            corners.append(self._corner(number, corner, places, above))
-        return CarSnapshot(
-            heave=heave,
-            pitch=angles.get("pitch"),
-            roll=angles.get("roll"),
-            corners=tuple(corners),
-            points={name: place for name, place in car.points.items() if name not in carried},
-            road_profiles=np.array([self._road(track) for track in range(batch.of.tracks)]),
-            body_acceleration=accelerations["vertical"],
-            pitch_acceleration=accelerations.get("pitch"),
-            roll_acceleration=accelerations.get("roll"),
-            **self._drive(),
-        )

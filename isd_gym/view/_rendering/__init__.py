@@ -1,12 +1,11 @@
 """Pictures of cars on a rolling road, and films.
 
 `Renderer.draw` paints one or two snapshots (two for comparison, on the same road with the same scales): a
-`Snapshot` of a quarter car, or a `CarSnapshot` of a car with a rigid body. The renderer knows nothing of the
+`CarSnapshot` of a car. The renderer knows nothing of the
 simulation; the displacements of the nodes suffice. `write_video` makes a film of frames.
 
 From the bottom up: `palette` and `backend`, the drawing surface (`canvas`), the content (`snapshots`),
-symbols of elements (`symbols`), parts of a car (`wheel`, `corner`, `road`), whole cars (`quarter_car`,
-`rigid_car`), live curves (`curves`, `panel`), frames (`renderer`) and films (`film`). Names for other modules are imported here.
+symbols of elements (`symbols`), parts of a car (`wheel`, `corner`, `road`), whole cars (`car`), live curves (`curves`, `panel`), frames (`renderer`) and films (`film`). Names for other modules are imported here.
 Inside, positions and sizes are in pixels of the frame, motions and roads in metres; `u` is the unit of the layout [px].
 """
 
@@ -16,7 +15,7 @@ from .backend import check_display
 from .film import write_video
 from .palette import BLUE, CAR_COLOURS, GREEN, ORANGE, PULL, PURPLE, PUSH, VERMILLION
 from .renderer import Renderer
-from .snapshots import CarSnapshot, CornerSnapshot, Snapshot
+from .snapshots import CarSnapshot, CornerSnapshot
 
 __all__ = [
     "BLUE",
@@ -30,7 +29,6 @@ __all__ = [
     "CarSnapshot",
     "CornerSnapshot",
     "Renderer",
-    "Snapshot",
     "check_display",
     "write_video",
 ]

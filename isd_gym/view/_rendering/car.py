@@ -1,4 +1,4 @@
-"""Picture of a car with a rigid body: from the side, and from behind for a car with a left and a right track.
+"""Picture of a car: from the side, and from behind for a car with a left and a right track.
 
 Wheels, wheelbase and track have one scale. Motions are exaggerated vertically by a common factor, so that the
 body remains a straight bar: its slope in the picture is the factor times its angle.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .canvas import Canvas, Point
-    from .corner import Setting
+    from .corner import Words
     from .snapshots import CarSnapshot, CornerSnapshot
 
 BEHIND, AHEAD, ASIDE = 1.3, 2.1, 0.65  # road beyond the outermost wheels [m]
@@ -80,15 +80,18 @@ class View:
         return np.array([self.shot.height(x, y) for x, y in places])
 
 
-class RigidCarScene:
-    """A car with a rigid body on its road, in a part of the picture [px]."""
+class CarScene:
+    """A car on its road, in a part of the picture [px]; parts of a single suspension are named where it is `roomy`."""
 
     most = 10.0  # largest exaggeration of motions
 
     def __init__(
-        self, canvas: Canvas, snapshot: CarSnapshot, left: float, width: float, colour: Colour
+        self, canvas: Canvas, snapshot: CarSnapshot, left: float, width: float, colour: Colour, roomy: bool
     ) -> None:
         """Use a part of the picture."""
+        self.words: Words = ""
+        if len(snapshot.corners) == 1:
+            self.words = "all" if roomy else "nodes"
         self.canvas, self.shot, self.left, self.width, self.colour = canvas, snapshot, left, width, colour
         self.u = canvas.unit
         self.height = canvas.frame.get_height()
@@ -234,8 +237,9 @@ class RigidCarScene:
                 wheel.side_rim(c, x, hub, self.wheel_unit, turn)
             reach = (34 if view.is_rear else 66) * self.unit
             wheel.carrier(c, x, hub, carrier, reach, self.unit, self.wheel_unit)
-            setting: Setting = "rear" if view.is_rear else "side"
-            drawn = Suspension(c, corner, x, unit=self.unit, scale=self.scale, setting=setting)
+            drawn = Suspension(
+                c, corner, x, unit=self.unit, scale=self.scale, words=self.words, is_rear=view.is_rear
+            )
             seat = self._down(corner.body, self._rest)
             is_right = view.along(corner.x, corner.y) > middle
             # from the side, the springs are outside and the motors between the axles; from behind, the
@@ -312,7 +316,8 @@ class RigidCarScene:
         """Name and tyre load of each corner below its wheel, where wheels are not too close."""
         upper, lower = self.height - 42 * self.u, self.height - 29 * self.u
         names = [(corner, corner.name.replace("_", " ")) for corner in view.near]
-        loads = [(corner, f"{number(corner.tyre_load / 1e3, 2)} kN") for corner in view.near]
+        kind = "dynamic tyre load " if len(self.shot.corners) == 1 else ""
+        loads = [(corner, f"{kind}{number(corner.tyre_load / 1e3, 2)} kN") for corner in view.near]
         for row, y, colour in ((names, upper, MUTED), (loads, lower, INK)):
             free = view.window.left
             for corner, words in row:

@@ -24,9 +24,6 @@ OIL_STROKE = 10.0
 LEFT, RIGHT = 73.0, 92.0
 CYLINDER = 0.05  # stroke of the main cylinder (Table 1) [m], drawn if no stop ends the travel before
 Words = Literal["all", "nodes", ""]
-#: alone in a quarter car; one of several from the side; one of several from behind, without the motor's
-#: cylinder
-Setting = Literal["alone", "side", "rear"]
 
 
 def demands(corner: CornerSnapshot) -> list[tuple[float, float]]:
@@ -53,18 +50,16 @@ class Suspension:
         unit: float,
         scale: float,
         words: Words = "",
-        setting: Setting = "alone",
+        is_rear: bool = False,
     ) -> None:
         """Store position and size of the suspension."""
         self.canvas, self.corner, self.x, self.u, self.scale = canvas, corner, x, unit, scale
-        self.words, self.setting = words, setting
+        self.words, self.is_rear = words, is_rear
 
     @property
     def spring_place(self) -> float:
         """Distance of the main spring to the left of the wheel [units of the layout]."""
-        if self.corner.joint is None and self.setting == "alone":
-            return 40.0
-        return 36.0 if self.setting == "rear" else 58.0
+        return 36.0 if self.is_rear else 58.0
 
     def paint(self, seat: float, carrier: float, spring_seat: float | None = None) -> None:
         """Draw the suspension between the body's underside (over the wheel, over the spring) and the wheel's carrier."""
@@ -72,11 +67,10 @@ class Suspension:
         c, u, corner = self.canvas, self.u, self.corner
         coil(c, self.x - self.spring_place * u, spring_seat, carrier, 15 * u, 8, 3.0 * u)
         if corner.joint is None:
-            aside = 40 if self.setting == "alone" else 0
-            dashpot(c, self.x + aside * u, seat, carrier, LENGTH * u, LONE_DAMPER_STROKE * u, u)
+            dashpot(c, self.x, seat, carrier, LENGTH * u, LONE_DAMPER_STROKE * u, u)
             if self.words == "all":
-                self._tag("main spring", self.x - 64 * u, (seat + carrier) / 2, "right")
-                self._tag("damper", self.x + 62 * u, (seat + carrier) / 2, "left")
+                self._tag("main spring", self.x - 79 * u, (seat + carrier) / 2, "right")
+                self._tag("damper", self.x + 20 * u, (seat + carrier) / 2, "left")
             return
         if self.words == "all":
             self._tag("main spring", self.x - 79 * u, (seat + carrier) / 2, "right")
@@ -116,7 +110,7 @@ class Suspension:
         c.rect(STEEL, x - 2 * u, node, 4 * u, piston - node)
         c.rect(INK, x - 11.4 * u, piston - 2.5 * u, 22.8 * u, 5 * u)
 
-        if self.setting != "rear":
+        if not self.is_rear:
             self._motor(top, bore, travel)
         c.circle(INK, x, node, 3 * u)
         c.circle(INK, x, joint, 3 * u)
@@ -124,7 +118,7 @@ class Suspension:
             self._name("piston", x + 7 * u, node)
             self._name("joint", x + 7 * u, joint)
         if corner.current_limit is not None:
-            aside = 25 if self.setting == "rear" else -25
+            aside = 25 if self.is_rear else -25
             self._thrust(x + aside * u, (node + joint) / 2)
 
     def _motor(self, top: float, bore: float, travel: float) -> None:

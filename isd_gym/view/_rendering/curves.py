@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .canvas import Canvas
-    from .snapshots import AnySnapshot, Trace
+    from .snapshots import CarSnapshot, Trace
 
 SECONDS = 4.0  # length of the curves
 
@@ -29,7 +29,7 @@ class History:
     def __init__(self) -> None:
         self.rows: deque[tuple[float, ...]] = deque()
 
-    def add(self, snapshot: AnySnapshot) -> None:
+    def add(self, snapshot: CarSnapshot) -> None:
         """Append the values of a snapshot and of its unknown earlier moments."""
         known = self.rows[-1][0] if self.rows else -math.inf
         factors = [trace.factor for trace, _ in snapshot.traces]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from .canvas import Canvas
-    from .snapshots import AnySnapshot, CornerSnapshot
+    from .snapshots import CarSnapshot, CornerSnapshot
 
 CELL = 25.0  # height of a corner's current [units of the layout]
 
@@ -29,12 +29,12 @@ class Panel:
         self._histories = [History() for _ in range(cars)]
         self._scales: dict[str, Scale] = {}
 
-    def add(self, shots: Sequence[AnySnapshot]) -> None:
+    def add(self, shots: Sequence[CarSnapshot]) -> None:
         """Append the values of the snapshots to the curves."""
         for history, shot in zip(self._histories, shots, strict=True):
             history.add(shot)
 
-    def paint(self, shots: Sequence[AnySnapshot]) -> None:
+    def paint(self, shots: Sequence[CarSnapshot]) -> None:
         """Draw the panel."""
         c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
         first = shots[0]
@@ -57,27 +57,23 @@ class Panel:
         c.text("now", x1, foot, size=9.5, colour=MUTED, anchor="right")
         c.text("isd-gym", (axis + x1) / 2, self.height - 9 * u, size=9, colour=STEEL_FAR, anchor="center")
 
-    def _one_car(self, shot: AnySnapshot, y: float) -> float:
+    def _one_car(self, shot: CarSnapshot, y: float) -> float:
         c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
-        if len(shot.corners) == 1:
-            _current_bar(c, x0, x1, y, shot.corners[0], "Motor current")
-            y += 55 * u
-        else:
-            c.text("Motor currents", x0, y, size=11)
-            limits = {corner.current_limit for corner in shot.corners} - {None}
-            words = ", ".join(f"±{limit:g} A" for limit in sorted(limits)) or "no motor"  # type: ignore[type-var]
-            c.text(words, x1, y, size=10, colour=MUTED, anchor="right")
-            y = _currents(c, x0, x1, y + 17 * u, shot.corners)
-            if limits:
-                c.text("− pushes apart", x0, y, size=9.5, colour=MUTED)
-                c.text("pulls together +", x1, y, size=9.5, colour=MUTED, anchor="right")
-            y += 22 * u
+        c.text("Motor current" if len(shot.corners) == 1 else "Motor currents", x0, y, size=11)
+        limits = sorted({corner.current_limit for corner in shot.corners if corner.current_limit is not None})
+        words = ", ".join(f"±{limit:g} A" for limit in limits)
+        c.text(words, x1, y, size=10, colour=MUTED, anchor="right")
+        y = _currents(c, x0, x1, y + 17 * u, shot.corners)
+        if limits:
+            c.text("− pushes apart", x0, y, size=9.5, colour=MUTED)
+            c.text("pulls together +", x1, y, size=9.5, colour=MUTED, anchor="right")
+        y += 22 * u
         if shot.cost is not None:
             c.text("Mean cost so far", x0, y, size=11)
             c.text(number(shot.cost, 3, sign=False), x1, y, size=11, anchor="right", face="Bold")
         return y + 26 * u
 
-    def _two_cars(self, shots: Sequence[AnySnapshot], y: float) -> float:
+    def _two_cars(self, shots: Sequence[CarSnapshot], y: float) -> float:
         c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
         for shot, colour in zip(shots, CAR_COLOURS, strict=True):
             c.rect(colour, x0, y - 4.5 * u, 9 * u, 9 * u, radius=2 * u)
@@ -86,13 +82,7 @@ class Panel:
                 words = f"cost {number(shot.cost, 3, sign=False)}"
                 width = c.text(words, x1, y, size=10, anchor="right")
             c.text(shot.label, x0 + 14 * u, y, size=11, face="Bold", room=x1 - x0 - 20 * u - width)
-            if len(shot.corners) == 1:
-                corner = shot.corners[0]
-                _current_text(c, x1, y + 16 * u, corner, 10)
-                _bar(c, x0, x1 - 54 * u, y + 16 * u - 3.5 * u, 7 * u, corner)
-                y += 38 * u
-            else:
-                y = _currents(c, x0, x1, y + 16 * u, shot.corners) + 6 * u
+            y = _currents(c, x0, x1, y + 16 * u, shot.corners) + 6 * u
         return y
 
 
@@ -106,40 +96,23 @@ def _currents(c: Canvas, x0: float, x1: float, y: float, corners: Sequence[Corne
     for corner in corners:
         left = x0 + sides.index(corner.y) * (width + gap)
         top = y + axles.index(corner.x) * CELL * u
-        taken = _current_text(c, left + width, top, corner, 9.5)
+        words, colour = f"{number(corner.current, 2)} A", INK
+        if corner.current_limit is None:
+            words, colour = "no motor", MUTED
+        taken = c.text(words, left + width, top, size=9.5, anchor="right", colour=colour)
         c.text(corner.name.replace("_", " "), left, top, size=9.5, room=width - taken - 4 * u)
-        _bar(c, left, left + width, top + 7.5 * u, 6 * u, corner)
+        _bar(c, left, left + width, top + 7.5 * u, corner)
     return y + len(axles) * CELL * u
 
 
-def _current_bar(c: Canvas, x0: float, x1: float, y: float, corner: CornerSnapshot, title: str) -> None:
+def _bar(c: Canvas, x0: float, x1: float, top: float, corner: CornerSnapshot) -> None:
     u = c.unit
-    c.text(title, x0, y, size=11)
-    if corner.current_limit is None:
-        c.text("no motor", x1, y, size=11, colour=MUTED, anchor="right")
-    else:
-        c.text(f"{number(corner.current, 2)} A", x1, y, size=11, anchor="right", face="Bold")
-    _bar(c, x0, x1, y + 12 * u, 10 * u, corner)
-    if corner.current_limit is not None:
-        foot, limit = y + 32 * u, f"{corner.current_limit:g}"
-        c.text(f"−{limit} A  pushes apart", x0, foot, size=9.5, colour=MUTED)
-        c.text(f"pulls together  +{limit} A", x1, foot, size=9.5, colour=MUTED, anchor="right")
-
-
-def _current_text(c: Canvas, x: float, y: float, corner: CornerSnapshot, size: float) -> float:
-    """Write the current of a corner up to x, and return the width of the text [px]."""
-    words = "no motor" if corner.current_limit is None else f"{number(corner.current, 2)} A"
-    colour = MUTED if corner.current_limit is None else INK
-    return c.text(words, x, y, size=size, anchor="right", colour=colour)
-
-
-def _bar(c: Canvas, x0: float, x1: float, top: float, height: float, corner: CornerSnapshot) -> None:
-    u = c.unit
+    height = 6 * u
     c.rect(PALE, x0, top, x1 - x0, height, radius=1.5 * u)
+    if corner.current_limit is None:
+        return
     middle = (x0 + x1) / 2
-    if corner.current_limit is not None:
-        reach = float(np.clip(corner.current / corner.current_limit, -1, 1)) * (x1 - x0) / 2
-        c.rect(
-            PULL if reach >= 0 else PUSH, min(middle, middle + reach), top, max(abs(reach), 0.5 * u), height
-        )
-        c.rect(INK, middle - 0.5 * u, top - 2 * u, u, height + 4 * u)
+    reach = float(np.clip(corner.current / corner.current_limit, -1, 1)) * (x1 - x0) / 2
+    colour = PULL if reach >= 0 else PUSH
+    c.rect(colour, min(middle, middle + reach), top, max(abs(reach), 0.5 * u), height)
+    c.rect(INK, middle - 0.5 * u, top - 2 * u, u, height + 4 * u)

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from ..._common.errors import InputError
 from .backend import NO_WINDOW, pygame, start_display
 from .canvas import Canvas
+from .car import CarScene
 from .palette import CAR_COLOURS, PALE, SKY_LOW, SKY_TOP, WHITE, mix
 from .panel import Panel
-from .quarter_car import QuarterCarScene
-from .rigid_car import RigidCarScene
-from .snapshots import CarSnapshot
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from .snapshots import AnySnapshot
+    from .snapshots import CarSnapshot
 
 EXAGGERATION = (10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 
@@ -60,7 +58,7 @@ class Renderer:
         self._paint_backdrop()
         self._restart()
 
-    def draw(self, *snapshots: AnySnapshot) -> NDArray[np.uint8] | None:
+    def draw(self, *snapshots: CarSnapshot) -> NDArray[np.uint8] | None:
         """Paint the cars; return the frame (height, width, 3) uint8 in mode "rgb_array"."""
         now = snapshots[0].time
         if now < self._now:
@@ -121,16 +119,13 @@ class Renderer:
         canvas.rect(WHITE, width, 0, self.width - width, self.height)
         canvas.keep_backdrop()
 
-    def _paint(self, snapshots: Sequence[AnySnapshot]) -> None:
+    def _paint(self, snapshots: Sequence[CarSnapshot]) -> None:
         canvas = self._canvas
         canvas.start()
-        views: list[QuarterCarScene | RigidCarScene] = []
+        views = []
         for index, snapshot in enumerate(snapshots):
             place = (index * self._scene_width, self._scene_width, CAR_COLOURS[index])
-            if isinstance(snapshot, CarSnapshot):
-                views.append(RigidCarScene(canvas, snapshot, *place))
-            else:
-                views.append(QuarterCarScene(canvas, snapshot, *place, self.cars == 1))
+            views.append(CarScene(canvas, snapshot, *place, self.cars == 1))
         # both cars have the road and the scale of the first, so that they can be compared
         needed = max(view.needed(views[0].reference) for view in views)
         room = min(views[0].most, 1.0 / needed if needed else math.inf)

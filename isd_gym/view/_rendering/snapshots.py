@@ -77,36 +77,8 @@ class CornerSnapshot:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Snapshot(CornerSnapshot):
-    """A quarter car in one frame: its only corner, the road, and the values of the panel."""
-
-    time: float  # [s]
-    road_profile: NDArray[np.float64]  # height of the road from behind the wheel to ahead [m], shape (n,)
-    road_step: float  # distance of two samples of the profile [m]
-    # length of the profile behind the wheel [m]; None for a wheel in the middle
-    road_behind: float | None = None
-    speed: float  # [m/s]
-    body_acceleration: float  # [m/s^2]
-    suspension_travel: float  # [m]
-    cost: float | None = None  # mean cost so far
-    label: str = ""  # name above the picture
-    # time [s], body acceleration [m/s^2] and suspension travel [m] of earlier moments, for the curves;
-    past: Sequence[tuple[float, ...]] = ()  # otherwise the curves connect the drawn moments
-
-    @property
-    def corners(self) -> tuple[CornerSnapshot, ...]:
-        """The only corner."""
-        return (self,)
-
-    @property
-    def traces(self) -> tuple[tuple[Trace, float], ...]:
-        """Quantities with a live curve, and their values in SI units."""
-        return (VERTICAL, self.body_acceleration), (TRAVEL, self.suspension_travel)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class CarSnapshot:
-    """A car with a rigid body and any number of corners in one frame. Displacements are absolute, about static equilibrium."""
+    """A car with any number of corners in one frame; a quarter car has one. Displacements are absolute, about static equilibrium."""
 
     time: float  # [s]
     heave: float  # displacement of the body at its centre of gravity [m]
@@ -124,9 +96,10 @@ class CarSnapshot:
     body_acceleration: float  # vertical acceleration at the centre of gravity [m/s^2]
     pitch_acceleration: float | None = None  # [rad/s^2]; None for a body without pitch
     roll_acceleration: float | None = None  # [rad/s^2]; None for a body without roll
+    suspension_travel: float | None = None  # of a quarter car [m]
     cost: float | None = None  # mean cost so far
     label: str = ""  # name on the body
-    # time [s] and accelerations of earlier moments, in the order of `traces` [SI], for the curves
+    # time [s] and values of earlier moments, in the order of `traces` [SI], for the curves
     past: Sequence[tuple[float, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -149,6 +122,7 @@ class CarSnapshot:
             (VERTICAL, self.body_acceleration),
             (PITCH, self.pitch_acceleration),
             (ROLL, self.roll_acceleration),
+            (TRAVEL, self.suspension_travel),
         )
         return tuple((trace, value) for trace, value in every if value is not None)
 
@@ -156,6 +130,3 @@ class CarSnapshot:
         """Return the displacement upwards [m] of a point x in front and y to the left of the centre of
         gravity [m]."""
         return self.heave - x * (self.pitch or 0.0) + y * (self.roll or 0.0)
-
-
-AnySnapshot = Snapshot | CarSnapshot
