@@ -162,7 +162,7 @@ isd_gym.view.report.inspection
     also page
 isd_gym.view.report.plots
     also COLOURS DPI LINES LOOKS Look MARKERS Picture STYLE THEMED as_picture caption channel_text density
-    figure halo label_points looks number page percent sentence style themed unit_text units_text versions
+    figure looks number page percent sentence style themed unit_text units_text versions
 isd_gym.view.report.schematic
     Drawing check_suffix draw place_parts
     also BOX HALF LETTER LETTERS LINE MARGIN MOVES PAPER SMALL SYMBOL SYMBOLS TALL

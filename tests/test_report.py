@@ -536,22 +536,6 @@ def test_the_user_s_matplotlibrc_changes_no_figure():
         assert within == dict(matplotlib.rcParams)
 
 
-def test_labels_do_not_cover_one_another():
-    with plots.style():
-        fig = plots.figure()
-        ax = fig.subplots()
-        ax.set_xlim(-10, 10)
-        ax.set_ylim(-10, 10)
-        points = [(0.1 * k, 0.1 * k, f"policy {k}, tyre +1.{k} %", "black") for k in range(6)]
-        plots.label_points(fig, ax, points)
-        fig.canvas.draw()
-        from matplotlib.text import Text
-
-        boxes = [Text.get_window_extent(t) for t in ax.texts]
-        assert len(boxes) == 6
-        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
-
-
 def test_a_value_in_a_wide_interval_does_not_vanish():
     assert report._digits(14.66, -900.0, 930.0) == "14.7" and report._digits(0.0149, -2.0, 2.0) == "0.015"
     assert report._digits(296.61, 290.3, 303.0) == "296.6" and report._digits(709e3, 700e3, 718e3) == "709000"

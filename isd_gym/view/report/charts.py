@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .plots import MUTED, PALE, Look, Picture, as_picture, figure, label_points, number
+from .plots import MUTED, PALE, Look, Picture, as_picture, figure, number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -81,12 +81,10 @@ class Marks:
     x_interval: tuple[Sequence[float], Sequence[float]] | None = None
     #: lower and upper ordinates; None without intervals
     y_interval: tuple[Sequence[float], Sequence[float]] | None = None
-    texts: Sequence[str] = ()  # labels beside the points
     notes: Sequence[str] = ()  # texts that the page shows where the pointer rests on a point
     open: bool = False  # whether markers are hollow
     size: float = 7.0  # size of a marker [pt]
     bar: float = 1.0  # width of the interval lines [pt]
-    quiet: bool = False  # whether the points are absent from the legend, since the labels name the points
 
 
 @dataclass(frozen=True)
@@ -172,14 +170,14 @@ def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None
     tall = [max(p.tall for p in panels[r * columns : (r + 1) * columns]) for r in range(rows)]
     grid = fig.add_gridspec(rows, columns, height_ratios=tall)
     first: dict[str, Axes] = {}
-    beside: list[tuple[Axes, Panel]] = []
+    axes: list[Axes] = []
     for k, panel in enumerate(panels):
         row, column = divmod(k, columns)
         share = first.get(panel.link) if panel.link else None
-        left = beside[k - 1][0] if column and panel.y == panels[k - 1].y and not panel.link else None
+        left = axes[k - 1] if column and panel.y == panels[k - 1].y and not panel.link else None
         ax = fig.add_subplot(grid[row, column], sharex=share, sharey=left)
         first.setdefault(panel.link, ax)
-        beside.append((ax, panel))
+        axes.append(ax)
         _draw_panel(ax, panel, notes)
         below = panels[k + columns] if k + columns < len(panels) else None
         if below is not None and below.x.text == panel.x.text:
@@ -190,7 +188,7 @@ def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None
             ax.tick_params(labelleft=False)
             ax.set_ylabel("")
     handles: dict[str, Any] = {}
-    for ax, _ in beside:
+    for ax in axes:
         own = {label: h for h, label in zip(*ax.get_legend_handles_labels(), strict=True)}
         handles |= {k: h for k, h in own.items() if k not in handles}
     if handles:
@@ -203,9 +201,7 @@ def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None
             ncols=max(1, min(len(handles), room // wide)),
         )
     if chart.align:
-        fig.align_ylabels([ax for ax, _ in beside[::columns]])
-    for ax, panel in beside:  # after the layout is computed
-        _label(fig, ax, panel)
+        fig.align_ylabels(axes[::columns])
 
 
 def _draw_panel(ax: Axes, panel: Panel, notes: dict[str, str]) -> None:
@@ -294,7 +290,7 @@ def _draw_marks(ax: Axes, item: Marks, notes: dict[str, str]) -> None:
             "marker": item.look.marker, "color": item.look.colour, "mfc": "white" if item.open else item.look.colour,
             "mew": 1.4, "ms": item.size, "ls": "none", "zorder": 5,
         }  # fmt: skip
-        label = None if item.quiet else item.name or None
+        label = item.name or None
         if not item.notes:
             ax.plot(x, y, label=label, **style)
         for k, note in enumerate(item.notes):  # each point is an element of the page, with its note
@@ -324,19 +320,6 @@ def _axis(ax: Axes, which: str, axis: Axis) -> None:
         low, high = getattr(ax, f"get_{which}lim")()
         ticks([t for t, _ in axis.ticks if low <= t <= high], [s for t, s in axis.ticks if low <= t <= high])
         getattr(ax, f"{which}axis").set_minor_locator(NullLocator())
-
-
-def _label(fig: Figure, ax: Axes, panel: Panel) -> None:
-    """Write labels beside points without overlaps."""
-    points, spans = [], []
-    for m in (i for i in panel.items if isinstance(i, Marks) and i.texts):
-        points += [(x, y, t, m.look.colour) for x, y, t in zip(m.x, m.y, m.texts, strict=True)]
-        if m.x_interval is not None:
-            spans += [(a, y, b, y) for a, b, y in zip(*m.x_interval, m.y, strict=True)]
-        if m.y_interval is not None:
-            spans += [(x, a, x, b) for a, b, x in zip(*m.y_interval, m.x, strict=True)]
-    if points:
-        label_points(fig, ax, points, spans)
 
 
 def log_ticks(low: float, high: float, form: str = "{:g}") -> Ticks:

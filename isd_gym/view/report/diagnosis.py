@@ -345,12 +345,6 @@ class View:
             f"a function of {OVER[over]} alone gives {percent(x, 0, sign=False)} of it" for over, x in shares
         )
 
-    @property
-    def plane_title(self) -> str:
-        """Title of the dots over the motion."""
-        agrees = self.d.verdict in ("no_discrepancy", "parameters_only")
-        return "Residual over the motion" if agrees else "Missing force over the motion"
-
     def interval(self, q: Any) -> str:
         """Return the interval of a quantity in the unit of `quantity`."""
         factor, _ = practical(q.value, q.unit)
@@ -695,9 +689,9 @@ def draw_spectra(view: View) -> Chart | None:
 
 
 def draw_plane(view: View) -> Chart | None:
-    """Return the chart of the missing force over motion, before and after, or of a channel's residual; None without records."""
-    if not view.clouds:
-        return _draw_channel_plane(view)
+    """Return the chart of the missing force over motion, before and after; None without a place of the force."""
+    if view.trace is None or not view.clouds:
+        return None
     panels = []
     for cloud in view.clouds:
         law = cloud.law
@@ -726,52 +720,14 @@ def draw_plane(view: View) -> Chart | None:
                 items.append(Line("added law", factor * law.axis, law.force, look, band=(law.low, law.high)))
             y = force_axis("missing force", turns, -top, top)
             panels.append(Panel(x, y, tuple(items), title=title))
-    assert view.trace is not None
     return Chart(
         "plane",
-        view.plane_title,
-        "The missing force, or residual, over travel or rate, before and after",
+        "Missing force over the motion",
+        "The missing force over travel or rate, before and after",
         caption("plane", t=view.trace, has_law=any(cloud.law is not None for cloud in view.clouds)),
         {"all": panels},
         columns=2,
         size=(7.4, 2.9 * len(view.clouds) + 0.4),
-    )
-
-
-def _draw_channel_plane(view: View) -> Chart | None:
-    """Return the chart of a channel's residual over motion, current or signal, for a diagnosis without a force."""
-    trace = view.trace
-    if trace is None or view.d.verdict == "no_discrepancy":
-        return None
-    channel = next((e.channel for e in view.d.effects if e.channel), None) or view.order[0]
-    unit = view.scales[channel]
-    if view.named:
-        x, axis = _abscissa(view, trace, channel)
-        parts = [
-            (trace.refit, x, axis, "refitted model", VERMILLION),
-            (trace.after, x, axis, "completed model", BLUE),
-        ]
-    else:
-        (d, travel), (v, rate) = _motion_axes(view, trace, channel)
-        parts = [
-            (trace.refit, d, travel, "refitted model, over travel", VERMILLION),
-            (trace.refit, v, rate, "refitted model, over rate", VERMILLION),
-        ]
-    rest = [unit.factor * (trace.measured[channel] - says[channel]) for says, *_ in parts]
-    top = 1.08 * max(float(np.abs(r).max()) for r in rest) or 1.0
-    y = Axis(f"measured minus simulated\n{channel_text(channel)}", unit.unit or "–", low=-top, high=top)
-    panels = []
-    for r, (_, x, axis, title, colour) in zip(rest, parts, strict=True):
-        items, axis = _dots(axis, x, r, colour)
-        panels.append(Panel(axis, y, tuple(items), title=title))
-    return Chart(
-        "plane",
-        view.plane_title,
-        "The missing force, or residual, over travel or rate, before and after",
-        f"Residual (measured minus simulated) of {channel_text(channel)} on the record “{trace.name}”, sample by sample.",
-        {"all": panels},
-        columns=2,
-        size=(7.4, 3.2),
     )
 
 
@@ -787,41 +743,6 @@ def _dots(axis: Axis, x: Array, y: Array, colour: str) -> tuple[list[Item], Axis
         Line("median of the dots", middle, median, Look(INK, "-", "o", 1.0)),
     ]
     return items, replace(axis, low=low - margin, high=high + margin)
-
-
-def _abscissa(view: View, trace: Trace, channel: str) -> tuple[Array, Axis]:
-    """Return the signal on which the residual of a motor or sensor effect depends."""
-    step = float(trace.time[1] - trace.time[0])
-    unit = view.scales[channel]
-    late = any(e.effect in ("sensor_delay", "actuator_delay", "actuator_lag") for e in view.d.effects)
-    current = next((c.name for c in view.d.base.inputs if c.quantity == "current"), None)
-    if current is not None and not any(e.channel for e in view.d.effects):
-        values = np.asarray(trace.inputs[current])
-        if late:
-            return np.gradient(values, step), Axis(f"rate of {channel_text(current)}", "A/s")
-        return values, Axis(channel_text(current), "A")
-    values = unit.factor * trace.after[channel]
-    if late:
-        return np.gradient(values, step), Axis(f"rate of {channel_text(channel)}", f"{unit.unit}/s")
-    return values, Axis(f"{channel_text(channel)} as simulated", unit.unit or "–")
-
-
-def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, Axis], tuple[Array, Axis]]:
-    """Return travel and rate as abscissae of a residual: of a measured displacement, a moved node, or the channel itself."""
-    step = float(trace.time[1] - trace.time[0])
-    quantity = {c.name: c.quantity for c in view.d.base.outputs}
-    moved = next((c.name for c in view.d.base.inputs if c.quantity == "displacement"), None)
-    own = next((c for c in (channel, *view.order) if quantity.get(c) == "displacement"), None)
-    if own is None and moved is not None:
-        x, factor, unit, name = np.asarray(trace.inputs[moved]), 1e3, "mm", moved
-    else:
-        name = own or channel
-        x, factor, unit = trace.refit[name], view.scales[name].factor, view.scales[name].unit
-    text = channel_text(name)
-    return (factor * x, Axis(text, unit)), (
-        factor * np.gradient(x, step),
-        Axis(f"rate of {text}", f"{unit}/s"),
-    )
 
 
 def draw_law(view: View) -> Chart | None:

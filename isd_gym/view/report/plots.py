@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from jinja2 import Environment
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -321,13 +320,6 @@ def versions() -> list[tuple[str, str]]:
 # ------------------------------------------------------------------------------------------------ on a figure
 
 
-def halo() -> list[Any]:
-    """Return a white rim that keeps text on a line legible."""
-    from matplotlib.patheffects import withStroke
-
-    return [withStroke(linewidth=2.5, foreground="white")]
-
-
 def density(signal: np.ndarray, step: float, window: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies [Hz] and averaged power spectral density [unit²/Hz] of the columns of a signal (n,) or (n, columns).
 
@@ -343,55 +335,3 @@ def density(signal: np.ndarray, step: float, window: float = 8.0) -> tuple[np.nd
     count = np.bincount(index)
     some = count > 0
     return np.bincount(index, f)[some] / count[some], np.bincount(index, p)[some] / count[some]
-
-
-def label_points(
-    fig: Figure,
-    ax: Axes,
-    points: Sequence[tuple[float, float, str, str]],
-    spans: Sequence[tuple[float, float, float, float]] = (),
-) -> None:
-    """Write labels beside points (x, y, text, colour) without covering other labels, points or spans (x0, y0, x1, y1)."""
-    from matplotlib.text import Text
-    from matplotlib.transforms import Bbox
-
-    fig.canvas.draw()  # computes the layout of the axes
-    renderer = fig.canvas.get_renderer()  # type: ignore[attr-defined]
-    to_screen = ax.transData.transform
-    marks = np.array([to_screen((x, y)) for x, y, _, _ in points])
-    area = ax.get_window_extent()
-    unit = fig.dpi / 72
-    taken: list[Any] = []
-    bars = [Bbox([to_screen(s[:2]), to_screen(s[2:])]).padded(unit) for s in spans]
-    for x, y, text, colour in points:
-        best: tuple[float, Any, Any] | None = None
-        for reach in (9, 16, 26, 40, 58, 84, 115):
-            for angle in (0, 180, 30, -30, 150, -150, 60, -60, 120, -120, 90, -90):
-                dx, dy = reach * math.cos(math.radians(angle)), reach * math.sin(math.radians(angle))
-                ha = "center" if abs(dx) < 1 else "left" if dx > 0 else "right"
-                label = ax.annotate(
-                    text, (x, y), xytext=(dx, dy), textcoords="offset points", ha=ha, va="center", fontsize=8,
-                    color=colour, zorder=6, path_effects=halo(),
-                    arrowprops=dict(arrowstyle="-", color=colour, lw=0.6, shrinkB=3) if reach > 9 else None,
-                )  # fmt: skip
-                label.update_positions(renderer)
-                box = Text.get_window_extent(label).padded(1.5 * unit)  # without its leader line
-                clash = sum(box.overlaps(b) for b in (*taken, *bars))
-                clash += sum(box.contains(*m) for m in marks)
-                start, end = np.array(to_screen((x, y))), 0.5 * (box.p0 + box.p1)
-                path = [start + w * (end - start) for w in np.linspace(0.0, 1.0, 15)]
-                clash += sum(
-                    any(b.contains(*q) for q in path) for b in taken
-                )  # a leader line across another label
-                outside = box.x0 < area.x0 or box.x1 > area.x1 or box.y0 < area.y0 or box.y1 > area.y1
-                value = 10 * clash + 20 * outside + 0.02 * reach
-                if best is None or value < best[0]:
-                    if best is not None:
-                        best[1].remove()
-                    best = (value, label, box)
-                else:
-                    label.remove()
-            if best is not None and best[0] < 5:
-                break
-        assert best is not None
-        taken.append(best[2])

@@ -334,7 +334,7 @@ def _mark(
     text, note = name, f"{name}: travel {percent(x / 100)}, acceleration {percent(y / 100)}"
     if tyre is not None:
         text, note = f"{name}, tyre {percent(tyre)}", f"{note}, tyre load {percent(tyre)}"
-    return Marks(name, [x], [y], look, texts=[text], notes=[note + more], quiet=True, **style)
+    return Marks(text, [x], [y], look, notes=[note + more], **style)
 
 
 def _policy_marks(shown: Shown) -> list[Marks]:
