@@ -1,6 +1,6 @@
 """Replay finished diagnoses with each limit of the decision varied and each gate removed, and count the verdicts that change.
 
-python benchmarks/ablation.py [DIR ...] [--json FILE] [--markdown FILE]
+python benchmarks/ablation.py [DIR ...] [--json FILE]
 python benchmarks/ablation.py --store DIR [DIR ...]
 python benchmarks/ablation.py --shares DIR [DIR ...] [--json FILE]
 
@@ -277,7 +277,6 @@ def main() -> None:
     )
     parser.add_argument("--store", action="store_true", help="keep the evidence of results for later replays")
     parser.add_argument("--json", type=Path, help="write the changes with the names of the rigs")
-    parser.add_argument("--markdown", type=Path, help="write the table")
     args = parser.parse_args()
     if args.shares:
         add_shares(args.folders, args.json or Path(__file__).with_name("ablation-shares.json"))
@@ -289,10 +288,7 @@ def main() -> None:
     if not replays:
         parser.error(f"no results in {', '.join(map(str, args.folders))}")
     changes = ablate(replays)
-    text = markdown(changes, len(replays))
-    print(text)
-    if args.markdown:
-        args.markdown.write_text(text)
+    print(markdown(changes, len(replays)))
     if args.json:
         found = {"diagnoses": len(replays), "changes": [vars(c) for c in changes]}
         args.json.write_text(json.dumps(found, indent=1) + "\n")

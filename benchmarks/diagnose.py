@@ -16,9 +16,6 @@ of measured rigs: benchmarks/real.json says what may be named there.
 --json FILE    figures and rows in one file
 --summary FILE adds the figures to a file of summaries under the name of the suite or folder and the seeds: benchmarks/diagnosis.json
                is such a file, from which docs/results.py makes the tables of the validation pages
---freeze FILE  verdicts, effects and values, to hold later states against; --against FILE does so. benchmarks/goldens.json is
-               such a file: ../shared/rigs, ../shared/blind and the clean rigs of every suite, seeds 306 to 308
---figure FILE  the reliability curve
 """
 
 from __future__ import annotations
@@ -267,36 +264,6 @@ def said(rows: list[Row]) -> list[Row]:
     return rows
 
 
-# ------------------------------------------------------------------------------------------------------------ output
-def draw(rows: list[Row], path: Path) -> None:
-    """Draw the reliability curves: stated probability against the share of true statements, with 95 % intervals, by level."""
-    import matplotlib.pyplot as plt
-    import numpy as np
-
-    figure, panels = plt.subplots(1, 3, figsize=(9.0, 3.4), layout="constrained", sharey=True)
-    for axes, level in zip(panels, grading.LEVELS, strict=True):
-        curve = grading.reliability(rows, level)
-        x = np.array([b["stated"] for b in curve])
-        y = np.array([b["right"] for b in curve])
-        spans = np.abs(np.array([[b["right"] - b["least"], b["most"] - b["right"]] for b in curve]).T)
-        axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", lw=1.0, label="as stated")
-        axes.errorbar(x, y, yerr=spans, fmt="o", color="C0", capsize=3, label="observed, 95 % interval")
-        for b, xi, yi in zip(curve, x, y, strict=True):
-            axes.annotate(
-                f"{b['names']}",
-                (xi, yi),
-                xytext=(5, -11),
-                textcoords="offset points",
-                fontsize=8,
-                color="0.3",
-            )
-        axes.set(title=level, xlabel="stated probability", ylim=(-0.03, 1.03), xlim=(-0.03, 1.03))
-    panels[0].set_ylabel("share of true statements")
-    panels[0].legend(loc="upper left", frameon=False, fontsize=8)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
-
-
 def summarise(rows: list[Row], path: Path) -> None:
     """Add the figures of a run to a file of summaries.
 
@@ -328,9 +295,6 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=600.0)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--summary", type=Path)
-    parser.add_argument("--freeze", type=Path)
-    parser.add_argument("--against", type=Path)
-    parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
     if args.again:
         rows = read(args.again)
@@ -347,13 +311,6 @@ def main() -> None:
         args.json.write_text(json.dumps({"figures": grading.figures(rows), "rows": rows}))
     if args.summary:
         summarise(rows, args.summary)
-    if args.freeze:
-        args.freeze.write_text(grading.freeze(rows))
-    if args.against:
-        lines = grading.differences(rows, json.loads(args.against.read_text()))
-        print(f"\nagainst {args.against}: {len(lines)} moved", *lines, sep="\n  ")
-    if args.figure:
-        draw(rows, args.figure)
 
 
 if __name__ == "__main__":

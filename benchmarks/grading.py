@@ -5,7 +5,6 @@ Everything here reads `Diagnosis.to_dict()` and the truth beside it; nothing of 
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -441,74 +440,3 @@ def outcome(row: Row) -> str:
     if "diagnosis" in row:
         return str(row["diagnosis"]["verdict"])
     return "out of time" if row.get("timed_out") else str(row.get("error", "?")).split(":")[0]
-
-
-# ----------------------------------------------------------------------------------------------------------- goldens
-def golden(row: Row) -> Row:
-    """What of a result is frozen: the verdict, effects with places, their values (three digits), the gap closed."""
-    if "diagnosis" not in row:
-        return {"error": outcome(row)}
-    d = row["diagnosis"]
-    effects = [
-        {
-            "effect": e["effect"],
-            "place": sorted(p),
-            "values": {k: _digits(q["value"]) for k, q in e["parameters"].items()},
-        }
-        for e, (_, p) in zip(d["effects"], named(row), strict=True)
-    ]
-    closed = d["gap"]["closed"]
-    return {
-        "verdict": d["verdict"],
-        "effects": effects,
-        "closed": None if closed is None else round(closed, 3),
-    }
-
-
-def freeze(rows: Iterable[Row]) -> str:
-    """The goldens of a run, as a file of one line per case."""
-    frozen = {f"{r['suite']}/{r['name']}": golden(r) for r in rows}
-    return "{\n" + ",\n".join(f" {json.dumps(k)}: {json.dumps(v)}" for k, v in frozen.items()) + "\n}\n"
-
-
-def _digits(x: float | None) -> float | None:
-    return None if x is None else float(f"{x:.3g}")
-
-
-def differences(rows: Iterable[Row], frozen: Mapping[str, Row]) -> list[str]:
-    """What is said now and was not said then: a line for each case whose verdict, effects or values (by over 2 %) moved."""
-    lines = []
-    for r in rows:
-        then = frozen.get(f"{r['suite']}/{r['name']}")
-        if then is None:
-            continue
-        now = golden(r)
-        if _moved(now, then):
-            lines.append(
-                f"{r['suite']}/{r['name']} {r['kind']}: {_brief(then)} -> {_brief(now)} ({graded(r)})"
-            )
-    return lines
-
-
-def _moved(now: Row, then: Row) -> bool:
-    if now.get("verdict") != then.get("verdict") or len(now.get("effects", [])) != len(
-        then.get("effects", [])
-    ):
-        return True
-    for a, b in zip(now.get("effects", []), then.get("effects", []), strict=True):
-        if (a["effect"], a["place"]) != (b["effect"], b["place"]):
-            return True
-        if any(
-            abs(a["values"].get(k, math.inf) - v) > 0.02 * abs(v)
-            for k, v in b["values"].items()
-            if v is not None
-        ):
-            return True
-    return abs((now.get("closed") or 0.0) - (then.get("closed") or 0.0)) > 0.02
-
-
-def _brief(g: Row) -> str:
-    if "verdict" not in g:
-        return str(g.get("error"))
-    effects = [f"{e['effect']} at {'-'.join(e['place'])} {e['values']}" for e in g["effects"]]
-    return "; ".join([g["verdict"], *effects, f"closed {g['closed']}"])

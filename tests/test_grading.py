@@ -63,19 +63,6 @@ def test_stated_confidence_is_held_against_what_was_right():
     assert (curve["least"], curve["most"]) == pytest.approx((0.490, 0.943), abs=0.001)
 
 
-def test_a_golden_tells_a_verdict_a_place_and_a_value_that_moved():
-    row = said("missing_effect", ("coulomb_friction", GROUND))
-    row["answer"] = FRICTION
-    row["diagnosis"]["effects"][0]["parameters"] = {"level": {"value": 1.1234, "low": 1.0, "high": 1.2}}
-    frozen = json.loads(grading.freeze([row]))
-    (kept,) = frozen["s/n"]["effects"]
-    assert kept == {"effect": "coulomb_friction", "place": ["ground", "mass"], "values": {"level": 1.12}}
-    assert grading.differences([row], frozen) == []
-    row["diagnosis"]["effects"][0]["parameters"]["level"]["value"] = 1.2
-    assert len(grading.differences([row], frozen)) == 1
-    assert len(grading.differences([{**said("parameters_only"), "answer": FRICTION}], frozen)) == 1
-
-
 def test_cases_are_items_of_the_engine(tmp_path, monkeypatch, capsys):
     import diagnose
 
