@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt, welch
 from isd_gym import simulate
 from isd_gym.diagnosis._records.filtering import choose_decimation, count_derivatives, differentiate_inputs
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.network import Network, linearise, natural_frequencies, transfer
+from isd_gym.physics.network import Network
 
 SAMPLES = 12_000
 OUTPUT_NOISE = 0.01  # RMS of a sensor's noise, relative to the deviation of its signal
@@ -145,14 +145,3 @@ def test_a_displacement_without_noise_needs_no_low_pass():
     network, motion = shaken(natural), base_motion("random", natural, rate, rng)
     record, _ = measured(network, motion, rate, rng, noise=0.0)
     assert choose_decimation([record], network) == 1
-
-
-def test_the_response_to_a_moved_base_is_the_transmissibility():
-    network = shaken(3.0, damping_ratio=0.1)
-    (natural,) = natural_frequencies(network)
-    assert natural == pytest.approx(3.0)
-    f = np.array([0.1, 2.9, 30.0])
-    r = f / 3.0
-    expected = (1 + 0.2j * r) / (1 - r**2 + 0.2j * r)
-    assert np.allclose(transfer(network, f)[:, 0, 0], expected, rtol=1e-6)
-    assert len(linearise(network).inputs) == 2  # the base and its velocity

@@ -59,14 +59,6 @@ def test_a_free_decay_is_fitted_to_one_sensor():
             assert found[node][key] == pytest.approx(motion[key], abs=0.02 * size)
 
 
-def test_motions_and_states_are_each_others_inverse(moving):
-    network = Network.load("quarter-car-isd")
-    inputs = {"road": np.array([0.01, 0.012]), "current": np.zeros(2)}
-    found = motions_at(network, state_of(network, AT_FIRST, inputs, STEP), inputs, STEP)
-    for node, motion in AT_FIRST.items():
-        assert found[node] == pytest.approx(motion, abs=1e-9)
-
-
 def test_loggers_with_rates_and_clocks_of_their_own_are_fitted_on_their_grid(moving):
     late = 0.012
     logged = {c.name: c.si for c in NETWORK.outputs if c.name != "wheel_acceleration"}

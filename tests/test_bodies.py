@@ -59,18 +59,6 @@ def test_with_a_pitch_inertia_of_m_a_b_each_corner_is_a_quarter_car(drive, end, 
         assert largest(half[f"{name}_{end}"], quarter[name]) < 1e-9
 
 
-def test_a_full_car_on_equal_tracks_is_a_half_car(drive):
-    full = simulate("full-car-isd", drive["time"], inputs(drive, "_left", "_right"))
-    half = simulate("half-car-isd", drive["time"], inputs(drive))
-    assert largest(full["body_acceleration"], half["body_acceleration"]) < 1e-9
-    assert largest(full["pitch_acceleration"], half["pitch_acceleration"]) < 1e-9
-    assert np.abs(full["roll_acceleration"]).max() < 1e-9 * np.abs(full["pitch_acceleration"]).max()
-    for name in SIGNALS:
-        for end in ("front", "rear"):
-            for side in ("left", "right"):
-                assert largest(full[f"{name}_{end}_{side}"], half[f"{name}_{end}"]) < 1e-9
-
-
 @pytest.mark.parametrize("name", ["half-car-isd", "full-car-isd"])
 def test_the_kernel_agrees_with_an_integrator_that_shares_nothing_with_it(name, drive):
     """Four and eight coupled contacts, all roads and currents different."""

@@ -12,8 +12,7 @@ from isd_gym.benchmark.scoring import drive
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.prediction import Weights, prediction_model, preview_regulator, regulator
-from isd_gym.physics.road import paper_road, road
-from isd_gym.physics.simulate import Plant
+from isd_gym.physics.road import road
 
 CAR, PAPER, COST = Network.load("quarter-car-isd"), road("paper"), StageCost()
 
@@ -85,31 +84,6 @@ def test_motor_without_effort_comes_near_the_bound_and_never_below():
         costs.append(float(p.weights @ p.triple**2))
     assert costs[0] > costs[1] > costs[2] > free.cost
     assert costs[2] == pytest.approx(free.cost, rel=1e-4)
-
-
-def test_law_rolled_out_costs_what_riccati_says():
-    lanes, steps, h = 48, 8000, 1e-3
-    net = bounds.ideal("quarter-car-isd")
-    point = bounds.lq_bound(weights=(1, 0.5, 0.5))
-    car = bounds.linear_car(net)
-    plant = Plant(net, h, lanes=lanes, extra=bounds.vehicle(net).channels)
-    rng = np.random.default_rng(3)
-    gain, _ = paper_road().noise(20.0, h)
-    road = np.cumsum(np.vstack([np.zeros((1, lanes)), gain * rng.standard_normal((steps, lanes))]), axis=0)
-    state, out = plant.state(), np.zeros((plant.n_outputs, lanes))
-    total = np.zeros(3)
-    for k in range(steps):
-        x = car.seen.T @ (state[: plant.n] - car.lift[:, None] * road[k])
-        force = -(point.gain @ x)
-        u = np.stack([road[k], road[k + 1]])[:, None]
-        c = force[None, None]
-        plant.kernel.advance(plant.mats, plant.ints, state, u, c, lanes)
-        if k >= 2000:  # stationary by then
-            plant.kernel.measure(plant.mats, plant.ints, state, u[1], c[0], lanes, out)
-            total += np.mean(out[[0, 1, 5]] ** 2, axis=1)
-    cost = float(point.weights @ total / (steps - 2000))
-    # 48 x 6 s: the standard error is about 1.5 %
-    assert cost == pytest.approx(point.cost, rel=0.05)
 
 
 def test_bad_input_is_one_line():

@@ -1,14 +1,12 @@
 """Policies of half and full cars: the rear road told by the front wheels, several currents, training and files."""
 
-from dataclasses import replace
 from functools import cache
-from importlib.util import find_spec
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from isd_gym.agents._entry import open_policy
-from isd_gym.agents._memory import Echo, Memory
+from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import Head, Policy
 from program import refused
 
@@ -19,9 +17,6 @@ from isd_gym.physics.vehicle import vehicle
 
 CARS = {"half-car-isd": "ISDHalfCar-v0", "full-car-isd": "ISDFullCar-v0"}
 both = pytest.mark.parametrize("network", CARS)
-needs_sb3 = pytest.mark.skipif(
-    find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
-)
 STEP = 5e-3
 # A, of sums in single precision in an estimate that remembers seconds: 2 to 5 mA against the same code in double precision,
 # by the order of the sums, which NumPy chooses by processor
@@ -99,18 +94,3 @@ def test_a_spoilt_echo_is_one_line(spoil, says):
     data = memory("half-car-isd").to_dict()
     refused(says, Memory.from_dict, {**data, "echo": {**data["echo"], **spoil}})
     refused("both", Memory.from_dict, {**data, "ahead": 3})
-
-
-def test_an_echo_can_be_of_several_axles():
-    """A third axle follows the first one as well, each at its own distance."""
-    echo = Echo(((1.0,),), ((0, 1.0), (0, 2.0)), speed=20.0, lag=1, points=5, rise=1.0)
-    weights = echo.weights(STEP)  # 10 and 20 steps
-    assert weights.shape == (1, 21, 10)
-    for i in range(5):
-        assert np.flatnonzero(weights[0, :, i]).tolist() == [9 - i]
-        assert np.flatnonzero(weights[0, :, 5 + i]).tolist() == [19 - i]
-    part = replace(echo, speed=30.0).weights(STEP)  # 6.67 and 13.33 steps
-    np.testing.assert_allclose(part[0, [5, 6], 0], [1 / 3, 2 / 3])
-    # a rise that has not been met is none: 1 m at 100 m/s are two steps, of which the first one is told
-    told = replace(echo, speed=100.0).weights(STEP)[0, :, :5].any(axis=0)
-    assert told.tolist() == [True] * 2 + [False] * 3

@@ -12,7 +12,7 @@ from scipy import io, signal
 from isd_gym._common.errors import InputError
 from isd_gym.records.data import Table, check, read_table, write_table
 from isd_gym.records.data._quality import held_samples
-from isd_gym.records.data._signals import stamp_rounding, unwrapped
+from isd_gym.records.data._signals import unwrapped
 from isd_gym.records.data._table import read_columns
 
 STEP = 0.002
@@ -232,15 +232,6 @@ def test_the_rate_of_rounded_stamps_comes_from_the_whole_span(rate, begin):
     assert np.abs(rounded.uniform().time - (begin + 0.0003 + np.arange(count) / rate)).max() < 1e-4
     if begin == 0:  # what the stamps' unit says of absolute ones is for the reader
         assert not [f for f in judged(rounded) if f.channel == "time" and f.level != "note"]
-
-
-def test_lost_samples_and_jitter_are_not_rounding():
-    time = 0.001 * np.arange(5000)
-    assert stamp_rounding(time) == 0
-    assert stamp_rounding(np.delete(time, [1000, 2000, 3001])) == 0
-    assert stamp_rounding(np.r_[time[:100], time[99:]]) == 0
-    jitter = np.sort(time + np.random.default_rng(0).uniform(-4e-4, 4e-4, 5000))
-    assert stamp_rounding(jitter) == 0 and stamp_rounding(np.round(jitter, 4)) == 0
 
 
 @pytest.mark.parametrize("turn", [360.0, 2 * np.pi, 1.0], ids=["deg", "rad", "rev"])

@@ -11,7 +11,6 @@ from builders import element, friction
 from program import python, refused
 
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
-from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 
 
@@ -90,16 +89,6 @@ def test_passive_car_earns_about_minus_0_9():
     env.reset(seed=0)
     total = np.mean([env.step(np.zeros((64, 1)))[1].mean() for _ in range(4000)])
     assert total == pytest.approx(-0.9, abs=0.03)
-
-
-def test_weights_for_tyre_load_and_current():
-    env = gym.make("ISDSuspension-v0", cost={"tyre_load": 0.1, "current": 0.2})
-    env.reset(seed=0)
-    for _ in range(20):
-        _, reward, _, _, info = env.step(np.full(1, 5.0, np.float32))
-    assert info["cost_current"] == pytest.approx(0.2)
-    assert info["cost_tyre_load"] == pytest.approx(0.1 * (info["tyre_load"] / 518) ** 2)
-    refused("weight of current", StageCost, current=-1.0)
 
 
 def test_autoreset_as_gymnasium_has_it():

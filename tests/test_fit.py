@@ -11,7 +11,6 @@ from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.least_squares import bounded_step
 from isd_gym.diagnosis._estimation.noise import white_weights
-from isd_gym.diagnosis._estimation.sensitivities import tangents
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import built_ways, starts_of
 from isd_gym.diagnosis._hypotheses.library import hypotheses
@@ -85,17 +84,6 @@ def test_a_fit_finds_the_values_that_made_the_record():
     # the slope there is level: a fresh one leads no further
     again = fitter.fit(structure, fit.x, fit.initial, fit.offset)
     assert again.cost + again.prior == pytest.approx(fit.cost + fit.prior, rel=3e-4)
-
-
-def test_what_was_simulated_last_is_not_simulated_again(monkeypatch):
-    problem = Problem(shaken(), [record(shaken())], ["fit"])
-    structure = base_structure(problem.network)
-    first = tangents(problem, structure, structure.start, {0: np.zeros(2)})[0]
-    monkeypatch.setattr(problem, "simulate_all", lambda *a, **k: pytest.fail("simulated again"))
-    second = tangents(problem, structure, structure.start, {0: np.zeros(2)})[0]
-    np.testing.assert_array_equal(first.by_state, second.by_state)
-    still = tangents(problem, structure, structure.start, {0: np.zeros(2)}, moves=False)[0]
-    assert still.by_parameter.shape == (2400, 1, 0)
 
 
 def test_of_many_records_each_finds_its_own_beginning():

@@ -20,7 +20,7 @@ from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._inspection import head, inspect, lines
 from isd_gym.records._inspection.consistency import integral_consistency
-from isd_gym.records._inspection.facts import sparkline, unit_in_name
+from isd_gym.records._inspection.facts import sparkline
 from isd_gym.records._inspection.map_file import save_map
 from isd_gym.records.data import Table, write_table
 from isd_gym.records.loggers import ChannelMap, Column, Logger, Raster, mended, runs
@@ -100,21 +100,6 @@ def test_the_unit_is_that_of_the_model_or_of_the_column_s_name(tmp_path, column,
     file = written(tmp_path / "rec.csv", f"time,{column}", time, 100 * np.exp(-0.2 * time) * np.cos(6 * time))
     made = inspect([file], Network.load(PENDULUM))
     assert made.map("pendulum.json").channels["phi"].unit == unit
-
-
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("speed_load_rad_s", "rad/s"),
-        ("acc_m_s^2", "m/s^2"),
-        ("torque_Nm", "Nm"),
-        ("travel_mm", "mm"),
-        ("travel", ""),
-        ("mm", ""),
-    ],
-)
-def test_names_of_columns_end_with_units(name, unit):
-    assert unit_in_name(name) == unit
 
 
 def test_a_sign_that_the_physics_leaves_open_is_not_turned(tmp_path, run):

@@ -66,31 +66,6 @@ def test_coherence_of_the_filters(ground, speed, step, width):
     np.testing.assert_allclose(1 - gamma, 1 - formula(n, width, ground.cutoff), rtol=0.015)
 
 
-@pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
-@pytest.mark.parametrize("spacing", [1e-4, 0.02, 0.3])
-def test_samples_of_the_difference_have_the_autocovariance_of_the_continuous_process(ground, spacing):
-    width = 1.5
-    poles, gains = (a[SUM_STATES:] for a in ground.track_filters(width, spacing / 1e-3, 1e-3))
-    rates = np.hypot(2 * np.pi * ground.cutoff, np.array(tracks.COHERENCE_POLES) / width)
-    intensity = (2 * np.pi) ** 2 * ground.roughness * 0.01 / 2
-    powers = intensity * np.array(tracks.COHERENCE_WEIGHTS) / 2 / (2 * rates)
-    products = np.outer(gains, gains) / (1 - np.outer(poles, poles))
-    for lag in (0, 1, 7, 100):
-        wanted = (powers * np.exp(-rates * lag * spacing)).sum()
-        got = (products * poles[:, None] ** lag).sum()
-        assert got == pytest.approx(wanted, rel=1e-7, abs=1e-9 * powers.sum())
-
-
-def test_filters_are_stable_and_cached():
-    poles, gains = paper_road().track_filters(1.5, 20.0, 1e-3)
-    assert poles.shape == gains.shape == (TRACK_STATES,)
-    assert poles[0] == 1.0 and np.all((poles[1:] > 0) & (poles[1:] < 1))
-    with pytest.raises(ValueError, match="read-only"):
-        gains[0] = 0.0
-    poles, gains = road("flat").track_filters(1.5, 20.0, 1e-3)
-    assert not gains.any() and np.all(poles <= 1.0)
-
-
 def test_continued_draws_are_one_draw():
     poles, gains = iso_road("C").track_filters(1.5, 20.0, 1e-3)
     whole, parts = np.empty((2, 100)), (np.empty((2, 37)), np.empty((2, 63)))
@@ -108,14 +83,6 @@ def test_first_wheel_of_a_half_car_passes_the_road_of_a_quarter_car(name):
     np.testing.assert_array_equal(front, one)
     np.testing.assert_array_equal(rear[135:], one[:-135])  # 2.7 m at 20 m/s
     assert not rear[:136].any()
-
-
-@pytest.mark.parametrize(
-    ("speed", "steps"), [(10.0, 270.0), (20.0, 135.0), (27.0, 100.0), (36.0, 75.0), (8.0, 337.5)]
-)
-def test_delay_is_wheelbase_over_speed(speed, steps):
-    assert HALF_CAR.delays(speed, 1e-3).tolist() == [0.0, steps]
-    assert CAR.delays(speed, 1e-3).tolist() == [0.0, 0.0, steps, steps]
 
 
 @pytest.mark.parametrize("speed", [3.7, 11.3, 20.0, 23.456, 41.0])
