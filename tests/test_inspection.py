@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from builders import QUARTER_CAR as CAR
 from builders import channel, damper, drive_quarter_car, model, spring
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from program import refused
 from typer.testing import CliRunner
 
@@ -19,8 +17,6 @@ from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
 from isd_gym.records._inspection import head, inspect, lines
-from isd_gym.records._inspection.consistency import integral_consistency
-from isd_gym.records._inspection.facts import sparkline
 from isd_gym.records._inspection.map_file import save_map
 from isd_gym.records.data import Table, write_table
 from isd_gym.records.loggers import ChannelMap, Column, Logger, Raster, mended, runs
@@ -246,15 +242,6 @@ def test_the_command_writes_its_page_and_over_no_record(tmp_path, program):
     assert file.read_bytes() == before
 
 
-def test_a_picture_shows_the_extremes():
-    x = np.zeros(1000)
-    x[500] = 1.0
-    picture = sparkline(x, 10)
-    assert len(picture) == 10
-    tops = [ord(c) & 0x09 for c in picture]  # the upper row of dots
-    assert [k for k, dots in enumerate(tops) if dots] == [5]
-
-
 def raster(time, **columns):
     return Raster("rec.csv", np.asarray(time, float), {k: np.asarray(v, float) for k, v in columns.items()})
 
@@ -451,27 +438,3 @@ def test_the_rate_is_that_of_the_mean_step_without_gaps():
     raster = Raster("a.csv", time, {"x": np.zeros(len(time))})
     assert raster.step == pytest.approx(0.002)
     assert "461.5" in head(raster)
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.sampled_from([1, 2]), st.floats(0.5, 2), st.sampled_from([-1, 1]), st.floats(-0.04, 0.04))
-def test_consistency_tells_gain_sign_and_lag(order, gain, sign, lag):
-    rng = np.random.default_rng(4)
-    time = 0.002 * np.arange(8000)
-    omega = 2 * np.pi * rng.uniform(0.7, 15, 60)
-    size, phase = 1 / omega**2, rng.uniform(0, 2 * np.pi, 60)
-    x = np.sin(np.outer(time, omega) + phase) @ size
-    y = sign * gain * np.sin(np.outer(time - lag, omega) + phase + order * np.pi / 2) @ (size * omega**order)
-    x += 0.005 * x.std() * rng.standard_normal(len(x))
-    y += 0.02 * y.std() * rng.standard_normal(len(y)) + 3.0
-    found = integral_consistency(x, y, 0.002, order=order, band=(0.7, 15))
-    assert found.gain == pytest.approx(sign * gain, rel=0.03)
-    assert found.lag == pytest.approx(lag, abs=5e-4)
-    assert found.coherence > 0.8 and 0 < found.gain_std < 0.05 * gain
-
-
-def test_consistency_of_strangers_is_none():
-    rng = np.random.default_rng(8)
-    found = integral_consistency(rng.standard_normal(8000), rng.standard_normal(8000), 0.002)
-    assert found.coherence < 0.3
-    refused("consistency", integral_consistency, np.zeros(50), np.zeros(50), 0.002)

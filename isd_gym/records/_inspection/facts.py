@@ -18,7 +18,7 @@ from ..data._signals import even_stamps, stamp_rounding
 from ..loggers.recording import GAP, Raster, even, rounded
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
 FEW = 5.0  # samples per period below which the motion is poorly resolved
 
@@ -308,45 +308,3 @@ def odd_scale(raster: Raster, facts: Facts, quantity: str) -> list[Oddity]:
         else "which is implausible"
     )
     return [Oddity(raster.name, facts.name, text, advice)]
-
-
-# ------------------------------------------------------------------------------------------------- pictures
-
-_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
-
-
-def sparkline(x: Sequence[float] | np.ndarray, width: int = 20) -> str:
-    """Draw a column as one line of Braille characters between its smallest and largest value.
-
-    Args:
-        x: Samples (n,).
-        width: Number of characters; each shows 2 x 4 dots.
-
-    Returns:
-        One line of text.
-    """
-    x = np.asarray(x, float)
-    good = x[np.isfinite(x)]
-    if not len(good):
-        return " " * width
-    size = np.abs(good).max() or 1.0  # keeps differences within the range of a float
-    x = x / size
-    lo, hi = good.min() / size, good.max() / size
-    span = hi - lo or 1.0
-    edges = np.linspace(0, len(x), 2 * width + 1).astype(int)
-    cells = [0] * width
-    previous: tuple[int, int] | None = None
-    for k in range(2 * width):
-        part = x[edges[k] : max(edges[k + 1], edges[k] + 1)]
-        part = part[np.isfinite(part)]
-        if not len(part):
-            previous = None
-            continue
-        top = round(3 * (hi - part.max()) / span)
-        bottom = round(3 * (hi - part.min()) / span)
-        if previous is not None:  # an unbroken line
-            top, bottom = min(top, previous[1]), max(bottom, previous[0])
-        previous = round(3 * (hi - part.max()) / span), round(3 * (hi - part.min()) / span)
-        for row in range(top, bottom + 1):
-            cells[k // 2] |= _DOTS[k % 2][row]
-    return "".join(chr(0x2800 + c) for c in cells)

@@ -1,5 +1,4 @@
-"""Match between columns and channels of a model: names, units, and physics (derivatives, and a simulation with
-candidate inputs)."""
+"""Match between columns and channels of a model: names, units, and a simulation with candidate inputs."""
 
 from __future__ import annotations
 
@@ -16,7 +15,6 @@ from ..._common.errors import InputError, shown
 from ..._common.units import convert, units_of
 from ...physics.simulate import simulate
 from ..loggers.mapping import ChannelMap, Column, Logger
-from .consistency import integral_consistency
 from .facts import Facts, odd_scale, si_unit, unit_in_name
 from .name_matching import alike
 
@@ -34,12 +32,10 @@ GIVEN = 50.0  # score of the column that the user names for a channel
 NOTHING = -3.0  # score below which a channel has no column
 PHYSICS = 9.0  # score of a perfect match with a simulation
 EXACT = 5.0  # score of a column's name that is the channel's
-DERIVATIVE = 2.0  # score of a column that is the derivative of another column
 CLEAR = 0.85  # correlation with the turned simulation above which a sensor is turned
 DOUBT = 0.7  # correlation above which the sign and the unit are questioned
 ALIKE = 3.0  # ratio of measured and simulated amplitude above which the unit is questioned
 FITS = 1.6  # the same ratio below which a unit fits
-ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 @dataclass(frozen=True)
@@ -126,8 +122,7 @@ def suggest(
 ) -> Suggestion:
     """Suggest columns for the channels of a model.
 
-    The score of a choice is the sum over channels of the scores of name, unit, derivatives among columns, and
-    correlation with a simulation that the chosen inputs drive. The probability of a channel's column follows
+    The score of a choice is the sum over channels of the scores of name, unit, and correlation with a simulation that the chosen inputs drive. The probability of a channel's column follows
     from the loss of score in the best choice without that column.
 
     Args:
@@ -165,8 +160,6 @@ def suggest(
                 prior[i, j] = GIVEN if owner == c.name else -GIVEN
     if window is None:
         out.remarks.append("the columns have no time in common: names and units alone were compared")
-    else:
-        prior = prior + _derivatives(wanted, live, window, prior)
     choices = _choices(network, prior)
     solved = [_solve(network, wanted, live, prior, window, choice, signs) for choice in choices]
     # a constant column may be an unused input
@@ -307,46 +300,6 @@ def _window(files: Sequence[Sequence[Raster]], live: Sequence[Facts]) -> Window 
         fine = np.isfinite(x)
         rows.append(np.interp(time, r.time[fine], x[fine]))
     return Window(time - time[0], np.array(rows), LAG if len({f.file for f in live}) > 1 else 0.0)
-
-
-def _derivatives(
-    wanted: Sequence[Channel], live: Sequence[Facts], window: Window, prior: np.ndarray
-) -> np.ndarray:
-    """Return the score of each channel and column for columns that are derivatives or integrals of candidates of
-    other channels."""
-    out = np.zeros(prior.shape)
-    known: dict[tuple[int, int, int], float] = {}
-
-    def related(low: int, high: int, order: int) -> float:
-        if (low, high, order) not in known:
-            f = [live[k].band for k in (low, high) if math.isfinite(live[k].band)]
-            band = (
-                (max(0.3 * min(f), 5.0 / window.time[-1]), min(3.0 * max(f), 0.3 / window.step))
-                if f
-                else (0, 0)
-            )
-            try:
-                made = integral_consistency(
-                    window.values[low], window.values[high], window.step, order=order, band=band, max_lag=0.05
-                )
-                known[low, high, order] = made.coherence
-            except (InputError, ValueError, FloatingPointError):
-                known[low, high, order] = 0.0
-        return known[low, high, order]
-
-    for i, one in enumerate(wanted):
-        for j, two in enumerate(wanted):
-            same = (one.at, one.between, one.element) == (two.at, two.between, two.element)
-            order = ORDER.get(two.quantity, 0) - ORDER.get(one.quantity, 9)
-            if not same or order <= 0:
-                continue
-            lows = [k for k in np.argsort(-prior[i])[:4] if prior[i, k] > -2]
-            highs = [k for k in np.argsort(-prior[j])[:4] if prior[j, k] > -2]
-            for a, b in itertools.product(lows, highs):
-                if a != b:
-                    worth = DERIVATIVE * related(int(a), int(b), order)
-                    out[i, a], out[j, b] = max(out[i, a], worth), max(out[j, b], worth)
-    return out
 
 
 #: a choice of inputs: index of the column of each input; -1 without a column

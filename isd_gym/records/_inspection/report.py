@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import sys
+import textwrap
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from ..._common.errors import InputError, plain, shown
 from ..data._columns import did_you_mean
 from ..loggers.mapping import Logger
 from ..loggers.recording import EPOCH, Raster, continuous, rasters
-from .facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
+from .facts import Facts, Oddity, facts_of, odd_stamps, odd_values
 from .map_file import map_content
 
 if TYPE_CHECKING:
@@ -229,9 +229,7 @@ def lines(found: Inspection, width: int = 80) -> list[str]:
     Returns:
         Lines.
     """
-    pictures = _unicode()
-    name = min(max((len(f.name) for f in found.facts), default=6), 26, width - 55)
-    wide = max(width - name - 44, 10)
+    name = min(max((len(f.name) for f in found.facts), default=6), 26, width - 44)
     out: list[str] = []
     for i, group in enumerate(found.files):
         for k, raster in enumerate(group):
@@ -239,10 +237,9 @@ def lines(found: Inspection, width: int = 80) -> list[str]:
             out.append(f"  {'column':<{name}} {'unit':<6} {'least':>8} {'largest':>8} {'RMS':>8} {'Hz':>6}")
             for f in found.facts:
                 if (f.file, f.raster) == (i, k):
-                    picture = sparkline(raster.columns[f.name], wide) if pictures else ""
                     out.append(
                         f"  {_cut(f.name, name):<{name}} {_cut(f.unit or '-', 6):<6} {_number(f.least):>8} "
-                        f"{_number(f.largest):>8} {_number(f.deviation):>8} {_number(f.band):>6} {picture}".rstrip()
+                        f"{_number(f.largest):>8} {_number(f.deviation):>8} {_number(f.band):>6}"
                     )
             out.append("")
     if found.facts:
@@ -258,8 +255,6 @@ def lines(found: Inspection, width: int = 80) -> list[str]:
 
 
 def _folded(text: str, width: int) -> list[str]:
-    import textwrap
-
     return textwrap.wrap(plain(text, 600), width, initial_indent="  ", subsequent_indent="    ")
 
 
@@ -282,27 +277,11 @@ def _matched(found: Inspection, width: int) -> list[str]:
         column = ("-" if pick.sign < 0 else "") + pick.facts.name
         why = "; ".join(pick.why)
         row = f"  {_cut(c.name, name):<{name}} {_cut(column, wide):<{wide}} {_cut(pick.unit, 6):<6} {percent_of(sure):>6}  "
-        out += _hang(row, why, width)
+        out += textwrap.wrap(row + why, width, subsequent_indent=" " * min(len(row), width - 20))
     for remark in made.remarks:
         out += _folded(remark, width)
     return out
 
 
-def _hang(row: str, text: str, width: int) -> list[str]:
-    import textwrap
-
-    if width - len(row) < 16:
-        return [
-            row.rstrip(),
-            *textwrap.wrap(text, width - 6, initial_indent=" " * 6, subsequent_indent=" " * 6),
-        ]
-    parts = textwrap.wrap(text, width - len(row)) or [""]
-    return [(row + parts[0]).rstrip(), *(" " * len(row) + p for p in parts[1:])]
-
-
 def percent_of(sure: float) -> str:
     return ">99 %" if sure > 0.995 else f"{100 * sure:.0f} %"
-
-
-def _unicode() -> bool:
-    return (getattr(sys.stdout, "encoding", "") or "").lower().replace("-", "") in ("utf8", "utf16")
