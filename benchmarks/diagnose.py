@@ -242,11 +242,11 @@ def code_state() -> str:
 
 def run_all(jobs: list[Job], out: Path, count: int, limit: float) -> list[Row]:
     """The rows of all cases that have one; what `out` has already is not run again."""
-    tasks = [engine.Task("diagnose:run", {**asdict(job), "limit": limit}) for job in jobs]
-    if there := len(engine.stored(tasks, out)):
+    items = [{**asdict(job), "limit": limit} for job in jobs]
+    if there := len(engine.stored(items, out)):
         print(f"{there} of {len(jobs)} are there already", flush=True)
-    outcome = engine.run(tasks, out, jobs=count, say=lambda text: print(text[-400:], flush=True))
-    return said([outcome.results[task.key] for task in tasks if task.key in outcome.results])
+    engine.run(run, items, out, jobs=count, say=lambda text: print(text[-400:], flush=True))
+    return said([*engine.stored(items, out).values()])
 
 
 def read(folders: list[Path]) -> list[Row]:

@@ -28,7 +28,7 @@ from isd_gym._common.errors import InputError, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
 from isd_gym._common.markdown import markdown
 from isd_gym.benchmark.policies import find
-from isd_gym.benchmark.sweep.conditions import Grid, _sound, sweep
+from isd_gym.benchmark.sweep.conditions import Grid, sweep
 from isd_gym.benchmark.sweep.grid import belongings
 from isd_gym.benchmark.sweep.items import stored
 from isd_gym.physics import elements as el
@@ -112,7 +112,7 @@ def test_a_folder_of_a_sweep_may_hold_anything(tmp_path):
         strange.append(good["result"] | {"measures": good["result"]["measures"] | {name: [value]}})
     for text in [*(json.dumps(good | {"result": result}) for result in strange), "[" * 100_000]:
         items[0].write_text(text)
-        assert len(stored(grid.tasks(), tmp_path / "out" / "items", _sound)) == len(items) - 1
+        assert len(stored(grid.all_items(), tmp_path / "out" / "items")) == len(items) - 1
     assert sweep(grid, tmp_path / "out")[0] == merged
     (tmp_path / "dear").write_text("dear")
     items[0].unlink()

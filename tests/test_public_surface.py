@@ -59,12 +59,12 @@ isd_gym.benchmark.scoring
     units unscored
 isd_gym.benchmark.sweep
 isd_gym.benchmark.sweep.conditions
-    also COMMANDS FOLDER LARGEST RESAMPLES change_cell check_policies drive_item items_are merge overall rows
-    sweep table
+    also COMMANDS FOLDER RESAMPLES change_cell check_policies drive_item items_are merge overall rows sweep
+    table
 isd_gym.benchmark.sweep.grid
     also BUILT_IN Condition Grid SCHEMA SENSES belongings built_in draw
 isd_gym.benchmark.sweep.items
-    also Answer ENGINES Outcome SCHEMA Sound Task answer run shard stored
+    also Answer ENGINES Item SCHEMA key_of run shard stored
 isd_gym.benchmark.tracks
     TRACKS Track find_track
 isd_gym.diagnosis

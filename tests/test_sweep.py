@@ -19,9 +19,8 @@ from isd_gym.benchmark.driving import Entry
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive, score
 from isd_gym.benchmark.sweep import items as engine
-from isd_gym.benchmark.sweep.conditions import _watched, overall, sweep
+from isd_gym.benchmark.sweep.conditions import _watched, drive_item, overall, sweep
 from isd_gym.benchmark.sweep.grid import Condition, Grid
-from isd_gym.benchmark.sweep.items import Task
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import vehicle
 
@@ -61,8 +60,13 @@ def slow(folder, number):
     return noted(folder, number)
 
 
-def _tasks(name, folder, count):
-    return [Task(f"test_sweep:{name}", {"folder": str(folder), "number": i}) for i in range(count)]
+def _items(folder, count):
+    return [{"folder": str(folder), "number": i} for i in range(count)]
+
+
+def _results(items, folder):
+    found = engine.stored(items, folder)
+    return [found.get(engine.key_of(item)) for item in items]
 
 
 def _done(folder):
@@ -79,52 +83,52 @@ def importable(monkeypatch):
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_each_is_done_once_and_not_again(jobs, tmp_path, importable):
-    tasks = _tasks("noted", tmp_path, 5)
-    first = engine.run(tasks, tmp_path / "out", jobs=jobs)
-    assert [first.results[t.key] for t in tasks] == [0, 1, 4, 9, 16] and not first.failed
-    again = engine.run(tasks, tmp_path / "out", jobs=jobs)
-    assert again.results == first.results
+    items, out = _items(tmp_path, 5), tmp_path / "out"
+    assert not engine.run(noted, items, out, jobs=jobs)
+    assert _results(items, out) == [0, 1, 4, 9, 16]
+    assert not engine.run(noted, items, out, jobs=jobs)
     assert _done(tmp_path) == [0, 1, 2, 3, 4]
 
 
 def test_a_broken_result_is_made_again(tmp_path):
-    tasks = _tasks("noted", tmp_path, 2)
-    engine.run(tasks, tmp_path / "out")
+    items, out = _items(tmp_path, 2), tmp_path / "out"
+    engine.run(noted, items, out)
     for text in ("{", "[]", '{"schema": "isd-result/1", "key": "another", "result": 7}'):
-        (tmp_path / "out" / f"{tasks[0].key}.json").write_text(text)
-        assert engine.run(tasks, tmp_path / "out").results[tasks[0].key] == 0
+        (out / f"{engine.key_of(items[0])}.json").write_text(text)
+        assert not engine.run(noted, items, out) and _results(items, out) == [0, 1]
 
 
 def test_what_is_done_is_kept_when_a_worker_dies(tmp_path, importable):
-    tasks = _tasks("dies", tmp_path, 3)
-    refused("a worker died.* the same line goes on", engine.run, tasks[1:], tmp_path / "out", jobs=2)
-    assert engine.run(tasks[:2], tmp_path / "out").results[tasks[1].key] == 1
+    items, out = _items(tmp_path, 3), tmp_path / "out"
+    refused("a worker died.* the same line goes on", engine.run, dies, items[1:], out, jobs=2)
+    assert not engine.run(dies, items[:2], out) and _results(items, out) == [0, 1, None]
     assert _done(tmp_path).count(1) <= 2
 
 
 def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable):
-    tasks, lines = _tasks("dies", tmp_path, 6), []
-    outcome = engine.run(tasks[3:], tmp_path / "out", jobs=2, say=lines.append)
+    items, lines = _items(tmp_path, 6), []
+    failed = engine.run(dies, items[3:], tmp_path / "out", jobs=2, say=lines.append)
     assert _done(tmp_path) == [4, 5]
-    assert list(outcome.failed.values()) == ["ValueError: of its own"]
+    assert list(failed.values()) == ["ValueError: of its own"]
     assert len(lines) == 1
     assert not list((tmp_path / "out").glob(".*"))  # nothing half-written
 
 
 def test_shards_are_a_partition():
-    tasks = _tasks("noted", Path("x"), 11)
-    parts = [engine.shard(tasks, f"{i}/3") for i in range(3)]
-    assert sorted(t.key for p in parts for t in p) == sorted(t.key for t in tasks)
+    items = _items(Path("x"), 11)
+    parts = [engine.shard(items, f"{i}/3") for i in range(3)]
+    assert sorted((i for p in parts for i in p), key=lambda item: item["number"]) == items
     for bad in ("3/3", "-1/3", "1", "a/b", "1/0"):
-        refused("", engine.shard, tasks, bad)
+        refused("", engine.shard, items, bad)
 
 
 def test_a_grid_is_axes_crossed_and_conditions_named(tmp_path):
     (tmp_path / "grid.toml").write_text(GRID)
     grid = Grid.load(tmp_path / "grid.toml")
     assert [c.name for c in grid.conditions] == ["speed 10", "speed 30", "heavy"]
-    assert len(grid.tasks()) == 3 * 3 * 2  # the passive car as well
-    assert len({t.key for t in grid.tasks()}) == 18
+    items = grid.all_items()
+    assert len(items) == 3 * 3 * 2  # the passive car as well
+    assert len(set(map(engine.key_of, items))) == 18
 
 
 def test_a_sweep_says_what_the_score_says(tmp_path):
@@ -171,11 +175,10 @@ def test_what_a_policy_is_made_of_is_part_of_an_item(tmp_path, monkeypatch):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "policy.json").write_text("{}")
     grid = Grid(("mine",), (Condition("a"),), episodes=1, duration=0.1)
-    before = [t.key for t in grid.items(grid.conditions[0], "mine")]
-    item = grid.items(grid.conditions[0], "mine")[0]
+    (item,) = grid.items(grid.conditions[0], "mine")
     (tmp_path / "mine" / "policy.json").write_text("{ }")
-    assert before != [t.key for t in grid.items(grid.conditions[0], "mine")]
-    refused("'mine' is not here, or another", item.call)
+    assert [item] != grid.items(grid.conditions[0], "mine")
+    refused("'mine' is not here, or another", drive_item, **item)
 
 
 def test_over_all_conditions_each_counts_the_same():
@@ -203,8 +206,8 @@ def test_the_watch_sees_what_is_not_allowed():
 def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
     conditions = (Condition("half", network="half-car-isd"),)
     grid = Grid(("skyhook",), conditions, episodes=2, batch=2, duration=0.05)
-    merged, outcome = sweep(grid, tmp_path)
-    assert not outcome.failed and not merged["missing"]
+    merged, failed = sweep(grid, tmp_path)
+    assert not failed and not merged["missing"]
     (row,) = merged["conditions"][0]["policies"]
     assert row["commands"] == {"given": 2 * 2 * 10, "not_finite": 0, "above_limit": 0, "above_slew": 0}
     assert row["pitch_acceleration_rms"]["unit"] == "rad/s^2"
@@ -289,30 +292,31 @@ def cluster(monkeypatch):
 @pytest.mark.filterwarnings("ignore")
 def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable, cluster):
     address, kill = cluster
-    tasks, killed = _tasks("slow", tmp_path, 16), []
+    items, killed = _items(tmp_path, 16), []
 
     def progress(done, total):
         if done == 4 and not killed:
             kill()
             killed.append(done)
 
-    outcome = engine.run(tasks, tmp_path / "out", engine="ray", address=address, progress=progress)
-    assert killed and not outcome.failed
-    assert [outcome.results[t.key] for t in tasks] == [i**2 for i in range(16)]
+    where = {"engine": "ray", "address": address}
+    failed = engine.run(slow, items, tmp_path / "out", **where, progress=progress)
+    assert killed and not failed
+    assert _results(items, tmp_path / "out") == [i**2 for i in range(16)]
     # what the dead node was at was done again; nothing else was
     assert set(_done(tmp_path)) == set(range(16)) and len(_done(tmp_path)) <= 17
-    again = engine.run(tasks, tmp_path / "out", engine="ray", address=address)
-    assert again.results == outcome.results and len(_done(tmp_path)) <= 17
+    assert not engine.run(slow, items, tmp_path / "out", **where)
+    assert len(_done(tmp_path)) <= 17
 
 
 @needs_ray
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path):
     with pytest.raises(InputError, match=r"no Ray cluster at '127\.0\.0\.1:1'"):
-        engine.run(_tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray", address="127.0.0.1:1")
+        engine.run(noted, _items(tmp_path, 1), tmp_path / "out", engine="ray", address="127.0.0.1:1")
 
 
 def test_without_ray_the_engine_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    refused("scale", engine.run, _tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray")
-    refused("no engine 'cloud'", engine.run, [], tmp_path / "out", engine="cloud")
+    refused("scale", engine.run, noted, _items(tmp_path, 1), tmp_path / "out", engine="ray")
+    refused("no engine 'cloud'", engine.run, noted, [], tmp_path / "out", engine="cloud")

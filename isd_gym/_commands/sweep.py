@@ -54,7 +54,7 @@ def command(
     made = Grid.load(grid)
     check_policies(made)
     with resumable(), counted("items") as progress:
-        merged, outcome = sweep(
+        merged, failed = sweep(
             made,
             out,
             jobs=jobs,
@@ -65,8 +65,8 @@ def command(
             say=lambda text: typer.echo(text, err=True),
         )
     _print(merged)
-    if outcome.failed:
-        typer.echo(f"{items_are(len(outcome.failed))} missing; the same line tries again", err=True)
+    if failed:
+        typer.echo(f"{items_are(failed)} missing; the same line tries again", err=True)
         raise typer.Exit(1)
     if merged["missing"] and which is None:
         typer.echo(f"{items_are(merged['missing'])} missing", err=True)

@@ -11,13 +11,11 @@ import numpy as np
 
 from ..._common.errors import InputError
 from ..._common.files import claim_folder, write_text
-from ..._common.inputs import is_number
 from ..._common.markdown import markdown
 from ..._common.seeds import named_roads
 from ...physics.network import Network
 from .grid import SCHEMA, Condition, Grid, belongings
-from .items import Outcome, Task, shard, stored
-from .items import run as run_tasks
+from .items import key_of, run, shard, stored
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
 RESAMPLES = 4000
 #: kind, mark and parts of the folder of a sweep
 FOLDER = ("sweep", None, ("items", "sweep.json", "sweep.md"))
-#: bound of a stored value: the squares of smaller values are finite
-LARGEST = 1e30
 COMMANDS = ("given", "not_finite", "above_limit", "above_slew")
 
 
@@ -72,7 +68,7 @@ def drive_item(
     ahead: dict[str, Any] = {} if c.preview is None else {"preview": c.preview}
     entry = find(policy, plant, model=Network.load(c.model or c.network), speed=c.speed, **ahead)
     counts: Counter[str] = Counter()
-    run = drive(
+    driven = drive(
         _watched(entry, vehicle(plant), counts),
         plant,
         road=c.road,
@@ -84,11 +80,11 @@ def drive_item(
         sensors=c.sensors,
         timed=0,
     )
-    found = measures(run, StageCost.of(None, run.car.axes, len(run.car.corners)))
+    found = measures(driven, StageCost.of(None, driven.car.axes, len(driven.car.corners)))
     return {
         "measures": {name: [float(v) for v in values] for name, (values, _) in found.items()},
         "units": {name: unit for name, (_, unit) in found.items()},
-        "fallbacks": run.fallbacks,
+        "fallbacks": driven.fallbacks,
         "commands": {name: counts[name] for name in COMMANDS},
     }
 
@@ -122,30 +118,6 @@ def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
     return Entry(entry.name, make, entry.network)
 
 
-def _sound(task: Task, result: Any) -> bool:
-    """Return whether a result has the form of `drive_item`'s; files of other versions or origins do not."""
-    from ..scoring import MEASURES
-
-    episodes, commands = task.arguments["episodes"], result["commands"]
-    return (
-        MEASURES.items() <= result["units"].items()
-        and result["measures"].keys() == result["units"].keys()
-        and all(
-            len(v) == episodes and all(_plausible(name, x) for x in v)
-            for name, v in result["measures"].items()
-        )
-        and all(
-            type(n) is int and 0 <= n < LARGEST
-            for n in (result["fallbacks"], *(commands[k] for k in COMMANDS))
-        )
-    )
-
-
-def _plausible(name: str, value: Any) -> bool:
-    """Return whether a measure can have a value: only costs and energies may be negative."""
-    return is_number(value) and abs(value) < LARGEST and (value >= 0 or name in ("cost", "energy"))
-
-
 def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
     """Return the results of a sweep (`isd-sweep/1`): every quantity with its paired change.
 
@@ -154,7 +126,7 @@ def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
 
     Args:
         grid: The grid.
-        results: Result by key of a task.
+        results: Result by key of an item.
 
     Returns:
         Plain data.
@@ -166,7 +138,7 @@ def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
         rows: list[dict[str, Any]] = []
         ground: dict[str, np.ndarray] = {}
         for policy in grid.driven:
-            keys = [t.key for t in grid.items(condition, policy)]
+            keys = [key_of(item) for item in grid.items(condition, policy)]
             parts = [results[k] for k in keys if k in results]
             missing += len(keys) - len(parts)
             if len(parts) < len(keys) or (policy != "passive" and not ground):
@@ -263,7 +235,7 @@ def sweep(
     address: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] = lambda line: None,
-) -> tuple[dict[str, Any], Outcome]:
+) -> tuple[dict[str, Any], int]:
     """Run the unfinished items of a grid.
 
     Items are files in ``out/items``; the merged sweep is ``out/sweep.json``, and a readable table
@@ -274,34 +246,27 @@ def sweep(
         out: Folder of the results.
         jobs: Number of processes.
         which: Shard "i/n"; None for all items.
-        engine: 'local' or 'ray', see `engine.run`.
+        engine: 'local' or 'ray', see `items.run`.
         address: Address of a Ray cluster.
         progress: Called with the numbers of finished and of all items.
         say: Called with lines for the user.
 
     Returns:
-        Merged sweep (`isd-sweep/1`), and the outcome of the items.
+        Merged sweep (`isd-sweep/1`), and the number of failed items.
 
     Raises:
         InputError: The folder cannot be written, or an argument is invalid.
     """
-    tasks = grid.tasks()
-    mine = shard(tasks, which)
+    items = grid.all_items()
+    mine = shard(items, which)
     folder = claim_folder(out, *FOLDER) / "items"
-    outcome = run_tasks(
-        mine,
-        folder,
-        jobs=jobs,
-        engine=engine,
-        address=address,
-        progress=progress,
-        say=say,
-        sound=_sound,
+    failed = run(
+        drive_item, mine, folder, jobs=jobs, engine=engine, address=address, progress=progress, say=say
     )
-    merged = merge(grid, stored(tasks, folder, _sound))
+    merged = merge(grid, stored(items, folder))
     write_text(Path(out) / "sweep.json", json.dumps(merged, indent=1, allow_nan=False) + "\n")
     write_text(Path(out) / "sweep.md", table(merged))
-    return merged, outcome
+    return merged, len(failed)
 
 
 def items_are(count: int) -> str:

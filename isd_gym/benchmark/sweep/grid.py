@@ -32,7 +32,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-import os
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -43,15 +42,14 @@ from typing import Any
 
 from ... import benchmark
 from ..._common.errors import InputError, hint, shown
-from ..._common.inputs import is_number, parse_json, read_bytes
+from ..._common.inputs import is_number, is_whole, parse_json, read_bytes
 from ...env import Sensors
 from ...physics.network import Network
-from .items import Task
+from ...physics.road import road as find_road
 
 SCHEMA = "isd-sweep/1"
-#: largest numbers of conditions and items, largest number in a grid, and largest size of a file of a grid
-#: [bytes]
-CONDITIONS, ITEMS, LARGEST, BELONGING = 10_000, 1_000_000, 1e100, 2**30
+#: largest numbers of conditions and items, largest whole number, and largest size of a file of a grid [bytes]
+CONDITIONS, ITEMS, MOST, BELONGING = 10_000, 1_000_000, 2**53, 2**30
 #: beside the benchmark, since `isd-gym train --randomize robust` draws from the ranges of the robust track
 BUILT_IN = Path(benchmark.__file__).parent / "grids"
 SENSES = tuple(f.name for f in fields(Sensors))
@@ -98,11 +96,11 @@ class Condition:
 
     def __post_init__(self) -> None:
         where = f"condition {shown(self.name)}" if self.name else "a condition"
-        if not (_number(self.speed) and self.speed > 0):
+        if not (is_number(self.speed) and self.speed > 0):
             raise InputError(f"{where}: speed must be a positive number of m/s, not {shown(self.speed)}")
-        if self.preview is not None and not (_number(self.preview) and self.preview >= 0):
+        if self.preview is not None and not (is_number(self.preview) and self.preview >= 0):
             raise InputError(f"{where}: preview must be 0 s or more, not {shown(self.preview)}")
-        if self.episodes is not None and not _whole(self.episodes, 1):
+        if self.episodes is not None and not is_whole(self.episodes, 1, MOST):
             raise InputError(
                 f"{where}: episodes must be a whole number of 1 or more, not {shown(self.episodes)}"
             )
@@ -111,9 +109,9 @@ class Condition:
             for key, value in (("network", self.network), ("road", self.road), ("model", self.model or "")):
                 if not isinstance(value, str):
                     raise InputError(f"{key} must be a name, not {shown(value)}")
-            _check_road(self.road, _changed(self.road))
+            _road(self.road)
             self.plant()
-            _network(self.model or self.network, _changed(self.model or self.network))
+            _network(self.model or self.network)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
 
@@ -131,9 +129,9 @@ class Condition:
         Raises:
             InputError: A factor is invalid.
         """
-        nominal = _network(self.network, _changed(self.network))
+        nominal = _network(self.network)
         if not isinstance(self.factors, Mapping) or not all(
-            _number(f) and f > 0 for f in self.factors.values()
+            is_number(f) and f > 0 for f in self.factors.values()
         ):
             raise InputError("factors must be parameters of the network and positive numbers")
         known = nominal.parameters
@@ -156,32 +154,8 @@ class Condition:
         }
 
 
-def _number(value: Any) -> bool:
-    return is_number(value) and abs(value) < LARGEST
-
-
-def _whole(value: Any, least: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and least <= value < 2**53
-
-
-@lru_cache(maxsize=256)
-def _network(source: str, changed: float) -> Network:
-    return Network.load(source)
-
-
-@lru_cache(maxsize=256)
-def _check_road(source: str, changed: float) -> None:
-    from ...physics.road import road
-
-    road(source)
-
-
-def _changed(source: str) -> float:
-    """Return the time of the last change of a file, so that all conditions share one reading; 0 for other names."""
-    try:
-        return os.path.getmtime(source)
-    except (OSError, ValueError):
-        return 0.0
+#: read once for all conditions
+_network, _road = lru_cache(Network.load), lru_cache(find_road)
 
 
 @dataclass(frozen=True)
@@ -208,9 +182,9 @@ class Grid:
 
     def __post_init__(self) -> None:
         for name, least in (("episodes", 1), *([("seed", 0)] if self.seed is not None else []), ("batch", 1)):
-            if not _whole(value := getattr(self, name), least):
+            if not is_whole(value := getattr(self, name), least, MOST):
                 raise InputError(f"{name} must be a whole number from {least} on, not {shown(value)}")
-        if not (_number(self.duration) and self.duration > 0):
+        if not (is_number(self.duration) and self.duration > 0):
             raise InputError(f"duration must be a positive number of seconds, not {shown(self.duration)}")
         if not self.policies or not all(isinstance(p, str) for p in self.policies):
             raise InputError("policies must be a list of names, at least one")
@@ -297,15 +271,19 @@ class Grid:
         """Names of all driven policies in a condition; the passive car comes first."""
         return tuple(dict.fromkeys(("passive", *self.policies)))
 
-    def tasks(self) -> list[Task]:
+    def all_items(self) -> list[dict[str, Any]]:
         """Return every item; the passive car of each condition comes first.
 
         Returns:
-            Tasks.
+            Arguments of `drive_item`.
         """
-        return [t for c in self.conditions for policy in self.driven for t in self.items(c, policy)]
+        out = []
+        for condition in self.conditions:
+            for policy in self.driven:
+                out += self.items(condition, policy)
+        return out
 
-    def items(self, condition: Condition, policy: str) -> list[Task]:
+    def items(self, condition: Condition, policy: str) -> list[dict[str, Any]]:
         """Return the items of a policy in a condition, in the order of their roads.
 
         Args:
@@ -313,21 +291,22 @@ class Grid:
             policy: The policy.
 
         Returns:
-            Tasks.
+            Arguments of `drive_item`.
         """
         given = condition.to_dict()
         given.pop("episodes", None)
         files = belongings((policy, condition.network, condition.road, condition.model or ""))
         out, stop = [], condition.episodes or self.episodes
         for first in range(0, stop, self.batch):
-            roads = {
+            item = {
+                "policy": policy,
                 "seed": self.seed,
                 "first": first,
                 "episodes": min(self.batch, stop - first),
                 "duration": self.duration,
+                "condition": given,
             }
-            arguments = {"policy": policy, **roads, "condition": given, **({"files": files} if files else {})}
-            out.append(Task("isd_gym.benchmark.sweep.conditions:drive_item", arguments))
+            out.append(item | {"files": files} if files else item)
         return out
 
 
@@ -402,7 +381,7 @@ def draw(given: Any) -> list[Condition]:
         raise InputError("random must be a table")
     _known(given, {"count", "first", "factors", *RANGES, *CHOICES}, "random: ")
     for key, least, most in (("count", 1, CONDITIONS), ("first", 0, 2**30)):
-        if not (_whole(value := given.get(key, 1), least) and value <= most):
+        if not is_whole(value := given.get(key, 1), least, most):
             raise InputError(
                 f"random: {key} must be a whole number from {least} to {most}, not {shown(value)}"
             )
@@ -413,7 +392,9 @@ def draw(given: Any) -> list[Condition]:
         ("factors", k): v for k, v in factors.items()
     }
     for key, span in ranges.items():
-        if not (isinstance(span, list) and len(span) == 2 and all(map(_number, span)) and span[0] <= span[1]):
+        if not (
+            isinstance(span, list) and len(span) == 2 and all(map(is_number, span)) and span[0] <= span[1]
+        ):
             what = key if isinstance(key, str) else key[1]
             raise InputError(f"random: '{what}' must be [low, high], not {shown(span)}")
     choices = {k: given[k] for k in CHOICES if k in given}
@@ -443,7 +424,7 @@ def draw(given: Any) -> list[Condition]:
 def _short(value: Any) -> str:
     if isinstance(value, dict):
         return "; ".join(f"{k} x {v:g}" for k, v in value.items())
-    return f"{value:g}" if _number(value) else str(value)
+    return f"{value:g}" if is_number(value) else str(value)
 
 
 def _known(data: Mapping[str, Any], known: set[str], where: str) -> None:

@@ -1,134 +1,100 @@
-"""Independent items of a sweep: on the cores of one machine (joblib), on a Ray cluster, or in shards of a job array.
+"""Items of a sweep: on the cores of one machine (joblib), on a Ray cluster, or in shards of a job array.
 
-A `Task` names a function and its arguments as plain JSON, and can be sent to any process or machine. Its
-result is one file, written atomically, with a name derived from the task. A repeated call with the same
-folder skips finished tasks.
+An item holds the arguments of a function as plain JSON. The result of an item is one file, written atomically, with a
+name derived from the item. A repeated call with the same folder skips finished items.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib
 import json
 import logging
 import os
 import socket
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 from ..._common.errors import InputError, how_to_install
 from ..._common.files import claim_folder, write_text
 from ..._common.inputs import read_json
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 SCHEMA = "isd-result/1"
 ENGINES = ("local", "ray")
+#: arguments of the function by name
+Item = Mapping[str, Any]
+#: key of an item, its result, and a one-line error; None without an error
+Answer = tuple[str, Any, str | None]
 
 
-@dataclass(frozen=True)
-class Task:
-    """A function call; arguments and result are plain JSON.
-
-    Attributes:
-        function: "package.module:name".
-        arguments: Arguments by name.
-    """
-
-    function: str
-    arguments: Mapping[str, Any]
-
-    @property
-    def key(self) -> str:
-        """Name of the task, equal on all machines."""
-        text = json.dumps([self.function, self.arguments], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-    def call(self) -> Any:
-        """Call the function in this process.
-
-        Returns:
-            Result of the function.
-        """
-        module, _, name = self.function.partition(":")
-        return getattr(importlib.import_module(module), name)(**self.arguments)
-
-
-@dataclass
-class Outcome:
-    """Results and errors of tasks.
-
-    Attributes:
-        results: Result by key of a task.
-        failed: One-line error by key of a task.
-    """
-
-    results: dict[str, Any] = field(default_factory=dict)
-    failed: dict[str, str] = field(default_factory=dict)
-
-
-#: tells whether the content of a file is a result of the task
-Sound = Callable[[Task, Any], bool]
-
-
-def _any(task: Task, result: Any) -> bool:
-    return True
-
-
-def stored(tasks: Sequence[Task], folder: Path, sound: Sound = _any) -> dict[str, Any]:
-    """Return the results in a folder; broken files and implausible results are skipped.
+def key_of(item: Any) -> str:
+    """Return the name of an item, equal on all machines.
 
     Args:
-        tasks: The tasks.
-        folder: Folder of the results.
-        sound: Tells whether a result is plausible for a task.
+        item: The item, or other plain data.
 
     Returns:
-        Result by key of a task.
+        24 hexadecimal digits.
+    """
+    return hashlib.sha256(json.dumps(item, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def _content(key: str, item: Any, result: Any) -> dict[str, Any]:
+    """Return the content of the file of a result; the digest tells files that were altered."""
+    return {"schema": SCHEMA, "key": key, "item": item, "result": result, "digest": key_of(result)}
+
+
+def stored(items: Sequence[Item], folder: Path) -> dict[str, Any]:
+    """Return the results in a folder; broken files are skipped.
+
+    Args:
+        items: The items.
+        folder: Folder of the results.
+
+    Returns:
+        Result by key of an item.
     """
     out = {}
-    for task in tasks:
+    for key in map(key_of, items):
         try:
-            data = read_json(folder / f"{task.key}.json")
-            if data["schema"] == SCHEMA and data["key"] == task.key and sound(task, data["result"]):
-                out[task.key] = data["result"]
-        except (ValueError, KeyError, TypeError, AttributeError):  # includes InputError
+            data = read_json(folder / f"{key}.json")
+        except InputError:
             continue
+        if isinstance(data, dict) and data == _content(key, data.get("item"), data.get("result")):
+            out[key] = data["result"]
     return out
 
 
-def shard(tasks: Sequence[Task], which: str | None) -> list[Task]:
-    """Return the tasks of one job of a job array.
+def shard(items: Sequence[Item], which: str | None) -> list[Item]:
+    """Return the items of one job of a job array.
 
     Args:
-        tasks: All tasks.
-        which: "i/n" with i from 0 to n - 1; None for all tasks.
+        items: All items.
+        which: "i/n" with i from 0 to n - 1; None for all items.
 
     Returns:
-        Every n-th task from task i.
+        Every n-th item from item i.
 
     Raises:
         InputError: The shard is invalid or empty.
     """
     if which is None:
-        return list(tasks)
+        return list(items)
     try:
         i, n = (int(part) for part in which.split("/"))
     except ValueError:
         raise InputError(f"a shard is i/n, such as 0/8, not '{which}'") from None
     if not 0 <= i < n:
         raise InputError(f"shard {which}: i goes from 0 to n - 1")
-    if i >= len(tasks):
-        raise InputError(f"shard {which} is empty: there are {len(tasks)} items")
-    return list(tasks)[i::n]
+    if i >= len(items):
+        raise InputError(f"shard {which} is empty: there are {len(items)} items")
+    return list(items)[i::n]
 
 
 def run(
-    tasks: Sequence[Task],
+    function: Callable[..., Any],
+    items: Sequence[Item],
     folder: str | Path,
     *,
     jobs: int = 1,
@@ -136,117 +102,72 @@ def run(
     address: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] = lambda line: None,
-    sound: Sound = _any,
-) -> Outcome:
-    """Run all unfinished tasks; results are files in a folder.
+) -> dict[str, str]:
+    """Run all unfinished items; results are files in a folder.
 
     Args:
-        tasks: The tasks.
+        function: Function of the items, which other processes can import.
+        items: The items.
         folder: Folder of the results.
         jobs: Number of processes on this machine.
         engine: 'local', or 'ray' for a Ray cluster.
-        address: Address of the Ray cluster; "auto" for the cluster of this machine.
-        progress: Called with the numbers of finished and of all tasks.
+        address: Address of the Ray cluster; None for the cluster of this machine.
+        progress: Called with the numbers of finished and of all items.
         say: Called with lines for the user.
-        sound: Tells whether a stored result is plausible for a task.
 
     Returns:
-        Results and errors.
+        One-line error by key of an item.
 
     Raises:
         InputError: The folder cannot be written, an argument is invalid, or no cluster answers.
     """
     if engine not in ENGINES:
         raise InputError(f"no engine '{engine}': there are {', '.join(ENGINES)}")
-    if jobs < 1:
-        raise InputError(f"jobs must be at least 1, not {jobs}")
     folder = claim_folder(folder, "folder of results", None, ("*.json",))
-    out = Outcome(stored(tasks, folder, sound))
-    todo = [task for task in {t.key: t for t in tasks}.values() if task.key not in out.results]
-    total = len(out.results) + len(todo)
-    if progress is not None:
-        progress(len(out.results), total)
-    source = _local(todo, jobs) if engine == "local" else _ray(todo, address)
-    told: set[str] = set()
-    for task, answer in source:
-        if answer.error is None:
-            out.results[task.key] = answer.result
-            out.failed.pop(task.key, None)
-            head: dict[str, Any] = {"schema": SCHEMA, "key": task.key, "function": task.function}
-            head |= {
-                "arguments": dict(task.arguments),
-                "host": answer.host,
-                "seconds": round(answer.seconds, 3),
-            }
-            write_text(folder / f"{task.key}.json", json.dumps({**head, "result": answer.result}) + "\n")
+    done = stored(items, folder)
+    todo = {key: item for item in items if (key := key_of(item)) not in done}
+    finished, total = len(done), len(done) + len(todo)
+    tell = progress or (lambda finished, total: None)
+    tell(finished, total)
+    attempt = partial(_attempt, function)
+    answers = _local(attempt, todo, jobs) if engine == "local" else _ray(attempt, todo, address)
+    failed: dict[str, str] = {}
+    for key, result, error in answers:
+        if error is None:
+            finished += 1
+            write_text(folder / f"{key}.json", json.dumps(_content(key, todo[key], result)) + "\n")
         else:
-            out.failed[task.key] = answer.error
-            if answer.error not in told:  # reported once for all affected tasks
-                told.add(answer.error)
-                say(f"{_words(task)}: {answer.error}")
-        if progress is not None:
-            progress(len(out.results), total)
-    return out
+            if error not in failed.values():  # reported once for all affected items
+                say(f"{_words(todo[key])}: {error}")
+            failed[key] = error
+        tell(finished, total)
+    return failed
 
 
-def _words(task: Task) -> str:
-    return ", ".join(f"{k} {v}" for k, v in task.arguments.items() if isinstance(v, str | int | float))
+def _words(item: Item) -> str:
+    return ", ".join(f"{k} {v}" for k, v in item.items() if isinstance(v, str | int | float))
 
 
-@dataclass(frozen=True)
-class Answer:
-    """Outcome of a task.
-
-    Attributes:
-        result: Result; None after an error.
-        error: One-line error; None after success.
-        seconds: Duration [s].
-        host: Name of the machine.
-    """
-
-    result: Any = None
-    error: str | None = None
-    seconds: float = 0.0
-    host: str = ""
-
-
-def answer(function: str, arguments: Mapping[str, Any], folder: str | None = None) -> Answer:
-    """Run a task in this process; errors become part of the answer.
-
-    Args:
-        function: "package.module:name".
-        arguments: Arguments by name.
-        folder: Folder of relative file names in the arguments, if the folder exists on this machine.
-
-    Returns:
-        The answer.
-    """
-    begin = time.perf_counter()
+def _attempt(function: Callable[..., Any], key: str, item: Item, folder: str | None = None) -> Answer:
+    """Return the answer to an item; relative file names belong to `folder`, if that exists on this machine."""
     try:
         if folder is not None and os.path.isdir(folder):
             os.chdir(folder)
-        result = Task(function, arguments).call()
+        result = function(**item)
         json.dumps(result, allow_nan=False)
-    except Exception as error:  # the error of a task must not stop other tasks
-        text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        own = isinstance(error, InputError)
-        return Answer(error=text if own else f"{type(error).__name__}: {text}")
-    return Answer(result, None, time.perf_counter() - begin, socket.gethostname())
+    except InputError as error:
+        return key, None, str(error)
+    except Exception as error:  # the error of an item must not stop other items
+        return key, None, f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    return key, result, None
 
 
-def _call(task: Task, folder: str | None = None) -> tuple[Task, Answer]:
-    return task, answer(task.function, task.arguments, folder)
-
-
-def _local(todo: Sequence[Task], jobs: int) -> Iterator[tuple[Task, Answer]]:
-    """Yield tasks with their answers, run by the processes of joblib."""
-    if jobs == 1:
-        yield from map(_call, todo)
-        return
+def _local(attempt: Callable[..., Answer], todo: Mapping[str, Item], jobs: int) -> Iterator[Answer]:
+    """Yield the answers, made by the processes of joblib."""
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    calls = (delayed(_call)(task) for task in todo)
+    calls = (delayed(attempt)(key, item) for key, item in todo.items())
     try:
         yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
     except TerminatedWorkerError:
@@ -255,44 +176,32 @@ def _local(todo: Sequence[Task], jobs: int) -> Iterator[tuple[Task, Answer]]:
         ) from None
 
 
-# --------------------------------------------------------------------------------------------- a Ray cluster
-
-
-def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answer]]:
+def _ray(attempt: Callable[..., Answer], todo: Mapping[str, Item], address: str | None) -> Iterator[Answer]:
+    """Yield the answers, made by a Ray cluster; items of a lost node are given to other nodes."""
     try:
         import ray
     except ImportError:
         raise InputError(f"the Ray engine needs Ray: {how_to_install('scale')}") from None
-    own = not ray.is_initialized()
-    if own:
-        _reach(address)
-        try:
-            ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
-        except Exception as error:  # many reasons for a missing cluster
-            if address is None and isinstance(error, ConnectionError):
-                raise InputError(
-                    "no Ray cluster runs on this machine: 'ray start --head' starts one, RAY_ADDRESS names another"
-                ) from None
-            text = str(error).splitlines()[0]
-            raise InputError(f"no Ray cluster at '{address or 'auto'}': {text}") from None
-    # the tasks of a lost node are given to other nodes
-    remote = ray.remote(num_cpus=1, max_retries=1)(_call)
-    here = os.getcwd()
-    pending = {remote.remote(task, here): task for task in todo}
+    _reach(address)
+    try:
+        ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
+    except Exception as error:  # many reasons for a missing cluster
+        text = str(error).splitlines()[0]
+        raise InputError(
+            f"no Ray cluster at '{address or 'auto'}' ('ray start --head' starts one here): {text}"
+        ) from None
+    remote = ray.remote(num_cpus=1, max_retries=1)(attempt)
+    pending = {remote.remote(key, item, os.getcwd()): key for key, item in todo.items()}
     try:
         while pending:
             (ready,), _ = ray.wait(list(pending), num_returns=1)
-            task = pending.pop(ready)
+            key = pending.pop(ready)
             try:
                 yield ray.get(ready)
             except ray.exceptions.RayError as error:
-                yield task, Answer(error=f"its worker died twice ({type(error).__name__})")
+                yield key, None, f"its worker died twice ({type(error).__name__})"
     finally:
-        for left in pending:  # after Ctrl-C, running tasks are not awaited
-            with suppress(Exception):
-                ray.cancel(left, force=True)
-        if own:
-            ray.shutdown()
+        ray.shutdown()
 
 
 def _reach(address: str | None) -> None:
@@ -303,5 +212,4 @@ def _reach(address: str | None) -> None:
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
     except (OSError, OverflowError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"no Ray cluster at '{address}': {why}") from None
+        raise InputError(f"no Ray cluster at '{address}': {error}") from None
