@@ -413,7 +413,7 @@ def recorded(path: str | Path) -> Road:
         names[:] = [lower[name] for name in (along, *heights)]
         return names
 
-    table = read_columns(path, choose, resample=True)
+    table = read_columns(path, choose)
     over_time = names[0].lower() == "time"
     columns = []
     for name, unit in zip(names, ("s" if over_time else "m", "m", "m"), strict=False):

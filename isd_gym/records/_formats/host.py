@@ -67,14 +67,10 @@ def answer(request):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = reader.read(
-                request["path"], request["wanted"], request["axis"], request["resample"], limit
-            )
+            found = reader.read(request["path"], request["wanted"], request["axis"], limit)
             if isinstance(found, str):
                 return {"text": found}, []
             columns, units, other = found
-            if columns is None:
-                return {"no_channel": other, "names": units}, []
             out, total = [], 0
             for name, values in columns:
                 values = np.asarray(values)

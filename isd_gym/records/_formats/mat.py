@@ -41,7 +41,7 @@ def mat_size(path, limit):
         return total
 
 
-def read(path, wanted, axis, resample, limit):
+def read(path, wanted, axis, limit):
     """Return the numeric vectors, their units and the names of other variables of a MATLAB file."""
     import numpy as np
     from scipy.io import loadmat

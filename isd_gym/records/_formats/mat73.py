@@ -9,7 +9,7 @@ LIBRARIES = ("h5py",)
 EXTRA = "files"
 
 
-def read(path, wanted, axis, resample, limit):
+def read(path, wanted, axis, limit):
     """Return the numeric vectors, their units and the names of other variables of a MATLAB 7.3 file.
 
     Links to other files, data in other files and references are not followed.

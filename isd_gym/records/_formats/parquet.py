@@ -8,7 +8,7 @@ LIBRARIES = ("pyarrow", "pyarrow.parquet")
 EXTRA = "io"
 
 
-def read(path, wanted, axis, resample, limit):
+def read(path, wanted, axis, limit):
     """Return the numeric columns, their units and the names of other columns of a Parquet file."""
     import pyarrow
     import pyarrow.parquet as parquet

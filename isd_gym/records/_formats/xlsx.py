@@ -13,7 +13,7 @@ EXTRA = "files"
 SHARE = 12
 
 
-def read(path, wanted, axis, resample, limit):
+def read(path, wanted, axis, limit):
     """Return the first sheet that holds at least two rows with numbers, as a text with tabs. Stored results of formulas are read.
 
     No formula is computed, and links to other workbooks are not followed.

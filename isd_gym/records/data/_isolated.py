@@ -67,12 +67,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def read(
-    reader: str, path: Path, wanted: list[str] | None, axis: str, resample: bool | str
+    reader: str, path: Path, wanted: list[str] | None = None, axis: str = "time"
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
     """Return the header of a binary table, and its wanted columns (n,) in the order of the header.
 
-    `reader` is the module of the reader, `axis` the time column. With `resample`, channels are interpolated linearly to the finest
-    raster; 'own' keeps each channel's raster. A workbook has its `text` in the header, and no columns.
+    `reader` is the module of the reader, `axis` the time column. A workbook has its `text` in the header, and no columns.
     """
     global _helper
     module = import_module(reader)
@@ -87,7 +86,6 @@ def read(
         "path": os.path.abspath(path),
         "wanted": wanted,
         "axis": axis,
-        "resample": resample,
         "limit": limit,
         "seconds": seconds,
     }

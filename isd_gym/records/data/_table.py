@@ -32,7 +32,7 @@ from ._writing import write_binary
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    Reader = Callable[[Path, Choice, str, bool, Sequence[str] | None], Columns]
+    Reader = Callable[[Path, Choice, str, Sequence[str] | None], Columns]
 
 
 def _vector(values: Any) -> np.ndarray:
@@ -103,14 +103,12 @@ def read_columns(
     wanted: Choice = None,
     *,
     axis: str = TIME,
-    resample: bool = False,
     columns: Sequence[str] | None = None,
 ) -> Columns:
     """Read the wanted columns of a table file, or all with None.
 
     All tables of the project are read here. Separators, decimal commas, preambles and units in a text file
-    are detected. `read_table` adds a time base and channel names. `axis` is the time column of MATLAB and MDF files; `resample`
-    interpolates MDF and TDMS channels on several rasters linearly to the finest raster; `columns` names all columns of a text file
+    are detected. `read_table` adds a time base and channel names. `axis` is the time column of MATLAB files; `columns` names all columns of a text file
     without a header row.
     """
     path = Path(path)
@@ -119,7 +117,7 @@ def read_columns(
         raise InputError(f"{path}: is a folder, not a table")
     plain_file(path)
     try:
-        return kind.read(path, wanted, axis, resample, columns)
+        return kind.read(path, wanted, axis, columns)
     except InputError:
         raise
     except ImportError as error:
@@ -150,7 +148,6 @@ def read_table(
     rename: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     expected: Mapping[str, str] | None = None,
-    resample: bool = False,
     header: Sequence[str] | None = None,
     signs: Mapping[str, int] | None = None,
 ) -> Table:
@@ -166,8 +163,6 @@ def read_table(
             default.
         expected: Channel -> wanted unit. Exactly these channels are returned, converted; a column without a
             unit is assumed to have the wanted unit. None for all numeric columns, unconverted.
-        resample: Interpolate MDF and TDMS channels on several rasters linearly to the finest raster, instead
-            of an error.
         header: Names of all columns of a text file without a header row, with or without units.
         signs: Factor 1 or -1 by channel or by column; -1 for a sensor that is turned round.
 
@@ -184,7 +179,7 @@ def read_table(
     if len(inverse) < len(rename):
         raise InputError(f"{path}: two columns are renamed to one channel")
     wanted = None if expected is None else [inverse.get(c, c) for c in expected]
-    found = read_columns(path, wanted, axis=inverse.get(TIME, TIME), resample=resample, columns=header)
+    found = read_columns(path, wanted, axis=inverse.get(TIME, TIME), columns=header)
     columns, file_units = _as_channels(path, found, rename, units, expected)
     _find_time(path, columns, file_units)
     target = {TIME: "s"} | dict(expected or {})
@@ -285,36 +280,56 @@ def _one_line(error: Exception) -> str:
 class Format:
     """How files of a format are read."""
 
-    #: reader of wanted columns: path, wanted names, time column, whether to resample, names for a file
-    #: without a header
+    #: reader of wanted columns: path, wanted names, time column, names for a file without a header
     read: Reader
     #: reader of all rasters: path, names for a file without a header; None for a format with one raster
     read_rasters: Callable[[Path, Sequence[str] | None], list[Columns]] | None = None
     has_own_stamps: bool = False  # whether channels may have time stamps of their own
 
 
-def binary_format(reader: str, has_own_stamps: bool = False) -> Format:
-    """Return a format whose reader runs in a separate process."""
+def _stamped_format(reader: str) -> Format:
+    """Return a format whose channels may have time stamps of their own; the reader runs in a separate process."""
 
-    def read(
-        path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
-    ) -> Columns:
-        return _read_binary(reader, path, wanted, axis, resample)
+    def read(path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None) -> Columns:
+        return _only_raster(path, read_rasters(path), wanted)
 
     def read_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
         return _read_binary_rasters(reader, path)
 
-    return Format(read, read_rasters if has_own_stamps else None, has_own_stamps)
+    return Format(read, read_rasters, has_own_stamps=True)
 
 
-def _read_binary(reader: str, path: Path, wanted: Choice, axis: str, resample: bool) -> Columns:
+def _only_raster(path: Path, rasters: list[Columns], wanted: Choice) -> Columns:
+    """Return the raster with the wanted columns; raise `InputError` where they have different stamps."""
+    names = [name for raster in rasters for name in raster.values]
+    if callable(wanted):
+        wanted = wanted(names)
+    for name in wanted or ():
+        if name not in names:
+            raise InputError(f"{path}: no channel {shown(name)}; {did_you_mean(name, names)}")
+    found = [raster for raster in rasters if wanted is None or set(wanted) & set(raster.values) - {TIME}]
+    if len(found) > 1:
+        counts = ", ".join(str(len(next(iter(raster.values.values())))) for raster in found[:20])
+        raise InputError(
+            f"{path}: channels are on different rasters of {counts} samples: simulate and diagnose read such a file as it is"
+        )
+    return (found or rasters)[0]
+
+
+def _binary_format(reader: str) -> Format:
+    """Return a format whose reader runs in a separate process."""
+
+    def read(path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None) -> Columns:
+        return _read_binary(reader, path, wanted, axis)
+
+    return Format(read)
+
+
+def _read_binary(reader: str, path: Path, wanted: Choice, axis: str) -> Columns:
     from . import _isolated as isolated
 
     given = None if callable(wanted) else wanted
-    head, arrays = isolated.read(reader, path, given, axis, resample)
-    if "no_channel" in head:
-        name = head["no_channel"]
-        raise InputError(f"{path}: no channel {shown(name)}; {did_you_mean(name, head['names'])}")
+    head, arrays = isolated.read(reader, path, given, axis)
     out: dict[str, Any] = {}
     units = dict(head["units"])
     told = [(name, values) for (name, _), values in zip(head["columns"], arrays, strict=True)]
@@ -339,7 +354,7 @@ def _read_binary_rasters(reader: str, path: Path) -> list[Columns]:
     """Return the rasters of a binary file, each with time stamps of its own; tables without stamps are rasters too."""
     from . import _isolated as isolated
 
-    head, arrays = isolated.read(reader, path, None, TIME, "own")
+    head, arrays = isolated.read(reader, path)
     rasters: dict[str, Columns] = {}
     for (full, _), values in zip(head["columns"], arrays, strict=True):
         number, _, name = full.partition(" ")
@@ -353,35 +368,30 @@ def _read_binary_rasters(reader: str, path: Path) -> list[Columns]:
     return list(rasters.values())
 
 
-def _read_mat(
-    path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
-) -> Columns:
+def _read_mat(path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None) -> Columns:
     """Read a MATLAB file; version 7.3 is another format."""
     with path.open("rb") as stream:
         head = stream.read(10)
-    if head == b"MATLAB 7.3":
-        return _read_binary(f"{_PACKAGE}.mat73", path, wanted, axis, resample)
-    return _read_binary(f"{_PACKAGE}.mat", path, wanted, axis, resample)
+    reader = "mat73" if head == b"MATLAB 7.3" else "mat"
+    return _read_binary(f"{_PACKAGE}.{reader}", path, wanted, axis)
 
 
 _NO_NUMBERS = np.empty(0, object)
 _PACKAGE = "isd_gym.records._formats"
 _PARQUET = f"{_PACKAGE}.parquet"
 _TEXT = Format(read_text, read_text_rasters)
-_MDF = binary_format(f"{_PACKAGE}.mdf", has_own_stamps=True)
+_MDF = _stamped_format(f"{_PACKAGE}.mdf")
 
 
 def _sheet(path: Path) -> str:
     """Return the text of the first sheet with numbers of a workbook."""
     from . import _isolated as isolated
 
-    return str(isolated.read(f"{_PACKAGE}.xlsx", path, None, TIME, False)[0]["text"])
+    return str(isolated.read(f"{_PACKAGE}.xlsx", path)[0]["text"])
 
 
-def _read_workbook(
-    path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
-) -> Columns:
-    return read_text(path, wanted, axis, resample, columns, _sheet(path))
+def _read_workbook(path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None) -> Columns:
+    return read_text(path, wanted, axis, columns, _sheet(path))
 
 
 def _read_workbook_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
@@ -391,11 +401,11 @@ def _read_workbook_rasters(path: Path, columns: Sequence[str] | None = None) -> 
 #: formats by suffix
 _FORMATS = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat"), _TEXT),
-    ".parquet": binary_format(_PARQUET),
+    ".parquet": _binary_format(_PARQUET),
     ".mat": Format(_read_mat),
     ".mf4": _MDF,
     ".mdf": _MDF,
-    ".tdms": binary_format(f"{_PACKAGE}.tdms", has_own_stamps=True),
+    ".tdms": _stamped_format(f"{_PACKAGE}.tdms"),
     ".xlsx": Format(_read_workbook, _read_workbook_rasters),
 }
 

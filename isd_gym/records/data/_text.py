@@ -462,7 +462,6 @@ def read_text(
     path: Path,
     wanted: Choice,
     time: str,
-    resample: bool,
     columns: Sequence[str] | None = None,
     text: str | None = None,
 ) -> Columns:
