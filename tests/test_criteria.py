@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from isd_gym.diagnosis._result_builder import ResultBuilder, closed
-from isd_gym.diagnosis._selection import forward_backward
-from isd_gym.diagnosis._selection.admissibility import repeats
 from isd_gym.diagnosis._selection.candidate_comparison import CandidateComparison
+from isd_gym.diagnosis._selection.contradictions import repeats
 from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
 from isd_gym.diagnosis._selection.free_force import FreeForce
 from isd_gym.diagnosis._selection.held_out import HeldOutScore
@@ -106,66 +105,6 @@ def test_effects_that_all_rivals_share_are_named_if_they_pass_alone(alone, is_na
     )
     found, _, decision = Workflow.conclude(flow, scores)
     assert (found.foremost, decision.verdict) == ((part, alone) if is_named else (pair, "ambiguous"))
-
-
-@pytest.mark.parametrize(
-    ("is_wide", "gain", "goes_on"),
-    [(False, 25, True), (False, 15, False), (True, 15, True), (True, -1, False)],
-)
-def test_held_out_records_decide_about_a_small_gain_where_their_gap_is_wide(
-    monkeypatch, is_wide, gain, goes_on
-):
-    best = SimpleNamespace(deviance=-gain, fit=0.8, hypotheses=[SimpleNamespace(label="friction")])
-    monkeypatch.setattr(forward_backward, "gap", lambda problem, fit: fit)
-    search = SimpleNamespace(
-        problem=None,
-        criteria=CRITERIA,
-        settings=None,
-        say=lambda line: None,
-        _screen=lambda now, settings: ([best], 0.0),
-    )
-    now = SimpleNamespace(fit=1.0, hypotheses=())
-    found = forward_backward.Search._add_best(search, now, [], is_wide=is_wide)
-    assert (found is best) == goes_on
-
-
-@pytest.mark.parametrize(("known", "taken"), [((), 0), (("gravity",), 1)])
-def test_a_further_law_is_the_best_on_the_validation_records(monkeypatch, known, taken):
-    """Friction beside the sine of gravity was fitted to a pendulum and not tested: another pair was ahead on the training records."""
-    monkeypatch.setattr(forward_backward, "gap", lambda problem, fit: fit)
-    label = [SimpleNamespace(label="law")]
-    ranked = [
-        SimpleNamespace(deviance=-90.0, fit=0.1, hypotheses=label, error=2.0),
-        SimpleNamespace(deviance=-80.0, fit=0.1, hypotheses=label, error=1.0),
-        SimpleNamespace(deviance=-70.0, fit=0.1, hypotheses=label, error=None),
-    ]
-
-    def score(candidate, weights):
-        if candidate.error is None:
-            raise np.linalg.LinAlgError
-        return SimpleNamespace(mean_square=candidate.error)
-
-    search = forward_backward.Search(
-        SimpleNamespace(problem=None, weights=lambda candidate: None, score=score),
-        settings=None,
-        criteria=CRITERIA,
-        say=lambda line: None,
-    )
-    monkeypatch.setattr(forward_backward.Search, "_screen", lambda *given: (ranked, 0.0))
-    now = SimpleNamespace(fit=1.0, hypotheses=known)
-    assert search._add_best(now, [], is_wide=False) is ranked[taken]
-
-
-def test_a_law_of_an_earlier_stage_competes_with_a_pair():
-    """On training records friction with a static level and asymmetric damping won; friction alone erred less on the others."""
-    stribeck, coulomb, pair, rival = (SimpleNamespace(hypotheses=h) for h in ((1,), (2,), (1, 3), (1, 4)))
-    held = {id(stribeck): 173.0, id(coulomb): 58.0, id(pair): 90.0, id(rival): 150.0}
-    scores = SimpleNamespace(
-        stages=[[stribeck, coulomb], [pair, rival]],
-        simplest=lambda several: min(several, key=lambda r: held[id(r)]),
-    )
-    search = SimpleNamespace(problem=None, criteria=CRITERIA)
-    assert forward_backward.Search._take_simplest(search, scores, pair) is coulomb
 
 
 @pytest.mark.parametrize(("by_force", "gives_way"), [(3.9, True), (4.1, False)])

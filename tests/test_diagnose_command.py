@@ -19,8 +19,7 @@ from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis import _workflow as workflow
 from isd_gym.diagnosis._estimation.structure import Hypothesis
 from isd_gym.diagnosis._records.reading import thin_long_record
-from isd_gym.diagnosis._selection.forward_backward import Search
-from isd_gym.diagnosis._selection.screening import Screening
+from isd_gym.diagnosis._selection.plain_fits import Stage
 from isd_gym.diagnosis._simulation.problem import Record
 from isd_gym.diagnosis._simulation.time_limit import TimeLimit
 from isd_gym.diagnosis._verdict.wording import summary_of
@@ -190,8 +189,7 @@ def test_missing_effect(files, library, tmp_path, validate):
 @pytest.mark.parametrize(
     ("where", "left_out", "verdict"),
     [
-        ((Screening, "run"), "the search for a first effect", "unknown_effect"),
-        ((Search, "_select"), "the comparison of the candidates (the first was coulomb", "unknown_effect"),
+        ((Stage, "run"), "the search for a first effect", "unknown_effect"),
         ((workflow, "collect_evidence"), "", "missing_effect"),
     ],
 )

@@ -8,11 +8,9 @@ from types import SimpleNamespace
 import pytest
 from test_words import VAGUE, document
 
-from isd_gym.diagnosis._estimation.structure import Hypothesis
 from isd_gym.diagnosis._result_builder import ResultBuilder
 from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._selection.weights import FREE_FORCE, Statement, WeightedCandidate
-from isd_gym.diagnosis._verdict import measurement
 from isd_gym.diagnosis._verdict.findings import find
 from isd_gym.diagnosis._verdict.gates import confidence
 from isd_gym.diagnosis._verdict.grades import MISTAKEN, OBSERVED, grade, observed
@@ -182,24 +180,6 @@ def test_a_law_that_leaves_a_wide_gap_is_probable_however_much_it_explains():
     assert sure.laws[0].probability == pytest.approx(1.0 - MISTAKEN["law"])
     assert open_law.laws[0].probability == pytest.approx(1.0 - MISTAKEN["partly"])
     assert open_law.laws[0].to_dict()["grade"] == "probable"
-
-
-@pytest.mark.parametrize(
-    ("laws", "share"),
-    [
-        (("linear_damping", "series_compliance", "coulomb_friction"), 0.0),
-        (("linear_damping", "cubic_stiffness", "coulomb_friction"), 1.0),
-    ],
-)
-def test_a_compliance_in_series_is_no_bend_of_a_curve(monkeypatch, laws, share):
-    """Damping and friction behind a compliance explained a damper whole, and had no name since three laws are as good as a free curve."""
-    monkeypatch.setattr(measurement, "owner_pair", lambda network, h: h.where)
-    monkeypatch.setattr(measurement, "_laws_over_one_plane", lambda search, best: [])
-    monkeypatch.setattr(measurement, "_removed_by_curves", lambda *given: [0.7])
-    candidate = SimpleNamespace(hypotheses=[Hypothesis(law, FRONT) for law in laws], elements=["an element"])
-    scores = SimpleNamespace(foremost=candidate, refitted=None, score=lambda c: None)
-    search = SimpleNamespace(criteria=CRITERIA, problem=SimpleNamespace(network=None))
-    assert measurement.lack_of_fit(search, scores) == share
 
 
 def test_a_law_that_is_the_sum_of_two_others_is_probable_at_most():

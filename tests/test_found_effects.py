@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._hypotheses.motion import motions
-from isd_gym.diagnosis._hypotheses.pair_forces import spectral_pitches, thinning_loses
+from isd_gym.diagnosis._hypotheses.pair_forces import spectral_pitches
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.records.data import Table
@@ -57,18 +57,6 @@ def test_the_spectrum_over_position_shows_the_pitch_of_more_than_sixty_periods()
     assert abs(span / first - span / 3.1e-3) <= 0.26
     # of fewer periods than are asked for nothing is said
     assert all(p < span / 60 for p in spectral_pitches(problem, fit, ("rod", "ground"), motion, 60))
-
-
-def test_records_are_not_thinned_where_that_would_lose_the_residual():
-    def lost(table):
-        problem = as_problem(PULLED, [table])
-        assert problem.rough.records[0].interval > problem.records[0].interval
-        return thinning_loses(problem, fitted(problem, 0.2), np.array([0.2]))
-
-    assert lost(pulled(1))
-    # as large a force of thirty times the pitch is as slow as the motion, and without any there is noise alone
-    assert not lost(pulled(1, pitch=93e-3))
-    assert not lost(pulled(1, amplitude=0.0))
 
 
 def sines(rng, t, band=(0.3, 3.0), count=8):

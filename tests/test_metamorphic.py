@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info
 
 from isd_gym.diagnosis import SearchSettings, diagnose
 from isd_gym.diagnosis._hypotheses import library
-from isd_gym.diagnosis._selection import screening
+from isd_gym.diagnosis._selection import plain_fits
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
@@ -157,7 +157,7 @@ def test_the_name_does_not_depend_on_the_order_of_hypotheses(monkeypatch):
     def backward(network):
         return iter(list(forward(network))[::-1])
 
-    monkeypatch.setattr(screening, "hypotheses", backward)
+    monkeypatch.setattr(plain_fits, "hypotheses", backward)
     assert stated(measured(hidden=True).diagnose()) == NAMED
 
 

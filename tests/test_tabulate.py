@@ -8,18 +8,11 @@ import pytest
 from builders import oscillator
 
 from isd_gym.diagnosis._selection.free_force import Table as TableStructure
-from isd_gym.diagnosis._selection.free_force import _axis, _directions, fit_in_place_of
-from isd_gym.diagnosis._selection.weights import statements_of
-from isd_gym.physics.elements import SensorGain, SeriesCompliance, TabulatedForce
+from isd_gym.diagnosis._selection.free_force import _axis, _directions
+from isd_gym.diagnosis._selection.weights import _statements_of_table
+from isd_gym.physics.elements import TabulatedForce
 
 SHAKEN = oscillator("travel displacement mass base", "felt acceleration mass", base="base")
-
-
-def test_no_table_stands_in_for_a_sensor_s_fault_or_a_spring_in_series():
-    gain = SensorGain("gain", ("travel",), gain=1.1)
-    soft = SeriesCompliance("soft", ("a", "b"), stiffness=1e5)
-    assert fit_in_place_of(None, None, gain) is None
-    assert fit_in_place_of(None, None, soft) is None
 
 
 def test_the_prior_of_a_table_is_zero_at_rest_smooth_and_as_large_as_it_was_said():
@@ -39,7 +32,7 @@ def test_a_table_of_the_distance_alone_is_elastic(over, kind):
     network = replace(SHAKEN, elements=(*SHAKEN.elements, force))
     structure = TableStructure(network, (), element="missing", over=over)
     told = SimpleNamespace(fit=SimpleNamespace(structure=structure), hypotheses=())
-    assert {(s.place, s.kind) for s in statements_of(None, told, told)} == {(("base", "mass"), kind)}
+    assert {(s.place, s.kind) for s in _statements_of_table(told)} == {(("base", "mass"), kind)}
 
 
 @pytest.mark.parametrize("law", [lambda x: 5 * np.tanh(2 * x), lambda x: x**3, lambda x: x * np.exp(-(x**2))])

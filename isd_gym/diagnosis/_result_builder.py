@@ -23,13 +23,14 @@ from ._simulation.problem import BROKEN
 from ._simulation.time_limit import RESULT, TimeUp
 from ._verdict.explanation import draw_law, draw_table, locate_errors
 from ._verdict.findings import find
-from ._verdict.gates import Decision, confidence, table_gates, with_findings
+from ._verdict.gates import Decision, confidence, table_gates
 from ._verdict.wording import summary_of
 from .result import (
     BestCandidate,
     Contender,
     Diagnosis,
     Effect,
+    LawSet,
     Quantity,
     Remainder,
     ScreenedPlace,
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from ..records.data import Table
     from ._estimation.structure import Structure
     from ._selection.candidate_comparison import CandidateComparison
-    from ._selection.forward_backward import Search
+    from ._selection.law_sets import Search
     from ._verdict.findings import Finding
     from ._verdict.measurement import Measurements
     from ._workflow import Workflow
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
 
 
 T = TypeVar("T")
+#: largest number of sets of laws with a completed model
+MOST_SETS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,7 @@ class ResultBuilder:
         """Build the result; `over` describes the segments over which records were compared, None for whole records."""
         search, scores, measured = self.search, self.scores, self.measured
         p, network, criteria = search.problem, search.problem.network, search.criteria
-        refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable
+        refitted, quantities, rivals = scores.refitted, measured.quantities, self.scores.indistinguishable()
         # under feedback a free curve would draw the controller's law
         is_free = decision.verdict == "unknown_effect" and not self.flow.feedback
         what = "a table of the missing force"
@@ -112,10 +115,9 @@ class ResultBuilder:
             small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
             contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
             findings=findings,
+            sets=tuple(s for s, _ in self.sets),
             where=() if decision.verdict == "no_discrepancy" else locate_errors(p, refitted.fit, noise),
-            places=tuple(
-                ScreenedPlace(m.hypothesis.where, m.hypothesis.effect, m.share) for m in search.places
-            ),
+            places=self._places(),
             parameters={path: q for path, q in quantities.items() if path in network.parameters},
             gap={stage: self._by_channel(row) for stage, row in rows.items()},
             closed=None if final is refitted else closed(rows),
@@ -191,25 +193,32 @@ class ResultBuilder:
         scores, measured = self.scores, self.measured
         if decision.verdict in ("no_discrepancy", "parameters_only") or not scores.foremost.hypotheses:
             return decision, ()
-        weighted = measured.weighted
-        if free.candidate is not None:
-            weighted = weigh_candidates(scores, [free.candidate], self.flow.seed)
-        failed = {g.name for g in decision.gates if not g.passed}
         findings = find(
             self.search,
-            weighted,
+            weigh_candidates(scores, free.candidate),
             measured.evidence,
             measured.quantities,
-            next(w.statements for w in weighted if w.candidate is scores.foremost),
+            scores,
             is_named=decision.verdict == "missing_effect",
-            # a name under feedback is no multiple of the controller's input; a single law competes with the free force by its weight
-            is_doubted=(bool(self.flow.feedback) and decision.verdict != "missing_effect")
-            or "predicts better" in failed
-            or ("lack of fit" in failed and len(scores.foremost.hypotheses) > 1),
+            # a name under feedback is no multiple of the controller's input
+            is_doubted=not scores.answer.band
+            or (bool(self.flow.feedback) and decision.verdict != "missing_effect"),
         )
-        if self.flow.feedback:  # a controller imitates an element: no kind is certain
-            return decision, findings
-        return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
+        sets = self.sets
+        return decision, tuple(
+            replace(f, sets=tuple(s for s, kinds in sets if (f.kind, tuple(sorted(f.place))) in kinds))
+            for f in findings
+        )
+
+    @functools.cached_property
+    def sets(self) -> list[tuple[LawSet, frozenset[tuple[str, tuple[str, ...]]]]]:
+        """The sets of the band, the simplest first, at most `MOST_SETS`, each with its kinds and places."""
+        answer, out = self.scores.answer, []
+        for k, (row, weight) in enumerate(zip(answer.band[:MOST_SETS], answer.weights, strict=False)):
+            members = tuple((m.effect, m.place) for m in row.members)
+            file = f"set_{k + 1}.json" if k else "model.json"
+            out.append((LawSet(members, weight, row.error, file, row.fit.network), row.kinds))
+        return out
 
     # -- parts of the result ------------------------------------------------------------------------------
     def _errors(self, final: Candidate) -> dict[str, Array]:
@@ -236,13 +245,26 @@ class ResultBuilder:
         where = dict.fromkeys("-".join(h.where) for h in every)
         return [
             f"tried {len({h.effect for h in every})} effects at {len(where)} places: {', '.join(where)}",
-            *(f"tried {line}" for line in self.scores.notes),
         ]
 
+    def _places(self) -> tuple[ScreenedPlace, ...]:
+        """Return the law that removes most at each place, alone."""
+        answer = self.scores.answer
+        out: dict[tuple[str, ...], ScreenedPlace] = {}
+        for row in sorted(answer.singles, key=lambda row: row.error):
+            (member,) = row.members
+            share = 1.0 - (row.error / max(answer.refit.error, 1e-300)) ** 2
+            if share > 0.0:
+                out.setdefault(member.place, ScreenedPlace(member.place, member.effect, share))
+        return tuple(out.values())
+
     def _effects(self, quantities: Mapping[str, Quantity], probability: float) -> list[Effect]:
-        """Return the effects of the foremost candidate."""
+        """Return the certain effects of the foremost set."""
         best, network, out = self.scores.foremost, self.search.problem.network, []
-        for h, element in zip(best.hypotheses, best.fit.structure.names, strict=True):
+        certain = self.scores.answer.certain or (True,) * len(best.hypotheses)
+        for h, element, named in zip(best.hypotheses, best.fit.structure.names, certain, strict=True):
+            if not named:
+                continue
             parts = [(*path.rpartition("."), q) for path, q in quantities.items()]
             own = {key: q for owner, _, key, q in parts if owner == element}
             sums = {key: self.measured.sums.get(f"{element}.{key}") for key in own}

@@ -6,7 +6,6 @@ import contextlib
 import itertools
 import math
 import time as clock
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -31,13 +30,13 @@ from ._records.reading import read_record, thin_long_record
 from ._records.splitting import LEAD_IN, cut_segments, split_records
 from ._result_builder import ResultBuilder
 from ._selection.criteria import CRITERIA, Criteria
-from ._selection.forward_backward import Search
 from ._selection.held_out import HeldOutEvaluator
+from ._selection.law_sets import Search
 from ._selection.settings import SearchSettings
 from ._simulation.problem import BROKEN, Problem, Record, Role, bare
 from ._simulation.time_limit import EVIDENCE, RESULT, SEARCH, TimeLimit, TimeUp, running
 from ._verdict.closed_loop import decide_under_feedback
-from ._verdict.gates import decide
+from ._verdict.gates import decide_by_sets
 from ._verdict.measurement import Measurements, collect_evidence
 from .result import Diagnosis, Stretches
 
@@ -279,49 +278,27 @@ class Workflow:
         return ResultBuilder(self.search, scores, measured, self).build(decision)
 
     def conclude(self, scores: CandidateComparison) -> tuple[CandidateComparison, Measurements, Decision]:
-        """Return a search, its measurements and the decision on it. Where candidates cannot be told apart, the effects that they share are
-        named if they pass every gate by themselves."""
-        measured = self.measure(scores)
-        decision, rivals = self.decide(scores, measured), measured.indistinguishable
-        failed = {g.name for g in decision.gates if not g.passed}
-        if rivals and failed <= {"distinguishable", "probable"}:
-            own = scores.foremost.hypotheses
-            shared = tuple(h for h in own if all(h in r.hypotheses for r in rivals))
-            part = next((r for r in scores.candidates() if shared and r.hypotheses == shared), None)
-            if part is not None:
-                fewer = copy(scores)
-                fewer.chosen = fewer.foremost = part
-                again = self.measure(fewer)
-                named = self.decide(fewer, again)
-                if named.verdict == "missing_effect":
-                    return fewer, again, named
-        return scores, measured, decision
-
-    def measure(self, scores: CandidateComparison) -> Measurements:
-        """Return the measurements of a search; a candidate that cannot be measured loses."""
-        best = "; ".join(h.label for h in scores.foremost.hypotheses)
+        """Return a search, its measurements and the decision on it; a set that cannot be measured loses."""
+        best = scores.foremost
         try:
             with self.clock.until(EVIDENCE):
-                return collect_evidence(self.search, scores, self.seed)
+                measured = collect_evidence(self.search, scores)
         except (TimeUp, *BROKEN) as error:
             if isinstance(error, TimeUp):
-                self.clock.leave_out(f"the tests of {best or 'the refitted model'}")
-            scores.chosen = scores.foremost = scores.refitted
+                self.clock.leave_out(f"the tests of {best.label}")
+            scores.give_up()
             with self.clock.until(1.0):
-                return collect_evidence(self.search, scores, self.seed)
-
-    def decide(self, scores: CandidateComparison, measured: Measurements) -> Decision:
-        """Return the decision on a search; under feedback a name has to meet further conditions."""
-        best = scores.foremost
-        return decide_under_feedback(
-            decide(measured.evidence, self.criteria),
+                measured = collect_evidence(self.search, scores)
+        decision = decide_under_feedback(
+            decide_by_sets(scores.answer, measured.evidence, self.criteria),
             self.problem,
-            best.fit,
-            best.elements,
+            scores.foremost.fit,
+            scores.foremost.elements,
             self.feedback,
             self.is_segmented,
             self.criteria,
         )
+        return scores, measured, decision
 
     # -- segments -----------------------------------------------------------------------------------------
     def has_free_motion(self) -> bool:

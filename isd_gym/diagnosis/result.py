@@ -50,7 +50,7 @@ Over = Literal["rate", "elongation", "both"]
 FOLDER = (
     "diagnosis",
     "diagnosis.json",
-    ("report.html", "diagnosis.json", "model.json", "next_experiment.csv", "*.svg"),
+    ("report.html", "diagnosis.json", "model.json", "next_experiment.csv", "set_*.json", "*.svg"),
 )
 
 
@@ -114,6 +114,27 @@ class Effect:
         if self.totals:
             out["totals"] = {k: q.to_dict() for k, q in self.totals.items()}
         return out | {"confidence": self.confidence, "parameters": parameters}
+
+
+@dataclass(frozen=True, eq=False)
+class LawSet:
+    """A set of laws that the held-out records do not tell from the best one."""
+
+    #: type and place of each member
+    members: tuple[tuple[str, tuple[str, ...]], ...]
+    #: weight beside the other sets
+    weight: float
+    #: error on the validation records, as a share of the deviation, root of the mean square over channels
+    error: float
+    #: file of the completed model in the folder of the diagnosis
+    file: str
+    #: the completed model
+    model: Network
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        members = [{"effect": effect, "place": place} for effect, place in self.members]
+        return {"members": members, "weight": self.weight, "error": self.error, "model": self.file}
 
 
 @dataclass(frozen=True)
@@ -415,7 +436,9 @@ class Diagnosis:
     stretches: Stretches | None = None
     #: probabilities of places, kinds and laws
     findings: tuple[Finding, ...] = ()
-    #: places by the share of the residual that a law there removes, largest first, before any law was fitted
+    #: sets of laws that the records do not tell apart, the simplest first
+    sets: tuple[LawSet, ...] = ()
+    #: places by the share of the squared error that a law there removes alone, largest first
     places: tuple[ScreenedPlace, ...] = ()
     #: inputs that follow from outputs
     closed_loop: tuple[Feedback, ...] = ()
@@ -477,6 +500,8 @@ class Diagnosis:
         folder = claim_folder(folder, *FOLDER)
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
         (self.whole or self.model).save(folder / "model.json")
+        for other in self.sets[1:]:
+            other.model.save(folder / other.file)
         if self.test is not None:
             write_table(folder / "next_experiment.csv", self.test)
 

@@ -16,12 +16,9 @@ from ...physics.network import Network, linearise
 from .._records.splitting import cut_segments
 from .._simulation.problem import BROKEN, Problem, bare
 from .gauss_newton import Fitter
-from .initial_states import states_along
-from .noise import white_weights
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
-    from .gauss_newton import Fit
     from .structure import Structure
 
 #: how long a mode is remembered, in its own time (one over the circular frequency), from which on its phase may be lost: damping
@@ -51,33 +48,6 @@ def segments_of(problem: Problem, length: float = 1.0) -> Problem | None:
     if len(pieces) <= len(problem.estimation):
         return None
     return problem.with_records(pieces, ["fit"] * len(pieces))
-
-
-def in_segments(
-    problem: Problem, fit: Fit, least_noise: Array, length: float = 1.0
-) -> tuple[Problem, Fit] | None:
-    """Return the segments of `segments_of`, and the fit with an initial state of its own for each of them."""
-    brief = segments_of(problem, length)
-    if brief is None:
-        return None
-    fitter = Fitter(brief, white_weights(least_noise))
-    return brief, fitter.fit(fit.structure, fit.x, frozen=True, iterations=4)
-
-
-def states_within(pieces: Problem, fit: Fit, longer: Problem) -> dict[int, Array]:
-    """Return the state (states,) at the start of each training record of `longer`, as the simulation of a fit to shorter pieces has it."""
-    begun: dict[int, tuple[int, int]] = {}  # piece and its sample, by record
-    for i in longer.estimation:
-        record = longer.records[i]
-        for j in pieces.estimation:
-            own = pieces.records[j]
-            k = round((record.time[0] - own.time[0]) / own.interval)
-            if own.name == record.name and 0 <= k < len(own):
-                begun[i] = j, k
-    initial = {j: fit.initial[j] for j, k in begun.values() if k}
-    at = sorted({k for _, k in begun.values()})
-    along = states_along(pieces, fit.structure, fit.x, initial, at) if initial else {}
-    return {i: along[j][at.index(k)] if k else fit.initial[j] for i, (j, k) in begun.items()}
 
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:

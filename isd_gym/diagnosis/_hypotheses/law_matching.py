@@ -7,7 +7,6 @@ over the motion of two nodes have their force along the measured motion; laws in
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +19,8 @@ from .._estimation.structure import Hypothesis, Structure, add
 from .._simulation.problem import BROKEN, Problem, bare
 from .forces import DISSIPATIVE, lossy_share, place_forces
 from .library import hypotheses
-from .motion import joined, loads_of, motions, setting, simulate_variants, tell_gain
-from .pair_forces import force_responses, law_forces, measured_motions, spectral_pitches
+from .motion import loads_of, motions, setting, simulate_variants, tell_gain
+from .pair_forces import spectral_pitches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,30 +33,6 @@ if TYPE_CHECKING:
 
 #: norm of a derivative, orthogonal to the others, over its whole norm: a smaller ratio counts as linear dependence
 DEPENDENT = 1e-7
-
-
-@dataclass(frozen=True)
-class Match:
-    """A law at a place, matched to the residual of a fit."""
-
-    hypothesis: Hypothesis
-    start: Start
-    #: matched values of the law
-    values: dict[str, float]
-    #: parameters of the fit, transformed, as the match moves them, by path
-    moved: dict[str, float]
-    #: share of the squared residual that the match removes
-    share: float
-
-    def sized(self, size: float) -> Match:
-        """Return a match of another size."""
-        by = 1 / size if self.start.inverse else size
-        return replace(self, values=self.values | {k: self.values[k] * by for k in self.start.grows})
-
-    def begin(self, structure: Structure) -> tuple[Structure, Array]:
-        """Return a structure with the law, and start values (parameters,), transformed; raise InputError for impossible values."""
-        built = add(structure, self.hypothesis, self.values)
-        return built, built.start_from(self.moved)
 
 
 @dataclass(frozen=True)
@@ -116,23 +91,6 @@ def _orthogonal(columns: Array, norm: Array | None = None) -> tuple[Array, Array
     return Q[:, np.abs(np.diag(R)) > DEPENDENT], Q, R
 
 
-def match_laws(
-    problem: Problem, fitter: Fitter, fit: Fit, noise: Array, candidates: Sequence[Hypothesis]
-) -> list[Match]:
-    """Return every law at every place from every start of its shape, the largest share first. `noise`: white noise (channels,) of the
-    outputs."""
-    residual = residual_of(problem, fitter, fit)
-    motion = measured_motions(problem, fit, noise)
-    starts = starts_of(problem, fit, {pair: joined(m) for pair, m in motion.items()}, candidates)
-    small = [(h, start) for h, start in starts if not follows_motion(h)]
-    found = _match_small_effects(problem, fitter, fit, residual, small)
-    along = sorted(((h, s) for h, s in starts if follows_motion(h)), key=lambda t: t[0].where)
-    for where, group in groupby(along, key=lambda t: t[0].where):
-        pair = (where[0], where[1])
-        found += _match_forces(problem, fitter, fit, residual, pair, motion[pair], list(group))
-    return sorted(found, key=lambda m: -m.share)
-
-
 def follows_motion(h: Hypothesis) -> bool:
     """Return whether the motion of its two nodes tells the force of a law."""
     return h.place == "between" and not (h.kind.series or h.kind.loaded or h.kind.scheduled)
@@ -169,82 +127,6 @@ def built_ways(fit: Fit, h: Hypothesis, start: Start) -> list[Structure]:
     except BROKEN:
         return []
     return built
-
-
-def _match_small_effects(
-    problem: Problem, fitter: Fitter, fit: Fit, residual: Residual, starts: Sequence[tuple[Hypothesis, Start]]
-) -> list[Match]:
-    jobs = [(h, start, built) for h, start in starts if (built := built_ways(fit, h, start))]
-    out = [np.zeros((len(residual.left), len(built))) for *_, built in jobs]
-    members = [(k, way) for k, (*_, built) in enumerate(jobs) for way in range(len(built))]
-    for chunk, i, y in simulate_variants(problem, fit, [jobs[k][2][way].network for k, way in members]):
-        first, last, point = residual.spans[i]
-        with np.errstate(over="ignore", invalid="ignore"):  # one that breaks down is left out
-            w = fitter.weights(y - point[:, :, None]).reshape(last - first, -1)
-        for lane, member in enumerate(chunk):
-            k, way = members[member]
-            out[k][first:last, way] = w[:, lane]
-    found = []
-    for (h, start, _), s in zip(jobs, out, strict=True):
-        bounded = _without_overflow(s)
-        found.append(_match(fit, h, start, bounded, residual, residual.without(bounded)))
-    return [m for m in found if m is not None]
-
-
-def _match_forces(
-    problem: Problem,
-    fitter: Fitter,
-    fit: Fit,
-    residual: Residual,
-    pair: tuple[str, str],
-    motion: Mapping[int, Motion],
-    starts: Sequence[tuple[Hypothesis, Start]],
-) -> list[Match]:
-    ways = [(h, way) for h, start in starts for way in start.ways]
-    step = problem.records[problem.estimation[0]].step
-    whole = law_forces(fit.network, pair, joined(motion), step, ways)
-    whole = np.where(np.isfinite(whole).all(axis=0), whole, 0.0)
-    edges = np.cumsum([len(m.d) for m in motion.values()])[:-1]
-    forces = dict(zip(motion, np.split(whole, edges), strict=True))
-    columns = np.zeros((len(residual.left), len(ways)), order="F")  # a law's columns stand together
-    for i, y in force_responses(problem, fit, pair, forces).items():
-        first, last, _ = residual.spans[i]
-        columns[first:last] = fitter.weights(y).reshape(last - first, -1)
-    found, at, whole = [], 0, residual.without(_without_overflow(columns))
-    for h, start in starts:
-        its = slice(at, at + len(start.ways))
-        found.append(_match(fit, h, start, columns[:, its], residual, whole[:, its]))
-        at += len(start.ways)
-    return [m for m in found if m is not None]
-
-
-def _without_overflow(columns: Array) -> Array:
-    """Return columns; zeros in place of a column that diverges, or whose squares would overflow."""
-    columns[:, ~(np.abs(columns) < 1e100).all(axis=0)] = 0.0
-    return columns
-
-
-def _match(fit: Fit, h: Hypothesis, start: Start, s: Array, residual: Residual, own: Array) -> Match | None:
-    """Return the match of columns `s`, with their part `own` orthogonal to the derivatives (rows, ways); None where they show nothing."""
-    size = np.linalg.norm(s, axis=0)
-    if not np.all(size > 0):
-        return None
-    if np.any(np.linalg.norm(own, axis=0) < 1e-3 * size):
-        return None
-    amplitude = np.asarray(np.linalg.lstsq(own, residual.left, rcond=None)[0], dtype=np.float64)
-    is_wrong = not start.signed and bool(np.any(amplitude <= 0))
-    if is_wrong and not h.kind.series:
-        return None
-    # what is put in series changes the order of the equations: a small one says little about a large one
-    share = 0.0 if is_wrong else float(residual.left @ (own @ amplitude) / (residual.left @ residual.left))
-    move = residual.solve @ (residual.whole - (0.0 if is_wrong else s @ amplitude))
-    moved = {
-        f.path: float(np.clip(v + dv, f.low, f.high))
-        for f, v, dv in zip(fit.structure.free, fit.x, move, strict=True)
-    }
-    return Match(
-        h, start, h.kind.sized(start, np.ones_like(amplitude) if is_wrong else amplitude), moved, share
-    )
 
 
 def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import fftconvolve
 from scipy.signal.windows import tukey
 
 from ..._common.errors import InputError
@@ -23,7 +22,7 @@ from ...physics import elements as el
 from ...physics.network import GROUND, Channel, Network, assemble, linearise
 from ...physics.network._frames import frames, order_told
 from ...physics.simulate import Plant, pace, side_by_side
-from .._estimation.structure import Structure, add, cells_beside
+from .._estimation.structure import Structure, add
 from .._simulation.problem import BROKEN, Problem, bare
 from .motion import motions_by_record
 
@@ -225,24 +224,6 @@ def _strongest(power: Array, periods: float) -> list[float]:
     return found
 
 
-def thinning_loses(problem: Problem, fit: Fit, floors: Array) -> bool:
-    """Return whether thinned records lack a quarter of the residual's power beyond the noise in any output, such as a force that repeats
-    over travel."""
-    lost, power, rows = np.zeros(len(floors)), np.zeros(len(floors)), 0
-    for i in problem.estimation:
-        record, thin = problem.records[i], problem.rough.records[i]
-        residual = record.measured - fit.outputs[i]
-        residual = residual - residual.mean(axis=0)
-        lines = np.abs(np.fft.rfft(residual, axis=0)) ** 2
-        lines[1:] *= 2.0
-        beyond = np.fft.rfftfreq(len(residual), record.interval) > 0.5 * BAND / thin.interval
-        lost += lines[beyond].sum(axis=0) / len(residual) - beyond.mean() * len(residual) * floors**2
-        power += np.sum(residual**2, axis=0) - len(residual) * floors**2
-        rows += len(residual)
-    material = power > MATERIAL * rows * floors**2
-    return bool(np.any(material & (lost > LOST * power)))
-
-
 def measured_motions(problem: Problem, fit: Fit, noise: Array) -> dict[Pair, dict[int, Motion]]:
     """Return the motion of every pair of nodes in the training records as far as the outputs tell it: the simulated one, and the distance
     or the motion by the force that explains the residual above the noise (channels,)."""
@@ -375,38 +356,6 @@ def _bench(network: Network, driven: str, held: str) -> Network:
     if not here:  # a network has at least one element
         here = [el.LinearStiffness("_none", (driven, GROUND), stiffness=0.0)]  # type: ignore[call-arg]
     return Network("bench", {}, tuple(here), (Channel(TRAVEL, "displacement", "m", at=driven),))
-
-
-def force_responses(problem: Problem, fit: Fit, pair: Pair, forces: Mapping[int, Array]) -> dict[int, Array]:
-    """Return the change of the outputs of a fitted model by forces (samples, forces) [N] between two nodes, by training record; a linear
-    model is simulated once with a pulse."""
-    network = fit.network
-    motor = el.Motor(PUSH, pair, thrust_constant=1.0)  # type: ignore[call-arg]
-    pushed = replace(
-        network,
-        elements=(*network.elements, motor),
-        inputs=(*network.inputs, Channel(PUSH, "current", "A", element=PUSH)),
-        outputs=cells_beside(network, motor),
-    )
-    is_linear = not any(e.place == "between" and e.parts() for e in network.elements)
-    out = {}
-    for i, columns in forces.items():
-        record = problem.records[i]
-        if not is_linear or record.reading is not None:
-            y = _pushed(problem, pushed, fit, i, record, columns)
-            out[i] = y - problem.simulate([network], i, fit.initial[i][:, None])
-            continue
-        pulse = np.zeros((record.samples, 1))
-        pulse[1] = 1.0
-        still = replace(
-            record.unread(),
-            inputs={k: np.zeros_like(v) for k, v in record.inputs.items()},
-            slopes={k: (np.zeros_like(v), np.zeros_like(a)) for k, (v, a) in record.slopes.items()},
-        )
-        answer = _pushed(problem, pushed, None, i, still, pulse)
-        whole = fftconvolve(columns[:, None, :], answer, axes=0)[1 : record.samples + 1]
-        out[i] = record.read(whole)
-    return out
 
 
 def _pushed(

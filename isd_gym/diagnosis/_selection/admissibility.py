@@ -16,28 +16,21 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics import elements as el
 from ...physics.network import linearise
-from .._hypotheses.law_matching import match_laws
-from .._hypotheses.motion import motions
-from .._hypotheses.pair_forces import RESOLVED, typical_advance
+from .._hypotheses.pair_forces import typical_advance
 from .._simulation.problem import bare
 from .criteria import CRITERIA
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from ..._common.arrays import Array
     from ...physics.network import Network
-    from .._estimation.gauss_newton import Fit, Fitter
     from .._estimation.structure import Hypothesis
-    from .._hypotheses.law_matching import Match
     from .._simulation.problem import Problem
-    from .candidate import Candidate
     from .criteria import Criteria
 
     Pair = tuple[str, str]
 
-#: share of the samples that define the travel: rare excursions show no repetition
-TRAVEL = 0.95
 #: singular value below which a shift of the travel changes nothing, relative to rows of unit length: rounding
 NO_CHANGE = 1e-9
 
@@ -60,11 +53,6 @@ class Travel:
     def is_known(self, c: Criteria = CRITERIA) -> bool:
         """Return whether the travel is observed, or returns within the records."""
         return self.is_observed or self.passes >= c.periods
-
-    def shows_period(self, period: float, c: Criteria = CRITERIA) -> bool:
-        """Return whether a force with a period [m] over travel can be seen to repeat."""
-        is_resolved = period >= RESOLVED * self.advance
-        return is_resolved and (self.is_known(c) or self.span >= 2.0 * c.periods * period)
 
 
 def is_observed(network: Network, pair: Pair) -> bool:
@@ -118,65 +106,12 @@ def has_period(kind: type[el.Element]) -> bool:
     return kind.periodic is not None or kind.period is not el.Element.period
 
 
-def repeats(element: el.Element, motion: el.Motion, c: Criteria = CRITERIA) -> bool:
-    """Return False for a periodic law with fewer than `Criteria.periods` periods within the travel."""
-    if not element.periodic:
-        return True
-    low, high = np.quantile(motion.d, [0.5 - 0.5 * TRAVEL, 0.5 + 0.5 * TRAVEL])
-    return bool(c.periods * getattr(element, element.periodic[0]) <= high - low)
-
-
-def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> bool:
-    """Return whether the values of a candidate's effects agree with their names: periods repeat, and laws differ from limits with another
-    name."""
-    if not candidate.well_formed():
-        return False
-    default = el.Element.differs_from_limit
-    asked = [
-        e
-        for e in candidate.elements
-        if e.place == "between" and (e.periodic or type(e).differs_from_limit is not default)
-    ]
-    if not asked:
-        return True
-    motion = motions(problem, candidate.fit)  # a simulation
-    return all(
-        repeats(e, motion[e.between], c) and e.differs_from_limit(motion[e.between])
-        for e in asked
-        if e.between in motion
-    )
-
-
 def is_admissible(h: Hypothesis, known: Mapping[Pair, Travel], c: Criteria = CRITERIA) -> bool:
     """Return whether the motion of the records can show an effect at a place."""
     if has_period(h.kind) or not (h.kind.series or needs_travel(h.kind)):
         return True
     travel = travel_of(h.where, known)
     return travel is None or travel.is_known(c) or (h.kind.series and travel.is_driven)
-
-
-def admissible_matches(
-    problem: Problem,
-    fitter: Fitter,
-    fit: Fit,
-    noise: Array,
-    candidates: Iterable[Hypothesis],
-    known: Mapping[Pair, Travel] | None = None,
-) -> list[Match]:
-    """Return the matches of every admissible effect, the largest share of the residual first."""
-    known = travels(problem, fit.network, motions(problem, fit)) if known is None else known
-    admissible = [h for h in candidates if is_admissible(h, known)]
-    return [m for m in match_laws(problem, fitter, fit, noise, admissible) if _is_resolved(m, known)]
-
-
-def _is_resolved(match: Match, known: Mapping[Pair, Travel]) -> bool:
-    """Return whether the records can show the period of a match; True for laws without a period."""
-    h = match.hypothesis
-    travel = travel_of(h.where, known)
-    if travel is None or not has_period(h.kind):
-        return True
-    period = h.kind(name="trial", where=h.where, **match.values, **dict(h.options)).period()
-    return period is None or travel.shows_period(period)
 
 
 def travel_of(where: tuple[str, ...], known: Mapping[Pair, Travel]) -> Travel | None:

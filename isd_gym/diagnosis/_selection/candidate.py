@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ...physics import elements as el
@@ -17,15 +17,10 @@ from .._estimation.noise import (
     weights_of,
     white_weights,
 )
-from .._estimation.structure import Hypothesis, Structure, rebuilt
-from .._hypotheses.motion import motions
-from .._simulation.problem import BROKEN
-from .admissibility import is_admissible, travels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from ..._common.arrays import Array
+    from .._estimation.structure import Hypothesis, Structure
     from .._simulation.problem import Problem
 
 
@@ -131,74 +126,12 @@ def transfer(problem: Problem, fit: Fit, least: Array) -> Fit:
     )
 
 
-def deviance_beside(problem: Problem, candidate: Candidate, best: Candidate, least: Array) -> float:
-    """Return -2 log L of a candidate, with the independent samples in the residuals of the candidate `best`."""
-    return deviance(problem, candidate.fit, least, share_of(problem, best.fit))
-
-
 def parameter_values(element: el.Element) -> dict[str, float]:
     """Return the parameters of an element by name."""
     return {f.name: getattr(element, f.name) for f in el.parameter_fields(type(element))}
-
-
-def simpler_structures(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, Structure]]:
-    """Return the structures with one effect left out, or replaced by a special case of its law, each with the effect."""
-    network = candidate.fit.network
-    found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
-    motion = motions(problem, candidate.fit)
-    known = travels(problem, problem.network, motion)
-    out = []
-    for k, (h, values) in enumerate(found):
-        swaps: list[list[tuple[Hypothesis, dict[str, float]]]] = [[]] if len(found) > 1 else []
-        here = {e.type for e in el.beside(network, h.where)}
-        for simple in h.kind.contains:
-            if simple in here:  # another value of a known parameter
-                continue
-            special = h.kind.special(simple, values, motion.get((h.where[0], h.where[-1])))
-            plainer = replace(
-                h, effect=simple, options=(), behind=h.behind if el.TYPES[simple].series else ""
-            )
-            if plainer.behind and not plainer.stands(problem.network):
-                continue
-            if not is_admissible(plainer, known):
-                continue
-            swaps.append([(plainer, special)])
-        for swap in swaps:
-            try:
-                out.append((h, rebuilt(problem.network, [*found[:k], *swap, *found[k + 1 :]])))
-            except (*BROKEN, KeyError, StopIteration):
-                continue
-    return out
 
 
 def is_special_case(general: Hypothesis, special: Hypothesis) -> bool:
     """Return whether the law of `special` is a special case of the law of `general`, at the same place."""
     there = set(general.where) == set(special.where) and general.behind == special.behind
     return special.effect in general.kind.contains and there
-
-
-def same_effects(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bool:
-    """Return whether two sets of effects are the same in any order; a law and its special case count as the same effect."""
-    rest = list(others)
-    for h in some:
-        match = next((q for q in rest if q == h or is_special_case(q, h) or is_special_case(h, q)), None)
-        if match is None:
-            return False
-        rest.remove(match)
-    return not rest
-
-
-def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[Candidate]:
-    """Move the simplest candidate that fits as well as the best one to the front: special cases within `chance`, sound values within
-    `sure` (2 log L)."""
-    seen: list[Candidate] = []
-    while ranked and ranked[0] not in seen:
-        best = ranked[0]
-        seen.append(best)
-        for r in ranked[1:]:
-            behind = r.deviance - best.deviance
-            is_imitation = not best.well_formed(last=True) and r.well_formed(last=True) and behind < sure
-            if is_imitation or (is_special_case(best.hypotheses[-1], r.hypotheses[-1]) and behind < chance):
-                ranked = [r, *(q for q in ranked if q is not r)]
-                break
-    return ranked

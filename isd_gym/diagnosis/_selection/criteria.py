@@ -49,6 +49,36 @@ class Criteria:
         "smaller disagreements are everybody's",
         "rigs of known make are good to a few per cent",
     )
+    least_width: float = limit(
+        0.006,
+        "share of a channel's deviation",
+        "sets of laws whose errors differ by less are one band, whatever they leave",
+        "small effects of simulated rigs",
+    )
+    width_growth: float = limit(
+        0.5,
+        "share of the error beyond noise",
+        "the band of the best set widens with what the set leaves, up to `material`",
+        "simulated and measured rigs together",
+    )
+    within_kind: float = limit(
+        0.95,
+        "share of the removed squared error",
+        "the simplest law of a kind that removes so much of what the best law of the kind removes is the law",
+        "as above",
+    )
+    one_more_leaves: float = limit(
+        0.45,
+        "share of the squared error beyond noise",
+        "one more law must leave less of what the smaller set leaves",
+        "as above",
+    )
+    lost: float = limit(
+        0.2,
+        "share of the deviation",
+        "a set that leaves more has lost the motion, and names nothing",
+        "the last fit of a model gives up there, too",
+    )
     share: float = limit(
         0.05,
         "share of the force, current or signal at its place",

@@ -228,28 +228,6 @@ def fit_free_force(
         return FreeForce(best)
 
 
-def fit_in_place_of(
-    evaluator: HeldOutEvaluator, base: Candidate, named: el.Element, over: Over | None = None
-) -> Candidate | None:
-    """Return the refitted nominal model with a table in the place of a named effect, over the arguments of its law by default; None
-    where the effect is no force over elongation or rate."""
-    if named.place != "between" or named.series or named.plane not in PLANES:
-        return None
-    problem, pair = evaluator.problem, named.between
-    motion = motions(problem, base.fit).get(pair)
-    if motion is None:
-        return None
-    over, sigma = over or named.plane, STRONG * place_forces(problem, base.fit).at(pair)
-    if over != "rate" and not is_told(problem, base.fit, pair, motion):
-        return None
-    try:
-        return _fit_table(
-            problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), evaluator.least_noise
-        )
-    except BROKEN:
-        return None
-
-
 @dataclass(frozen=True)
 class BestTableSoFar:
     """The best table so far."""

@@ -132,11 +132,6 @@ class HeldOutEvaluator:
         """Fitter with white noise."""
         return Fitter(self.problem, white_weights(self.least_noise))
 
-    @cached_property
-    def coarse_fitter(self) -> Fitter:
-        """Fitter with white noise on as few samples as the motion needs."""
-        return Fitter(self.problem.rough, white_weights(self.least_noise))
-
     def weights(self, candidate: Candidate) -> Weights:
         """Return weights by the training residuals of a candidate."""
         p = self.problem
@@ -384,12 +379,6 @@ def _share_of_current(problem: Problem, net: Network, e: el.Element) -> float:
     others = effective_current(net.without_element(e.name), e.where[0], current, record.step)
     changed = effective_current(net, e.where[0], current, record.step)
     return rms(changed - others) / max(rms(others), 1e-300)
-
-
-def error_reduction(before: HeldOutScore, after: HeldOutScore) -> float:
-    """Return the largest share of a channel's deviation by which the error falls, on validation or training records."""
-    pairs = ((before.nrmse, after.nrmse), (before.training_nrmse, after.training_nrmse))
-    return max(float(np.sqrt(np.maximum(a**2 - b**2, 0.0)).max()) for a, b in pairs)
 
 
 @dataclass(frozen=True)

@@ -9,21 +9,38 @@ from dataclasses import dataclass
 class SearchSettings:
     """How far the search goes. The settings are an argument of `diagnose` and are returned with the result."""
 
-    #: laws whose matches are fitted
-    matches: int = 8
-    #: laws that are fitted with all samples and their own noise
-    finals: int = 4
-    #: gap (power of the error over the power of the signal) above which a small effect says little about a large one; above its square the
-    #: phase of a motion may be lost
-    wide_gap: float = 0.1
+    #: sizes of a law at which its fit starts, as multiples of the size that the element proposes
+    sizes: tuple[float, ...] = (1.0, 0.25, 4.0, 20.0)
+    #: starts of a law that are simulated, as first law and as further law of a set
+    starts: int = 25
+    starts_further: int = 12
+    #: starts of a law that are fitted
+    fitted: int = 2
+    #: ratio of the costs of two initial states below which a start is fitted from the cheaper one alone
+    alike: float = 1.1
+    #: laws that are fitted as first law and as further law of a set, those with the smallest misfit of a start first
+    shortlist: int = 30
+    shortlist_further: int = 12
+    #: Gauss-Newton steps of the first fit of a law, of the fit to the end, and of the fit with all samples
+    first_steps: int = 3
+    further_steps: int = 10
+    last_steps: int = 4
+    #: cost over that of the best law, above which a law is not fitted to the end
+    hopeless: float = 3.0
+    #: laws with several parameters that are fitted to the end, as first law and as further law of a set
+    kept: int = 14
+    kept_further: int = 6
+    #: sets that are scored on the held-out records, of one law and of several
+    scored: int = 16
+    scored_further: int = 10
+    #: sets to which a further law is added
+    beam: int = 2
+    #: error of the best set over the error before its last law, above which the search ends
+    least_step: float = 0.93
+    #: error beyond noise that is good enough, as a share of the deviation
+    good_enough: float = 0.012
     #: largest number of effects
     depth: int = 3
-    #: deviance (2 log L) that a law with more parameters gains by chance
-    chance: float = 30.0
-    #: chance decrease of the deviance (2 log L) by a law with values that contradict its name
-    sure: float = 60.0
-    #: gap above which the simulation of a free decay has lost the phase
-    lost_phase: float = 0.5
     #: smallest number of samples of a window or segment
     shortest: int = 80
     #: error of the refitted model (share of the deviation, mean over channels) above which records are compared in segments

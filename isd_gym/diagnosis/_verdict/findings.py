@@ -15,9 +15,11 @@ from .grades import MISTAKEN, REPORTED, grade, share_mistaken
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from .._selection.candidate_comparison import CandidateComparison
     from .._selection.criteria import Criteria
-    from .._selection.forward_backward import Search
+    from .._selection.law_sets import Search
     from .._selection.weights import WeightedCandidate
+    from ..result import LawSet
     from .evidence import Evidence
 
 
@@ -53,12 +55,15 @@ class Finding:
     laws: tuple[LawProbability, ...]
     #: whether a law of the finding is among the named effects
     named: bool = False
+    #: sets of laws with the kind at the place
+    sets: tuple[LawSet, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON file."""
         levels = {"place": grade(self.place_probability), "kind": grade(self.kind_probability)}
-        head = {k: v for k, v in vars(self).items() if k not in ("laws", "named")}
-        return head | {"grade": levels, "laws": [law.to_dict() for law in self.laws], "named": self.named}
+        head = {k: v for k, v in vars(self).items() if k not in ("laws", "named", "sets")}
+        lists = {"laws": [x.to_dict() for x in self.laws], "sets": [x.to_dict() for x in self.sets]}
+        return head | {"grade": levels, "named": self.named} | lists
 
 
 def find(
@@ -66,7 +71,7 @@ def find(
     candidates: Sequence[WeightedCandidate],
     evidence: Evidence,
     quantities: Mapping[str, Quantity],
-    own: frozenset[Statement],
+    scores: CandidateComparison,
     *,
     is_named: bool,
     is_doubted: bool,
@@ -78,10 +83,11 @@ def find(
         candidates: Candidates with weights.
         evidence: Evidence for the foremost candidate.
         quantities: Parameters with intervals, by path.
-        own: Statements of the foremost candidate.
+        scores: Scores of the sets, with the foremost one.
         is_named: Whether its effects are named.
         is_doubted: Whether a free curve or a controller explains its force.
     """
+    own = next((w.statements for w in candidates if w.candidate is scores.foremost), frozenset[Statement]())
     return _Finder(search.criteria, candidates, evidence, quantities, own, is_named, is_doubted).find()
 
 

@@ -15,10 +15,10 @@ from .._selection.criteria import CRITERIA, Criteria
 from .grades import share_mistaken
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
+    from .._selection.answer import Answer
     from .evidence import EffectEvidence, Evidence
-    from .findings import Finding
 
 Verdict = Literal["missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"]
 #: Condition that led to a verdict without a name.
@@ -274,6 +274,33 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     return Decision("unknown_effect", gates)
 
 
+def decide_by_sets(answer: Answer, e: Evidence, c: Criteria = CRITERIA) -> Decision:
+    """Return the decision on the band of a search: a name where a member of the simplest set is in every set of the band."""
+    if not answer.band:
+        plain = decide(e, c)
+        is_open = plain.verdict in ("missing_effect", "ambiguous")
+        return replace(plain, verdict="unknown_effect", reason="gates") if is_open else plain
+    others = sum(not certain for certain in answer.certain)
+    gates = (
+        _predicts_better(e, c),
+        gate(
+            "material",
+            answer.falls,
+            ">",
+            answer.width,
+            "decrease of the error beyond noise over all channels, as a share of the deviation",
+        ),
+        gate(
+            "distinguishable",
+            others,
+            "<=",
+            0,
+            "laws of the simplest set without their kind and place in every set of the band",
+        ),
+    )
+    return Decision("missing_effect" if any(answer.certain) else "ambiguous", gates)
+
+
 def _shown_by_training(e: Evidence, failed: set[str], c: Criteria) -> bool:
     """Return whether the training records have a wide gap, or a material one closed by a found effect: no agreement, even if validation
     records have none."""
@@ -283,18 +310,6 @@ def _shown_by_training(e: Evidence, failed: set[str], c: Criteria) -> bool:
     is_closed = e.training_explained >= c.least_explained
     is_told = is_found and is_closed and bool(e.training_refit)
     return is_told and max(e.excess(e.training_refit)) >= c.material
-
-
-def with_findings(
-    decision: Decision, findings: Sequence[Finding], e: Evidence, c: Criteria = CRITERIA
-) -> Decision:
-    """Return 'ambiguous' in place of 'unknown_effect' if the kind of the foremost candidate's effect is certain."""
-    if decision.verdict != "unknown_effect" or not e.effects:
-        return decision
-    failed = {g.name for g in decision.gates if not g.passed}
-    certain = any(f.kind not in NAMELESS and f.kind_probability >= c.certain for f in findings)
-    explains = e.explained >= c.least_removed and not failed & {"predicts better", "lack of fit", "material"}
-    return replace(decision, verdict="ambiguous", reason="kind_certain") if certain and explains else decision
 
 
 def confidence(e: Evidence, c: Criteria = CRITERIA, *, is_sum: bool = False) -> float:

@@ -1,0 +1,167 @@
+"""The answer of a diagnosis: the band of the sets of laws that the held-out records do not tell apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .held_out import compare
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..._common.arrays import Array
+    from .criteria import Criteria
+    from .held_out_table import Row
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Sets of laws that explain the records, and what they have in common."""
+
+    #: the refitted model without further laws
+    refit: Row
+    #: the sets of the band, the simplest first; empty where no law is needed
+    band: tuple[Row, ...]
+    #: weight of each set of the band
+    weights: tuple[float, ...]
+    #: the set with the smallest error, in the band or not; the refitted model where no set is sound
+    best: Row
+    #: width of the band, as a share of the deviation
+    width: float
+    #: the sets of one law
+    singles: tuple[Row, ...] = ()
+    #: RMS noise over channels as a share of the deviation
+    noise: float = 0.0
+
+    @property
+    def falls(self) -> float:
+        """Decrease of the error beyond noise by the simplest set."""
+        return beyond_noise(self.refit, self.noise) - beyond_noise(self.simplest, self.noise)
+
+    @property
+    def simplest(self) -> Row:
+        """The simplest set of the band; the refitted model where the band is empty."""
+        return self.band[0] if self.band else self.refit
+
+    @property
+    def certain(self) -> tuple[bool, ...]:
+        """Whether each member of the simplest set has its kind and place in every set of the band."""
+        return tuple(all(m.kind in row.kinds for row in self.band) for m in self.simplest.members)
+
+    @property
+    def probability(self) -> float:
+        """Weight of the sets with the laws of the simplest set."""
+        own = {(m.effect, m.place) for m in self.simplest.members}
+        return sum(
+            w
+            for row, w in zip(self.band, self.weights, strict=True)
+            if own <= {(m.effect, m.place) for m in row.members} or row.kinds == self.simplest.kinds
+        )
+
+
+def beyond_noise(row: Row, noise: float) -> float:
+    """Return the error of a set beyond noise, as a share of the deviation."""
+    return float(max(row.error**2 - noise**2, 0.0) ** 0.5)
+
+
+def excess(row: Row, noise: float, c: Criteria) -> float:
+    """Return the squared error of a set beyond noise, at least that of the least width: less is no difference."""
+    return max(row.error**2 - noise**2, c.least_width**2)
+
+
+class Table:
+    """Rows with the noise level of the best of them."""
+
+    def __init__(self, rows: Sequence[Row], best: Row, least: Array, noise: Array, c: Criteria):
+        self.c = c
+        #: RMS noise over channels as a share of the deviation
+        self.noise = float(np.sqrt(np.mean(np.minimum(noise, best.validation) ** 2)))
+        self.density = {id(row): row.log_density(best, least) for row in rows}
+
+    def is_better(self, row: Row, other: Row) -> bool:
+        """Return whether a set predicts better than another, beyond chance."""
+        return compare(self.density[id(row)], self.density[id(other)]).is_better(self.c)
+
+    def width(self, best: Row) -> float:
+        """Return the difference of errors that is no difference beside a set: it grows with what the set leaves."""
+        grown = self.c.width_growth * excess(best, self.noise, self.c) ** 0.5
+        return min(max(grown, self.c.least_width), self.c.material)
+
+
+def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> Answer:
+    """Return the answer from the rows of a search, of which the first is the refitted model.
+
+    Args:
+        rows: The refitted model and the sets.
+        least: Smallest noise of weights (channels,).
+        noise: Noise of the validation records as a share of the deviation (channels,).
+        c: The limits.
+    """
+    refit = rows[0]
+    singles = tuple(row for row in rows if len(row.members) == 1)
+    sound = [row for row in rows[1:] if row.is_sound]
+    if not sound:
+        return Answer(refit, (), (), refit, c.least_width, singles)
+    # faults of sensors and drives only where forces alone leave far more, or explain nothing
+    best, table, chosen = _best_of(_forces_first(sound, noise, c), rows, least, noise, c)
+    if not chosen.members:
+        best, table, chosen = _best_of(sound, rows, least, noise, c)
+    width = table.width(chosen if chosen.members else best)
+    # a set that leaves so much has lost the motion
+    if not chosen.members or chosen.error > c.lost:
+        return Answer(refit, (), (), best, width, singles, table.noise)
+    pool = [row for row in sound if row.blames <= chosen.blames]
+    same = [row for row in pool if len(row.members) == len(chosen.members)]
+    near = [row for row in same if row.error - chosen.error < width or not table.is_better(chosen, row)]
+    others = [row for row in near if row.kinds != chosen.kinds]
+    band = [simplest_law(same, chosen, refit, c), *sorted(others, key=lambda r: (r.parameters, r.error))]
+    odds = np.exp([(chosen.error - row.error) / width for row in band])
+    return Answer(refit, tuple(band), tuple((odds / odds.sum()).tolist()), best, width, singles, table.noise)
+
+
+def _best_of(
+    pool: Sequence[Row], rows: Sequence[Row], least: Array, noise: Array, c: Criteria
+) -> tuple[Row, Table, Row]:
+    """Return the set of a pool with the smallest error, the table with its noise level, and the needed set."""
+    best = min(pool, key=lambda row: row.error)
+    table = Table(rows, best, least, noise, c)
+    return best, table, _needed(pool, rows[0], table)
+
+
+def _forces_first(rows: Sequence[Row], noise: Array, c: Criteria) -> list[Row]:
+    """Return the sets of forces alone; all sets where faults of sensors and drives leave far less."""
+    best = min(rows, key=lambda row: row.error)
+    forces = [row for row in rows if not row.blames]
+    if not best.blames or not forces:
+        return forces or list(rows)
+    level = float(np.sqrt(np.mean(np.minimum(noise, best.validation) ** 2)))
+    rival = min(forces, key=lambda row: row.error)
+    is_near = excess(rival, level, c) < c.forces_first * excess(best, level, c)
+    return forces if is_near else list(rows)
+
+
+def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
+    """Return the best set with as few laws as are needed: each further law must lower the error beyond chance and by more than the width,
+    and remove a share of the rest."""
+    c, chosen = table.c, refit
+    for count in sorted({len(row.members) for row in rows}):
+        best = min((row for row in rows if len(row.members) == count), key=lambda row: row.error)
+        left = excess(best, table.noise, c) / excess(chosen, table.noise, c)
+        falls = beyond_noise(chosen, table.noise) - beyond_noise(best, table.noise)
+        if falls > table.width(best) and left < c.one_more_leaves and table.is_better(best, chosen):
+            chosen = best
+    return chosen
+
+
+def simplest_law(rows: Sequence[Row], best: Row, refit: Row, c: Criteria) -> Row:
+    """Return the set with fewest parameters among those of the same kinds that remove nearly as much."""
+    removed = refit.error**2 - best.error**2
+    alike = [
+        row
+        for row in rows
+        if row.kinds == best.kinds and refit.error**2 - row.error**2 >= c.within_kind * removed
+    ]
+    return min([*alike, best], key=lambda row: (row.parameters, row.error))

@@ -1,0 +1,160 @@
+"""Search for the missing laws: sets of one to three, found by plain fits with a beam by held-out error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._estimation.gauss_newton import Fitter, gap
+from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
+from .._estimation.structure import base_structure
+from .._simulation.problem import BROKEN
+from .._simulation.time_limit import SEARCH, TimeLimit, TimeUp
+from .answer import answer_of, simplest_law
+from .candidate import Candidate, deviance, filters_for, settle
+from .candidate_comparison import CandidateComparison
+from .held_out_table import row_of
+from .plain_fits import FAILS, Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from ..._common.arrays import Array
+    from .._estimation.gauss_newton import Fit
+    from .._estimation.structure import Structure
+    from .._simulation.problem import Problem
+    from .criteria import Criteria
+    from .held_out import HeldOutEvaluator
+    from .held_out_table import Row
+    from .settings import SearchSettings
+
+#: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
+ASTRAY = 1.1
+#: number of the law that is looked for, in words
+ORDINALS = ("a first", "a second", "a third", "a further")
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Search for the laws that a model lacks."""
+
+    evaluator: HeldOutEvaluator
+    settings: SearchSettings
+    criteria: Criteria
+    #: receives a line of progress
+    say: Callable[[str], None]
+    clock: TimeLimit = field(default_factory=TimeLimit)
+
+    @property
+    def problem(self) -> Problem:
+        """Model and records."""
+        return self.evaluator.problem
+
+    @property
+    def least_noise(self) -> Array:
+        """Smallest noise that residuals are weighted with (channels,)."""
+        return self.evaluator.least_noise
+
+    @property
+    def noise(self) -> Array:
+        """Noise of the validation records as a share of the deviation (channels,)."""
+        deviations = [f.deviation for f in self.evaluator.noise_estimates]
+        return np.asarray(deviations) / self.evaluator.validation_deviation
+
+    def run(self, refitted: Candidate) -> CandidateComparison:
+        """Search from the refitted nominal model."""
+        rows = self.score([refitted.fit])
+        try:
+            with self.clock.until(SEARCH):
+                self._extend(rows)
+        except TimeUp:
+            count = max(len(row.members) for row in rows)
+            self.clock.leave_out(f"the search for {ORDINALS[min(count, len(ORDINALS) - 1)]} effect")
+        answer = answer_of(rows, self.least_noise, self.noise, self.criteria)
+        return CandidateComparison(
+            self.evaluator, self.criteria, refitted, self._candidates(rows, refitted), answer
+        )
+
+    def _candidates(self, rows: Sequence[Row], refitted: Candidate) -> dict[int, Candidate]:
+        """Return the candidate of each row."""
+        p, share = self.problem, rows[0].share
+        out = {id(row): Candidate(row.fit, deviance(p, row.fit, self.least_noise, share)) for row in rows}
+        return out | {id(rows[0]): refitted}
+
+    def _extend(self, rows: list[Row]) -> None:
+        """Append the rows of sets with one more law each, from the best sets of the step before."""
+        s, noise = self.settings, float(np.sqrt(np.mean(self.noise**2)))
+        front = [rows[0].fit]
+        for depth in range(s.depth):
+            label = "; ".join(h.label for h in front[0].structure.hypotheses) or "refitted model"
+            self.say(f"looking for {ORDINALS[min(depth, len(ORDINALS) - 1)]} effect (beside the {label})")
+            found: dict[frozenset[object], Fit] = {}
+            for fit in front:
+                for more in Stage(self.problem, fit, self.least_noise, s).run():
+                    key = frozenset(more.structure.hypotheses)
+                    if key not in found or more.cost < found[key].cost:
+                        found[key] = more
+            ranked = sorted(found.values(), key=lambda f: f.cost)
+            new = self.score(ranked[: s.scored_further if depth else s.scored])
+            before = min(row.error for row in rows if row.is_sound)
+            rows += new
+            sound = [row for row in new if row.is_sound]
+            best = min(sound, key=lambda row: row.error, default=None)
+            if best is None or best.error > s.least_step * before:
+                break
+            if best.error**2 - noise**2 < s.good_enough**2:
+                break
+            front = [row.fit for row in self._front(sound, rows[0])]
+
+    def _front(self, rows: Sequence[Row], refit: Row) -> list[Row]:
+        """Return the best sets of distinct kinds, each with the simplest law of its kinds."""
+        out: dict[object, Row] = {}
+        for row in sorted(rows, key=lambda row: row.error):
+            if row.kinds not in out and len(out) < self.settings.beam:
+                out[row.kinds] = simplest_law(rows, row, refit, self.criteria)
+        return list(out.values())
+
+    def score(self, fits: Sequence[Fit]) -> list[Row]:
+        """Return the rows of the fits that can simulate all records."""
+        rows = []
+        for fit in fits:
+            try:
+                rows.append(row_of(self.evaluator, fit))
+            except FAILS:
+                continue
+        return rows
+
+    def refit_nominal(self) -> Candidate:
+        """Refit the nominal model within its stated uncertainty from the nominal values and, where the motion is lightly damped, from
+        segments; the nominal model where every refit errs more on the training records."""
+        p, least = self.problem, self.least_noise
+        structure = base_structure(p.network)
+        found = [settle(p, structure, structure.start, least)]
+        try:
+            again = self.from_segments(structure, structure.start, found[0])
+            found += [again] if again is not None else []
+        except TimeUp:
+            self.clock.leave_out("further starts of the refit")
+            return found[0]
+        gaps = [gap(p, c.fit) for c in found]
+        near = [c for c, g in zip(found, gaps, strict=True) if g <= ASTRAY * min(gaps)]
+        plainly = self.evaluator.plain_fitter.follow(structure, structure.start, p.estimation)
+        nominal = settle(p, structure, structure.start, least, plainly, iterations=0)
+        # else every refit has lost the motion
+        return min(near, key=lambda c: c.deviance) if gap(p, nominal.fit) >= min(gaps) / ASTRAY else nominal
+
+    def from_segments(
+        self, structure: Structure, x: Array, similar: Candidate, share: Array | None = None
+    ) -> Candidate | None:
+        """Fit a structure from a fit to brief segments, weighted by the residuals of a similar candidate; None where the motion is
+        strongly damped."""
+        p, least = self.problem, self.least_noise
+        if p.network.inputs and not is_lightly_damped(p.network):
+            return None
+        try:
+            start = fit_segments(p, structure, x, Fitter(p, filters_for(p, similar.fit, least)))
+            return None if start is None else settle(p, structure, start, least, rounds=2, share=share)
+        except BROKEN:
+            return None

@@ -1,0 +1,279 @@
+"""Plain fits: every law at every place, fitted to the training records by simulation error with white noise.
+
+A stage adds one law to a fitted set. All starts of all laws are simulated first, as variants of one structure side by side. The misfit of a
+start is what the parameters, initial states and offsets of the set cannot absorb to first order. The best starts of each law are
+fitted: from the states of the set, and from states that the first samples tell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._common.errors import InputError
+from ...physics.elements import beside
+from ...physics.network import assemble
+from ...physics.simulate import side_by_side
+from .._estimation.gauss_newton import Fit, Fitter
+from .._estimation.initial_states import transfer_states
+from .._estimation.noise import white_weights
+from .._estimation.structure import FAR, WIDE, add
+from .._hypotheses.law_matching import residual_of, starts_of
+from .._hypotheses.library import hypotheses
+from .._hypotheses.motion import LANES, joined, motions
+from .._hypotheses.pair_forces import measured_motions
+from .._simulation.problem import BROKEN, bare
+from .admissibility import is_admissible, travels
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from ..._common.arrays import Array
+    from .._estimation.structure import Hypothesis, Structure
+    from .._simulation.problem import Problem
+    from .settings import SearchSettings
+
+FAILS = (*BROKEN, ValueError, InputError)
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A law with start values in a structure."""
+
+    law: Hypothesis
+    structure: Structure
+    #: start values (parameters,), transformed
+    x: Array
+
+
+def freed(structure: Structure, law: Hypothesis) -> Structure:
+    """Return the structure in which a law may take the place of an element of its kind that the law contains: the element's parameters
+    are free."""
+    here = beside(structure.network, law.where) if law.place == "between" else []
+    names = {e.name for e in here if e.type in law.kind.contains and e.mechanism == law.kind.mechanism}
+    free = tuple(
+        replace(f, sigma=WIDE, low=f.mean - FAR, high=f.mean + FAR)
+        if f.log and f.path.rpartition(".")[0] in names
+        else f
+        for f in structure.free
+    )
+    return replace(structure, free=free)
+
+
+def try_fit(
+    fitter: Fitter,
+    structure: Structure,
+    x: Array,
+    states: dict[int, Array] | None,
+    offset: dict[int, Array] | None,
+    steps: int,
+) -> Fit | None:
+    """Return a fit; None where the simulation breaks down."""
+    try:
+        fit = fitter.fit(structure, x, states, offset, iterations=steps)
+    except FAILS:
+        return None
+    return fit if math.isfinite(fit.cost) else None
+
+
+class Stage:
+    """Plain fits of all laws beside a fitted set."""
+
+    def __init__(self, problem: Problem, base: Fit, least: Array, rules: SearchSettings):
+        self.whole, self.least, self.rules = problem, least, rules
+        self.full = Fitter(problem, white_weights(least))
+        self.problem = problem.rough
+        self.coarse = Fitter(self.problem, white_weights(least))
+        self.base = base
+        self.now = base
+        if self.problem is not problem:
+            self.now = self.coarse.fit(
+                base.structure, base.x, base.initial, base.offset, records=list(base.initial), iterations=0
+            )
+
+    def run(self) -> list[Fit]:
+        """Return the fits with one more law, smallest cost first: all laws with at most one parameter more, and the best others."""
+        rules, is_first = self.rules, not self.base.structure.hypotheses
+        shortlist, kept = (
+            (rules.shortlist, rules.kept) if is_first else (rules.shortlist_further, rules.kept_further)
+        )
+        starts = self.starts()
+        beside, alone = self.misfits(starts)
+        own: dict[Hypothesis, list[Start]] = defaultdict(list)
+        # the first start of a law is the best one beside the set's own changes, the second one the best by itself
+        orders = [np.argsort(m, kind="stable") for m in (beside, alone)]
+        for k in (int(k) for both in zip(*orders, strict=True) for k in both):
+            if math.isfinite(beside[k]) and starts[k] not in own[starts[k].law]:
+                own[starts[k].law].append(starts[k])
+        by_law = {law: found for law, found in own.items() if found}
+        begun: list[tuple[float, int, Fit]] = []
+        for law in self.with_special_cases(list(by_law)[:shortlist], by_law):
+            for fit in self.first_fits(by_law[law]):
+                begun.append((fit.cost, len(begun), fit))
+        return self.finish([fit for *_, fit in sorted(begun, key=lambda t: t[:2])], kept)
+
+    @staticmethod
+    def with_special_cases(laws: Sequence[Hypothesis], every: Iterable[Hypothesis]) -> list[Hypothesis]:
+        """Return laws and the special cases of them that were simulated."""
+        simple = {(name, law.where) for law in laws for name in law.kind.contains}
+        return [*laws, *(law for law in every if law not in laws and (law.effect, law.where) in simple)]
+
+    # -- starts -------------------------------------------------------------------------------------------
+    def starts(self) -> list[Start]:
+        """Return the starts of all admissible laws: several sizes, beside refitted and nominal parameters."""
+        base, network = self.base, self.base.structure.network
+        refitted = {f.path: float(v) for f, v in zip(base.structure.free, base.x, strict=True)}
+        nominal = {f.path: refitted[f.path] if f.owner >= 0 else f.mean for f in base.structure.free}
+        have = {(h.kind.mechanism, frozenset(h.where)) for h in base.structure.hypotheses}
+        motion = motions(self.whole, base)
+        known = travels(self.whole, base.network, motion)
+        laws = [
+            h
+            for h in hypotheses(network)
+            if (h.kind.mechanism, frozenset(h.where)) not in have and is_admissible(h, known)
+        ]
+        is_further = bool(base.structure.hypotheses)
+        most = self.rules.starts_further if is_further else self.rules.starts
+        out: list[Start] = []
+        count: dict[Hypothesis, int] = defaultdict(int)
+        seen = measured_motions(self.whole, base, self.least)
+        for law, start in starts_of(self.whole, base, {p: joined(m) for p, m in seen.items()}, laws):
+            sizes = self.rules.sizes if start.grows else (1.0,)
+            tries = [(s, refitted) for s in (sizes[:2] if is_further else sizes)]
+            tries += [] if is_further else [(1.0, nominal)]
+            for way in start.ways:
+                for size, values in tries:
+                    by = 1.0 / size if start.inverse else size
+                    if count[law] >= most:
+                        continue
+                    try:
+                        built = add(
+                            freed(base.structure, law), law, way | {k: way[k] * by for k in start.grows}
+                        )
+                        x = built.start_from(values)
+                        assemble(bare(built.network))
+                    except FAILS:
+                        continue
+                    count[law] += 1
+                    out.append(Start(law, built, x))
+        return out
+
+    def misfits(self, starts: Sequence[Start]) -> tuple[Array, Array]:
+        """Return the misfits of the starts (starts,), with the states of the set: the sum over channels of the logarithm of the residual's
+        variance, after first-order changes of what the set has free, and before; infinite where the simulation breaks down."""
+        p, now = self.problem, self.now
+        residual = residual_of(p, self.coarse, now)
+        beside, alone = np.full((2, len(starts)), math.inf)
+        columns = len(p.channels)
+        for chunk, seen in self.simulations(starts):
+            rows = np.zeros((len(residual.left), len(chunk)))
+            for i, y in seen.items():
+                first, last, _ = residual.spans[i]
+                offset = np.repeat(now.offset[i][:, None], y.shape[2], axis=1)[:columns]
+                with np.errstate(over="ignore", invalid="ignore"):
+                    left = p.records[i].measured[:, :, None] - y - offset[None]
+                    rows[first:last] = self.coarse.weights(left).reshape(last - first, -1)
+            is_finite = (np.abs(rows) < 1e100).all(axis=0)
+            rows[:, ~is_finite] = 0.0
+            own = len(now.x)
+            for lane, k in enumerate(chunk):
+                x = starts[k].x[:own] if own else np.zeros(0)
+                structure = now.structure
+                if own and len(x) == own:
+                    rows[len(rows) - own :, lane] = (structure.mean - x) / structure.sigma
+            for out, left in ((beside, residual.without(rows)), (alone, rows)):
+                square = left[: len(rows) - own].reshape(-1, columns, len(chunk)) ** 2
+                cost = np.sum(np.log(square.mean(axis=0) + 1.0), axis=0)
+                out[chunk] = np.where(is_finite, cost, math.inf)
+        return beside, alone
+
+    def simulations(self, starts: Sequence[Start]) -> Iterator[tuple[list[int], dict[int, Array]]]:
+        """Yield the outputs of starts of one structure over all training records, with the states of the set."""
+        p, now = self.problem, self.now
+        groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
+        networks = [s.structure.at(s.x) for s in starts]
+        for k, network in enumerate(networks):
+            try:
+                key = side_by_side(assemble(bare(network)))
+            except FAILS:
+                continue
+            outside = tuple(type(e).__name__ for e in network.elements if e.place != "between")
+            groups[(outside, *key)].append(k)
+        chunks = [own[k : k + LANES] for own in groups.values() for k in range(0, len(own), LANES)]
+        while chunks:
+            chunk = chunks.pop(0)
+            nets = [networks[k] for k in chunk]
+            begun = {i: np.repeat(now.initial[i][:, None], len(nets), axis=1) for i in p.estimation}
+            try:
+                yield chunk, p.simulate_all(nets, p.estimation, begun, like=now.network)
+            except FAILS:
+                half = len(chunk) // 2  # isolate a variant that diverges
+                chunks = [c for c in (chunk[:half], chunk[half:]) if 0 < len(c) < len(chunk)] + chunks
+
+    # -- fits ---------------------------------------------------------------------------------------------
+    def first_fits(self, starts: Sequence[Start]) -> list[Fit]:
+        """Return brief fits of a law from its best starts, each from the states of the set and from those that the first samples tell."""
+        rules, out = self.rules, []
+        for start in starts[: rules.fitted]:
+            for states in self.states(start):
+                offset = None if states is None else self.now.offset
+                fit = try_fit(self.coarse, start.structure, start.x, states, offset, rules.first_steps)
+                out += [fit] if fit is not None else []
+        return out
+
+    def states(self, start: Start) -> list[dict[int, Array] | None]:
+        """Return the initial states from which a start is fitted: those of the set, and None for those that the first samples tell; the
+        cheaper ones alone where both cost nearly the same."""
+        p, now = self.problem, self.now
+        fresh = self.cost(start, None)
+        try:
+            carried = transfer_states(p, now.network, now.initial, start.structure)
+        except FAILS:
+            return [None] if math.isfinite(fresh) else []
+        cost = self.cost(start, carried)
+        found = sorted([(cost, 0), (fresh, 1)])
+        if found[1][0] < self.rules.alike * found[0][0]:
+            del found[1]
+        return [None if k else carried for value, k in found if math.isfinite(value)]
+
+    def cost(self, start: Start, states: dict[int, Array] | None) -> float:
+        """Return the cost of a start from states, or from states that the first samples tell; infinite where the simulation breaks down."""
+        p, fitter = self.problem, self.coarse
+        offset = None if states is None else self.now.offset
+        try:
+            at = fitter.begin(start.structure, start.x, states, offset, p.estimation)
+            return fitter.seen(start.structure, at, p.estimation).total
+        except FAILS:
+            return math.inf
+
+    def finish(self, begun: Sequence[Fit], kept: int) -> list[Fit]:
+        """Fit the laws to the end, each from its best first fit, and the best ones with all samples."""
+        out: list[Fit] = []
+        seen: set[Hypothesis] = set()
+        for fit in begun:
+            law = fit.structure.hypotheses[-1]
+            is_small = len(fit.x) <= len(self.base.x) + 1
+            is_hopeless = fit.cost > self.rules.hopeless * begun[0].cost
+            # few steps say little about a law with one parameter while the set still misses much
+            is_left = is_hopeless and bool(self.base.structure.hypotheses) if is_small else True
+            if law in seen or (len(seen) >= kept and is_left):
+                continue
+            seen.add(law)
+            more = try_fit(
+                self.coarse, fit.structure, fit.x, fit.initial, fit.offset, self.rules.further_steps
+            )
+            out += [more] if more is not None else []
+        out.sort(key=lambda f: f.cost)
+        if self.problem is self.whole:
+            return out
+        last = [
+            try_fit(
+                self.full, f.structure, f.x, f.initial, f.offset, self.rules.last_steps if k < kept else 0
+            )
+            for k, f in enumerate(out)
+        ]
+        return sorted((f for f in last if f is not None), key=lambda f: f.cost)
