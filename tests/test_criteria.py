@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 from isd_gym.diagnosis._result_builder import ResultBuilder, closed
-from isd_gym.diagnosis._selection.candidate_comparison import CandidateComparison
 from isd_gym.diagnosis._selection.contradictions import repeats
 from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
 from isd_gym.diagnosis._selection.free_force import FreeForce
 from isd_gym.diagnosis._selection.held_out import HeldOutScore
 from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
-from isd_gym.diagnosis._verdict.gates import Decision, confidence, decide, gates_of, table_gates
+from isd_gym.diagnosis._verdict.gates import confidence, decide, gates_of, table_gates
 from isd_gym.diagnosis._verdict.grades import MISTAKEN, grade, share_mistaken
-from isd_gym.diagnosis._workflow import Workflow
 from isd_gym.physics.elements import TYPES, Motion
 
 SEEN = {"share": 0.4, "spread": 0.05, "removed": 0.995, "width": 0.3, "beyond_small": True}
@@ -92,29 +90,6 @@ def test_test_records_without_a_gap_neither_confirm_a_name_nor_take_it_away():
 def test_an_effect_whose_law_alone_is_open_is_told_as_open(changes):
     rival = {"indistinguishable": ("hysteresis at mass-ground",), "rival_loss": 1.0}
     assert decide(replace(GOOD, **rival, **changes)).verdict == "ambiguous"
-
-
-@pytest.mark.parametrize(("alone", "is_named"), [("missing_effect", True), ("unknown_effect", False)])
-def test_effects_that_all_rivals_share_are_named_if_they_pass_alone(alone, is_named):
-    pair, rival, part = (SimpleNamespace(hypotheses=h) for h in (("a", "b"), ("a", "c"), ("a",)))
-    scores = SimpleNamespace(foremost=pair, chosen=pair, candidates=lambda: [pair, rival, part])
-    open_gate = gates_of(replace(GOOD, indistinguishable=("c",)))
-    flow = SimpleNamespace(
-        measure=lambda s: SimpleNamespace(indistinguishable=[rival] if s.foremost is pair else []),
-        decide=lambda s, m: Decision("ambiguous", open_gate) if s.foremost is pair else Decision(alone, ()),
-    )
-    found, _, decision = Workflow.conclude(flow, scores)
-    assert (found.foremost, decision.verdict) == ((part, alone) if is_named else (pair, "ambiguous"))
-
-
-@pytest.mark.parametrize(("by_force", "gives_way"), [(3.9, True), (4.1, False)])
-def test_a_fault_of_a_sensor_gives_way_to_a_force_that_explains_nearly_as_much(by_force, gives_way):
-    at = {place: (SimpleNamespace(place=place),) for place in ("channel", "between")}
-    sensor = SimpleNamespace(hypotheses=at["channel"], mean_square=2.0)
-    force = SimpleNamespace(hypotheses=at["between"], mean_square=1.0 + by_force)
-    scores = SimpleNamespace(score=lambda r: r, noise_score=1.0, criteria=CRITERIA)
-    assert CandidateComparison.blames_needlessly(scores, sensor, force) == gives_way
-    assert not CandidateComparison.blames_needlessly(scores, force, sensor)
 
 
 def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_itself():

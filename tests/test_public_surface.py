@@ -72,7 +72,7 @@ isd_gym.diagnosis
     SearchSettings Trace diagnose hypotheses
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
-    also BestCandidate BestTable FOLDER Over Remainder SCHEMA ScreenedPlace Stretches Tabulated
+    also BestCandidate BestTable FOLDER LawSet Over Remainder SCHEMA ScreenedPlace Stretches Tabulated
 isd_gym.diagnosis.simulation
     FittedInitialState initial_state state_of
 isd_gym.env

@@ -193,12 +193,14 @@ class ResultBuilder:
         scores, measured = self.scores, self.measured
         if decision.verdict in ("no_discrepancy", "parameters_only") or not scores.foremost.hypotheses:
             return decision, ()
+        weighted = weigh_candidates(scores, free.candidate)
+        own = (w.statements for w in weighted if w.candidate is scores.foremost)
         findings = find(
             self.search,
-            weigh_candidates(scores, free.candidate),
+            weighted,
             measured.evidence,
             measured.quantities,
-            scores,
+            next(own, frozenset()),
             is_named=decision.verdict == "missing_effect",
             # a name under feedback is no multiple of the controller's input
             is_doubted=not scores.answer.band

@@ -15,7 +15,6 @@ from .grades import MISTAKEN, REPORTED, grade, share_mistaken
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from .._selection.candidate_comparison import CandidateComparison
     from .._selection.criteria import Criteria
     from .._selection.law_sets import Search
     from .._selection.weights import WeightedCandidate
@@ -71,7 +70,7 @@ def find(
     candidates: Sequence[WeightedCandidate],
     evidence: Evidence,
     quantities: Mapping[str, Quantity],
-    scores: CandidateComparison,
+    own: frozenset[Statement],
     *,
     is_named: bool,
     is_doubted: bool,
@@ -83,11 +82,10 @@ def find(
         candidates: Candidates with weights.
         evidence: Evidence for the foremost candidate.
         quantities: Parameters with intervals, by path.
-        scores: Scores of the sets, with the foremost one.
+        own: Statements of the foremost candidate.
         is_named: Whether its effects are named.
         is_doubted: Whether a free curve or a controller explains its force.
     """
-    own = next((w.statements for w in candidates if w.candidate is scores.foremost), frozenset[Statement]())
     return _Finder(search.criteria, candidates, evidence, quantities, own, is_named, is_doubted).find()
 
 
