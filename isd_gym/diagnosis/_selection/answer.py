@@ -85,6 +85,14 @@ class Table:
         """Return whether a set predicts better than another, beyond chance."""
         return compare(self.density[id(row)], self.density[id(other)]).is_better(self.c)
 
+    def leaves(self, row: Row, other: Row) -> float:
+        """Return the squared error beyond noise that a set leaves, as a share of what the other leaves."""
+        return excess(row, self.noise, self.c) / excess(other, self.noise, self.c)
+
+    def is_alike(self, row: Row, best: Row) -> bool:
+        """Return whether chance makes the difference to the best set: the best set predicts no better, and leaves a similar error."""
+        return not self.is_better(best, row) and self.leaves(best, row) >= self.c.one_more_leaves
+
     def width(self, best: Row) -> float:
         """Return the difference of errors that is no difference beside a set: it grows with what the set leaves."""
         grown = self.c.width_growth * excess(best, self.noise, self.c) ** 0.5
@@ -115,7 +123,7 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
         return Answer(refit, (), (), best, width, singles, table.noise)
     pool = [row for row in sound if row.blames <= chosen.blames]
     same = [row for row in pool if len(row.members) == len(chosen.members)]
-    near = [row for row in same if row.error - chosen.error < width or not table.is_better(chosen, row)]
+    near = [row for row in same if row.error - chosen.error < width or table.is_alike(row, chosen)]
     others = [row for row in near if row.kinds != chosen.kinds]
     band = [simplest_law(same, chosen, refit, c), *sorted(others, key=lambda r: (r.parameters, r.error))]
     odds = np.exp([(chosen.error - row.error) / width for row in band])
@@ -144,14 +152,14 @@ def _forces_first(rows: Sequence[Row], noise: Array, c: Criteria) -> list[Row]:
 
 
 def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
-    """Return the best set with as few laws as are needed: each further law must lower the error beyond chance and by more than the width,
-    and remove a share of the rest."""
+    """Return the best set with as few laws as are needed: each law must lower the error beyond chance, by more than the width and by a
+    material amount (in power), and remove a share of the rest."""
     c, chosen = table.c, refit
     for count in sorted({len(row.members) for row in rows}):
         best = min((row for row in rows if len(row.members) == count), key=lambda row: row.error)
-        left = excess(best, table.noise, c) / excess(chosen, table.noise, c)
         falls = beyond_noise(chosen, table.noise) - beyond_noise(best, table.noise)
-        if falls > table.width(best) and left < c.one_more_leaves and table.is_better(best, chosen):
+        is_material = chosen.error**2 - best.error**2 > c.material**2 and falls > table.width(best)
+        if is_material and table.leaves(best, chosen) < c.one_more_leaves and table.is_better(best, chosen):
             chosen = best
     return chosen
 

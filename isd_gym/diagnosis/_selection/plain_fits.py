@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +19,9 @@ from ..._common.errors import InputError
 from ...physics.elements import beside
 from ...physics.network import assemble
 from ...physics.simulate import side_by_side
-from .._estimation.gauss_newton import Fit, Fitter
+from .._estimation.gauss_newton import Fit, Fitter, gap
 from .._estimation.initial_states import transfer_states
+from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.noise import white_weights
 from .._estimation.structure import FAR, WIDE, add
 from .._hypotheses.law_matching import residual_of, starts_of
@@ -28,6 +30,7 @@ from .._hypotheses.motion import LANES, joined, motions
 from .._hypotheses.pair_forces import measured_motions
 from .._simulation.problem import BROKEN, bare
 from .admissibility import is_admissible, travels
+from .candidate import parameter_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -223,7 +226,17 @@ class Stage:
                 offset = None if states is None else self.now.offset
                 fit = try_fit(self.coarse, start.structure, start.x, states, offset, rules.first_steps)
                 out += [fit] if fit is not None else []
+            x = fit_segments(self.problem, start.structure, start.x, self.coarse) if self.is_lost else None
+            if x is not None:
+                fit = try_fit(self.coarse, start.structure, x, None, None, rules.first_steps)
+                out += [fit] if fit is not None else []
         return out
+
+    @cached_property
+    def is_lost(self) -> bool:
+        """Return whether the set has lost the phase of a lightly damped motion: each start is fitted to growing segments, too."""
+        is_free = not self.problem.network.inputs or is_lightly_damped(self.problem.network)
+        return is_free and gap(self.problem, self.now) > self.rules.astray**2
 
     def states(self, start: Start) -> list[dict[int, Array] | None]:
         """Return the initial states from which a start is fitted: those of the set, and None for those that the first samples tell; the
@@ -267,6 +280,7 @@ class Stage:
                 self.coarse, fit.structure, fit.x, fit.initial, fit.offset, self.rules.further_steps
             )
             out += [more] if more is not None else []
+        out += self.special_cases(out)
         out.sort(key=lambda f: f.cost)
         if self.problem is self.whole:
             return out
@@ -277,3 +291,32 @@ class Stage:
             for k, f in enumerate(out)
         ]
         return sorted((f for f in last if f is not None), key=lambda f: f.cost)
+
+    def special_cases(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Return fits of special cases of the last law from the values of the law, where the law costs less than the special case: the
+        special case may be in another local optimum."""
+        costs = {f.structure.hypotheses[-1]: f.cost for f in reversed(fits)}
+        out = []
+        for fit in fits:
+            law = fit.structure.hypotheses[-1]
+            for name in law.kind.contains:
+                plainer = replace(law, effect=name, options=())
+                if costs.get(plainer, -math.inf) > fit.cost:
+                    more = self.special_case(fit, plainer)
+                    out += [more] if more is not None else []
+        return out
+
+    def special_case(self, fit: Fit, plainer: Hypothesis) -> Fit | None:
+        """Return a fit of a special case of the last law of a fit, from the values of that law; None where the simulation breaks down."""
+        law, name = fit.structure.hypotheses[-1], fit.structure.names[-1]
+        values = parameter_values(fit.network.element(name))
+        motion = motions(self.problem, fit).get((law.where[0], law.where[-1]))
+        known = {f.path: float(v) for f, v in zip(fit.structure.free, fit.x, strict=True)}
+        kept = {path: v for path, v in known.items() if path.rpartition(".")[0] != name}
+        try:
+            special = law.kind.special(plainer.effect, values, motion)
+            structure = add(freed(self.base.structure, plainer), plainer, special)
+        except FAILS:
+            return None
+        x = structure.start_from(kept)
+        return try_fit(self.coarse, structure, x, None, None, self.rules.further_steps)
