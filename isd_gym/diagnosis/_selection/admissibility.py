@@ -18,7 +18,6 @@ from ...physics import elements as el
 from ...physics.network import linearise
 from .._hypotheses.pair_forces import typical_advance
 from .._simulation.problem import bare
-from .criteria import CRITERIA
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,10 +26,11 @@ if TYPE_CHECKING:
     from ...physics.network import Network
     from .._estimation.structure import Hypothesis
     from .._simulation.problem import Problem
-    from .criteria import Criteria
 
     Pair = tuple[str, str]
 
+#: passes through each travel from which on an unobserved travel is known to return
+THERE_AND_BACK = 2.0
 #: singular value below which a shift of the travel changes nothing, relative to rows of unit length: rounding
 NO_CHANGE = 1e-9
 
@@ -50,9 +50,10 @@ class Travel:
     #: whether an input drives the motion
     is_driven: bool = True
 
-    def is_known(self, c: Criteria = CRITERIA) -> bool:
-        """Return whether the travel is observed, or returns within the records."""
-        return self.is_observed or self.passes >= c.periods
+    @property
+    def is_known(self) -> bool:
+        """Whether the travel is observed, or passed there and back within the records."""
+        return self.is_observed or self.passes >= THERE_AND_BACK
 
 
 def is_observed(network: Network, pair: Pair) -> bool:
@@ -106,12 +107,12 @@ def has_period(kind: type[el.Element]) -> bool:
     return kind.periodic is not None or kind.period is not el.Element.period
 
 
-def is_admissible(h: Hypothesis, known: Mapping[Pair, Travel], c: Criteria = CRITERIA) -> bool:
+def is_admissible(h: Hypothesis, known: Mapping[Pair, Travel]) -> bool:
     """Return whether the motion of the records can show an effect at a place."""
     if has_period(h.kind) or not (h.kind.series or needs_travel(h.kind)):
         return True
     travel = travel_of(h.where, known)
-    return travel is None or travel.is_known(c) or (h.kind.series and travel.is_driven)
+    return travel is None or travel.is_known or (h.kind.series and travel.is_driven)
 
 
 def travel_of(where: tuple[str, ...], known: Mapping[Pair, Travel]) -> Travel | None:

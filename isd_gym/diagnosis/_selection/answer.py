@@ -118,8 +118,7 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
     if not chosen.members:
         best, table, chosen = _best_of(sound, rows, least, noise, c)
     width = table.width(chosen if chosen.members else best)
-    # a set that leaves so much has lost the motion
-    if not chosen.members or chosen.error > c.lost:
+    if not chosen.members:
         return Answer(refit, (), (), best, width, singles, table.noise)
     pool = [row for row in sound if row.blames <= chosen.blames]
     same = [row for row in pool if len(row.members) == len(chosen.members)]
@@ -152,14 +151,15 @@ def _forces_first(rows: Sequence[Row], noise: Array, c: Criteria) -> list[Row]:
 
 
 def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
-    """Return the best set with as few laws as are needed: each law must lower the error beyond chance, by more than the width and by a
-    material amount (in power), and remove a share of the rest."""
+    """Return the best set with as few laws as are needed: more laws must lower the error beyond chance, by more than the width and by a
+    material amount (in power), and each of them must remove a share of the rest."""
     c, chosen = table.c, refit
     for count in sorted({len(row.members) for row in rows}):
         best = min((row for row in rows if len(row.members) == count), key=lambda row: row.error)
         falls = beyond_noise(chosen, table.noise) - beyond_noise(best, table.noise)
         is_material = chosen.error**2 - best.error**2 > c.material**2 and falls > table.width(best)
-        if is_material and table.leaves(best, chosen) < c.one_more_leaves and table.is_better(best, chosen):
+        allowed = c.one_more_leaves ** (count - len(chosen.members))
+        if is_material and table.leaves(best, chosen) < allowed and table.is_better(best, chosen):
             chosen = best
     return chosen
 

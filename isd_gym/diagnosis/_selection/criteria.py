@@ -56,7 +56,7 @@ class Criteria:
         "small effects of simulated rigs",
     )
     width_growth: float = limit(
-        0.5,
+        0.3,
         "share of the error beyond noise",
         "the band of the best set widens with what the set leaves, up to `material`",
         "simulated and measured rigs together",
@@ -68,16 +68,10 @@ class Criteria:
         "as above",
     )
     one_more_leaves: float = limit(
-        0.45,
+        0.4,
         "share of the squared error beyond noise",
-        "one more law must leave less of what the smaller set leaves",
+        "each further law must leave less of what the smaller set leaves",
         "as above",
-    )
-    lost: float = limit(
-        0.2,
-        "share of the deviation",
-        "a set that leaves more has lost the motion, and names nothing",
-        "the last fit of a model gives up there, too",
     )
     share: float = limit(
         0.05,

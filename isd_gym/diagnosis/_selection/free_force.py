@@ -161,7 +161,7 @@ def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForce
         if m is None or el.rms(m.d) <= 1e-9 or el.rms(m.v) <= 1e-9:
             continue
         for over in PLANES:
-            if over == "elongation" and not known[pair].is_known():
+            if over == "elongation" and not known[pair].is_known:
                 continue
             try:
                 built = table(base.fit, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair))
@@ -173,9 +173,7 @@ def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForce
 
 def is_told(problem: Problem, fit: Fit, pair: tuple[str, str], motion: el.Motion) -> bool:
     """Return whether the records show a force over the distance of two nodes."""
-    return (
-        not order_told(fit.network, pair) and travels(problem, fit.network, {pair: motion})[pair].is_known()
-    )
+    return not order_told(fit.network, pair) and travels(problem, fit.network, {pair: motion})[pair].is_known
 
 
 @dataclass(frozen=True)

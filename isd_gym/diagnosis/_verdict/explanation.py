@@ -82,7 +82,7 @@ def conditions(
         yield near_reversals(v, width), f"velocity of {a}-{b} changes sign"
         for q in (0.8, 0.95):
             level = float(np.quantile(np.abs(d), q))
-            if known[a, b].is_known() and not order_told(problem.network, (a, b)):
+            if known[a, b].is_known and not order_told(problem.network, (a, b)):
                 yield np.abs(d) > level, f"|travel of {a}-{b}| is beyond {scale * level:.3g} {length}"
             level = float(np.quantile(np.abs(v), q))
             yield np.abs(v) > level, f"|velocity of {a}-{b}| is above {level:.3g} {speed}"
