@@ -82,7 +82,3 @@ def test_contradictions_and_two_laws_of_a_kind_at_one_place_are_no_answer():
         row(0.01, COULOMB, STRIBECK),
     )
     assert effects(found) == ["coulomb_friction"]
-
-
-def test_a_set_that_has_lost_the_motion_names_nothing():
-    assert not answer(row(2.0), row(0.3, COULOMB)).band

@@ -11,19 +11,18 @@ import numpy as np
 
 from ._estimation.gauss_newton import Fitter
 from ._estimation.noise import white_weights
-from ._estimation.structure import base_structure, owner_pair, with_sensor_offsets
+from ._estimation.structure import base_structure, owner_pair, parameter_values, with_sensor_offsets
 from ._hypotheses.library import hypotheses
 from ._hypotheses.motion import loads_of, tell_gain
 from ._planning.design import next_experiment, played
-from ._selection.candidate import Candidate, parameter_values
+from ._selection.answer import beyond_noise
 from ._selection.free_force import FreeForce, fit_free_force
 from ._selection.uncertainty import intervals, with_posterior
-from ._selection.weights import weigh_candidates
+from ._selection.weights import Statement, weigh
 from ._simulation.problem import BROKEN
 from ._simulation.time_limit import RESULT, TimeUp
 from ._verdict.explanation import draw_law, draw_table, locate_errors
-from ._verdict.findings import find
-from ._verdict.gates import Decision, confidence, table_gates
+from ._verdict.findings import Finder
 from ._verdict.wording import summary_of
 from .result import (
     BestCandidate,
@@ -44,18 +43,23 @@ if TYPE_CHECKING:
     from .._common.arrays import Array
     from ..physics.network import Network
     from ..records.data import Table
+    from ._estimation.gauss_newton import Fit
     from ._estimation.structure import Structure
-    from ._selection.candidate_comparison import CandidateComparison
+    from ._selection.answer import Answer
+    from ._selection.held_out_table import Row
     from ._selection.law_sets import Search
+    from ._verdict.evidence import Measurements
     from ._verdict.findings import Finding
-    from ._verdict.measurement import Measurements
+    from ._verdict.gates import Decision
     from ._workflow import Workflow
     from .result import Law, Tabulated
 
 
 T = TypeVar("T")
-#: largest number of sets of laws with a completed model
-MOST_SETS = 5
+#: reason why one set of several is not named
+ALIKE = "cannot be told apart on these data"
+#: largest number of sets of laws with a completed model, and of sets that the result lists
+MOST_SETS, RIVALS = 5, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ class ResultBuilder:
     """Builds the result of a diagnosis."""
 
     search: Search
-    scores: CandidateComparison
+    answer: Answer
     measured: Measurements
     flow: Workflow
     #: parts of the result that could not be made
@@ -71,40 +75,32 @@ class ResultBuilder:
 
     def build(self, decision: Decision, over: Stretches | None = None) -> Diagnosis:
         """Build the result; `over` describes the segments over which records were compared, None for whole records."""
-        search, scores, measured = self.search, self.scores, self.measured
+        search, answer, measured = self.search, self.answer, self.measured
         p, network, criteria = search.problem, search.problem.network, search.criteria
-        refitted, quantities, rivals = scores.refitted, measured.quantities, self.scores.indistinguishable()
-        # under feedback a free curve would draw the controller's law
-        is_free = decision.verdict == "unknown_effect" and not self.flow.feedback
-        what = "a table of the missing force"
-        free = (self._attempt(what, self._free_force) if is_free else None) or FreeForce()
-        found = self._attempt("the probabilities", self._findings, decision, free)
-        decision, findings = found or (decision, ())
-        is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
-        if is_ambiguous:  # a law of the library stands for the force
-            free = FreeForce()
-        completes = decision.verdict == "unknown_effect" and self._is_supported(free)
+        verdict, refit, foremost = decision.verdict, answer.refit, answer.foremost
+        is_named, is_ambiguous = verdict == "missing_effect", verdict == "ambiguous"
+        free = self._free_force() if verdict == "unknown_effect" else FreeForce()
+        findings = self._attempt("the probabilities", self._findings, verdict, free) or ()
+        completes = verdict == "unknown_effect" and self._is_supported(free)
         if completes:
             free = FreeForce(free.best)
         # the likeliest law of several that the records do not tell apart, or the best supported one
-        final = scores.foremost if is_named or is_ambiguous or completes else refitted
-        tabulated, final = free.tabulated, free.candidate or final
-        is_sum = any(h.kind.is_sum() for h in scores.foremost.hypotheses)
-        probability = confidence(measured.evidence, criteria, is_sum=is_sum)
-        effects = self._effects(quantities, probability) if is_named else []
-        rows = self._errors(final)
-        deviation = search.evaluator.validation_deviation
-        noise = scores.noise * deviation
-        posterior = quantities if final is scores.foremost else {}
+        final = free.row or (foremost if is_named or is_ambiguous or completes else refit)
+        quantities = posterior = measured.quantities
         if not is_named:
-            quantities = self._attempt("the intervals", intervals, search.evaluator, refitted) or {}
-        posterior = quantities if final is refitted else posterior
-        laws = self._laws(final, effects, tabulated)
-        test, played = self._next_test([scores.foremost, *rivals], noise) if is_ambiguous else (None, None)
+            quantities = self._attempt("the intervals", intervals, search.evaluator, refit.fit) or {}
+        if final is not foremost:
+            posterior = quantities if final is refit else {}
+        effects = self._effects(measured.quantities, findings) if is_named else []
+        rows = self._errors(final)
+        noise = measured.noise * search.evaluator.validation_deviation
+        rivals = self._rivals()
+        test, inputs = self._next_test(rivals, noise) if is_ambiguous else (None, None)
+        fitted = with_sensor_offsets(final.fit.network, final.fit.structure.offsets)
         result = Diagnosis(
-            verdict=decision.verdict,
+            verdict=verdict,
             summary="",
-            tabulated=tabulated,
+            tabulated=free.tabulated,
             best_table=free.best,
             best_candidate=self._rejected(decision, rows, completes),
             reason=decision.reason,
@@ -112,29 +108,22 @@ class ResultBuilder:
             stretches=over,
             closed_loop=self.flow.feedback,
             effects=tuple(effects),
-            small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
-            contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
+            contenders=tuple(self._contenders(rivals if is_ambiguous else rivals[1:])),
             findings=findings,
             sets=tuple(s for s, _ in self.sets),
-            where=() if decision.verdict == "no_discrepancy" else locate_errors(p, refitted.fit, noise),
+            where=() if verdict == "no_discrepancy" else locate_errors(p, refit.fit, noise),
             places=self._places(),
             parameters={path: q for path, q in quantities.items() if path in network.parameters},
             gap={stage: self._by_channel(row) for stage, row in rows.items()},
-            closed=None if final is refitted else closed(rows),
+            closed=None if final is refit else closed(rows),
             gates=decision.gates,
             next_experiment=test,
-            test=played,
+            test=inputs,
             base=network,
-            refitted=refitted.fit.network,
-            model=self._described(
-                with_posterior(
-                    with_sensor_offsets(final.fit.network, final.fit.structure.offsets), posterior
-                ),
-                decision,
-                completes,
-            ),
+            refitted=refit.fit.network,
+            model=self._described(with_posterior(fitted, posterior), decision, completes),
             traces=self._traces(final),
-            laws=laws,
+            laws=self._laws(final.fit, effects, free.tabulated),
             notes=tuple(dict.fromkeys((*self.flow.notes, *self._tried(), *self.lost))),
             units={c.name: c.unit for c in network.outputs},
             evidence=measured.evidence,
@@ -144,27 +133,25 @@ class ResultBuilder:
         result = replace(result, not_tried=tuple(search.clock.left_out))
         return replace(result, summary=summary_of(result.to_dict()))
 
+    def _rivals(self) -> list[Row]:
+        """Return the sets of the band, the simplest first, each with other kinds or places."""
+        return list(self.answer.band[: RIVALS + 1])
+
     def _is_supported(self, free: FreeForce) -> bool:
-        """Return whether the foremost candidate completes the model: it errs less than the refitted model, on test records by a material
-        amount, and less than the table of a free force on validation records."""
-        scores, best = self.scores, self.scores.foremost
-        if not best.hypotheses or not best.well_formed():
+        """Return whether the foremost set completes the model: it errs less than the refitted model, on test records by a material amount,
+        and less than the table of a free force on validation records."""
+        refit, best = self.answer.refit, self.answer.foremost
+        if not best.members or not best.is_sound or best.error >= refit.error:
             return False
-        refit, after = scores.score(scores.refitted), scores.score(best)
-        if not after.mean_square < refit.mean_square:
-            return False
-        rows = self._errors(best)
-        less = np.sum(rows["refit"] ** 2 - rows["after"] ** 2)
-        moved = np.max(rows["refit"] ** 2 - rows["after"] ** 2)
-        if not (less > 0.0 and moved >= self.search.criteria.material**2):
-            return False
-        return free.candidate is None or after.mean_square < scores.score(free.candidate).mean_square
+        falls = refit.test**2 - best.test**2
+        is_material = np.sum(falls) > 0.0 and np.max(falls) >= self.search.criteria.material**2
+        return bool(is_material) and (free.row is None or best.error < free.row.error)
 
     def _described(self, network: Network, decision: Decision, completes: bool) -> Network:
         """Return a model with a description of its law as uncertain."""
         if decision.verdict != "ambiguous" and not completes:
             return network
-        law = "; ".join(h.label for h in self.scores.foremost.hypotheses)
+        law = "; ".join(h.label for h in self.answer.foremost.fit.hypotheses)
         text = f"{'Best supported' if completes else 'Likeliest'} law, not certain: {law}."
         return replace(network, description=f"{network.description} {text}".strip())
 
@@ -182,40 +169,43 @@ class ResultBuilder:
 
     # -- decision -----------------------------------------------------------------------------------------
     def _free_force(self) -> FreeForce:
-        """Fit a table of the missing force."""
+        """Fit a table of the missing force; none under feedback, where it would draw the controller's law."""
+        if self.flow.feedback:
+            return FreeForce()
         self.flow.say("no known law explains it: following the missing force")
-        gates = functools.partial(table_gates, c=self.search.criteria)
-        free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
-        return free if free.candidate is None or self.scores.can_score(free.candidate) else FreeForce()
+        given = self.search.evaluator, self.answer.refit, self.search.criteria
+        return self._attempt("a table of the missing force", fit_free_force, *given) or FreeForce()
 
-    def _findings(self, decision: Decision, free: FreeForce) -> tuple[Decision, tuple[Finding, ...]]:
-        """Return the decision and the findings, with the free force among the candidates where one was fitted."""
-        scores, measured = self.scores, self.measured
-        if decision.verdict in ("no_discrepancy", "parameters_only") or not scores.foremost.hypotheses:
-            return decision, ()
-        weighted = weigh_candidates(scores, free.candidate)
-        own = (w.statements for w in weighted if w.candidate is scores.foremost)
-        findings = find(
-            self.search,
-            weighted,
-            measured.evidence,
-            measured.quantities,
-            next(own, frozenset()),
-            is_named=decision.verdict == "missing_effect",
-            # a name under feedback is no multiple of the controller's input
-            is_doubted=not scores.answer.band
-            or (bool(self.flow.feedback) and decision.verdict != "missing_effect"),
-        )
-        sets = self.sets
-        return decision, tuple(
-            replace(f, sets=tuple(s for s, kinds in sets if (f.kind, tuple(sorted(f.place))) in kinds))
-            for f in findings
-        )
+    def _findings(self, verdict: str, free: FreeForce) -> tuple[Finding, ...]:
+        """Return the findings, with the free force among the sets where one was fitted."""
+        answer = self.answer
+        if verdict in ("no_discrepancy", "parameters_only") or not answer.foremost.members:
+            return ()
+        named: frozenset[Statement] = frozenset()
+        if verdict == "missing_effect":
+            certain = zip(answer.simplest.members, answer.certain, strict=True)
+            named = frozenset(Statement(m.place, m.mechanism, m.effect) for m, is_so in certain if is_so)
+        # a name under feedback is no multiple of the controller's input
+        is_doubted = not answer.band or (bool(self.flow.feedback) and not named)
+        found = Finder(
+            self.search.criteria,
+            weigh(answer, free.row.fit if free.row else None),
+            self.measured.evidence,
+            self.measured.quantities,
+            named,
+            is_doubted,
+        ).find()
+        out = []
+        for f in found:
+            place = tuple(sorted(f.place))
+            own = tuple(s for s, kinds in self.sets if (f.kind, place) in kinds)
+            out.append(replace(f, sets=own))
+        return tuple(out)
 
     @functools.cached_property
     def sets(self) -> list[tuple[LawSet, frozenset[tuple[str, tuple[str, ...]]]]]:
         """The sets of the band, the simplest first, at most `MOST_SETS`, each with its kinds and places."""
-        answer, out = self.scores.answer, []
+        answer, out = self.answer, []
         for k, (row, weight) in enumerate(zip(answer.band[:MOST_SETS], answer.weights, strict=False)):
             members = tuple((m.effect, m.place) for m in row.members)
             file = f"set_{k + 1}.json" if k else "model.json"
@@ -223,15 +213,14 @@ class ResultBuilder:
         return out
 
     # -- parts of the result ------------------------------------------------------------------------------
-    def _errors(self, final: Candidate) -> dict[str, Array]:
+    def _errors(self, final: Row) -> dict[str, Array]:
         """Return the NRMSE on the test records by stage, (channels,) each."""
-        scores = self.scores
-        after = scores.score(final).test_nrmse
+        evaluator = self.search.evaluator
         return {
-            "before": self.search.evaluator.nominal_nrmse[1],
-            "refit": scores.score(scores.refitted).test_nrmse,
-            "after": after,
-            "noise_floor": np.minimum(scores.test_noise, after),
+            "before": evaluator.nominal_nrmse[1],
+            "refit": self.answer.refit.test,
+            "after": final.test,
+            "noise_floor": np.minimum(evaluator.test_noise(self.measured.noise), final.test),
         }
 
     def _by_channel(self, row: Array) -> dict[str, float]:
@@ -241,7 +230,7 @@ class ResultBuilder:
         """Return what was tried, in words."""
         p = self.search.problem
         every = list(hypotheses(p.network))
-        loads = loads_of(p, self.scores.refitted.fit, every)
+        loads = loads_of(p, self.answer.refit.fit, every)
         told = {name for name, load in loads.items() if tell_gain(load)}
         every = [h for h in every if not h.kind.loaded or dict(h.options)["load"] in told]
         where = dict.fromkeys("-".join(h.where) for h in every)
@@ -251,7 +240,7 @@ class ResultBuilder:
 
     def _places(self) -> tuple[ScreenedPlace, ...]:
         """Return the law that removes most at each place, alone."""
-        answer = self.scores.answer
+        answer = self.answer
         out: dict[tuple[str, ...], ScreenedPlace] = {}
         for row in sorted(answer.singles, key=lambda row: row.error):
             (member,) = row.members
@@ -260,40 +249,43 @@ class ResultBuilder:
                 out.setdefault(member.place, ScreenedPlace(member.place, member.effect, share))
         return tuple(out.values())
 
-    def _effects(self, quantities: Mapping[str, Quantity], probability: float) -> list[Effect]:
+    def _effects(self, quantities: Mapping[str, Quantity], findings: Sequence[Finding]) -> list[Effect]:
         """Return the certain effects of the foremost set."""
-        best, network, out = self.scores.foremost, self.search.problem.network, []
-        certain = self.scores.answer.certain or (True,) * len(best.hypotheses)
-        for h, element, named in zip(best.hypotheses, best.fit.structure.names, certain, strict=True):
-            if not named:
+        row, network, out = self.answer.simplest, self.search.problem.network, []
+        fit = row.fit
+        for h, element, m, is_certain in zip(
+            fit.hypotheses, fit.structure.names, row.members, self.answer.certain, strict=True
+        ):
+            if not is_certain:
                 continue
             parts = [(*path.rpartition("."), q) for path, q in quantities.items()]
             own = {key: q for owner, _, key, q in parts if owner == element}
             sums = {key: self.measured.sums.get(f"{element}.{key}") for key in own}
             totals = {key: q for key, q in sums.items() if q is not None}
             channel = h.where[0] if h.place == "channel" else None
-            pair = owner_pair(network, h)
-            out.append(Effect(h.effect, pair, channel, probability, own, element, h.behind, totals))
+            laws = [
+                x for f in findings if (f.kind, f.place) == m.kind for x in f.laws if x.effect == h.effect
+            ]
+            chance = laws[0].probability if laws else math.nan
+            out.append(
+                Effect(h.effect, owner_pair(network, h), channel, chance, own, element, h.behind, totals)
+            )
         return out
 
-    def _laws(
-        self, final: Candidate, effects: Sequence[Effect], tabulated: Tabulated | None
-    ) -> tuple[Law, ...]:
+    def _laws(self, final: Fit, effects: Sequence[Effect], tabulated: Tabulated | None) -> tuple[Law, ...]:
         """Return the laws of the found effects and of the table of a free force, each as a curve."""
         p, what = self.search.problem, "the picture of a law"
-        laws = [self._attempt(what, draw_law, p, final.fit, e.element, e.parameters) for e in effects]
+        laws = [self._attempt(what, draw_law, p, final, e.element, e.parameters) for e in effects]
         if tabulated:
-            laws.append(self._attempt(what, draw_table, p, final.fit, tabulated))
+            laws.append(self._attempt(what, draw_table, p, final, tabulated))
         return tuple(law for law in laws if law is not None)
 
-    def _next_test(
-        self, candidates: Sequence[Candidate], noise: Array
-    ) -> tuple[dict[str, Any] | None, Table | None]:
-        """Return the test that would decide between candidates, and its inputs."""
+    def _next_test(self, rows: Sequence[Row], noise: Array) -> tuple[dict[str, Any] | None, Table | None]:
+        """Return the test that would decide between sets, and its inputs."""
         self.flow.say("designing the test that would decide")
 
         def design() -> tuple[dict[str, Any], Table] | None:
-            found = next_experiment(self.flow.whole, candidates, noise)
+            found = next_experiment(self.flow.whole, [row.fit for row in rows], noise)
             if found is None:
                 return None
             return found.to_dict(), played(self.flow.whole.network, found.record)
@@ -303,43 +295,32 @@ class ResultBuilder:
     def _rejected(
         self, decision: Decision, rows: Mapping[str, Array], completes: bool
     ) -> BestCandidate | None:
-        """Return the foremost candidate if it is not named."""
-        best = self.scores.foremost
-        if decision.verdict == "missing_effect" or not best.hypotheses:
+        """Return the foremost set if it is not named."""
+        best = self.answer.foremost
+        if decision.verdict == "missing_effect" or not best.members:
             return None
-        stages = {k: rows[k] for k in ("before", "refit")} | {"after": self.scores.score(best).test_nrmse}
+        stages = {k: rows[k] for k in ("before", "refit")} | {"after": best.test}
         return BestCandidate(
-            **_effects_of(best),
+            **_effects_of(best.fit),
             explained=self.measured.evidence.explained,
             error={k: self._by_channel(row) for k, row in stages.items()},
             failed_gates=tuple(g for g in decision.gates if not g.passed),
             completes=completes,
         )
 
-    def _contenders(self, rivals: Sequence[Candidate], is_tied: bool) -> list[Contender]:
-        """Return the other candidates, and why they are not named; where several are tied, the foremost candidate too."""
-        scores = self.scores
-        refit, best = scores.score(scores.refitted), scores.foremost
-        out = []
-        for r in [best, *rivals] if is_tied else scores.rivals():
-            loss = scores.score(r).mean_square
-            why = "explains less of the held-out records"
-            if r in rivals or is_tied:
-                why = "cannot be told apart on these data"
-            elif loss > refit.mean_square:
-                why = "errs more on the held-out records than the old model does"
-            excess = (loss - scores.noise_score) / max(refit.mean_square - scores.noise_score, 1e-12)
-            options = tuple(h.choices for h in r.hypotheses)
-            likelihood = r.deviance - best.deviance
-            out.append(
-                Contender(**_effects_of(r), score=excess, likelihood=likelihood, why_not=why, options=options)
-            )
+    def _contenders(self, rows: Sequence[Row]) -> list[Contender]:
+        """Return the sets that the records do not tell apart."""
+        answer, out = self.answer, []
+        before = max(beyond_noise(answer.refit, answer.noise), 1e-12)
+        for row in rows:
+            left = (beyond_noise(row, answer.noise) / before) ** 2
+            options = tuple(h.choices for h in row.fit.hypotheses)
+            out.append(Contender(**_effects_of(row.fit), score=left, why_not=ALIKE, options=options))
         return out
 
     def _remainder(self, noise: Array, rows: Mapping[str, Array]) -> Remainder | None:
         """Return the error beside the named effects; None where it is small."""
-        scores, p = self.scores, self.search.problem
-        found, richest = scores.foremost, scores.richest
+        found, best, p = self.answer.foremost, self.answer.best, self.search.problem
         beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
         j = int(np.argmax(beyond))
         if beyond[j] < self.search.criteria.wide_gap**2:
@@ -347,26 +328,19 @@ class ResultBuilder:
         channel = p.channels[j]
         place = next(x for x in locate_errors(p, found.fit, noise) if x.channel == channel)
         left = Remainder(channel, float(rows["after"][j]), float(rows["noise_floor"][j]), place.when)
-        if not set(found.hypotheses) < set(richest.hypotheses):
-            return left
-        more = [h for h in richest.hypotheses if h not in found.hypotheses]
-        then = scores.score(richest).test_nrmse
-        if not then[j] < rows["after"][j]:
+        more = [h for h in best.fit.hypotheses if h not in found.fit.hypotheses]
+        if len(more) != len(best.members) - len(found.members) or not best.test[j] < found.test[j]:
             return left
         effects, where = tuple(h.effect for h in more), tuple(h.where for h in more)
-        return replace(left, effects=effects, where=where, error=float(then[j]))
+        return replace(left, effects=effects, where=where, error=float(best.test[j]))
 
-    def _traces(self, final: Candidate) -> tuple[Trace, ...]:
+    def _traces(self, final: Row) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
-        whole, refitted, evaluator, out = self.flow.whole, self.scores.refitted, self.search.evaluator, []
+        whole, evaluator, out = self.flow.whole, self.search.evaluator, []
         nominal = base_structure(whole.network)
-        models = [
-            (nominal, nominal.start, {}),
-            *(
-                (c.fit.structure, c.fit.x, evaluator.first_states(c.fit, self.scores.score(c).fit))
-                for c in (refitted, final)
-            ),
-        ]
+        models: list[tuple[Structure, Array, Mapping[int, Array]]] = [(nominal, nominal.start, {})]
+        for row in (self.answer.refit, final):
+            models.append((row.fit.structure, row.fit.x, evaluator.first_states(row.fit, row.held)))
         for i, record in enumerate(whole.records):
             before, refit, after = (
                 dict(zip(whole.channels, self._trace(*model, i).T, strict=True)) for model in models
@@ -393,12 +367,12 @@ class ResultBuilder:
         return np.full_like(self.flow.whole.records[index].measured, np.nan)
 
 
-def _effects_of(candidate: Candidate) -> dict[str, Any]:
-    """Return types, places and values of the effects of a candidate."""
+def _effects_of(fit: Fit) -> dict[str, Any]:
+    """Return types, places and values of the effects of a fit."""
     return {
-        "effects": tuple(h.effect for h in candidate.hypotheses),
-        "where": tuple(h.where for h in candidate.hypotheses),
-        "values": tuple(parameter_values(e) for e in candidate.elements),
+        "effects": tuple(h.effect for h in fit.hypotheses),
+        "where": tuple(h.where for h in fit.hypotheses),
+        "values": tuple(parameter_values(e) for e in fit.elements),
     }
 
 

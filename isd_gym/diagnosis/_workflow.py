@@ -31,21 +31,22 @@ from ._records.splitting import LEAD_IN, cut_segments, split_records
 from ._result_builder import ResultBuilder
 from ._selection.criteria import CRITERIA, Criteria
 from ._selection.held_out import HeldOutEvaluator
+from ._selection.held_out_table import row_of
 from ._selection.law_sets import Search
 from ._selection.settings import SearchSettings
 from ._simulation.problem import BROKEN, Problem, Record, Role, bare
 from ._simulation.time_limit import EVIDENCE, RESULT, SEARCH, TimeLimit, TimeUp, running
 from ._verdict.closed_loop import decide_under_feedback
-from ._verdict.gates import decide_by_sets
-from ._verdict.measurement import Measurements, collect_evidence
+from ._verdict.evidence import Measurements, collect_evidence
+from ._verdict.gates import decide
 from .result import Diagnosis, Stretches
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ._estimation.clock_lag import Lag
-    from ._selection.candidate import Candidate
-    from ._selection.candidate_comparison import CandidateComparison
+    from ._estimation.gauss_newton import Fit
+    from ._selection.answer import Answer
     from ._verdict.gates import Decision
 
 
@@ -274,31 +275,25 @@ class Workflow:
             found = self._diagnose_segments(error)
             if found is not None:
                 return found
-        scores, measured, decision = self.conclude(self.search.run(refitted))
-        return ResultBuilder(self.search, scores, measured, self).build(decision)
+        answer, measured, decision = self.conclude(self.search.run(refitted))
+        return ResultBuilder(self.search, answer, measured, self).build(decision)
 
-    def conclude(self, scores: CandidateComparison) -> tuple[CandidateComparison, Measurements, Decision]:
-        """Return a search, its measurements and the decision on it; a set that cannot be measured loses."""
-        best = scores.foremost
+    def conclude(self, answer: Answer) -> tuple[Answer, Measurements, Decision]:
+        """Return the answer of a search, its measurements and the decision on it; a set that cannot be measured loses."""
+        evaluator, c = self.search.evaluator, self.criteria
         try:
             with self.clock.until(EVIDENCE):
-                measured = collect_evidence(self.search, scores)
+                measured = collect_evidence(evaluator, answer, c)
         except (TimeUp, *BROKEN) as error:
             if isinstance(error, TimeUp):
-                self.clock.leave_out(f"the tests of {best.label}")
-            scores.give_up()
+                self.clock.leave_out(f"the tests of {answer.foremost.fit.label}")
+            answer = replace(answer, band=(), weights=(), best=answer.refit)
             with self.clock.until(1.0):
-                measured = collect_evidence(self.search, scores)
-        decision = decide_under_feedback(
-            decide_by_sets(scores.answer, measured.evidence, self.criteria),
-            self.problem,
-            scores.foremost.fit,
-            scores.foremost.elements,
-            self.feedback,
-            self.is_segmented,
-            self.criteria,
-        )
-        return scores, measured, decision
+                measured = collect_evidence(evaluator, answer, c)
+        decision = decide(answer, measured.evidence, c)
+        fit = answer.foremost.fit
+        decision = decide_under_feedback(decision, self.problem, fit, self.feedback, self.is_segmented, c)
+        return answer, measured, decision
 
     # -- segments -----------------------------------------------------------------------------------------
     def has_free_motion(self) -> bool:
@@ -306,7 +301,7 @@ class Workflow:
         return bool(self.network.inputs) and assemble(bare(self.network)).size[0] > 0
 
     @cached_property
-    def refitted(self) -> Candidate:
+    def refitted(self) -> Fit:
         """The refitted nominal model."""
         return self.search.refit_nominal()
 
@@ -317,10 +312,10 @@ class Workflow:
         if not self.has_free_motion():
             return 0.0
         try:
-            score = self.search.evaluator.score_alone(self.refitted)
+            row = row_of(self.search.evaluator, self.refitted)
         except BROKEN:
             return math.nan
-        return float(max(score.training_nrmse.mean(), score.nrmse.mean()))
+        return float(max(row.training.mean(), row.validation.mean()))
 
     def _segmented(self) -> Problem:
         """Return the problem with the records in segments, each from an initial state of its own."""
@@ -356,7 +351,7 @@ class Workflow:
         try:
             with self.clock.until(SEARCH):
                 refitted = flow.search.refit_nominal()
-            scores, measured, decision = flow.conclude(flow.search.run(refitted))
+            answer, measured, decision = flow.conclude(flow.search.run(refitted))
         except TimeUp:
             self.clock.leave_out("a comparison over brief stretches")
             return None
@@ -364,4 +359,4 @@ class Workflow:
             return None
         # under feedback whole records are no valid comparison
         is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
-        return ResultBuilder(flow.search, scores, measured, flow).build(decision, over) if is_final else None
+        return ResultBuilder(flow.search, answer, measured, flow).build(decision, over) if is_final else None

@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     from ..physics.network import Network
     from ._estimation.clock_lag import Lag
     from ._records.feedback import Feedback
+    from ._selection.conditions import Gate
     from ._selection.criteria import Criteria
     from ._selection.settings import SearchSettings
     from ._verdict.evidence import Evidence
     from ._verdict.findings import Finding
-    from ._verdict.gates import Gate, Reason
+    from ._verdict.gates import Reason
 
 __all__ = [
     "Contender",
@@ -40,7 +41,7 @@ __all__ = [
 SCHEMA = "isd-diagnosis/1"
 #: entries of the JSON document in their order: fields of `Diagnosis`, or made of them
 _DOCUMENT = (
-    "schema", "verdict", "summary", "effects", "findings", "small_effects", "alternatives", "where", "places", "parameters", "gap", "gates", "reason",
+    "schema", "verdict", "summary", "effects", "findings", "alternatives", "where", "places", "parameters", "gap", "gates", "reason",
     "best_candidate", "best_table", "remainder", "stretches", "closed_loop",
     "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
 )  # fmt: skip
@@ -147,8 +148,6 @@ class Contender:
     where: tuple[tuple[str, ...], ...]
     #: excess error on held-out data (1: as the refitted model, 0: noise)
     score: float
-    #: -2 log L minus that of the best candidate
-    likelihood: float
     #: reason why the set is not named, in words
     why_not: str
     #: parameters of each effect by name
@@ -158,7 +157,7 @@ class Contender:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        return {"excess" if k == "score" else k: v for k, v in vars(self).items() if k != "likelihood"}
+        return {"excess" if k == "score" else k: v for k, v in vars(self).items()}
 
 
 @dataclass(frozen=True)
@@ -408,8 +407,6 @@ class Diagnosis:
     seconds: float = 0.0
     #: unit of each channel
     units: dict[str, str] = field(default_factory=dict)
-    #: effects that are present but too small, or not certain enough, to be named
-    small_effects: tuple[Effect, ...] = ()
     #: evidence for the best candidate
     evidence: Evidence | None = None
     #: limits of the decision

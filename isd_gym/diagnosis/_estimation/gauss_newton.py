@@ -28,9 +28,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..._common.arrays import Array
+    from ...physics.elements import Element
     from .._simulation.problem import Problem
-    from .noise import Filters, Weights
-    from .structure import Structure
+    from .noise import Weights
+    from .structure import Hypothesis, Structure
 
 
 #: further steps with the same derivatives
@@ -82,7 +83,7 @@ class Slope:
     known: Array  # the prior of the initial state (states, states)
 
 
-@dataclass
+@dataclass(eq=False)
 class Fit:
     """A fitted structure, with the estimate of the shared offsets: free parameters (transformed), initial states, offsets and outputs by
     record."""
@@ -100,11 +101,27 @@ class Fit:
     def network(self) -> Network:
         return self.structure.at(self.x)
 
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """Effects and places."""
+        return self.structure.hypotheses
+
+    @property
+    def label(self) -> str:
+        """Effects and places in words."""
+        return " and ".join(h.label for h in self.hypotheses) or "the model refitted"
+
+    @property
+    def elements(self) -> list[Element]:
+        """The elements of the effects, with fitted values."""
+        network = self.network
+        return [network.element(name) for name in self.structure.names]
+
 
 class Fitter:
     """Gauss-Newton fits of parameters and initial states, or of initial states alone, over the records of a problem."""
 
-    def __init__(self, problem: Problem, weights: Weights | Filters):
+    def __init__(self, problem: Problem, weights: Weights):
         self.problem = problem
         self.weights = weights
         self._rows: dict[int, tuple[Structure, Array]] = {}
@@ -193,6 +210,12 @@ class Fitter:
         return Point(x, initial, offset)
 
     # -- fits -------------------------------------------------------------------------------------------
+    def transfer(self, fit: Fit) -> Fit:
+        """Return a fit, unchanged, on the samples of this problem: other samples of the same records."""
+        return self.fit(
+            fit.structure, fit.x, fit.initial, fit.offset, records=list(fit.initial), iterations=0
+        )
+
     def begin(
         self,
         structure: Structure,

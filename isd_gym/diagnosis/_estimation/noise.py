@@ -1,4 +1,4 @@
-"""Noise: estimates from the signal, weights of residuals, and the likelihood of residuals of unknown variance."""
+"""Noise: estimates from the signal, and weights of residuals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import welch
 
-from ..._common.jit import compiled
 from .._records.filtering import estimate_white_noise, find_computed_forces
 from .._simulation.interpolation import differences
 from .._simulation.problem import BROKEN, low_pass
@@ -22,10 +21,8 @@ if TYPE_CHECKING:
     from .._simulation.problem import Problem, Record
 
 
-#: lags up to which samples of a residual count as dependent: the order of autoregressive filters
+#: lags up to which samples of a residual count as dependent
 LAGS = 20
-#: values that a filter handles at a time
-IN_CACHE = 1024
 
 
 @dataclass(frozen=True)
@@ -64,61 +61,6 @@ def independent_share(residuals: Sequence[Array]) -> Array:
         product = np.sum([np.sum(r[k:] * r[:-k], axis=0) for r in residuals], axis=0)
         total = total + 2.0 * (product / np.maximum(power, 1e-300)) ** 2
     return np.asarray(1.0 / total)
-
-
-def deviance_of(residuals: Sequence[Array], least: Array, share: Array) -> float:
-    """Return -2 log L of residuals [(samples, channels), ...] of unknown variance beside noise of deviation `least` (channels,), without
-    constants: n log(variance), where the samples n are the `share` (channels,) of independent ones."""
-    r = np.concatenate(residuals)
-    return float(len(r) * np.sum(share * np.log(np.mean(r**2, axis=0) + least**2)))
-
-
-@dataclass(frozen=True)
-class Filters:
-    """Autoregressive filters that turn the residuals of each channel into innovations of unit variance."""
-
-    taps: tuple[Array, ...]
-
-    def __call__(self, residual: Array) -> Array:
-        """Return residuals (samples, channels, ...), whitened along time."""
-        wide = residual.reshape(*residual.shape[:2], -1)
-        out = np.empty(wide.shape)
-        for j, a in enumerate(self.taps):
-            rows = np.ascontiguousarray(wide[:, j])
-            out[:, j] = _filter(a, rows.ravel(), rows.shape[1]).reshape(rows.shape)
-        return out.reshape(residual.shape)
-
-
-@compiled(nogil=True)
-def _filter(taps: Array, x: Array, width: int) -> Array:
-    """Return y[t] = sum over k of taps[k] x[t - k] for rows of `width` values, one row after the other (rows * width,)."""
-    out = taps[0] * x
-    for begin in range(0, len(x), IN_CACHE):
-        end = min(begin + IN_CACHE, len(x))
-        for k in range(1, len(taps)):
-            first = max(begin, k * width)
-            if first < end:  # slices, so that the loop over them is compiled to vector instructions
-                y, late = out[first:end], x[first - k * width : end - k * width]
-                for i in range(len(y)):
-                    y[i] += taps[k] * late[i]
-    return out
-
-
-def filters_of(residuals: Sequence[Array], floor: Array) -> Filters:
-    """Return filters that whiten residuals [(samples, channels), ...] about the means of the records, with white noise of deviation
-    `floor` (channels,) added: a limit of the weight of quiet bands."""
-    order, taps = min(LAGS, min(map(len, residuals)) // 8), []
-    for j, least in enumerate(floor):
-        series = (r[:, j] - r[:, j].mean() for r in residuals)
-        rows = np.concatenate([np.lib.stride_tricks.sliding_window_view(x, order + 1) for x in series])
-        moments = rows.T @ rows / len(rows)
-        moments += np.eye(order + 1) * (
-            float(least) ** 2 + 1e-9 * float(np.trace(moments)) / (order + 1) + 1e-300
-        )
-        a = np.linalg.solve(moments[:order, :order], moments[:order, order])
-        variance = max(float(moments[order, order] - a @ moments[:order, order]), 1e-300)
-        taps.append(np.append(1.0, -a[::-1]) / math.sqrt(variance))
-    return Filters(tuple(taps))
 
 
 def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool = False) -> float:
@@ -231,13 +173,6 @@ def _floor_of_sensor(problem: Problem, channel: int) -> Floor:
     seen = floor_of(series, first.interval, white=first.filtered)
     grain = resolution(series) if not first.filtered else 0.0
     return replace(seen, deviation=max(seen.deviation, grain))
-
-
-def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
-    """Return the white noise of weights (channels,): that of the measurement, or missing physics as ten times its power, so that a
-    crowded tenth of the band keeps its weight."""
-    square = np.mean(np.concatenate(residuals) ** 2, axis=0)
-    return np.asarray(np.sqrt(np.maximum(floors**2, 10.0 * (square - floors**2))), dtype=np.float64)
 
 
 def propagate_input_noise(problem: Problem) -> Array:

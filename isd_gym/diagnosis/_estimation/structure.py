@@ -299,18 +299,9 @@ def with_sensor_offsets(network: Network, offsets: Sequence[float] | None) -> Ne
     return network
 
 
-def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, Mapping[str, float]]]) -> Structure:
-    """Return the nominal model with effects inserted in order; a node that a split removed is replaced by its origin."""
-    structure = base_structure(network)
-    for h, values in effects:
-        known = {
-            *structure.network.nodes,
-            *(e.name for e in structure.network.elements),
-            *(c.name for c in network.outputs),
-        }
-        where = tuple(twin(node, known) for node in h.where)
-        structure = add(structure, replace(h, where=where), values)
-    return structure
+def parameter_values(element: el.Element) -> dict[str, float]:
+    """Return the parameters of an element by name."""
+    return {f.name: getattr(element, f.name) for f in el.parameter_fields(type(element))}
 
 
 def cells_beside(network: Network, element: el.Element) -> tuple[Channel, ...]:
@@ -380,17 +371,3 @@ def owner_pair(network: Network, h: Hypothesis) -> tuple[str, str] | None:
     known = {*network.nodes, GROUND}
     first, second = (twin(n, known) for n in h.where)
     return first, second
-
-
-def in_line(network: Network, first: tuple[str, ...], second: tuple[str, ...]) -> bool:
-    """Return whether two pairs carry the same force: links of a chain without masses between."""
-    links = {frozenset(e.where) for e in network.elements if e.place == "between"}
-    ends = {GROUND, *network.inertial, *network.moved_nodes}
-    chain, grown = {frozenset(first)}, True
-    while grown:
-        grown = False
-        for node in {n for link in chain for n in link} - ends:
-            here = {link for link in links if node in link}
-            if len(here) == 2 and not here <= chain:
-                chain, grown = chain | here, True
-    return frozenset(second) in chain

@@ -11,8 +11,7 @@ import numpy as np
 from ..._common.arrays import rms
 from ...physics.network import GROUND
 from .._simulation.problem import BROKEN, deviation_within
-from .library import pairs
-from .motion import motions, watched
+from .motion import watched
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -88,21 +87,6 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
     probes = tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here)
     together = np.concatenate([*watched(problem, fit, probes).values()])
     return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
-
-
-def work_share(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the share of an element in the work that all elements dissipate over the records to fit by; 0 for an element that stores
-    energy."""
-    net = fit.network
-    lossy = [e for e in net.elements if e.place == "between" and e.mechanism in DISSIPATIVE]
-    if name not in {e.name for e in lossy}:
-        return 0.0
-    motion = motions(problem, fit, tuple({e.between for e in lossy} - {*pairs(net)}))
-    forces: dict[str, Array] = {}
-    for pair in {e.between for e in lossy}:
-        forces |= element_forces(problem, fit, pair)
-    work = {e.name: abs(dissipated_work(forces[e.name], motion[e.between])) for e in lossy}
-    return work[name] / max(sum(work.values()), 1e-300)
 
 
 def lossy_share(problem: Problem, fit: Fit) -> float:

@@ -356,17 +356,3 @@ def _bench(network: Network, driven: str, held: str) -> Network:
     if not here:  # a network has at least one element
         here = [el.LinearStiffness("_none", (driven, GROUND), stiffness=0.0)]  # type: ignore[call-arg]
     return Network("bench", {}, tuple(here), (Channel(TRAVEL, "displacement", "m", at=driven),))
-
-
-def _pushed(
-    problem: Problem, network: Network, fit: Fit | None, i: int, record: Record, forces: Array
-) -> Array:
-    # an input of a motor is held over a step
-    mean = 0.5 * (forces + np.append(forces[1:], forces[-1:], axis=0))
-    records = [record.with_inputs({**record.inputs, PUSH: column}) for column in mean.T]
-    whole = Problem(network, records, None, problem.step, problem.time)
-    begun = None if fit is None else {k: fit.initial[i][:, None] for k in range(len(records))}
-    seen = whole.simulate_all(
-        [network], range(len(records)), begun, like=None if fit is None else fit.network
-    )
-    return np.concatenate([seen[k] for k in range(len(records))], axis=2)

@@ -11,7 +11,7 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics.network import assemble
 from .._estimation.gauss_newton import Fitter, residuals
-from .._estimation.noise import deviance_of, white_weights
+from .._estimation.noise import white_weights
 from .._selection.criteria import LEAST_NOISE
 from .._simulation.problem import BROKEN, Problem, Record, bare
 from .excitation import Excitation, Rig, infer_rig, list_excitations, make_record, make_table
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...physics.network import Network
     from ...records.data import Table
+    from .._estimation.gauss_newton import Fit
     from .._estimation.structure import Structure
-    from .._selection.candidate import Candidate
 
 FINALISTS = 5  # tests for which rivals are refitted in full
 MAX_RIVALS = 3  # rivals that are compared
@@ -126,7 +126,7 @@ class RivalComparison:
             with the largest difference.
         """
         best: tuple[float, tuple[str, str], int] = (math.inf, ("", ""), 0)
-        level, one = math.sqrt(2.0) * self.noise, np.ones(len(self.noise))
+        level = math.sqrt(2.0) * self.noise
         for a, truth in enumerate(self.rivals):
             record = replace(self.problem.records[0], measured=self.outputs[a])
             p = Problem(self.problem.network, [record], time=self.problem.time)
@@ -136,7 +136,7 @@ class RivalComparison:
                     continue
                 start = {0: _rest_state(r.structure)}
                 (left,) = residuals(p, fitter.fit(r.structure, r.x, start, iterations=6, tolerance=1e-3))
-                deviance = deviance_of([left], level, one) - deviance_of([0.0 * left], level, one)
+                deviance = len(left) * float(np.sum(np.log1p(np.mean(left**2, axis=0) / level**2)))
                 distance = math.sqrt(max(deviance, 0.0))
                 if distance < best[0]:
                     power = np.sum((left / self.noise) ** 2, axis=0)
@@ -199,12 +199,12 @@ def design_test(
     return None if best is None else replace(best, usual=usual)
 
 
-def next_experiment(problem: Problem, contenders: Sequence[Candidate], floor: Array) -> Design | None:
+def next_experiment(problem: Problem, contenders: Sequence[Fit], floor: Array) -> Design | None:
     """Design the test that distinguishes the contenders of a diagnosis, within the range of the records.
 
     Args:
         problem: Model and records of the diagnosis.
-        contenders: Fitted candidates, best first.
+        contenders: Fits, best first.
         floor: RMS noise (channels,) [unit of the channel].
 
     Returns:
@@ -212,7 +212,7 @@ def next_experiment(problem: Problem, contenders: Sequence[Candidate], floor: Ar
     """
     if not problem.network.inputs:
         return None
-    rivals = [Rival(c.label, c.fit.structure, c.fit.x) for c in contenders]
+    rivals = [Rival(fit.label, fit.structure, fit.x) for fit in contenders]
     try:
         rig = infer_rig(problem.network, [problem.records[i] for i in problem.estimation])
     except InputError:

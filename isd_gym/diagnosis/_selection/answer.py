@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .held_out import compare
+from .held_out_table import Comparison, compare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,11 +35,8 @@ class Answer:
     singles: tuple[Row, ...] = ()
     #: RMS noise over channels as a share of the deviation
     noise: float = 0.0
-
-    @property
-    def falls(self) -> float:
-        """Decrease of the error beyond noise by the simplest set."""
-        return beyond_noise(self.refit, self.noise) - beyond_noise(self.simplest, self.noise)
+    #: log predictive density of the foremost set beside that of the refitted model
+    gain: Comparison = field(default_factory=Comparison)
 
     @property
     def simplest(self) -> Row:
@@ -47,19 +44,32 @@ class Answer:
         return self.band[0] if self.band else self.refit
 
     @property
+    def foremost(self) -> Row:
+        """The simplest set of the band; the best set where the band is empty."""
+        return self.band[0] if self.band else self.best
+
+    @property
+    def falls(self) -> float:
+        """Decrease of the error beyond noise by the foremost set."""
+        return beyond_noise(self.refit, self.noise) - beyond_noise(self.foremost, self.noise)
+
+    @property
+    def leaves(self) -> float:
+        """Share of the refitted model's squared error beyond noise that the foremost set leaves."""
+        before = max(beyond_noise(self.refit, self.noise), 1e-12)
+        return (beyond_noise(self.foremost, self.noise) / before) ** 2
+
+    @property
     def certain(self) -> tuple[bool, ...]:
         """Whether each member of the simplest set has its kind and place in every set of the band."""
         return tuple(all(m.kind in row.kinds for row in self.band) for m in self.simplest.members)
 
-    @property
-    def probability(self) -> float:
-        """Weight of the sets with the laws of the simplest set."""
-        own = {(m.effect, m.place) for m in self.simplest.members}
-        return sum(
-            w
-            for row, w in zip(self.band, self.weights, strict=True)
-            if own <= {(m.effect, m.place) for m in row.members} or row.kinds == self.simplest.kinds
-        )
+
+def removed_share(before: Array, after: Array, noise: Array) -> float:
+    """Return the share of a squared error beyond noise, over all channels, that a smaller error removes. `before`, `after`, `noise`: shares
+    of the deviation (channels,)."""
+    excess = float(np.sum(np.maximum(before**2 - noise**2, 0.0)))
+    return float(np.sum(before**2 - after**2)) / max(excess, 1e-12)
 
 
 def beyond_noise(row: Row, noise: float) -> float:
@@ -81,9 +91,13 @@ class Table:
         self.noise = float(np.sqrt(np.mean(np.minimum(noise, best.validation) ** 2)))
         self.density = {id(row): row.log_density(best, least) for row in rows}
 
+    def compare(self, row: Row, other: Row) -> Comparison:
+        """Compare the log predictive density of a set with that of another."""
+        return compare(self.density[id(row)], self.density[id(other)])
+
     def is_better(self, row: Row, other: Row) -> bool:
         """Return whether a set predicts better than another, beyond chance."""
-        return compare(self.density[id(row)], self.density[id(other)]).is_better(self.c)
+        return self.compare(row, other).is_better(self.c)
 
     def leaves(self, row: Row, other: Row) -> float:
         """Return the squared error beyond noise that a set leaves, as a share of what the other leaves."""
@@ -117,16 +131,20 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
     best, table, chosen = _best_of(_forces_first(sound, noise, c), rows, least, noise, c)
     if not chosen.members:
         best, table, chosen = _best_of(sound, rows, least, noise, c)
-    width = table.width(chosen if chosen.members else best)
     if not chosen.members:
-        return Answer(refit, (), (), best, width, singles, table.noise)
+        gain = table.compare(best, refit)
+        return Answer(refit, (), (), best, table.width(best), singles, table.noise, gain)
+    width = table.width(chosen)
     pool = [row for row in sound if row.blames <= chosen.blames]
     same = [row for row in pool if len(row.members) == len(chosen.members)]
     near = [row for row in same if row.error - chosen.error < width or table.is_alike(row, chosen)]
     others = [row for row in near if row.kinds != chosen.kinds]
-    band = [simplest_law(same, chosen, refit, c), *sorted(others, key=lambda r: (r.parameters, r.error))]
+    simplest = simplest_law(same, chosen, refit, c)
+    band = (simplest, *sorted(others, key=lambda r: (r.parameters, r.error)))
     odds = np.exp([(chosen.error - row.error) / width for row in band])
-    return Answer(refit, tuple(band), tuple((odds / odds.sum()).tolist()), best, width, singles, table.noise)
+    weights = tuple((odds / odds.sum()).tolist())
+    gain = table.compare(simplest, refit)
+    return Answer(refit, band, weights, best, width, singles, table.noise, gain)
 
 
 def _best_of(

@@ -18,7 +18,8 @@ from ..._common.arrays import Z95, Array
 from ...physics import elements as el
 from ...physics.network import Network, assemble
 from ...physics.network._frames import order_told
-from .._estimation.gauss_newton import Fit, Fitter
+from .._estimation.gauss_newton import Fit, Fitter, residuals
+from .._estimation.noise import weights_of
 from .._estimation.structure import Free, Structure, cells_beside
 from .._hypotheses.forces import PlaceForces, place_forces
 from .._hypotheses.law_matching import follows_motion, starts_of
@@ -28,13 +29,14 @@ from .._hypotheses.pair_forces import law_forces
 from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
 from .admissibility import is_admissible, travels
-from .candidate import Candidate, settle, share_of, transfer, weights_for
+from .answer import removed_share
+from .conditions import table_gates
+from .held_out_table import Row, compare, row_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
-    from .._estimation.noise import Weights
-    from .._verdict.gates import Gate
+    from .criteria import Criteria
     from .held_out import HeldOutEvaluator
 
 #: knots of a table: a resolution, finer than the shortest correlation length
@@ -56,8 +58,10 @@ PLANES: tuple[Over, ...] = ("rate", "elongation")
 ENOUGH = 0.9
 #: number of places with a fitted table over both arguments
 BOTH = 2
-#: factor by which a table over both arguments, or with a shorter length, must err less (mean weighted square)
+#: factor by which the square of the error of a table over both arguments, or with a shorter length, must be smaller
 RICHER = 1.15
+#: Gauss-Newton steps of a table with few samples, and with all
+STEPS, LAST_STEPS = 12, 4
 #: points of the motion at which the arguments of a table are separated: a resolution
 MARGINAL = 4000
 
@@ -134,29 +138,36 @@ def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: flo
 # ------------------------------------------------------------------------------------------------------ the fit
 
 
-def _start_values(base: Candidate, structure: Table) -> Array:
-    return np.concatenate([base.fit.x, np.zeros(structure.basis.shape[1])])
+def _start_values(base: Fit, structure: Table) -> Array:
+    return np.concatenate([base.x, np.zeros(structure.basis.shape[1])])
 
 
-def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) -> float:
+def _fitter(problem: Problem, base: Fit, least: Array) -> Fitter:
+    """Return a fitter with weights by the level of the residuals of a fit, at least `least` (channels,)."""
+    return Fitter(problem, weights_of(residuals(problem, base), least))
+
+
+def gain(problem: Problem, fitter: Fitter, base: Fit, structure: Table) -> float:
     """Return the decrease of the cost that a table is expected to bring, to first order."""
-    x, fit = _start_values(base, structure), base.fit
-    left = {i: (problem.records[i].measured - fit.outputs[i])[:, :, None] for i in problem.estimation}
-    H, g, _ = fitter.normal_equations(structure, x, fit.initial, left)
-    own = np.delete(np.arange(len(H)), np.s_[len(fit.x) : len(x)])  # without the table
+    x = _start_values(base, structure)
+    left = {i: (problem.records[i].measured - base.outputs[i])[:, :, None] for i in problem.estimation}
+    H, g, _ = fitter.normal_equations(structure, x, base.initial, left)
+    own = np.delete(np.arange(len(H)), np.s_[len(base.x) : len(x)])  # without the table
     gains = (g[k, 0] @ np.linalg.solve(H[np.ix_(k, k)], g[k, 0]) for k in (np.arange(len(H)), own))
     whole, without = map(float, gains)
     return whole - without
 
 
-def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForces) -> list[Table]:
+def _ranked(problem: Problem, base: Fit, least: Array, forces: PlaceForces) -> list[Table]:
     """Return tables over rate and over elongation at every pair, largest expected gain first, on as few samples as the motion needs."""
-    motion = motions(problem, base.fit)
-    known = travels(problem, base.fit.network, motion)
-    problem, base = problem.rough, _coarse(problem, base, floors)
-    fitter = Fitter(problem, weights_for(problem, base.fit, floors))
+    motion = motions(problem, base)
+    known = travels(problem, base.network, motion)
+    rough = _fitter(problem, base, least)
+    if problem.rough is not problem:
+        rough = Fitter(problem.rough, rough.weights)
+    fit = rough.transfer(base)
     ranked: list[tuple[float, Table]] = []
-    for pair in pairs(base.fit.network):
+    for pair in pairs(base.network):
         m = motion.get(pair)
         if m is None or el.rms(m.d) <= 1e-9 or el.rms(m.v) <= 1e-9:
             continue
@@ -164,8 +175,8 @@ def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForce
             if over == "elongation" and not known[pair].is_known:
                 continue
             try:
-                built = table(base.fit, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair))
-                ranked.append((gain(problem, fitter, base, built), built))
+                built = table(base, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair))
+                ranked.append((gain(problem.rough, rough, fit, built), built))
             except BROKEN:
                 continue
     return [s for _, s in sorted(ranked, key=lambda t: -t[0])]
@@ -182,150 +193,129 @@ class FreeForce:
 
     best: BestTable | None = None
     #: the model with the table, where the table passes its gates
-    candidate: Candidate | None = None
+    row: Row | None = None
     #: description of that table
     tabulated: Tabulated | None = None
 
 
 def fit_free_force(
     evaluator: HeldOutEvaluator,
-    base: Candidate,
-    gates: Callable[[float, float, float, float], tuple[Gate, ...]],
+    refit: Row,
+    criteria: Criteria,
 ) -> FreeForce:
     """Return the table of a force between two nodes that explains the held-out records best, with its gates by explained fraction, error
     reduction, standard errors of the gain and explained fraction of the test records."""
-    problem, floors = evaluator.problem, evaluator.least_noise
-    forces = place_forces(problem, base.fit)
-    ranked = _ranked(problem, base, floors, forces)
+    problem, least, base = evaluator.problem, evaluator.least_noise, refit.fit
+    forces = place_forces(problem, base)
+    ranked = _ranked(problem, base, least, forces)
     first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
     finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
-    tried = [c for s in finals if (c := _fit_table(problem, base, s, floors)) is not None]
-    found = _select_table(evaluator, base, tried)
-    if found is not None and found.gain_over(evaluator, base)[0] < ENOUGH:
-        motion = motions(problem, base.fit)
+    tried = [row for s in finals if (row := _fit_table(evaluator, base, s)) is not None]
+    found = _best_table(tried)
+    if found is not None and _gained(evaluator, refit, found)[0] < ENOUGH:
+        motion = motions(problem, base)
         for pair in list(dict.fromkeys(s.network.element(s.element).between for s in ranked))[:BOTH]:
-            if not is_told(problem, base.fit, pair, motion[pair]):
+            if not is_told(problem, base, pair, motion[pair]):
                 continue
-            built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
-            c = _fit_table(problem, base, built, floors)
-            tried += [c] if c is not None else []
-        found = _select_table(evaluator, base, tried)
+            built = table(base, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
+            row = _fit_table(evaluator, base, built)
+            tried += [row] if row is not None else []
+        found = _best_table(tried)
     if found is None:
         return FreeForce()
     found = _refine_length(evaluator, base, found, forces)
-    explained, *others = found.gain_over(evaluator, base)
-    structure = found.best.fit.structure
-    assert isinstance(structure, Table)
+    gained = _gained(evaluator, refit, found)
+    explained = gained[0]
+    structure = _structure(found)
     pair = structure.network.element(structure.element).between
-    best = BestTable(pair, structure.over, explained, gates(explained, *others))
+    best = BestTable(pair, structure.over, explained, table_gates(*gained, criteria))
     if not best.accepted:
         return FreeForce(best)
     try:
-        return FreeForce(best, found.best, _tabulated(problem, floors, found.best, explained))
+        return FreeForce(best, found, _tabulated(problem, least, found.fit, explained))
     except BROKEN:
         return FreeForce(best)
 
 
-@dataclass(frozen=True)
-class BestTableSoFar:
-    """The best table so far."""
-
-    best: Candidate
-    #: weights with which all tables are scored
-    weights: Weights
-
-    def gain_over(self, evaluator: HeldOutEvaluator, base: Candidate) -> tuple[float, float, float, float]:
-        """Return what the table gains over the refitted nominal model: explained fraction, largest error reduction of a channel,
-        standard errors of the gain, and explained fraction of the test records."""
-        after = evaluator.score(self.best, self.weights, (evaluator.score_alone(base),))
-        refit = evaluator.score(base, self.weights, (after,))
-        noise_score = evaluator.expected_noise_score(after, self.weights)
-        noise = evaluator.noise_share(after)
-        weights = 1.0 / np.maximum(noise, 1e-3) ** 2
-        plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
-        plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - noise**2, 0.0) * weights)), 1e-12)
-        weighted = (refit.mean_square - after.mean_square) / max(refit.mean_square - noise_score, 1e-12)
-        moved = float(np.sqrt(np.maximum(refit.nrmse**2 - after.nrmse**2, 0.0)).max())
-        confirmed = after.explained_on_test(refit, evaluator.test_noise(noise), noise_score)
-        return min(max(weighted, plain), 1.0), moved, after.compare_with(refit).errors, confirmed
+def _structure(row: Row) -> Table:
+    structure = row.fit.structure
+    assert isinstance(structure, Table)
+    return structure
 
 
-def _coarse(problem: Problem, base: Candidate, floors: Array) -> Candidate:
-    if problem.rough is problem:
-        return base
-    return replace(base, fit=transfer(problem.rough, base.fit, floors))
+def _gained(evaluator: HeldOutEvaluator, refit: Row, row: Row) -> tuple[float, float, float, float]:
+    """Return what a table gains over the refitted nominal model: explained fraction, largest error reduction of a channel, standard errors
+    of the gain, and explained fraction of the test records."""
+    noise = evaluator.noise_share(row.held)
+    moved = float(np.sqrt(np.maximum(refit.validation**2 - row.validation**2, 0.0)).max())
+    densities = (x.log_density(row, evaluator.least_noise) for x in (row, refit))
+    return (
+        min(removed_share(refit.validation, row.validation, noise), 1.0),
+        moved,
+        compare(*densities).errors,
+        removed_share(refit.test, row.test, evaluator.test_noise(noise)),
+    )
 
 
-def _fit_table(problem: Problem, base: Candidate, structure: Table, floors: Array) -> Candidate | None:
+def _fit_table(evaluator: HeldOutEvaluator, base: Fit, structure: Table) -> Row | None:
     """Fit a table with few samples, then with all; None where the fit breaks down."""
+    problem = evaluator.problem
+    fitter = _fitter(problem, base, evaluator.least_noise)
     try:
-        rough, x = _coarse(problem, base, floors), _start_values(base, structure)
-        found = settle(problem.rough, structure, x, floors, rough.fit, rounds=2, iterations=6)
-        if problem.rough is problem:
-            return found
-        f, share = transfer(problem, found.fit, floors), share_of(problem, base.fit)
-        return settle(problem, structure, f.x, floors, f, rounds=2, iterations=2, share=share)
+        if problem.rough is not problem:
+            rough = Fitter(problem.rough, fitter.weights)
+            start = rough.transfer(base)
+        else:
+            rough, start = fitter, base
+        x = _start_values(base, structure)
+        found = rough.fit(structure, x, start.initial, start.offset, iterations=STEPS)
+        if rough is not fitter:
+            found = fitter.fit(structure, found.x, found.initial, found.offset, iterations=LAST_STEPS)
+        return row_of(evaluator, found)
     except BROKEN:
         return None
 
 
-def _select_table(
-    evaluator: HeldOutEvaluator, base: Candidate, tried: Sequence[Candidate]
-) -> BestTableSoFar | None:
-    """Return the table with the smallest score; a table over both arguments must err clearly less."""
-    if not tried:
-        return None
-    weights = evaluator.weights(min(tried, key=lambda c: c.deviance))
-    scored = []
-    for c in tried:
-        try:
-            richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
-            scored.append((richer * _mean_square(evaluator, base, c, weights), c))
-        except BROKEN:
-            continue
-    return BestTableSoFar(min(scored, key=lambda t: t[0])[1], weights) if scored else None
+def _best_table(tried: Sequence[Row]) -> Row | None:
+    """Return the table with the smallest error; a table over both arguments must err clearly less."""
+
+    def square(row: Row) -> float:
+        richer = RICHER if _structure(row).over == "both" else 1.0
+        return richer * row.error**2
+
+    return min(tried, key=square, default=None)
 
 
-def _refine_length(
-    evaluator: HeldOutEvaluator, base: Candidate, found: BestTableSoFar, forces: PlaceForces
-) -> BestTableSoFar:
+def _refine_length(evaluator: HeldOutEvaluator, base: Fit, found: Row, forces: PlaceForces) -> Row:
     """Return the table with a shorter correlation length, where that errs clearly less."""
-    old = found.best.fit.structure
-    assert isinstance(old, Table)
+    old = _structure(found)
     pair = old.network.element(old.element).between
-    m = motions(evaluator.problem, found.best.fit, (pair,))[pair]
+    m = motions(evaluator.problem, found.fit, (pair,))[pair]
     for length in LENGTHS[old.over][1:]:
         try:
-            shorter = table(base.fit, pair, old.over, m, length, STRONG * forces.at(pair))
-            c = _fit_table(evaluator.problem, base, shorter, evaluator.least_noise)
-            then = math.inf if c is None else _mean_square(evaluator, base, c, found.weights)
+            shorter = table(base, pair, old.over, m, length, STRONG * forces.at(pair))
         except BROKEN:
             continue
-        if c is not None and RICHER * then < _mean_square(evaluator, base, found.best, found.weights):
-            found = BestTableSoFar(c, found.weights)
+        row = _fit_table(evaluator, base, shorter)
+        if row is not None and RICHER * row.error**2 < found.error**2:
+            found = row
     return found
-
-
-def _mean_square(evaluator: HeldOutEvaluator, base: Candidate, table: Candidate, weights: Weights) -> float:
-    """Return the mean weighted square of a table on the validation records."""
-    return evaluator.score(table, weights, (evaluator.score_alone(base),)).mean_square
 
 
 # ------------------------------------------------------------------------------------------------- what is told
 
 
-def _tabulated(problem: Problem, floors: Array, best: Candidate, explained: float) -> Tabulated:
-    structure = best.fit.structure
+def _tabulated(problem: Problem, least: Array, best: Fit, explained: float) -> Tabulated:
+    structure = best.structure
     assert isinstance(structure, Table)
-    W = weights_for(problem, best.fit, floors)
-    f = Fitter(problem, W).fit(structure, best.fit.x, best.fit.initial, best.fit.offset, iterations=0)
+    f = _fitter(problem, best, least).fit(structure, best.x, best.initial, best.offset, iterations=0)
     assert f.hessian is not None
     own = len(structure.own.free)
     covariance = np.linalg.inv(f.hessian + np.diag(1 / structure.sigma**2))[own:, own:]
-    force = structure.basis @ best.fit.x[own:]
+    force = structure.basis @ best.x[own:]
     variance = np.einsum("ij,jk,ik->i", structure.basis, covariance, structure.basis)
     spread = Z95 * np.sqrt(np.maximum(variance, 0.0))
-    e = best.fit.network.element(structure.element)
+    e = best.network.element(structure.element)
     assert isinstance(e, el.TabulatedForce)
     force, low, high = (y.reshape(structure.shape) for y in (force, force - spread, force + spread))
     shares = _shares(problem, best, e) if structure.over == "both" else ()
@@ -334,9 +324,9 @@ def _tabulated(problem: Problem, floors: Array, best: Candidate, explained: floa
     return Tabulated(e.between, over, e.name, explained, *axes, force, low, high, near, shares)
 
 
-def _shares(problem: Problem, best: Candidate, e: el.TabulatedForce) -> tuple[tuple[str, float], ...]:
+def _shares(problem: Problem, best: Fit, e: el.TabulatedForce) -> tuple[tuple[str, float], ...]:
     """Shares of the square of a table's force, over the measured motion, that functions of one argument alone give."""
-    m = motions(problem, best.fit, (e.between,))[e.between]
+    m = motions(problem, best, (e.between,))[e.between]
     thin = slice(None, None, max(1, len(m.d) // MARGINAL))
     d, v = m.d[thin], m.v[thin]
     force = e.at(d, v)
@@ -350,14 +340,14 @@ def _shares(problem: Problem, best: Candidate, e: el.TabulatedForce) -> tuple[tu
     return tuple(out)
 
 
-def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tuple[str, float]]:
+def nearest(problem: Problem, best: Fit, e: el.TabulatedForce) -> list[tuple[str, float]]:
     """Return at most three known laws at the place of a table, best first, with the share of its force over the measured motion that
     each gives with the best size."""
-    m, network = motions(problem, best.fit, (e.between,))[e.between], problem.network
+    m, network = motions(problem, best, (e.between,))[e.between], problem.network
     here = [h for h in hypotheses(network) if follows_motion(h) and set(h.where) == set(e.between)]
-    known = travels(problem, best.fit.network, {e.between: m})
+    known = travels(problem, best.network, {e.between: m})
     laws = [h for h in here if not h.kind.periodic and is_admissible(h, known)]
-    starts = starts_of(problem, best.fit, {(h.where[0], h.where[1]): m for h in laws}, laws)
+    starts = starts_of(problem, best, {(h.where[0], h.where[1]): m for h in laws}, laws)
     step = problem.records[problem.estimation[0]].step
     forces = law_forces(network, e.between, m, step, [(h, way) for h, start in starts for way in start.ways])
     target, at, out = e.at(m.d, m.v), 0, dict[str, float]()

@@ -1,18 +1,27 @@
-"""One table of sets of laws: errors and log predictive densities on the same blocks of the same records, with one noise level."""
+"""One table of sets of laws: errors and log predictive densities on the same blocks of the same records, with one noise level.
+
+The difference of two expected log predictive densities and its standard error are those of `arviz_stats.compare` (``elpd_diff`` and
+``dse``), with blocks of consecutive samples in place of single observations, since neighbouring residuals are correlated.
+
+References:
+    Vehtari, Gelman, Gabry: Practical Bayesian model evaluation using leave-one-out cross-validation and WAIC, Statistics and
+    Computing 27 (2017), section 5.2. Sivula, Magnusson, Matamoros, Vehtari: Uncertainty in Bayesian leave-one-out
+    cross-validation based model comparison, arXiv:2008.10296 (2020): differences below 4 are too small to rely on their error.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._estimation.gauss_newton import Fitter, residuals
-from .._estimation.noise import independent_share, white_weights
+from .._estimation.gauss_newton import residuals
+from .._estimation.noise import independent_share
 from .._estimation.structure import owner_pair
 from .contradictions import find_contradiction
-from .held_out import BLOCKS, LEAST_BLOCK, block_edges
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +30,11 @@ if TYPE_CHECKING:
     from ...physics.network import Network
     from .._estimation.gauss_newton import Fit
     from .._estimation.structure import Hypothesis
+    from .criteria import Criteria
     from .held_out import HeldOutEvaluator
+
+#: blocks per record, and their least number of samples
+BLOCKS, LEAST_BLOCK = 20, 10
 
 
 @dataclass(frozen=True)
@@ -34,7 +47,6 @@ class Member:
     mechanism: str
     #: 'between', 'element' or 'channel'
     level: str
-    is_series: bool
 
     @property
     def kind(self) -> tuple[str, tuple[str, ...]]:
@@ -50,8 +62,11 @@ class Blocks:
     samples: Array
 
     def log_density(self, level: Array, share: Array, least: Array) -> Array:
-        """Return the log predictive density of each block (blocks,) [nats], without constants: Student's t, with the noise `level`, the
-        `share` of independent samples and the smallest noise `least` (channels,)."""
+        """Return the log predictive density of each block (blocks,) [nats], without constants: Student's t, in which a gross error counts by
+        its logarithm (Gelman et al.: Bayesian Data Analysis, 3rd edition (2013), sections 3.2 and 17.2).
+
+        `level`: noise; `share`: share of independent samples; `least`: smallest noise, the scale of the prior (channels,).
+        """
         floor = np.minimum(share * (least / level) ** 2, 1.0)
         ratio = share * self.power / level**2 / floor
         return np.asarray(-np.sum(self.samples[:, None] * share * np.log1p(ratio), axis=1))
@@ -67,8 +82,6 @@ class Row:
     members: tuple[Member, ...]
     #: number of fitted parameters
     parameters: int
-    #: number of initial states of a record
-    states: int
     #: errors as shares of the deviation (channels,)
     validation: Array
     test: Array
@@ -114,21 +127,15 @@ class Row:
 
 def row_of(evaluator: HeldOutEvaluator, fit: Fit) -> Row:
     """Return the row of a fitted set; raise InputError where a record cannot be simulated."""
-    p = evaluator.problem
-    fitter = Fitter(p, white_weights(evaluator.least_noise))
-    after = evaluator._states_after_training(fit)
-    held = fitter.follow(fit.structure, fit.x, p.held, None, (after,))
-    evaluator._check_whole_records(fit, held)
+    p, held = evaluator.problem, evaluator.held_fit(fit)
     left = residuals(p, fit)
     level = np.maximum(np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)), evaluator.least_noise)
-    network = p.network
-    contradictions = [find_contradiction(p, fit, fit.network.element(n)) for n in fit.structure.names]
+    contradictions = [find_contradiction(p, fit, element) for element in fit.elements]
     return Row(
         fit=fit,
         held=held,
-        members=tuple(_member(network, h) for h in fit.structure.hypotheses),
+        members=tuple(_member(p.network, h) for h in fit.hypotheses),
         parameters=len(fit.x),
-        states=max((len(s) for s in fit.initial.values()), default=0),
         validation=evaluator.nrmse(held, p.choosing, evaluator.validation_deviation),
         test=evaluator.nrmse(held, p.reporting, evaluator.test_deviation),
         training=evaluator.nrmse(fit, p.estimation, evaluator.training_deviation),
@@ -143,7 +150,7 @@ def row_of(evaluator: HeldOutEvaluator, fit: Fit) -> Row:
 def _member(network: Network, h: Hypothesis) -> Member:
     pair = owner_pair(network, h)
     place = tuple(sorted(pair)) if pair else h.where
-    return Member(h.effect, place, h.kind.mechanism, h.place, h.kind.series)
+    return Member(h.effect, place, h.kind.mechanism, h.place)
 
 
 def _blocks(evaluator: HeldOutEvaluator, fit: Fit, records: Sequence[int]) -> Blocks:
@@ -151,8 +158,49 @@ def _blocks(evaluator: HeldOutEvaluator, fit: Fit, records: Sequence[int]) -> Bl
     for i in records:
         y = evaluator.problem.records[i].measured
         square = (y - fit.outputs[i]) ** 2
-        edges = block_edges(y, BLOCKS, LEAST_BLOCK)
+        edges = block_edges(y)
         for a, b in pairwise(edges):
             power.append(square[a:b].mean(axis=0))
             samples.append(len(y) / (len(edges) - 1))
     return Blocks(np.array(power), np.array(samples))
+
+
+def block_edges(measured: Array, blocks: int = BLOCKS, least: int = LEAST_BLOCK) -> Array:
+    """Return indices (edges,) of blocks of equal signal energy of measured channels (samples, channels): a decay has most in its first
+    periods."""
+    deviation = measured - measured.mean(axis=0)
+    power = np.sum((deviation / np.maximum(measured.std(axis=0), 1e-300)) ** 2, axis=1)
+    energy = np.cumsum(power + 0.02 * max(float(power.mean()), 1e-300))
+    wanted = np.searchsorted(energy, np.linspace(0.0, energy[-1], blocks + 1)[1:-1]) + 1
+    edges = [0]
+    for edge in wanted:
+        if edge - edges[-1] >= least and len(measured) - edge >= least:
+            edges.append(int(edge))
+    return np.array([*edges, len(measured)])
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Difference of the held-out log predictive density between two sets."""
+
+    #: Log predictive density of the first set minus that of the second [nats], summed over blocks.
+    elpd_diff: float = 0.0
+    #: Standard error of the difference [nats].
+    dse: float = math.inf
+
+    @property
+    def errors(self) -> float:
+        """The difference in standard errors."""
+        return self.elpd_diff / max(self.dse, 1e-12)
+
+    def is_better(self, c: Criteria) -> bool:
+        """Return whether the first set predicts better, beyond chance."""
+        return self.elpd_diff > c.elpd_diff and self.errors > c.elpd_errors
+
+
+def compare(first: Array, second: Array) -> Comparison:
+    """Return the difference of log predictive densities (blocks,) [nats] and its standard error, which is infinite for a single block."""
+    difference = np.asarray(first) - np.asarray(second)
+    count = len(difference)
+    dse = math.sqrt(count * float(np.var(difference, ddof=1))) if count > 1 else math.inf
+    return Comparison(float(difference.sum()), dse)

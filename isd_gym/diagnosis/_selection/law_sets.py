@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._estimation.gauss_newton import Fitter, gap
+from .._estimation.gauss_newton import gap
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.structure import base_structure
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import SEARCH, TimeLimit, TimeUp
 from .answer import answer_of, simplest_law
-from .candidate import Candidate, deviance, filters_for, settle
-from .candidate_comparison import CandidateComparison
 from .held_out_table import row_of
 from .plain_fits import FAILS, Stage
 
@@ -23,15 +21,17 @@ if TYPE_CHECKING:
 
     from ..._common.arrays import Array
     from .._estimation.gauss_newton import Fit
-    from .._estimation.structure import Structure
     from .._simulation.problem import Problem
+    from .answer import Answer
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
     from .held_out_table import Row
     from .settings import SearchSettings
 
-#: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
+#: factor by which the nominal model must err less than every refit, to stand in for it
 ASTRAY = 1.1
+#: largest number of Gauss-Newton steps of the refit
+REFIT = 20
 #: number of the law that is looked for, in words
 ORDINALS = ("a first", "a second", "a third", "a further")
 
@@ -63,25 +63,16 @@ class Search:
         deviations = [f.deviation for f in self.evaluator.noise_estimates]
         return np.asarray(deviations) / self.evaluator.validation_deviation
 
-    def run(self, refitted: Candidate) -> CandidateComparison:
+    def run(self, refitted: Fit) -> Answer:
         """Search from the refitted nominal model."""
-        rows = self.score([refitted.fit])
+        rows = self.score([refitted])
         try:
             with self.clock.until(SEARCH):
                 self._extend(rows)
         except TimeUp:
             count = max(len(row.members) for row in rows)
             self.clock.leave_out(f"the search for {ORDINALS[min(count, len(ORDINALS) - 1)]} effect")
-        answer = answer_of(rows, self.least_noise, self.noise, self.criteria)
-        return CandidateComparison(
-            self.evaluator, self.criteria, refitted, self._candidates(rows, refitted), answer
-        )
-
-    def _candidates(self, rows: Sequence[Row], refitted: Candidate) -> dict[int, Candidate]:
-        """Return the candidate of each row."""
-        p, share = self.problem, rows[0].share
-        out = {id(row): Candidate(row.fit, deviance(p, row.fit, self.least_noise, share)) for row in rows}
-        return out | {id(rows[0]): refitted}
+        return answer_of(rows, self.least_noise, self.noise, self.criteria)
 
     def _extend(self, rows: list[Row]) -> None:
         """Append the rows of sets with one more law each, from the best sets of the step before."""
@@ -126,35 +117,22 @@ class Search:
                 continue
         return rows
 
-    def refit_nominal(self) -> Candidate:
+    def refit_nominal(self) -> Fit:
         """Refit the nominal model within its stated uncertainty from the nominal values and, where the motion is lightly damped, from
         segments; the nominal model where every refit errs more on the training records."""
-        p, least = self.problem, self.least_noise
+        p, fitter = self.problem, self.evaluator.plain_fitter
         structure = base_structure(p.network)
-        found = [settle(p, structure, structure.start, least)]
+        found = [fitter.fit(structure, iterations=REFIT)]
         try:
-            again = self.from_segments(structure, structure.start, found[0])
-            found += [again] if again is not None else []
+            if not p.network.inputs or is_lightly_damped(p.network):
+                x = fit_segments(p, structure, structure.start, fitter)
+                found += [fitter.fit(structure, x, iterations=REFIT)] if x is not None else []
         except TimeUp:
             self.clock.leave_out("further starts of the refit")
-            return found[0]
-        gaps = [gap(p, c.fit) for c in found]
-        near = [c for c, g in zip(found, gaps, strict=True) if g <= ASTRAY * min(gaps)]
-        plainly = self.evaluator.plain_fitter.follow(structure, structure.start, p.estimation)
-        nominal = settle(p, structure, structure.start, least, plainly, iterations=0)
-        # else every refit has lost the motion
-        return min(near, key=lambda c: c.deviance) if gap(p, nominal.fit) >= min(gaps) / ASTRAY else nominal
-
-    def from_segments(
-        self, structure: Structure, x: Array, similar: Candidate, share: Array | None = None
-    ) -> Candidate | None:
-        """Fit a structure from a fit to brief segments, weighted by the residuals of a similar candidate; None where the motion is
-        strongly damped."""
-        p, least = self.problem, self.least_noise
-        if p.network.inputs and not is_lightly_damped(p.network):
-            return None
-        try:
-            start = fit_segments(p, structure, x, Fitter(p, filters_for(p, similar.fit, least)))
-            return None if start is None else settle(p, structure, start, least, rounds=2, share=share)
         except BROKEN:
-            return None
+            pass
+        plainly = fitter.follow(structure, structure.start, p.estimation)
+        found.append(fitter.fit(structure, None, plainly.initial, plainly.offset, iterations=0))
+        gaps = [gap(p, fit) for fit in found]
+        # the nominal model where every refit has lost the motion
+        return found[int(np.argmin(np.append(gaps[:-1], ASTRAY * gaps[-1])))]

@@ -23,14 +23,13 @@ from .._estimation.gauss_newton import Fit, Fitter, gap
 from .._estimation.initial_states import transfer_states
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.noise import white_weights
-from .._estimation.structure import FAR, WIDE, add
+from .._estimation.structure import FAR, WIDE, add, parameter_values
 from .._hypotheses.law_matching import residual_of, starts_of
 from .._hypotheses.library import hypotheses
 from .._hypotheses.motion import LANES, joined, motions
 from .._hypotheses.pair_forces import measured_motions
 from .._simulation.problem import BROKEN, bare
 from .admissibility import is_admissible, travels
-from .candidate import parameter_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -94,9 +93,7 @@ class Stage:
         self.base = base
         self.now = base
         if self.problem is not problem:
-            self.now = self.coarse.fit(
-                base.structure, base.x, base.initial, base.offset, records=list(base.initial), iterations=0
-            )
+            self.now = self.coarse.transfer(base)
 
     def run(self) -> list[Fit]:
         """Return the fits with one more law, smallest cost first: all laws with at most one parameter more, and the best others."""

@@ -16,15 +16,15 @@ from .._estimation.gauss_newton import Fitter
 from .._estimation.sensitivities import deviations
 from .._simulation.problem import BROKEN
 from ..result import Quantity
-from .held_out import block_edges
+from .held_out_table import block_edges
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ..._common.arrays import Array
     from ...physics.network import Network
+    from .._estimation.gauss_newton import Fit
     from .._estimation.structure import Structure
-    from .candidate import Candidate
     from .held_out import HeldOutEvaluator
 
 #: largest relative standard deviation that a model states
@@ -33,11 +33,9 @@ MOST_UNCERTAIN = 100.0
 LARGEST_SHIFT = 1e6
 #: number of times that derivatives are taken over the standard deviations found before
 PASSES = 2
-#: blocks per record whose scores give the sandwich estimate, and their least number of samples
-BLOCKS, LEAST_BLOCK = 20, 10
 
 
-def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | None:
+def covariance(evaluator: HeldOutEvaluator, fit: Fit) -> Array | None:
     """Return the mean square error of the free parameters, transformed (parameters, parameters); None where no parameter is free.
 
     Four parts, to first order:
@@ -54,11 +52,11 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
         Huber, The behavior of maximum likelihood estimates under nonstandard conditions, Proc. 5th Berkeley Symposium (1967) 221.
         Gelman et al.: Bayesian Data Analysis, 3rd edition (2013), chapter 15 (effects with a common prior).
     """
-    problem, fit = evaluator.problem, candidate.fit
+    problem = evaluator.problem
     if not len(fit.x):
         return None
-    fitter = Fitter(problem, evaluator.weights(candidate))
-    effects = dict(evaluator.unmodelled_responses(candidate))
+    fitter = Fitter(problem, evaluator.weights(fit))
+    effects = dict(evaluator.unmodelled_responses(fit))
     responses = {
         i: np.concatenate([(problem.records[i].measured - fit.outputs[i])[:, :, None], y], axis=2)
         for i, y in effects.items()
@@ -82,7 +80,7 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     for i, (a, c) in parts.items():
         gram, right = gram + c[:, 1:].T @ c[:, 1:], right + c[:, 1:].T @ c[:, 0]
         score = (a * c[:, :1]).reshape(len(problem.records[i]), -1, a.shape[1]).sum(axis=1)
-        edges = block_edges(problem.records[i].measured, BLOCKS, LEAST_BLOCK)
+        edges = block_edges(problem.records[i].measured)
         scores += [score[m:n].sum(axis=0) for m, n in pairwise(edges)]
     cost = sum(float(np.sum(c[:, 0] ** 2)) for _, c in parts.values())
     largest = np.clip(shift @ sizes_within(gram - np.eye(len(gram)), cost), -LARGEST_SHIFT, LARGEST_SHIFT)
@@ -131,12 +129,10 @@ def _inverse(matrix: Array) -> Array:
     )
 
 
-def intervals(
-    evaluator: HeldOutEvaluator, candidate: Candidate, known: Array | None = None
-) -> dict[str, Quantity]:
+def intervals(evaluator: HeldOutEvaluator, f: Fit, known: Array | None = None) -> dict[str, Quantity]:
     """Return every free parameter with its 95 % interval, by path; no interval is wider than the stated uncertainty."""
-    problem, f = evaluator.problem, candidate.fit
-    matrix = covariance(evaluator, candidate) if known is None else known
+    problem = evaluator.problem
+    matrix = covariance(evaluator, f) if known is None else known
     out: dict[str, Quantity] = {}
     if matrix is None:
         return out
@@ -163,33 +159,13 @@ def with_posterior(network: Network, quantities: Mapping[str, Quantity]) -> Netw
     return replace(network, uncertainty={**network.uncertainty, **found})
 
 
-def parameters_at_limits(candidate: Candidate) -> tuple[str, ...]:
+def parameters_at_limits(fit: Fit) -> tuple[str, ...]:
     """Return the parameters of the nominal model that end at the limit of their stated uncertainty."""
     return tuple(
         q.path
-        for q, x in zip(candidate.fit.structure.free, candidate.fit.x, strict=True)
+        for q, x in zip(fit.structure.free, fit.x, strict=True)
         if q.owner < 0 and (x <= q.low + 1e-6 * q.sigma or x >= q.high - 1e-6 * q.sigma)
     )
-
-
-def differing_part(
-    network: Network, structure: Structure, x: Array, element: el.Element, matrix: Array | None
-) -> Quantity | None:
-    """Return the difference, with its interval, of two parameters of a law whose common part could be one of the model; None for other
-    laws."""
-    here = [e for e in el.beside(network, element.where) if e.name != element.name]
-    pair = element.differing(here)
-    if pair is None or matrix is None:
-        return None
-    free = structure.free
-    paths = [q.path for q in free]
-    wanted = [f"{element.name}.{name}" for name in pair]
-    if any(w not in paths or free[paths.index(w)].log for w in wanted):
-        return None
-    a = np.zeros(len(paths))
-    a[[paths.index(w) for w in wanted]] = 1.0, -1.0
-    value, half = float(a @ x), Z95 * math.sqrt(max(float(a @ matrix @ a), 0.0))
-    return Quantity(value, value - half, value + half, structure.network.unit_of(wanted[0]), None)
 
 
 def sums_with_dampers(
@@ -213,28 +189,3 @@ def sums_with_dampers(
         total, half = getattr(element, name) + beside, Z95 * math.sqrt(max(variance, 0.0))
         out[own] = Quantity(total, total - half, total + half, network.unit_of(own))
     return out
-
-
-def relative_uncertainty(
-    element: el.Element, quantities: dict[str, Quantity], difference: Quantity | None = None
-) -> float:
-    """Return half of the widest 95 % interval of a law, as the logarithm of a factor; infinite where it holds zero. Of several parameters
-    with one unit the largest counts, and one that shapes the law only by itself; `difference` counts in place of two."""
-    by_unit: dict[str, tuple[float, float]] = {}
-    # a phase has no size
-    sized = [f for f in el.parameter_fields(type(element)) if not f.metadata["stride"]]
-    fitted = [f for f in sized if f"{element.name}.{f.name}" in quantities]
-    for f in [f for f in fitted if f.name != element.shaped_by] or fitted:
-        q = quantities[f"{element.name}.{f.name}"]
-        neutral = f.default if isinstance(f.default, int | float) else 0.0
-        size = abs(q.value - neutral)
-        half = q.value - q.low if f.metadata["minimum"] >= 0 else 0.5 * abs(q.high - q.low)
-        old = by_unit.get(q.unit, (0.0, 0.0))
-        by_unit[q.unit] = max(old[0], size), max(old[1], half)
-    if difference is not None:
-        by_unit[difference.unit] = abs(difference.value), 0.5 * (difference.high - difference.low)
-    # the factor by which a value, known to plus or minus half of its interval, may be too large
-    return max(
-        (math.inf if half >= size else -math.log1p(-half / size) for size, half in by_unit.values()),
-        default=0.0,
-    )

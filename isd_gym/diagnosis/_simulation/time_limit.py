@@ -42,11 +42,6 @@ class TimeLimit:
         """Time since the start, without the compilation of kernels [s]."""
         return self._clock() - self._start - (compile_seconds() - self._compiled)
 
-    @property
-    def is_over(self) -> bool:
-        """Whether the time is up."""
-        return self._limit is not None and self.seconds > self._limit
-
     def leave_out(self, what: str) -> None:
         """Note a part of the work that is left out."""
         if what not in self.left_out:

@@ -21,8 +21,8 @@ from ..._common.errors import InputError
 from .._hypotheses.forces import element_forces
 from .._hypotheses.motion import motions
 from .._records.feedback import LINEAR
+from .._selection.conditions import gate
 from .._selection.criteria import CRITERIA
-from .gates import Decision, gate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .._records.feedback import Feedback
     from .._selection.criteria import Criteria
     from .._simulation.problem import Problem
+    from .gates import Decision
 
 
 #: share of a force's power beyond multiples of travel and rate, below which the force counts as linear in them
@@ -43,7 +44,6 @@ def decide_under_feedback(
     decision: Decision,
     problem: Problem,
     fit: Fit,
-    elements: Sequence[Element],
     feedback: Sequence[Feedback],
     brief: bool,
     c: Criteria = CRITERIA,
@@ -57,7 +57,7 @@ def decide_under_feedback(
         worst = max(feedback, key=lambda f: f.share)
         text = f"share of {worst.input} that past outputs explain; under feedback whole records are no comparison"
         gates.append(gate("open loop", max(worst.share, LINEAR[0]), "<", LINEAR[0], text))
-    for e in elements:
+    for e in fit.elements:
         for f in feedback:
             share = imitated_share(problem, fit, e, f.input)
             text = f"share of the force of {e.type} that {f.input}, which follows from {' and '.join(f.outputs)}, explains"

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ...physics.elements import TYPES
-from .._selection.candidate import parameter_values
+from .._estimation.structure import parameter_values
 from .._selection.weights import FREE_FORCE, Statement, probability
 from ..result import Quantity
 from .gates import NAMELESS
@@ -16,15 +15,14 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from .._selection.criteria import Criteria
-    from .._selection.law_sets import Search
-    from .._selection.weights import WeightedCandidate
+    from .._selection.weights import WeightedSet
     from ..result import LawSet
     from .evidence import Evidence
 
 
 @dataclass(frozen=True)
 class LawProbability:
-    """A law of a finding with its probability, and its values in the foremost candidate or else in the likeliest that contains the law."""
+    """A law of a finding with its probability, and its values in the foremost set or else in the likeliest that contains the law."""
 
     effect: str
     probability: float
@@ -65,48 +63,27 @@ class Finding:
         return head | {"grade": levels, "named": self.named} | lists
 
 
-def find(
-    search: Search,
-    candidates: Sequence[WeightedCandidate],
-    evidence: Evidence,
-    quantities: Mapping[str, Quantity],
-    own: frozenset[Statement],
-    *,
-    is_named: bool,
-    is_doubted: bool,
-) -> tuple[Finding, ...]:
-    """Return findings, largest probability of the kind first.
-
-    Args:
-        search: The search, for its criteria.
-        candidates: Candidates with weights.
-        evidence: Evidence for the foremost candidate.
-        quantities: Parameters with intervals, by path.
-        own: Statements of the foremost candidate.
-        is_named: Whether its effects are named.
-        is_doubted: Whether a free curve or a controller explains its force.
-    """
-    return _Finder(search.criteria, candidates, evidence, quantities, own, is_named, is_doubted).find()
-
-
 @dataclass(frozen=True)
-class _Finder:
-    """Sums of weights of candidates as probabilities of places, kinds and laws, less the share of such statements that are wrong."""
+class Finder:
+    """Sums of weights of sets as probabilities of places, kinds and laws, less the share of such statements that are wrong."""
 
     criteria: Criteria
-    candidates: Sequence[WeightedCandidate]
+    sets: Sequence[WeightedSet]
     evidence: Evidence
+    #: parameters of the first set with intervals, by path
     quantities: Mapping[str, Quantity]
-    own: frozenset[Statement]
-    is_named: bool
+    #: statements that are named
+    named: frozenset[Statement]
+    #: whether no set is needed, or a controller may imitate a law
     is_doubted: bool
 
     def find(self) -> tuple[Finding, ...]:
-        """Return the findings. A kind that is certain at none of several places has an open place."""
+        """Return the findings, named ones first, then by the probability of the kind. A kind that is certain at none of several places has
+        an open place."""
         every = self._laws()
         found = []
         for (place, kind), laws in every.items():
-            if probability(self.candidates, place=place, kind=kind) >= REPORTED:
+            if probability(self.sets, place=place, kind=kind) >= REPORTED:
                 found.append(self._finding(place, kind, laws))
         for kind in sorted({f.kind for f in found} - set(NAMELESS)):
             if self._is_place_open(kind, [f for f in found if f.kind == kind]):
@@ -118,123 +95,55 @@ class _Finder:
         return tuple(sorted(found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)))
 
     def _laws(self) -> dict[tuple[tuple[str, ...], str], dict[str, Statement]]:
-        """Return the statements of all candidates by place and kind, then by law."""
+        """Return the statements of all sets by place and kind, then by law."""
         every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
-        for candidate in self.candidates:
-            for s in sorted(candidate.statements, key=lambda s: (s.place, s.kind, s.law)):
+        for one in self.sets:
+            for s in sorted(one.statements, key=lambda s: (s.place, s.kind, s.law)):
                 every.setdefault((s.place, s.kind), {})[s.law] = s
         return every
 
     def _is_place_open(self, kind: str, found: Sequence[Finding]) -> bool:
         """Return whether a kind is found at several places and certain at none of them."""
-        whole = probability(self.candidates, kind=kind)
+        whole = probability(self.sets, kind=kind)
         for f in found:
-            at_place = probability(self.candidates, place=f.place, kind=kind)
+            at_place = probability(self.sets, place=f.place, kind=kind)
             if f.named or at_place >= self.criteria.certain * whole:
                 return False
         return len(found) > 1
 
     def _finding(self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> Finding:
         """Return the finding of a kind at a place, or at any place where `place` is empty."""
-        of_kind = probability(self.candidates, **_where(place, kind)) * (
-            1.0 - self._mistaken(place, kind, laws)
-        )
+        where: dict[str, object] = {"kind": kind, "place": place} if place else {"kind": kind}
+        of_kind = probability(self.sets, **where) * (1.0 - self._mistaken("kind", kind, laws))
+        of_place = of_kind
+        if place:
+            of_place = probability(self.sets, place=place) * (1.0 - self._mistaken("place", kind, laws))
         entries = []
         for law, statement in laws.items():
-            values = self._values(statement) if place else {}
-            entries.append(LawProbability(law, self._of_law(place, kind, laws, law), values))
-        return Finding(
-            place,
-            self._of_place(place) if place else of_kind,
-            kind,
-            of_kind,
-            tuple(sorted(entries, key=lambda e: (-e.probability, e.effect))),
-            self.is_named and any(s in self.own for s in laws.values()),
-        )
+            own = probability(self.sets, **where, law=law) * (1.0 - self._mistaken("law", kind, laws))
+            entries.append(LawProbability(law, own, self._values(statement) if place else {}))
+        ranked = tuple(sorted(entries, key=lambda e: (-e.probability, e.effect)))
+        return Finding(place, of_place, kind, of_kind, ranked, any(s in self.named for s in laws.values()))
 
-    def _share(self, level: str, *, is_sum: bool = False) -> float:
-        """Return the share of statements of a level that are wrong."""
-        return share_mistaken(level, self.evidence, self.criteria, is_named=self.is_named, is_sum=is_sum)
-
-    def _own_here(self, place: tuple[str, ...], kind: str) -> set[Statement]:
-        """Return the statements of the foremost candidate about a kind at a place."""
-        return {s for s in self.own if s.kind == kind and place in (s.place, ())}
-
-    def _doubt(self, place: tuple[str, ...], kind: str) -> float:
-        """Return the share of kinds that are wrong where the foremost candidate, if it passed, does not have the kind."""
-        has_passed = bool(self._own_here(place, kind)) and not self.is_doubted
-        return 0.0 if has_passed else MISTAKEN["extra"]
-
-    def _mistaken(self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> float:
-        """Return the share of such kinds that are wrong. The free force stands for laws outside the library."""
+    def _mistaken(self, level: str, kind: str, laws: Mapping[str, Statement]) -> float:
+        """Return the share of statements of a level that are wrong. The free force stands for laws outside the library."""
         if FREE_FORCE in laws:
-            return MISTAKEN["free" if kind in NAMELESS else "kind"]
-        return max(self._doubt(place, kind), self._share("kind"))
-
-    def _of_place(self, place: tuple[str, ...]) -> float:
-        """Return the probability of a place, less where it belongs to an effect beside the foremost candidate's that did not pass the
-        inclusion test."""
-        whole = probability(self.candidates, place=place)
-        if self._has_free_force(place):
-            return whole * (1.0 - MISTAKEN["place"])
-        own_places = {s.place for s in self.own}
-        beside = [
-            w
-            for w in self.candidates
-            if place not in own_places and own_places & {s.place for s in w.statements}
-        ]
-        further = probability(beside, place=place)
-        return _less(whole, further, self._share("place"))
-
-    def _has_free_force(self, place: tuple[str, ...]) -> bool:
-        return any(s.place == place and s.law == FREE_FORCE for w in self.candidates for s in w.statements)
-
-    def _of_law(self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement], law: str) -> float:
-        """Return the probability of a law, less where it stands beside a law of the foremost candidate without passing the inclusion
-        test."""
-        where, own_here = _where(place, kind), self._own_here(place, kind)
-        whole = probability(self.candidates, **where, law=law)
-        is_own = any(s.law == law for s in own_here)
-        beside = [] if is_own else [w for w in self.candidates if own_here & w.statements]
-        further = probability(beside, **where, law=law)
-        is_sum = law in TYPES and TYPES[law].is_sum()
-        usual = self._mistaken(place, kind, laws) if FREE_FORCE in laws else self._doubt(place, kind)
-        return _less(whole, further, max(usual, self._share("law", is_sum=is_sum)))
+            return MISTAKEN["free" if kind in NAMELESS and level != "place" else "kind"]
+        usual = share_mistaken(level, self.evidence, self.criteria)
+        return max(usual, MISTAKEN["extra"]) if self.is_doubted and level != "place" else usual
 
     def _values(self, statement: Statement) -> dict[str, Quantity]:
-        """Return the values of a law in the foremost candidate, or else in the likeliest that contains the law."""
-        foremost_first = sorted(self.candidates, key=lambda w: w.statements != self.own)
-        return _values(foremost_first, statement, self.quantities)
-
-
-def _where(place: tuple[str, ...], kind: str) -> dict[str, object]:
-    """Return the wanted fields of statements about a kind at a place, or at any place where `place` is empty."""
-    return {"kind": kind, "place": place} if place else {"kind": kind}
-
-
-def _less(whole: float, further: float, wrong: float) -> float:
-    """Return the probability of statements, of which a `further` part did not pass the inclusion test, less the share that is wrong."""
-    return (whole - further) * (1.0 - wrong) + further * (1.0 - max(MISTAKEN["extra"], wrong))
-
-
-def _values(
-    candidates: Sequence[WeightedCandidate], statement: Statement, quantities: Mapping[str, Quantity]
-) -> dict[str, Quantity]:
-    """Return the values of a law in the first candidate with the statement; without an interval if it is not the foremost."""
-    for w in candidates:
-        if statement not in w.statements:
-            continue
-        structure = w.candidate.fit.structure
-        for h, name, element in zip(structure.hypotheses, structure.names, w.candidate.elements, strict=True):
+        """Return the values of a law in the likeliest set with the statement; with intervals where they are those of the foremost."""
+        fit = next(s.fit for s in self.sets if statement in s.statements)
+        for h, element in zip(fit.hypotheses, fit.elements, strict=True):
             if h.effect != statement.law:
                 continue
-            network, out = w.candidate.fit.network, {}
+            out = {}
             for key, value in parameter_values(element).items():
-                path = f"{name}.{key}"
-                known = quantities.get(path)
-                if known is not None and known.value == value:
-                    out[key] = known
-                else:
-                    out[key] = Quantity(value, float("nan"), float("nan"), network.unit_of(path))
+                path = f"{element.name}.{key}"
+                known = self.quantities.get(path)
+                is_own = known is not None and known.value == value
+                unknown = Quantity(value, float("nan"), float("nan"), fit.network.unit_of(path))
+                out[key] = known if known is not None and is_own else unknown
             return out
-    return {}
+        return {}

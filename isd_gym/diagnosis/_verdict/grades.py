@@ -59,17 +59,13 @@ def grade(probability: float) -> Grade:
     return next((name for name, least in LEAST.items() if probability >= least), "possible")
 
 
-def share_mistaken(
-    level: str, e: Evidence, c: Criteria = CRITERIA, *, is_named: bool = True, is_sum: bool = False
-) -> float:
-    """Return the share of statements of a level (place, kind or law) that are wrong although no resampling shows it; `is_sum`: the law is
-    the sum of two others."""
-    explained = min(e.explained, e.test_explained) if level == "law" else e.explained
-    is_doubtful = explained < c.alone_removes or e.width_after > c.wide_gap or e.support < SUPPORT
-    own = MISTAKEN[level]
-    is_part = not is_named or e.explained < c.least_explained
-    if (is_doubtful and (level == "law" or is_part)) or ((is_sum or e.imitated) and level == "law"):
-        own = max(own, MISTAKEN["partly"])
+def share_mistaken(level: str, e: Evidence, c: Criteria = CRITERIA) -> float:
+    """Return the share of statements of a level (place, kind or law) that are wrong although no resampling shows it."""
+    is_law = level == "law"
+    explained = min(e.explained, e.test_explained) if is_law else e.explained
+    is_partly = explained < (c.alone_removes if is_law else c.least_explained)
+    is_doubtful = is_law and (e.width(e.after) > c.wide_gap or e.support < SUPPORT)
+    own = max(MISTAKEN[level], MISTAKEN["partly"]) if is_partly or is_doubtful else MISTAKEN[level]
     return max(own, MISTAKEN["weak"]) if e.explained < c.least_removed else own
 
 

@@ -362,7 +362,7 @@ class Facts:
     def shared(self) -> dict[str, list[Any]] | None:
         """The effects that each of several candidates contains at the same place; None where there are none."""
         d, rivals = self.d, self.d["alternatives"]
-        if d["verdict"] != "ambiguous" or d["reason"] == "kind_certain" or len(rivals) < 2:
+        if d["verdict"] != "ambiguous" or len(rivals) < 2:
             return None
         first, *others = (
             [(e, sorted(w)) for e, w in zip(r["effects"], r["where"], strict=True)] for r in rivals

@@ -288,11 +288,6 @@ class Element:
         tuple if the force is linear."""
         return (self,) if self.law is not None or self.bound is not None else ()
 
-    @classmethod
-    def is_sum(cls) -> bool:
-        """Return whether the force is that of two other laws together, so that no record tells the law from the two."""
-        return cls.parts is not Element.parts
-
     def law_parameters(self) -> list[float]:
         """Return the numbers that `law` or `bound` reads, in order and in the units of the parameters."""
         return [getattr(self, f.name) for f in parameter_fields(type(self))]
@@ -437,15 +432,6 @@ class Element:
     def differs_from_limit(self, motion: Motion) -> bool:
         """Return whether a motion distinguishes the law from a limiting case with another name."""
         return True
-
-    def fault(self, time: float) -> float:
-        """Return the size of a sensor's fault: the relative error of a gain, or a delay over the time constant
-        of the motion [s]; 0 for a force."""
-        return 0.0
-
-    def own_share(self, beside: Sequence[Element]) -> float:
-        """Return the share of the force that no parameter of the elements at the place could produce."""
-        return 1.0
 
     def differing(self, beside: Sequence[Element]) -> tuple[str, str] | None:
         """Return two parameters whose difference alone is the effect, since an element at the place could

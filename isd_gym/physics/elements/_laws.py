@@ -294,14 +294,6 @@ class AsymmetricDamping(Element):
         damped = any(isinstance(e, LinearDamping) for e in beside)
         return ("extension", "compression") if damped else None
 
-    def own_share(self, beside: Sequence[Element]) -> float:
-        if self.differing(beside) is None:
-            return 1.0
-        # the common part of both directions belongs to the damper
-        return abs(self.extension - self.compression) / (
-            2 * rms(np.array([self.extension, self.compression]))
-        )
-
 
 @register
 class CubicStiffness(Element):

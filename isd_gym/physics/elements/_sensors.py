@@ -48,9 +48,6 @@ class SensorGain(_Sensor):
     def apply(self, signal: Array, step: float) -> Array:
         return self.gain * signal
 
-    def fault(self, time: float) -> float:
-        return abs(self.gain - 1.0)
-
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         return [Start({"gain": 1.05}, signed=True)]
@@ -98,9 +95,6 @@ class SensorDelay(_Sensor):
     def apply(self, signal: Array, step: float) -> Array:
         return delayed(signal, self.delay / step)
 
-    def fault(self, time: float) -> float:
-        return abs(self.delay) / time
-
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         return [Start({"delay": 0.1 * at.time}, grows=("delay",), signed=True)]
@@ -117,9 +111,6 @@ class SensorMagnitude(_ZeroSensor):
 
     def apply(self, signal: Array, step: float) -> Array:
         return np.abs(signal)
-
-    def fault(self, time: float) -> float:
-        return 1.0
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
@@ -141,9 +132,6 @@ class SensorDeadZone(_ZeroSensor):
 
     def apply(self, signal: Array, step: float) -> Array:
         return np.asarray(signal - np.clip(signal, -self.width, self.width), dtype=np.float64)
-
-    def fault(self, time: float) -> float:
-        return 1.0
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:

@@ -194,7 +194,7 @@ class View:
             [self.printed(s) for s in part] for part in (told.finding, told.remarks, told.next_steps)
         )
         # whether several candidates cannot be told apart
-        self.tied = d.verdict == "ambiguous" and d.reason != "kind_certain"
+        self.tied = d.verdict == "ambiguous"
         self.labels = {s: label for s, (label, _) in STAGES.items()}
         if d.verdict == "ambiguous":
             self.labels["after"] = "with the likeliest law"
