@@ -99,6 +99,10 @@ class Table:
         """Return whether a set predicts better than another, beyond chance."""
         return self.compare(row, other).is_better(self.c)
 
+    def competes(self, row: Row, simplest: Row) -> bool:
+        """Return whether a set is as simple as the simplest one, or predicts better beyond chance."""
+        return row.parameters <= simplest.parameters or self.is_better(row, simplest)
+
     def leaves(self, row: Row, other: Row) -> float:
         """Return the squared error beyond noise that a set leaves, as a share of what the other leaves."""
         return excess(row, self.noise, self.c) / excess(other, self.noise, self.c)
@@ -138,8 +142,8 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
     pool = [row for row in sound if row.blames <= chosen.blames]
     same = [row for row in pool if len(row.members) == len(chosen.members)]
     near = [row for row in same if row.error - chosen.error < width or table.is_alike(row, chosen)]
-    others = [row for row in near if row.kinds != chosen.kinds]
     simplest = simplest_law(same, chosen, refit, c)
+    others = [row for row in near if row.kinds != chosen.kinds and table.competes(row, simplest)]
     band = (simplest, *sorted(others, key=lambda r: (r.parameters, r.error)))
     odds = np.exp([(chosen.error - row.error) / width for row in band])
     weights = tuple((odds / odds.sum()).tolist())

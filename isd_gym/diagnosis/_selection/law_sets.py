@@ -9,12 +9,12 @@ import numpy as np
 
 from .._estimation.gauss_newton import gap
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
-from .._estimation.structure import base_structure
+from .._estimation.structure import add, base_structure, parameter_values
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import SEARCH, TimeLimit, TimeUp
 from .answer import answer_of, simplest_law
 from .held_out_table import row_of
-from .plain_fits import FAILS, Stage
+from .plain_fits import FAILS, Stage, freed, try_fit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -90,14 +90,35 @@ class Search:
             ranked = sorted(found.values(), key=lambda f: f.cost)
             new = self.score(ranked[: s.scored_further if depth else s.scored])
             before = min(row.error for row in rows if row.is_sound)
-            rows += new
             sound = [row for row in new if row.is_sound]
             best = min(sound, key=lambda row: row.error, default=None)
+            rows += new
+            if best is not None and depth:
+                rows += self.score(self._with_fewer(best.fit))
             if best is None or best.error > s.least_step * before:
                 break
             if best.error**2 - noise**2 < s.good_enough**2:
                 break
             front = [row.fit for row in self._front(sound, rows[0])]
+
+    def _with_fewer(self, fit: Fit) -> list[Fit]:
+        """Return fits with one law less, from the values of a fit: alone, a law may have ended in another optimum."""
+        known = {f.path: float(v) for f, v in zip(fit.structure.free, fit.x, strict=True)}
+        laws = list(zip(fit.hypotheses, fit.elements, strict=True))
+        out = []
+        for k in range(len(laws)):
+            structure = base_structure(self.problem.network)
+            try:
+                for law, element in laws[:k] + laws[k + 1 :]:
+                    structure = add(freed(structure, law), law, parameter_values(element))
+                x = structure.start_from(known)
+            except FAILS:
+                continue
+            fewer = try_fit(
+                self.evaluator.plain_fitter, structure, x, None, None, self.settings.further_steps
+            )
+            out += [fewer] if fewer is not None else []
+        return out
 
     def _front(self, rows: Sequence[Row], refit: Row) -> list[Row]:
         """Return the best sets of distinct kinds, each with the simplest law of its kinds."""
