@@ -223,17 +223,19 @@ class Stage:
                 offset = None if states is None else self.now.offset
                 fit = try_fit(self.coarse, start.structure, start.x, states, offset, rules.first_steps)
                 out += [fit] if fit is not None else []
-            x = fit_segments(self.problem, start.structure, start.x, self.coarse) if self.is_lost else None
-            if x is not None:
-                fit = try_fit(self.coarse, start.structure, x, None, None, rules.first_steps)
-                out += [fit] if fit is not None else []
+        best = starts[0]
+        x = fit_segments(self.problem, best.structure, best.x, self.coarse) if self.is_lost else None
+        if x is not None:
+            fit = try_fit(self.coarse, best.structure, x, None, None, rules.first_steps)
+            out += [fit] if fit is not None else []
         return out
 
     @cached_property
     def is_lost(self) -> bool:
-        """Return whether the set has lost the phase of a lightly damped motion: each start is fitted to growing segments, too."""
+        """Return whether the set may have lost the phase of a lightly damped motion: the best start of each law is fitted to growing segments,
+        too."""
         is_free = not self.problem.network.inputs or is_lightly_damped(self.problem.network)
-        return is_free and gap(self.problem, self.now) > self.rules.astray**2
+        return is_free and gap(self.problem, self.now) > self.rules.lost**2
 
     def states(self, start: Start) -> list[dict[int, Array] | None]:
         """Return the initial states from which a start is fitted: those of the set, and None for those that the first samples tell; the

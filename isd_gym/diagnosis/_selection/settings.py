@@ -45,6 +45,8 @@ class SearchSettings:
     shortest: int = 80
     #: error of the refitted model (share of the deviation, mean over channels) above which records are compared in segments
     astray: float = 0.5
+    #: error of a set with a lightly damped motion (share of the deviation) above which its phase may be lost
+    lost: float = 0.1
     #: length of a segment, in the rig's time scale
     segment: float = 16.0
     #: smallest length of a segment, in the time scale of the slowest channel
