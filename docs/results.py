@@ -514,51 +514,12 @@ def calibration() -> str:
 
 
 def limits() -> str:
-    """Every limit of the verdict, with the verdicts that change where the limit is halved or doubled."""
-    found = stored("ablation.json")
-    changes: dict[str, list[str]] = {}
-    for c in found["changes"]:
-        if c["variation"].startswith(("× 0.5 ", "× 2 ")):
-            changes.setdefault(c["rule"], []).append(f"{len(c['better'])} / {len(c['worse'])}")
-    body = [
-        [
-            f"`{row['id']}`",
-            f"{row['limit']:.3g}",
-            str(row["unit"]),
-            str(row["why"]),
-            str(row["source"]),
-            *changes.get(str(row["id"]), ["", ""]),
-        ]
-        for row in criteria.table()
-    ]
-    heads = ["limit", "value", "unit", "reason", "source", "halved", "doubled"]
-    return markdown(heads, body, "lrlllrr")
-
-
-def gates() -> str:
-    """The verdicts that change where a gate always passes."""
-    found = stored("ablation.json")
-    body = [
-        [c["rule"].removeprefix("gate "), str(len(c["better"])), str(len(c["worse"]))]
-        for c in found["changes"]
-        if c["variation"] == "removed"
-    ]
-    return markdown(["gate removed", "better", "worse"], body, "lrr")
-
-
-def gate_sets() -> str:
-    """The verdicts that change where several gates always pass together: pairs that change more than each alone, and all idle gates."""
-    found = stored("ablation.json")
-    rigs = {c["rule"]: {*c["better"], *c["worse"], *c["other"]} for c in found["changes"]}
-    sets = [c for c in found["changes"] if c["variation"] == "removed together"]
+    """Every limit of the verdict."""
     body = []
-    for c in sets:
-        names = c["rule"].removeprefix("gates ")
-        if c is sets[-1] or rigs[c["rule"]] - set().union(*(rigs[f"gate {n}"] for n in names.split(", "))):
-            body.append([names, str(len(c["better"])), str(len(c["worse"]))])
-    return f"{found['diagnoses']} diagnoses.\n\n" + markdown(
-        ["gates removed together", "better", "worse"], body, "lrr"
-    )
+    for row in criteria.table():
+        words = (str(row[k]) for k in ("unit", "why", "source"))
+        body.append([f"`{row['id']}`", f"{row['limit']:.3g}", *words])
+    return markdown(["limit", "value", "unit", "reason", "source"], body, "lrlll")
 
 
 def mistaken() -> str:
@@ -566,19 +527,6 @@ def mistaken() -> str:
     return markdown(
         ["statement", "mistaken"], [[f"`{k}`", f"{v:.2f}"] for k, v in grades.MISTAKEN.items()], "lr"
     )
-
-
-def shares() -> str:
-    """How often doubtful places and kinds are true, and the probability stated with the limit varied."""
-    found = stored("ablation-shares.json")
-    body = []
-    for name, run in found.items():
-        for row in run["shares"]:
-            observed = f"{row['true']:.2f} ({row['least']:.2f} to {row['most']:.2f})"
-            stated = [f"{row[k]:.2f}" for k in ("halved", "stated", "doubled")]
-            body.append([f"`{row['limit']}`", name, str(row["statements"]), observed, *stated])
-    heads = ["limit", "suites, seed", "statements", "true (95 % interval)", "stated, limit halved", "as it is", "doubled"]  # fmt: skip
-    return markdown(heads, body, "llrlrrr")
 
 
 def measurements() -> str:
@@ -837,7 +785,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
         full_car_card,
         regeneration,
     ),
-    "docs/reference/limits.md": (gates, gate_sets, limits, mistaken, shares),
+    "docs/reference/limits.md": (limits, mistaken),
 }
 
 

@@ -12,7 +12,6 @@ from rigs.families.plant import Signal, integrate
 
 from isd_gym import simulate
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis._estimation.structure import in_line
 from isd_gym.diagnosis._hypotheses.forces import _measured_force
 from isd_gym.diagnosis._hypotheses.library import pairs
 from isd_gym.diagnosis._simulation.problem import Problem, Record
@@ -63,12 +62,6 @@ def test_forces_are_looked_for_at_the_corners_and_between_body_and_ground():
     assert {frozenset(p) for p in (FRONT, REAR)} <= found
     assert {frozenset(("body", "ground")), frozenset(("body.pitch", "ground"))} <= found
     assert not {frozenset(("body", "wheel_front")), frozenset(("body", "body.pitch"))} & found
-
-
-def test_a_point_of_a_body_ends_a_chain_of_links_without_mass():
-    net = Network.load("half-car-isd")
-    assert in_line(net, ("body_front", "piston_front"), ("joint_front", "wheel_front"))
-    assert not in_line(net, ("body_front", "piston_front"), ("body_front", "wheel_front"))
 
 
 def test_springs_under_both_ends_hold_a_body_still_and_under_one_do_not():

@@ -12,12 +12,9 @@ from isd_gym.diagnosis._estimation.sensitivities import deviations
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis._selection.uncertainty import (
     intervals,
-    relative_uncertainty,
     sizes_within,
     sums_with_dampers,
 )
-from isd_gym.diagnosis.result import Quantity
-from isd_gym.physics import elements as el
 from isd_gym.records.data import Table
 
 
@@ -31,8 +28,8 @@ def test_an_interval_is_about_its_value_for_either_sign(stiffness):
     assert [f.log for f in free] == [False]
     deviation = 0.01 * abs(stiffness)
     evaluator = SimpleNamespace(problem=SimpleNamespace(network=rig))
-    candidate = SimpleNamespace(fit=SimpleNamespace(structure=structure, x=x, network=structure.network))
-    (found,) = intervals(evaluator, candidate, np.array([[deviation**2]])).values()
+    fit = SimpleNamespace(structure=structure, x=x, network=structure.network)
+    (found,) = intervals(evaluator, fit, np.array([[deviation**2]])).values()
     assert found.value == pytest.approx(stiffness)
     assert found.low == pytest.approx(stiffness - 1.96 * deviation)
     assert found.high == pytest.approx(stiffness + 1.96 * deviation)
@@ -123,20 +120,6 @@ def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
     for path in ("mass.mass", "spring.stiffness"):
         deviation = 0.5 * np.log(found[path].high / found[path].low) / 1.96
         assert 0.7 * known < deviation <= 1.01 * spread[path]
-
-
-def test_a_law_is_determined_by_its_size_and_not_by_its_shape():
-    """The Stribeck velocity of a friction whose levels are known to 10 % may be open: Coulomb friction is the simpler law."""
-    curve = {"level": 5.0, "static_level": 8.0, "stribeck_velocity": 0.1}
-    stribeck = el.StribeckFriction("law", ("mass", "ground"), **curve)
-    levels = {"law.level": 5.0, "law.static_level": 8.0}
-    known = {path: Quantity(v, 0.9 * v, 1.1 * v, "N", None) for path, v in levels.items()}
-    known["law.stribeck_velocity"] = Quantity(0.1, 0.001, 9.0, "m/s", None)
-    assert relative_uncertainty(stribeck, known) == pytest.approx(-np.log(0.9))
-    # a law of one parameter has no other size
-    dead = el.DriveDeadZone("law", ("motor",), threshold=0.5)
-    open_zone = {"law.threshold": Quantity(0.5, 0.05, 5.0, "A", None)}
-    assert relative_uncertainty(dead, open_zone) == pytest.approx(-np.log(0.1))
 
 
 @pytest.mark.parametrize("copies", [1, 17])

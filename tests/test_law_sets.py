@@ -10,11 +10,11 @@ from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._selection.held_out_table import Blocks, Member, Row
 
 PLACE = ("ground", "mass")
-COULOMB = Member("coulomb_friction", PLACE, "dry_friction", "between", is_series=False)
+COULOMB = Member("coulomb_friction", PLACE, "dry_friction", "between")
 STRIBECK = replace(COULOMB, effect="stribeck_friction")
 DRAG = replace(COULOMB, effect="quadratic_damping", mechanism="viscous")
 CUBIC = replace(COULOMB, effect="cubic_stiffness", mechanism="elastic")
-GAIN = Member("sensor_gain", ("position",), "sensor", "channel", is_series=False)
+GAIN = Member("sensor_gain", ("position",), "sensor", "channel")
 NOISE = np.array([0.002])
 LEAST = np.array([0.01])
 
@@ -25,12 +25,12 @@ def row(error, *members, parameters=3, contradiction=""):
     blocks = Blocks(each**2, np.full(20, 100.0))
     errors = np.array([error])
     return Row(
-        None, None, members, parameters, 2, errors, errors, errors, blocks, blocks, np.maximum(errors, LEAST), np.ones(1), contradiction
+        None, None, members, parameters, errors, errors, errors, blocks, blocks, np.maximum(errors, LEAST), np.ones(1), contradiction
     )  # fmt: skip
 
 
-def answer(*rows):
-    return answer_of(rows, LEAST, NOISE, CRITERIA)
+def answer(*rows, criteria=CRITERIA):
+    return answer_of(rows, LEAST, NOISE, criteria)
 
 
 def effects(found):
@@ -62,6 +62,18 @@ def test_sets_of_other_kinds_within_the_width_leave_the_kind_open():
 def test_a_member_of_every_set_of_the_band_is_certain():
     found = answer(row(0.5), row(0.2, COULOMB), row(0.050, COULOMB, CUBIC), row(0.052, COULOMB, DRAG))
     assert effects(found) == ["coulomb_friction", "cubic_stiffness"] and found.certain == (True, False)
+
+
+def test_a_rival_with_more_parameters_must_predict_better():
+    """A stop with a clearance does what play does; play has one parameter less."""
+    found = answer(row(0.3), row(0.05, CUBIC, parameters=4), row(0.05, COULOMB))
+    assert effects(found) == ["coulomb_friction"] and found.certain == (True,)
+
+
+def test_each_of_several_laws_must_remove_its_share():
+    """Three laws that together leave half of the power are a curve fit."""
+    assert not answer(row(0.26), row(0.22, COULOMB), row(0.17, COULOMB, CUBIC, DRAG)).band
+    assert len(answer(row(0.26), row(0.22, COULOMB), row(0.06, COULOMB, CUBIC, DRAG)).simplest.members) == 3
 
 
 def test_a_second_law_must_lower_the_error_by_more_than_the_width():

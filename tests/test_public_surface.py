@@ -68,7 +68,7 @@ isd_gym.benchmark.sweep.items
 isd_gym.benchmark.tracks
     TRACKS Track find_track
 isd_gym.diagnosis
-    CRITERIA Contender Criteria Diagnosis Effect EffectEvidence Evidence Gate Hypothesis Law Place Quantity
+    CRITERIA Contender Criteria Diagnosis Effect Evidence Gate Hypothesis Law Place Quantity
     SearchSettings Trace diagnose hypotheses
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace

@@ -17,6 +17,7 @@ import pytest
 from builders import element, fitted, sines
 from html_page import Page
 from program import refused
+from test_criteria import NONE
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
@@ -25,7 +26,7 @@ from isd_gym.benchmark.scoring import score
 from isd_gym.diagnosis import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
 from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.diagnosis._verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis._verdict.evidence import Evidence
 from isd_gym.diagnosis._verdict.explanation import draw_law as series_law
 from isd_gym.diagnosis._verdict.gates import gates_of
 from isd_gym.diagnosis.result import BestCandidate, ScreenedPlace, Tabulated
@@ -102,21 +103,23 @@ def made_diagnosis():
         laws=(law,), notes=("held out: two",), seconds=12.3,
         units={c.name: c.unit for c in base.outputs},
         criteria=CRITERIA,
-        evidence=evidence_of(gap, EffectEvidence("coulomb_friction at piston-joint", 0.3), explained=0.99),
+        evidence=evidence_of(gap, explained=0.99),
     )  # fmt: skip
 
 
-def evidence_of(gap, *effects, explained):
+def evidence_of(gap, explained):
     channels = tuple(gap["refit"])
     rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
     return Evidence(
         channels, **rows, noise=tuple(gap["noise_floor"].values()), noise_known=(True,) * len(channels),
-        envelope=(0.05,) * len(channels), effects=effects, explained=explained,
+        envelope=(0.05,) * len(channels), training_refit=rows["refit"], explained=explained,
     )  # fmt: skip
 
 
 CURVES = ["steps", "loops", "other_loops", "gap", "time"]
 FIGURES = [*CURVES, "residuals", "spectra", "plane", "law", "parameters"]
+#: of friction that leaves nearly all
+GATES = gates_of(NONE)
 #: verdicts, one of them with a table of the missing force
 TABULATED = "unknown_effect with a table"
 KINDS = ("missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", TABULATED)
@@ -143,18 +146,18 @@ def of_kind(d, kind):
         )  # fmt: skip
         laws = (Law("missing_force", "rate", rate, force, 0.95 * force, 1.05 * force, d.laws[0].visited),)
     gap = errors_of(traces[-1])
-    evidence = evidence_of(gap, EffectEvidence("hysteresis at piston-joint", 0.3), explained=0.42)
+    evidence = evidence_of(gap, explained=0.42)
     best = BestCandidate(
-        ("hysteresis",), (("piston", "joint"),), ({"level": 120.0, "stiffness": 1e6},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
+        ("hysteresis",), (("piston", "joint"),), ({"level": 120.0, "stiffness": 1e6},), 0.42, gap, tuple(g for g in GATES if not g.passed)
     )  # fmt: skip
     made = replace(
         d, verdict=verdict, summary=f"So: {verdict}.", effects=(), contenders=(), closed=0.9 if tabulated else None,
-        gates=gates_of(evidence), evidence=evidence, best_candidate=best, gap=gap, model=model, traces=tuple(traces), laws=laws,
+        gates=GATES, evidence=evidence, best_candidate=best, gap=gap, model=model, traces=tuple(traces), laws=laws,
         tabulated=tabulated,
     )  # fmt: skip
     if verdict in ("no_discrepancy", "parameters_only"):
         own = replace(made, base=d.model, refitted=d.model, model=d.model, where=(), gates=())
-        return replace(own, evidence=replace(evidence, effects=()), best_candidate=None)
+        return replace(own, best_candidate=None)
     return made
 
 

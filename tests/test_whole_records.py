@@ -14,11 +14,11 @@ from isd_gym.diagnosis import _result_builder as builder
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_weights
-from isd_gym.diagnosis._estimation.structure import rebuilt
+from isd_gym.diagnosis._estimation.structure import add, base_structure
 from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._records.splitting import split_records
-from isd_gym.diagnosis._selection.candidate import Candidate
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
+from isd_gym.diagnosis._selection.held_out_table import row_of
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table
@@ -45,27 +45,26 @@ def decay():
 def softening(problem, stiffness):
     """A cubic spring that turns the spring over at a travel that only the start of the whole record reaches."""
     kind = next(h for h in hypotheses(problem.network) if h.effect == "cubic_stiffness")
-    structure = rebuilt(problem.network, [(kind, {"stiffness": stiffness})])
-    fit = Fitter(problem, white_weights(np.array([0.01]))).fit(structure, iterations=0)
-    return Candidate(fit, 0.0)
+    structure = add(base_structure(problem.network), kind, {"stiffness": stiffness})
+    return Fitter(problem, white_weights(np.array([0.01]))).fit(structure, iterations=0)
 
 
 def test_a_candidate_that_does_not_simulate_a_record_of_the_user_is_not_scored():
     network, whole = swing(), decay()
     later = [whole.part(a, a + 500, whole.name) for a in (1500, 2000, 2500)]
     problem = Problem(network, later, ["fit", "choose", "report"])
-    candidate = softening(problem, -4000.0)
+    strong = softening(problem, -4000.0)
     known = HeldOutEvaluator(problem, whole=Problem(network, [whole], ["fit"]))
-    refused("breaks down on the record decay", lambda: known.score(candidate, known.weights(candidate)))
+    refused("breaks down on the record decay", row_of, known, strong)
     # the pieces alone, and a weaker spring, say nothing against it
     alone = HeldOutEvaluator(problem)
-    assert np.isfinite(alone.score(candidate, alone.weights(candidate)).mean_square)
+    assert np.isfinite(row_of(alone, strong).error)
     weak = softening(problem, -400.0)
-    assert np.isfinite(known.score(weak, known.weights(weak)).mean_square)
+    assert np.isfinite(row_of(known, weak).error)
     # a record that the nominal model cannot simulate either is held against nobody
     spoiled = replace(whole, measured=np.where(np.arange(3000)[:, None] < 5, 1e90, whole.measured))
     blind = HeldOutEvaluator(problem, whole=Problem(network, [spoiled], ["fit"]))
-    assert np.isfinite(blind.score(candidate, blind.weights(candidate)).mean_square)
+    assert np.isfinite(row_of(blind, strong).error)
 
 
 def tables(count, samples=600):

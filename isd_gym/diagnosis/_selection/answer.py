@@ -142,8 +142,9 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
     pool = [row for row in sound if row.blames <= chosen.blames]
     same = [row for row in pool if len(row.members) == len(chosen.members)]
     near = [row for row in same if row.error - chosen.error < width or table.is_alike(row, chosen)]
-    simplest = simplest_law(same, chosen, refit, c)
-    others = [row for row in near if row.kinds != chosen.kinds and table.competes(row, simplest)]
+    fewest = min(near, key=lambda row: (row.parameters, row.error))
+    simplest = simplest_law(same, fewest, refit, c)
+    others = [row for row in near if row.kinds != simplest.kinds and table.competes(row, simplest)]
     band = (simplest, *sorted(others, key=lambda r: (r.parameters, r.error)))
     odds = np.exp([(chosen.error - row.error) / width for row in band])
     weights = tuple((odds / odds.sum()).tolist())
