@@ -182,7 +182,7 @@ def _split(whole: Problem, notes: list[str]) -> tuple[Problem, Problem, tuple[fl
 
 def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None:
     """Return the diagnosis of the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away;
-    None without an inverse of the model or without a name. Its `whole` is the completed model."""
+    None without an inverse of the model, without a name, or where the named laws leave as much. Its `whole` is the completed model."""
     inverse = invert(flow.network)
     if inverse is None or any(r.reading is not None for r in records):
         return None
@@ -208,8 +208,9 @@ def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None
         return None
     except (InputError, *BROKEN):
         return None
-    model = inverse.restore(found.model)
-    return replace(found, whole=model) if found.verdict == "missing_effect" else None
+    if found.verdict != "missing_effect" or max(found.gap["after"].values()) > flow.settings.drifted:
+        return None
+    return replace(found, whole=inverse.restore(found.model))
 
 
 def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
