@@ -32,9 +32,10 @@ from .._simulation.problem import BROKEN, bare
 from .admissibility import is_admissible, travels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from ..._common.arrays import Array
+    from ...physics.elements import Start as Proposal
     from .._estimation.structure import Hypothesis, Structure
     from .._simulation.problem import Problem
     from .settings import SearchSettings
@@ -50,6 +51,8 @@ class Start:
     structure: Structure
     #: start values (parameters,), transformed
     x: Array
+    #: what the element proposed, where the law has the proposed size
+    proposed: Proposal | None = None
 
 
 def freed(structure: Structure, law: Hypothesis) -> Structure:
@@ -102,7 +105,11 @@ class Stage:
             (rules.shortlist, rules.kept) if is_first else (rules.shortlist_further, rules.kept_further)
         )
         starts = self.starts()
-        beside, alone = self.misfits(starts)
+        beside, alone, sized = self.misfits(starts)
+        if sized:
+            more = self.misfits(sized)
+            starts = [*starts, *sized]
+            beside, alone = np.append(beside, more[0]), np.append(alone, more[1])
         own: dict[Hypothesis, list[Start]] = defaultdict(list)
         # the first start of a law is the best one beside the set's own changes, the second one the best by itself
         orders = [np.argsort(m, kind="stable") for m in (beside, alone)]
@@ -145,30 +152,58 @@ class Stage:
             sizes = self.rules.sizes if start.grows else (1.0,)
             tries = [(s, refitted) for s in (sizes[:2] if is_further else sizes)]
             tries += [] if is_further else [(1.0, nominal)]
-            for way in start.ways:
-                for size, values in tries:
-                    by = 1.0 / size if start.inverse else size
-                    if count[law] >= most:
+            for k, (size, values) in enumerate(tries):
+                by = 1.0 / size if start.inverse else size
+                for way in start.ways:
+                    # a size that the element proposes is always tried: it tells the size that the residual asks for
+                    if k and count[law] >= most:
                         continue
-                    try:
-                        built = add(
-                            freed(base.structure, law), law, way | {k: way[k] * by for k in start.grows}
-                        )
-                        x = built.start_from(values)
-                        assemble(bare(built.network))
-                    except FAILS:
+                    found = self.start(law, way | {name: way[name] * by for name in start.grows}, values)
+                    if found is None:
                         continue
                     count[law] += 1
-                    out.append(Start(law, built, x))
+                    out.append(found if k else replace(found, proposed=start))
         return out
 
-    def misfits(self, starts: Sequence[Start]) -> tuple[Array, Array]:
+    def start(self, law: Hypothesis, values: Mapping[str, float], known: Mapping[str, float]) -> Start | None:
+        """Return a start with values of a law and known parameters by path, transformed; None where the model has no place for it."""
+        try:
+            built = add(freed(self.base.structure, law), law, values)
+            x = built.start_from(known)
+            assemble(bare(built.network))
+        except FAILS:
+            return None
+        return Start(law, built, x)
+
+    def sized(
+        self, left: Array, own: Mapping[tuple[Hypothesis, int], Sequence[tuple[Start, Array]]]
+    ) -> list[Start]:
+        """Return the starts with the size that the residual asks for to first order: the combination of the responses of what an element
+        proposed that leaves least of a residual `left` (rows,)."""
+        base, out = self.base, []
+        refitted = {f.path: float(v) for f, v in zip(base.structure.free, base.x, strict=True)}
+        for (law, _), found in own.items():
+            proposal = found[0][0].proposed
+            assert proposal is not None
+            if len(found) < len(proposal.ways):
+                continue  # a way broke down
+            responses = np.stack([left - rows for _, rows in found], axis=1)
+            amplitude = np.linalg.lstsq(responses, left, rcond=None)[0]
+            if not (proposal.signed or amplitude[0] > 0.0):
+                continue
+            start = self.start(law, law.kind.sized(proposal, amplitude), refitted)
+            out += [start] if start is not None else []
+        return out
+
+    def misfits(self, starts: Sequence[Start]) -> tuple[Array, Array, list[Start]]:
         """Return the misfits of the starts (starts,), with the states of the set: the sum over channels of the logarithm of the residual's
-        variance, after first-order changes of what the set has free, and before; infinite where the simulation breaks down."""
+        variance, after first-order changes of what the set has free, and before; infinite where the simulation breaks down. The third
+        value are starts with the sizes that the residual asks for."""
         p, now = self.problem, self.now
         residual = residual_of(p, self.coarse, now)
         beside, alone = np.full((2, len(starts)), math.inf)
         columns = len(p.channels)
+        probes: dict[tuple[Hypothesis, int], list[tuple[Start, Array]]] = defaultdict(list)
         for chunk, seen in self.simulations(starts):
             rows = np.zeros((len(residual.left), len(chunk)))
             for i, y in seen.items():
@@ -185,11 +220,15 @@ class Stage:
                 structure = now.structure
                 if own and len(x) == own:
                     rows[len(rows) - own :, lane] = (structure.mean - x) / structure.sigma
-            for out, left in ((beside, residual.without(rows)), (alone, rows)):
+            projected = residual.without(rows)
+            for out, left in ((beside, projected), (alone, rows)):
                 square = left[: len(rows) - own].reshape(-1, columns, len(chunk)) ** 2
                 cost = np.sum(np.log(square.mean(axis=0) + 1.0), axis=0)
                 out[chunk] = np.where(is_finite, cost, math.inf)
-        return beside, alone
+            for lane, k in enumerate(chunk):
+                if starts[k].proposed is not None and is_finite[lane]:
+                    probes[starts[k].law, id(starts[k].proposed)].append((starts[k], projected[:, lane]))
+        return beside, alone, self.sized(residual.left, probes)
 
     def simulations(self, starts: Sequence[Start]) -> Iterator[tuple[list[int], dict[int, Array]]]:
         """Yield the outputs of starts of one structure over all training records, with the states of the set."""
