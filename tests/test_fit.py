@@ -129,8 +129,8 @@ def test_every_place_of_a_law_is_simulated_beside_the_others():
     starts = starts_of(problem, fit, motions(problem, fit), tried)
     built = [ways[0] for h, start in starts if (ways := built_ways(fit, h, start))]
     seen = {}
-    for chunk, _, lanes in simulate_variants(problem, fit, [b.network for b in built]):
-        seen |= zip(chunk, np.moveaxis(lanes, 2, 0), strict=True)
+    for chunk, lanes in simulate_variants(problem, fit, [b.network for b in built]):
+        seen |= zip(chunk, np.moveaxis(lanes[0], 2, 0), strict=True)
     assert len(seen) == len(built) > 10
     places = {b.hypotheses[-1].where for b in built if b.hypotheses[-1].effect == "coulomb_friction"}
     assert {("piston", "joint"), ("body", "wheel")} <= places
@@ -152,7 +152,7 @@ def test_one_that_breaks_down_takes_no_other_along(monkeypatch):
     monkeypatch.setattr(Problem, "simulate_all", breaks)
     networks = [shaken(3000.0 + 10 * k) for k in range(5)]
     networks.insert(2, bad)
-    done = sorted(k for chunk, _, _ in simulate_variants(problem, fit, networks) for k in chunk)
+    done = sorted(k for chunk, _ in simulate_variants(problem, fit, networks) for k in chunk)
     assert done == [0, 1, 3, 4, 5]
 
 

@@ -147,11 +147,12 @@ def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dic
                 networks.append(built.network)
                 sizes.append(lossy if h.kind.mechanism in DISSIPATIVE else 1.0)
     out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
-    point = {i: y for _, i, y in simulate_variants(problem, fit, [fit.network])}
-    for chunk, i, y in simulate_variants(problem, fit, networks):
-        with np.errstate(over="ignore", invalid="ignore"):
-            change = (y - point[i]) * (share / PROBE) * np.array(sizes)[chunk]
-            most = np.abs(change).max(axis=(0, 1))
-        # a diverged variant is no evidence
-        out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
+    ((_, point),) = simulate_variants(problem, fit, [fit.network])
+    for chunk, seen in simulate_variants(problem, fit, networks):
+        for i, y in seen.items():
+            with np.errstate(over="ignore", invalid="ignore"):
+                change = (y - point[i]) * (share / PROBE) * np.array(sizes)[chunk]
+                most = np.abs(change).max(axis=(0, 1))
+            # a diverged variant is no evidence
+            out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
     return out

@@ -115,27 +115,27 @@ def setting(
 
 def simulate_variants(
     problem: Problem, fit: Fit, networks: Sequence[Network]
-) -> Iterator[tuple[list[int], int, Array]]:
-    """Yield the outputs of many networks over the training records: indices, record, outputs (samples, channels, lanes); what breaks down
-    is left out."""
+) -> Iterator[tuple[list[int], dict[int, Array]]]:
+    """Yield the outputs of many networks over the training records, with the states of a fit: indices, and outputs (samples, channels,
+    lanes) by record; what breaks down is left out."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, net in enumerate(networks):
-        asm = assemble(bare(net))
+        try:
+            alike = side_by_side(assemble(bare(net)))
+        except BROKEN:
+            continue
         outside = tuple(type(e).__name__ for e in net.elements if e.place != "between")
-        groups.setdefault((outside, *side_by_side(asm)), []).append(k)
+        groups.setdefault((outside, *alike), []).append(k)
     chunks = [m[k : k + LANES] for m in groups.values() for k in range(0, len(m), LANES)]
     while chunks:
         chunk = chunks.pop(0)
         nets = [networks[k] for k in chunk]
         begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
         try:
-            seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
+            yield chunk, problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
         except BROKEN:
             half = len(chunk) // 2  # isolate a variant that diverges
             chunks = [part for part in (chunk[:half], chunk[half:]) if 0 < len(part) < len(chunk)] + chunks
-            continue
-        for i, y in seen.items():
-            yield chunk, i, y
 
 
 #: smallest difference of the magnitudes of two mean loads, as a share of the largest RMS load of a record

@@ -18,7 +18,6 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics.elements import beside
 from ...physics.network import assemble
-from ...physics.simulate import side_by_side
 from .._estimation.gauss_newton import Fit, Fitter, gap
 from .._estimation.initial_states import transfer_states
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
@@ -26,13 +25,13 @@ from .._estimation.noise import white_weights
 from .._estimation.structure import FAR, WIDE, add, parameter_values
 from .._hypotheses.law_matching import residual_of, starts_of
 from .._hypotheses.library import hypotheses
-from .._hypotheses.motion import LANES, joined, motions
+from .._hypotheses.motion import joined, motions, simulate_variants
 from .._hypotheses.pair_forces import measured_motions
 from .._simulation.problem import BROKEN, bare
 from .admissibility import is_admissible, travels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from ..._common.arrays import Array
     from ...physics.elements import Start as Proposal
@@ -204,7 +203,8 @@ class Stage:
         beside, alone = np.full((2, len(starts)), math.inf)
         columns = len(p.channels)
         probes: dict[tuple[Hypothesis, int], list[tuple[Start, Array]]] = defaultdict(list)
-        for chunk, seen in self.simulations(starts):
+        networks = [start.structure.at(start.x) for start in starts]
+        for chunk, seen in simulate_variants(p, now, networks):
             rows = np.zeros((len(residual.left), len(chunk)))
             for i, y in seen.items():
                 first, last, _ = residual.spans[i]
@@ -229,29 +229,6 @@ class Stage:
                 if starts[k].proposed is not None and is_finite[lane]:
                     probes[starts[k].law, id(starts[k].proposed)].append((starts[k], projected[:, lane]))
         return beside, alone, self.sized(residual.left, probes)
-
-    def simulations(self, starts: Sequence[Start]) -> Iterator[tuple[list[int], dict[int, Array]]]:
-        """Yield the outputs of starts of one structure over all training records, with the states of the set."""
-        p, now = self.problem, self.now
-        groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
-        networks = [s.structure.at(s.x) for s in starts]
-        for k, network in enumerate(networks):
-            try:
-                key = side_by_side(assemble(bare(network)))
-            except FAILS:
-                continue
-            outside = tuple(type(e).__name__ for e in network.elements if e.place != "between")
-            groups[(outside, *key)].append(k)
-        chunks = [own[k : k + LANES] for own in groups.values() for k in range(0, len(own), LANES)]
-        while chunks:
-            chunk = chunks.pop(0)
-            nets = [networks[k] for k in chunk]
-            begun = {i: np.repeat(now.initial[i][:, None], len(nets), axis=1) for i in p.estimation}
-            try:
-                yield chunk, p.simulate_all(nets, p.estimation, begun, like=now.network)
-            except FAILS:
-                half = len(chunk) // 2  # isolate a variant that diverges
-                chunks = [c for c in (chunk[:half], chunk[half:]) if 0 < len(c) < len(chunk)] + chunks
 
     # -- fits ---------------------------------------------------------------------------------------------
     def first_fits(self, starts: Sequence[Start]) -> list[Fit]:

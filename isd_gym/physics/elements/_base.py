@@ -394,17 +394,6 @@ class Element:
         return values
 
     @classmethod
-    def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        """Return the values of an effect of the same shape, with a `factor` [-] on the size of the start values.
-
-        An effect without a size stays unchanged.
-        """
-        values = dict(start.ways[0])
-        for key in start.grows:
-            values[key] = values[key] / factor if start.inverse else values[key] * factor
-        return values
-
-    @classmethod
     def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
         """Return start values of the type `simple`, one of `contains`, from the values of this type."""
         names = {f.name for f in parameter_fields(TYPES[simple])}

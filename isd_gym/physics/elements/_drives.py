@@ -73,11 +73,6 @@ class ThrustSaturation(_Drive):
     def starts(cls, at: Setting) -> list[Start]:
         return [Start({"current": s * at.signal}) for s in (0.7, 1.2, 2.0, 4.0)]
 
-    @classmethod
-    def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        # a lower saturation current takes more thrust away
-        return {"current": start.values["current"] / factor}
-
 
 @register
 class ActuatorLag(_Drive):

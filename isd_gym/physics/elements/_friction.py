@@ -96,16 +96,6 @@ class StribeckFriction(Element):
         share = math.exp(-((rate / values["stribeck_velocity"]) ** 2))
         return {"level": values["level"] + (values["static_level"] - values["level"]) * share}
 
-    @classmethod
-    def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        # only the addition to the present constant level grows
-        level, static = start.values["level"], start.values["static_level"]
-        constant = level - 0.3 * (static - level)
-        return start.values | {
-            "level": constant + factor * (level - constant),
-            "static_level": constant + factor * (static - constant),
-        }
-
     def well_formed(self) -> bool:
         return self.level <= self.static_level  # a level that rises with speed mimics damping
 

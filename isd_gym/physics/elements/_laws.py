@@ -583,10 +583,6 @@ class TyreLiftOff(Element):
         return [Start({"stiffness": stiffness, "load": w}) for w in loads if w > 0]
 
     @classmethod
-    def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        return start.values | {"load": start.values["load"] / factor}
-
-    @classmethod
     def tied(cls, network: Network, where: tuple[str, ...]) -> dict[str, str]:
         spring = next(e for e in beside(network, where) if e.type == "linear_stiffness")
         return {"stiffness": f"{spring.name}.stiffness"}

@@ -56,10 +56,6 @@ class SensorGain(_Sensor):
     def sized(cls, start: Start, amplitude: Array) -> dict[str, float]:
         return {"gain": 1.0 + 0.05 * float(amplitude[0])}
 
-    @classmethod
-    def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        return {"gain": 1.0 + 0.05 * factor}
-
 
 @register
 class SensorBias(_ZeroSensor):
