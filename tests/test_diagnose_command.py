@@ -267,7 +267,7 @@ def test_unknown_effect_that_no_force_between_nodes_explains(files, library, tmp
     tried = d["best_table"]
     failed = [g["gate"] for g in tried["gates"] if not g["passed"]]
     assert "explains" in failed and tried["explained"] < 0.5
-    assert "The missing force may depend on time" in d["summary"]
+    assert "The cause may be an input that is not measured" in d["summary"]
 
 
 @pytest.mark.slow

@@ -237,26 +237,6 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     assert row_of(evaluator, fit).error < 0.02  # 0.011 of it noise
 
 
-def test_the_cheapest_of_several_initial_states_is_the_start_of_a_fit():
-    problem, structure = swinging()
-    fitter = Fitter(problem, weighting.white_weights(np.array([1e-4])))
-    near = fitter.follow(structure, structure.start, [0])
-    far = {0: 3.0 * near.initial[0]}
-    lost = fitter.follow(structure, structure.start, [0], far, iterations=0)
-    there = fitter.follow(structure, structure.start, [0], far, [near.initial], iterations=0)
-    assert there.cost == approx(near.cost, rel=1e-6) and there.cost < 0.1 * lost.cost
-
-
-def swinging():
-    """A record of an oscillator that swings freely, and its model."""
-    net = builders.oscillator("x displacement mass")
-    time = np.arange(0.0, 5.0, 1e-2)
-    y = simulate(net, time, {"push": 0.0 * time}, initial=np.array([0.1, 0.0]))["x"]
-    noisy = y + 1e-4 * np.random.default_rng(0).standard_normal(len(y))
-    record = Record("swing", 1e-2, {"push": 0.0 * time}, noisy[:, None])
-    return Problem(net, [record]), base_structure(net)
-
-
 def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side():
     # a spring with play beside a damper without play: both elements used to stand behind the play
     net = Network.load(families.make_case("shaken.play", 305).model)

@@ -68,8 +68,8 @@ isd_gym.benchmark.sweep.items
 isd_gym.benchmark.tracks
     TRACKS Track find_track
 isd_gym.diagnosis
-    CRITERIA Contender Criteria Diagnosis Effect Evidence Gate Hypothesis Law Place Quantity
-    SearchSettings Trace diagnose hypotheses
+    CRITERIA Contender Criteria Diagnosis Effect Evidence Gate Hypothesis Law Place Quantity SearchSettings
+    Trace diagnose hypotheses
 isd_gym.diagnosis.result
     Contender Diagnosis Effect Law Place Quantity Trace
     also BestCandidate BestTable FOLDER LawSet Over Remainder SCHEMA ScreenedPlace Stretches Tabulated

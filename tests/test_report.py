@@ -87,7 +87,7 @@ def made_diagnosis():
         verdict="missing_effect",
         summary="The model lacks coulomb friction between piston and joint (level 150 N).",
         effects=(Effect("coulomb_friction", ("piston", "joint"), None, 0.993, {"level": level}, "seal"),),
-        contenders=(Contender(("hysteresis",), (("piston", "joint"),), 0.31, 120.0, "explains less <of it>"),),
+        contenders=(Contender(("hysteresis",), (("piston", "joint"),), 0.31, "explains less <of it>"),),
         where=(Place("suspension_travel", 0.7, ((0.8, 2.0),), "velocity of piston-joint changes sign"),),
         places=(
             ScreenedPlace(("piston", "joint"), "coulomb_friction", 0.81),
@@ -250,7 +250,7 @@ def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
 def test_the_first_figure_has_the_places_the_force_and_the_laws(diagnosis):
     """The curve of a law is the missing force where the law is true, and another where it is not."""
     cubic = Contender(
-        ("cubic_stiffness",), (("piston", "joint"),), 0.9, 300.0, "explains less",
+        ("cubic_stiffness",), (("piston", "joint"),), 0.9, "explains less",
         ({"stiffness": 1e6},),
     )  # fmt: skip
     chart = steps.draw_steps(report.View(replace(diagnosis, contenders=(*diagnosis.contenders, cubic))))

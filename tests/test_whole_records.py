@@ -96,7 +96,8 @@ def test_a_finished_diagnosis_is_not_lost_where_a_model_does_not_simulate_a_whol
         raise np.linalg.LinAlgError("singular")
 
     monkeypatch.setattr(builder, "Fitter", Breaking)
-    for name in ("intervals", "draw_law", "next_experiment", "find"):
+    monkeypatch.setattr(builder.Finder, "find", breaks)
+    for name in ("intervals", "draw_law", "next_experiment"):
         monkeypatch.setattr(builder, name, breaks)
     result = diagnose(runs[:1], network, validate=runs[1:])
     assert result.verdict == "missing_effect" and result.effects[0].effect == "coulomb_friction"

@@ -208,7 +208,8 @@ def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None
         return None
     except (InputError, *BROKEN):
         return None
-    if found.verdict != "missing_effect" or max(found.gap["after"].values()) > flow.settings.drifted:
+    left = (*found.gap["after"].values(), *(found.evidence.after if found.evidence else ()))
+    if found.verdict != "missing_effect" or max(left) > flow.settings.drifted:
         return None
     return replace(found, whole=inverse.restore(found.model))
 
