@@ -571,7 +571,6 @@ class FrictionMpc(DesignedController[FrictionMpcSettings]):
             return np.zeros(obs.shape[1])
         self.moves[:, :-1] = self.moves[:, 1:]
         self.moves[:, -1] = 0.0
-        self.fallbacks += _plan(
-            x, obs[CURRENT], self.moves, self._road, self._problem, self.settings.iterations
-        )
-        return obs[CURRENT] + self.moves[:, 0]
+        present = np.ascontiguousarray(obs[CURRENT])  # one type of argument: the sweeps are compiled once
+        self.fallbacks += _plan(x, present, self.moves, self._road, self._problem, self.settings.iterations)
+        return present + self.moves[:, 0]

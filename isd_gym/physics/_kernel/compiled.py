@@ -188,6 +188,11 @@ def kernel(with_laws: bool = True, several: bool = False, car: layout.CarSize = 
 
 
 def kernel_of(at: layout.Layout, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
-    """Return the compiled kernel for networks of a layout."""
-    closed = at.way == layout.CONTACT
-    return kernel(not closed, closed and at.devices > 1, car)
+    """Return the compiled kernel for networks of a layout.
+
+    A car of several corners without laws has the kernel of several devices, which need not be compiled for the car twice.
+    """
+    if at.way != layout.CONTACT:
+        return kernel(with_laws=True, car=car)
+    is_without_laws = at.laws == 0 and car.corners > 1
+    return kernel(with_laws=False, several=at.devices > 1 or is_without_laws, car=car)
