@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import sys
 from importlib.util import find_spec
 from itertools import pairwise
 
@@ -14,7 +15,7 @@ from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.baselines import make
-from program import python, refused
+from program import refused, run
 
 from isd_gym.benchmark.policies import conventional
 from isd_gym.physics.cost import StageCost
@@ -177,21 +178,17 @@ def test_a_shipped_policy_is_what_its_score_says(name):
     assert policy.info["training"]["command"].startswith(f"isd-gym train {policy.info['algorithm']}")
 
 
-def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path):
+def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path, monkeypatch):
     """What is shipped is whole (its checksum is that of its weights), small, and ahead of the passive car."""
     for name in ("ppo", "sac"):
         head = json.loads((SHIPPED / name / JSON_NAME).read_text())
         blob = (SHIPPED / name / WEIGHTS_NAME).read_bytes()
         assert hashlib.sha256(blob).hexdigest() == head["weights"]["sha256"] and len(blob) < 100_000
         assert head["training"]["curve"] and head["training"]["versions"]
-    words = ["isd-gym", "score", "passive", "lqg", "ppo", "sac", "--episodes", "2", "--json", "s.json"]
-    code = f"""import sys
-class Without:
-    def find_spec(self, name, path=None, target=None):
-        if name in ("torch", "stable_baselines3"): raise ModuleNotFoundError(name)
-sys.meta_path.insert(0, Without())
-sys.argv = {words}; from isd_gym._commands import main; main()"""
-    assert python(code, cwd=tmp_path).returncode == 0
+    for absent in ("torch", "stable_baselines3", "isd_gym.sb3"):
+        monkeypatch.setitem(sys.modules, absent, None)
+    words = ["score", "passive", "lqg", "ppo", "sac", "--episodes", "2", "--json", "s.json"]
+    assert run(*words, cwd=tmp_path).returncode == 0
     rows = {r["policy"]: r for r in json.loads((tmp_path / "s.json").read_text())["policies"]}
     for name in ("ppo", "sac"):
         assert rows[name]["cost"]["change"] < -0.15

@@ -384,7 +384,7 @@ def test_mpc_beats_passive_and_the_toolbox_horizons_do_not():
         "quarter-car-isd",
         "quarter-car-eq8",
         "quarter-car-active",
-        "quarter-car-semiactive",
+        pytest.param("quarter-car-semiactive", marks=pytest.mark.slow),  # a kernel of its own is compiled
         "half-car-isd",
         "full-car-isd",
     ],

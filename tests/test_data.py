@@ -1,6 +1,7 @@
 """Tables in and out, and the data gate, on records whose truth is known."""
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ def ar1(rng, n, lag1):
     return signal.lfilter([np.sqrt(1 - lag1**2)], [1, -lag1], white)[300:]
 
 
+@cache
 def car(seed=0, seconds=12.0, snr_db=32.0, step=STEP):
     """The passive quarter car of Table 6 on a random road (scipy's lsim), with noise on what is measured, and a
     saturated current in a zero-order hold, which the gate must leave alone."""

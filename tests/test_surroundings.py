@@ -9,6 +9,7 @@ import sys
 import textwrap
 
 import pytest
+from program import run
 
 from isd_gym._commands._streams import ALIKE, PLAINER, prepare_streams
 from isd_gym._common import jit
@@ -94,17 +95,17 @@ def test_a_damaged_kernel_is_compiled_again(tmp_path):
     """Whatever happened to the files; the result is right, the files are mended, and the next call reads them."""
     (tmp_path / "own.py").write_text(textwrap.dedent(FUNCTION))
 
-    def run():
+    def printed():
         done = shell(f"{sys.executable} own.py", tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
         assert done.returncode == 0, done.stderr.decode()
         return done.stdout.split()
 
-    assert run() == [b"42.0"] and run() == [b"42.0", b"1"]
+    assert printed() == [b"42.0"] and printed() == [b"42.0", b"1"]
     for how in ("flipped .nbi", "empty .nbi", "half .nbc", "flipped .nbc"):
         for file in (tmp_path / "kept").rglob(f"own.twice*{how.split()[1]}"):
             file.write_bytes(damaged(file.read_bytes(), how.split()[0]))
-        assert run()[0] == b"42.0", how
-        assert run() == [b"42.0", b"1"], how
+        assert printed()[0] == b"42.0", how
+        assert printed() == [b"42.0", b"1"], how
 
 
 def test_a_kernel_that_cannot_be_kept_is_used(tmp_path, monkeypatch):
@@ -190,7 +191,7 @@ def test_settings_of_numba_that_cannot_be_read_are_one_line(tmp_path):
 def test_a_foreign_folder_does_not_hide_a_known_policy(tmp_path):
     for name in ("mpc", "ppo"):
         (tmp_path / name).mkdir()
-    command = SCORE.replace("score passive", "score mpc ppo ./mpc")
-    assert b"no policy.json" in shell(command, tmp_path).stderr
-    done = shell(command.replace(" ./mpc", ""), tmp_path)
+    short = ("--episodes", 1, "--duration", 0.1)
+    assert "no policy.json" in run("score", "mpc", "ppo", "./mpc", *short, cwd=tmp_path).stderr
+    done = run("score", "mpc", "ppo", *short, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -74,9 +74,9 @@ def test_ranges_are_options_of_the_environment(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore")  # tensorboard warns of itself
-@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
-def test_a_training_goes_on_where_ctrl_c_stopped_it(algorithm, tmp_path, monkeypatch):
-    command = ["train", recipe(tmp_path, algorithm), "--out", "run", "--network", "half-car-isd"]
+@pytest.mark.parametrize(("algorithm", "car"), [("PPO", "half-car-isd"), ("SAC", "quarter-car-isd")])
+def test_a_training_goes_on_where_ctrl_c_stopped_it(algorithm, car, tmp_path, monkeypatch):
+    command = ["train", recipe(tmp_path, algorithm), "--out", "run", "--network", car]
     with monkeypatch.context() as patch:
         patch.setattr(train, "checkpoint", lambda out: Stop())
         done = run(*command, cwd=tmp_path)
@@ -85,10 +85,13 @@ def test_a_training_goes_on_where_ctrl_c_stopped_it(algorithm, tmp_path, monkeyp
     assert done.returncode == 0 and "going on after 32 of 64 decisions" in done.stderr
     assert "on 32 scoring roads; policy in 'run/policy'" in done.stdout
     policy = Policy.load(tmp_path / "run" / "policy")
-    assert policy.currents == 2 and policy.info["training"]["recipe"]["algorithm"] == algorithm
+    assert (
+        policy.currents == {"half-car-isd": 2, "quarter-car-isd": 1}[car]
+        and policy.info["training"]["recipe"]["algorithm"] == algorithm
+    )
     assert list((tmp_path / "run" / "tensorboard").iterdir())
     model = getattr(library, algorithm).load(tmp_path / "run" / "model.zip")
-    assert model.num_timesteps == 64 and len(model.scores) == 1
+    assert model.num_timesteps == model.scores[-1][0] == 64  # a slow machine scores at checkpoints, too
     assert_one_line(run(*command, "--seed", 1, cwd=tmp_path), "holds another training", "--out")
 
 
