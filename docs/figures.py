@@ -240,7 +240,7 @@ def projection() -> None:
 def show() -> None:
     """Frames of ``isd-gym show``: two quarter cars after eight seconds, the picture of the README; a half and a full car on a bump."""
     from isd_gym.benchmark._show import snapshots
-    from isd_gym.view._rendering import Renderer
+    from isd_gym.view.rendering import Renderer
 
     frames: dict[str, tuple[tuple[str, ...], str, float, tuple[int, int], str]] = {
         "show": (("mpc", "passive"), "quarter-car-isd", 8.0, (1000, 560), "paper"),

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.view._rendering import Renderer, backend
-from isd_gym.view._rendering.canvas import Canvas
+from isd_gym.view.rendering import Renderer, backend
+from isd_gym.view.rendering.canvas import Canvas
 
 if TYPE_CHECKING:
     from pathlib import Path

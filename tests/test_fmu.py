@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from isd_gym._commands.export import command
 from isd_gym.physics.elements import ActuatorLag, SensorGain
-from isd_gym.physics.fmu import Running, base_units, export_fmu
+from isd_gym.physics.fmu import Running, export_fmu
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 
@@ -98,24 +98,6 @@ def test_bad_inputs_are_one_line():
     running = Running(Network.load("quarter-car-passive"))
     refused("'road' is missing", running.start, {})
     refused("not finite", running.start, {"road": float("nan")})
-
-
-@pytest.mark.parametrize(
-    ("unit", "base"),
-    [
-        ("N s/m", {"kg": "1", "s": "-1"}),
-        ("mm", {"m": "1", "factor": "0.001"}),
-        ("N m s/rad", {"kg": "1", "m": "2", "s": "-1", "rad": "-1"}),
-        ("V", {"kg": "1", "m": "2", "s": "-3", "A": "-1"}),
-        ("rad/s^2", {"s": "-2", "rad": "1"}),
-        ("m/rad", {"m": "1", "rad": "-1"}),
-        ("m/m", {}),
-        ("rpm", {"s": "-1", "rad": "1", "factor": repr(np.pi / 30)}),
-        ("furlong", None),
-    ],
-)
-def test_units_in_base_units(unit, base):
-    assert base_units(unit) == base
 
 
 @pytest.mark.parametrize(("name", "says"), [("car.zip", r"\.fmu"), ("no/such/car.fmu", "no folder")])

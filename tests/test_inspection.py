@@ -16,9 +16,9 @@ from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
-from isd_gym.records._inspection import head, inspect, lines
-from isd_gym.records._inspection.map_file import save_map
 from isd_gym.records.data import Table, write_table
+from isd_gym.records.inspection import head, inspect, lines
+from isd_gym.records.inspection.map_file import save_map
 from isd_gym.records.loggers import ChannelMap, Column, Logger, Raster, mended, runs
 from isd_gym.records.loggers.record_reading import records_of, road_of
 from isd_gym.records.schemas import load

@@ -103,7 +103,7 @@ isd_gym.physics.elements
     transmits
 isd_gym.physics.fmu
     export_fmu
-    also MEMORY NetworkSlave POWERS Running base_units identifier
+    also MEMORY NetworkSlave Running identifier
 isd_gym.physics.network
     AXES Assembly Body Channel GROUND Lever MOTIONS Network Point SCHEMA StateSpace UNITS assemble
     assemble_all builtin_networks cut linearise natural_frequencies own_time rejoin slowest_time transfer
@@ -129,6 +129,19 @@ isd_gym.physics.vehicle
 isd_gym.records
 isd_gym.records.data
     Finding Format Table check convert read_table write_table
+isd_gym.records.inspection
+    Inspection head inspect lines
+isd_gym.records.inspection.facts
+    also FEW Facts Oddity facts_of odd_scale odd_stamps odd_values quantity_of si_unit unit_in_name
+isd_gym.records.inspection.map_file
+    also map_content save_map
+isd_gym.records.inspection.match
+    also ALIKE CLEAR COLUMNS Candidate DOUBT DRIVES Drive EXACT FITS GIVEN LAG NOTHING PHYSICS SAMPLES
+    Suggestion Window suggest
+isd_gym.records.inspection.name_matching
+    also alike channel_words tokens
+isd_gym.records.inspection.report
+    also Inspection LAST_STAMP head inspect lines percent_of
 isd_gym.records.loggers
     ChannelMap Column Logger Raster Recording Signal files_of mended rasters runs
 isd_gym.records.loggers.grid
@@ -147,6 +160,36 @@ isd_gym.sb3
     also DEFAULT_ID VALIDATION_SEED
 isd_gym.view
     score_report write_report
+isd_gym.view.rendering
+    BLUE CAR_COLOURS CarSnapshot CornerSnapshot GREEN ORANGE PULL PURPLE PUSH Renderer VERMILLION
+    check_display write_video
+isd_gym.view.rendering.backend
+    also NO_WINDOW check_display extra pygame start_display
+isd_gym.view.rendering.canvas
+    also Anchor Canvas Point number
+isd_gym.view.rendering.car
+    also CARRIER CarScene FLOOR LARGEST_METRE SMALLEST_SUSPENSION TOP View
+isd_gym.view.rendering.corner
+    also CYLINDER LENGTH OIL_STROKE Suspension Words demands
+isd_gym.view.rendering.curves
+    also History SECONDS Scale plot
+isd_gym.view.rendering.film
+    also write_video
+isd_gym.view.rendering.palette
+    also BLUE CAR_COLOURS Colour GREEN GROUND GROUND_FAR GROUND_MARK INK MUTED OIL ORANGE PALE PURPLE SKY_LOW
+    SKY_TOP STEEL STEEL_FAR VERMILLION WHITE mix
+isd_gym.view.rendering.panel
+    also CELL Panel
+isd_gym.view.rendering.renderer
+    also EXAGGERATION Renderer
+isd_gym.view.rendering.road
+    also MARKS Window ground reference_height rulers
+isd_gym.view.rendering.snapshots
+    also CarSnapshot CornerSnapshot PITCH ROLL TRAVEL Trace VERTICAL
+isd_gym.view.rendering.symbols
+    also arrow coil dashpot
+isd_gym.view.rendering.wheel
+    also METRES RADIUS RUBBER RUBBER_FAR SQUASH WIDTH carrier side_rim tyre
 isd_gym.view.report
     check_report check_target notebook_page score_report write_report
 isd_gym.view.report.charts

@@ -14,10 +14,10 @@ from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
 from isd_gym.diagnosis import diagnose
 from isd_gym.physics.simulate import simulate
-from isd_gym.records._inspection import inspect
-from isd_gym.records._inspection.map_file import save_map
 from isd_gym.records.data import Table, read_table
 from isd_gym.records.data._table import read_rasters
+from isd_gym.records.inspection import inspect
+from isd_gym.records.inspection.map_file import save_map
 from isd_gym.records.loggers import ChannelMap, Recording
 from isd_gym.records.loggers.record_reading import records_of
 from isd_gym.records.schemas import check as of_schema

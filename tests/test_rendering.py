@@ -10,9 +10,9 @@ import pytest
 from program import refused
 
 from isd_gym._common.errors import InputError, how_to_install
-from isd_gym.view import _rendering as rendering
-from isd_gym.view._rendering import CarSnapshot, CornerSnapshot, Renderer, backend, write_video
-from isd_gym.view._rendering.canvas import Canvas
+from isd_gym.view import rendering
+from isd_gym.view.rendering import CarSnapshot, CornerSnapshot, Renderer, backend, write_video
+from isd_gym.view.rendering.canvas import Canvas
 
 pygame = backend.pygame()
 LIMIT = 0.02465  # [m], Table 1's deputy stroke at the terminals

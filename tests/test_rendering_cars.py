@@ -12,12 +12,12 @@ from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
 from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
-from isd_gym.view import _rendering as rendering
-from isd_gym.view._rendering import CarSnapshot, CornerSnapshot, backend, renderer
-from isd_gym.view._rendering.canvas import Canvas
-from isd_gym.view._rendering.car import CarScene
-from isd_gym.view._rendering.palette import MUTED
-from isd_gym.view._rendering.wheel import RUBBER
+from isd_gym.view import rendering
+from isd_gym.view.rendering import CarSnapshot, CornerSnapshot, backend, renderer
+from isd_gym.view.rendering.canvas import Canvas
+from isd_gym.view.rendering.car import CarScene
+from isd_gym.view.rendering.palette import MUTED
+from isd_gym.view.rendering.wheel import RUBBER
 
 pygame = backend.pygame()
 NETWORKS = {"ISDHalfCar-v0": "half-car-isd", "ISDFullCar-v0": "full-car-isd"}

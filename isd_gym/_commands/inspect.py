@@ -63,8 +63,8 @@ def command(
     """
     from .._common.files import write_text
     from ..physics.network import Network
-    from ..records._inspection.map_file import save_map
-    from ..records._inspection.report import inspect, lines
+    from ..records.inspection.map_file import save_map
+    from ..records.inspection.report import inspect, lines
     from ..records.loggers import ChannelMap, Column
     from ..records.loggers.mapping import files_of
     from ..view.report.inspection import page

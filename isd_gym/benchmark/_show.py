@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..physics.road import Road
-    from ..view._rendering import CarSnapshot
+    from ..view.rendering import CarSnapshot
     from .driving import Entry
 
 #: size of a picture [px] by number of cars
@@ -70,7 +70,7 @@ def snapshots(
 
 @contextmanager
 def _renderer(mode: Any, network: Network, cars: int) -> Iterator[Any]:
-    from ..view._rendering import Renderer
+    from ..view.rendering import Renderer
 
     is_wide = cars == 2 and vehicle(network).wheels.tracks == 2
     width, height = WIDE if is_wide else SIZE[cars]
@@ -91,7 +91,7 @@ def film(
 ) -> None:
     """Write an MP4 film of policies."""
     from ..env.task import CONTROL_STEP
-    from ..view._rendering import write_video
+    from ..view.rendering import write_video
 
     network = Network.load(network)
     every = round(1.0 / (FPS * CONTROL_STEP))
@@ -112,7 +112,7 @@ def film(
 
 def check_window() -> None:
     """Check before long work that `live` can open a window."""
-    from ..view._rendering import check_display
+    from ..view.rendering import check_display
 
     try:
         check_display()

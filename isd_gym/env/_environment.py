@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
     from ..physics.network import Network
-    from ..view._rendering import CarSnapshot, Renderer
+    from ..view.rendering import CarSnapshot, Renderer
 
 PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step
 
@@ -305,7 +305,7 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
                 'render() needs a render_mode, e.g. gymnasium.make("ISDSuspension-v0", render_mode="rgb_array")'
             )
             return None
-        from ..view._rendering import Renderer
+        from ..view.rendering import Renderer
 
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, fps=PICTURES)  # type: ignore[arg-type]
@@ -728,7 +728,7 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
             return None
         if not self._rngs:
             raise gym.error.ResetNeeded("call reset() before render()")
-        from ..view._rendering import Renderer
+        from ..view.rendering import Renderer
 
         if not self._renderers:
             self._renderers = [Renderer(self.render_mode, fps=PICTURES) for _ in range(self.num_envs)]  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from .task import PICTURE_WINDOW
 
 if TYPE_CHECKING:
     from ..physics.vehicle import Corner
-    from ..view._rendering import CarSnapshot, CornerSnapshot
+    from ..view.rendering import CarSnapshot, CornerSnapshot
     from .task import Task
 
 PAST = 4.0  # length of the curves [s]
@@ -56,7 +56,7 @@ class Onlooker:
 
     def snapshot(self) -> CarSnapshot:
         """Return the content of a picture of the car."""
-        from ..view._rendering import CarSnapshot
+        from ..view.rendering import CarSnapshot
 
         batch, car = self.task.batch, self.task.vehicle
         values = batch.out[:, self.car].tolist()
@@ -101,7 +101,7 @@ class Onlooker:
         }
 
     def _corner(self, number: int, corner: Corner, places: dict[str, float], body: float) -> CornerSnapshot:
-        from ..view._rendering import CornerSnapshot
+        from ..view.rendering import CornerSnapshot
 
         batch, net = self.task.batch, self.task.network
         first, second = (

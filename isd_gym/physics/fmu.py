@@ -27,7 +27,7 @@ import numpy as np
 
 from .._common.errors import InputError, how_to_install
 from .._common.files import check_file, whole, writing
-from .._common.units import TABLE, convert
+from .._common.units import convert
 from .elements import SensorDelay
 from .network import Network
 from .simulate import PHYSICS_STEP, Plant, effective_current, sense
@@ -43,33 +43,6 @@ else:
 __all__ = ["export_fmu"]
 
 MEMORY = 2.0  # length of the stored commands and readings for drives and sensors with memory [s]
-#: exponents of kg, m, s, A, rad in a unit, for the unit definitions
-POWERS = {
-    "kg": (1, 0, 0, 0, 0), "m": (0, 1, 0, 0, 0), "s": (0, 0, 1, 0, 0), "A": (0, 0, 0, 1, 0), "rad": (0, 0, 0, 0, 1),
-    "N": (1, 1, -2, 0, 0), "V": (1, 2, -3, -1, 0),
-}  # fmt: skip
-
-
-def base_units(unit: str) -> dict[str, str] | None:
-    """Return the attributes of a unit's `BaseUnit` in FMI.
-
-    Args:
-        unit: Name of the unit.
-
-    Returns:
-        Attributes; None for an unknown unit.
-    """
-    si, factor = TABLE.get(unit, (unit, 1.0))
-    total = [0] * 5
-    for k, side in enumerate(si.split("/")):
-        for word in side.split():
-            name, _, power = word.partition("^")
-            if name not in POWERS or not (power or "1").isdigit():
-                return None
-            sign = (1 if k == 0 else -1) * int(power or 1)
-            total = [t + sign * p for t, p in zip(total, POWERS[name], strict=True)]
-    out = {n: str(p) for n, p in zip(("kg", "m", "s", "A", "rad"), total, strict=True) if p}
-    return out | ({} if factor == 1.0 else {"factor": repr(factor)})
 
 
 class Running:
@@ -326,9 +299,7 @@ class NetworkSlave(Slave):  # type: ignore[misc]
         root = super().to_xml(model_options or {})
         units = Element("UnitDefinitions")
         for unit in sorted({u for u in self.units.values() if u and u != "-"}):
-            made = SubElement(units, "Unit", name=unit)
-            if (base := base_units(unit)) is not None:
-                SubElement(made, "BaseUnit", base)
+            SubElement(units, "Unit", name=unit)
         if len(units):
             at = [e.tag for e in root].index("CoSimulation") + 1
             root.insert(at, units)

@@ -1,6 +1,6 @@
 """Pages and pictures.
 
-- `_rendering`: frames and films of cars.
+- `rendering`: frames and films of cars.
 - `report`: pages of a score and of a diagnosis.
 """
 

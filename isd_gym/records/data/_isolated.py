@@ -7,19 +7,20 @@ crash, an endless loop or a decompression bomb ends the helper alone and gives a
 from __future__ import annotations
 
 import atexit
+import json
 import os
+import subprocess
 import sys
 import threading
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from ..._common.errors import InputError, how_to_install
-from ..._common.guarded import Guarded
 from ..._common.inputs import memory_limit, plain_file, too_large
-
-if TYPE_CHECKING:
-    import numpy as np
 
 SECONDS, SECONDS_PER_MB = 5.0, 1.0  # processor time per file [s]
 PATIENCE = 20.0  # multiple of the processor time, in wall-clock time: a busy machine is no endless loop
@@ -31,19 +32,71 @@ sys.path.append({str(Path(__file__).parents[3])!r})
 from isd_gym.records._formats.host import main
 main()
 """
-#: pyarrow must not reserve memory; HDF5 must not load plugins; XML is read by the standard library
+#: one thread; pyarrow must not reserve memory; HDF5 must not load plugins; XML is read by the standard library
 ENVIRONMENT = {
+    **{f"{k}_NUM_THREADS": "1" for k in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")},
     "ARROW_DEFAULT_MEMORY_POOL": "system",
     "HDF5_PLUGIN_PRELOAD": "::",
     "OPENPYXL_LXML": "False",
 }
 
 
-def _counts(head: dict[str, Any]) -> list[int]:
-    return [count for _, count in head.get("columns", ())]
+class Helper:
+    """The process in which binary tables are read (`isd_gym.records._formats.host`)."""
+
+    def __init__(self) -> None:
+        self.owner = os.getpid()
+        path = os.pathsep.join(p for p in sys.path if p)
+        try:
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-c", PROGRAM],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, **ENVIRONMENT, "PYTHONPATH": path},
+            )
+        except OSError as error:
+            raise InputError(f"no process of its own can be started ({error.strerror})") from None
+
+    def ask(self, request: dict[str, Any], patience: float) -> tuple[dict[str, Any], list[np.ndarray]] | None:
+        """Return header and columns of a table; None if the process died or took longer than `patience` [s]."""
+        asked, told = self.process.stdin, self.process.stdout
+        assert asked is not None and told is not None
+        watch = threading.Timer(patience, self.process.kill)
+        watch.daemon = True
+        watch.start()
+        try:
+            asked.write(json.dumps(request).encode() + b"\n")
+            asked.flush()
+            line = told.readline()
+            if not line:
+                return None
+            head, arrays = json.loads(line), []
+            for _, count in head.get("columns", ()):
+                data = told.read(8 * count)
+                if len(data) < 8 * count:
+                    return None
+                arrays.append(np.frombuffer(data))
+            return head, arrays
+        except (OSError, ValueError):
+            return None
+        finally:
+            watch.cancel()
+
+    def close(self) -> None:
+        """End the process; a forked process only drops its handle, since the process belongs to the parent."""
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                with suppress(OSError):  # the process ended first
+                    pipe.close()
+        if self.owner == os.getpid():
+            self.process.kill()
+            self.process.wait()
+        else:
+            self.process.returncode = 0  # the parent waits for the process
 
 
-_helper: Guarded | None = None
+_helper: Helper | None = None
 _lock = threading.Lock()
 
 
@@ -91,8 +144,8 @@ def read(
     }
     with _lock:
         if _helper is None:
-            _helper = Guarded(PROGRAM, ENVIRONMENT)
-        found = _helper.ask(request, _counts, PATIENCE * seconds)
+            _helper = Helper()
+        found = _helper.ask(request, PATIENCE * seconds)
         if found is None or found[0]["last"]:
             _stop()
     if found is None:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...records._inspection.report import head, percent_of
+from ...records.inspection.report import head, percent_of
 from .plots import page as fill
 
 if TYPE_CHECKING:
-    from ...records._inspection.report import Inspection
+    from ...records.inspection.report import Inspection
 
 
 def page(found: Inspection) -> str:
