@@ -65,12 +65,7 @@ def on_page_content(content, page, config, files):
 def commands() -> str:
     """`--help` of every command."""
     from isd_gym._commands import app
-    from isd_gym._common.plugins import COMMANDS, plugins
 
-    known = {c.name or c.callback.__name__ for c in app.registered_commands}
-    for point in plugins(COMMANDS):
-        if point.name not in known:
-            app.command(name=point.name)(point.load())
     names = [c.name or c.callback.__name__ for c in app.registered_commands]
     parts = []
     for name in names:

@@ -15,7 +15,6 @@ import typer
 from typer.testing import CliRunner
 
 from isd_gym import _commands as cli
-from isd_gym._common.plugins import COMMANDS, plugins
 from isd_gym.physics import elements
 
 pytestmark = pytest.mark.tools
@@ -117,26 +116,9 @@ def commands(page):
                     yield line, words[: words.index(">")] if ">" in words else words
 
 
-@pytest.fixture(scope="module")
-def app():
-    """The command line with every command loaded, whatever stand-ins a run in this process may have left."""
-    plugged = plugins(COMMANDS)
-    names = {point.name for point in plugged}
-    whole = typer.Typer()
-    own = cli.app.registered_commands
-    whole.registered_commands = [c for c in own if (c.name or c.callback.__name__) not in names]
-    for point in plugged:
-        whole.command(name=point.name)(point.load())
-    return whole
-
-
-@pytest.fixture(scope="module")
-def program(app):
-    return typer.main.get_command(app)
-
-
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: any(commands(p))))
-def test_the_commands_of_a_page_parse(page, program):
+def test_the_commands_of_a_page_parse(page):
+    program = typer.main.get_command(cli.app)
     for line, words in commands(page):
         place = f"{page.name}, line {line}: isd-gym {' '.join(words)}"
         name = words[0] if words else "--help"
@@ -152,7 +134,7 @@ def test_the_commands_of_a_page_parse(page, program):
 
 
 @pytest.mark.slow
-def test_readme_shows_what_the_diagnosis_prints(tmp_path, monkeypatch, app):
+def test_readme_shows_what_the_diagnosis_prints(tmp_path, monkeypatch):
     """README's command on the records of the tutorial: the same words, and the figures of the completed model."""
     monkeypatch.chdir(tmp_path)
     page = ROOT / "docs" / "tutorials" / "diagnose.md"
@@ -161,7 +143,7 @@ def test_readme_shows_what_the_diagnosis_prints(tmp_path, monkeypatch, app):
     (shown,) = (text for _, text in blocks(ROOT / "README.md", "console"))
     command, _, output = shown.partition("\n")
     wide = {"COLUMNS": "80", "TERMINAL_WIDTH": "80"}
-    done = CliRunner().invoke(app, shlex.split(command)[2:], env=wide)
+    done = CliRunner().invoke(cli.app, shlex.split(command)[2:], env=wide)
     assert done.exit_code == 0, done.output
     words, own = (NUMBER.sub("#", " ".join(re.sub("─+", "", text).split())) for text in (output, done.output))
     assert words in own, done.output

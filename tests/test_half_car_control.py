@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from builders import decoupled_half_car
-from isd_gym.baselines._decentralised import Decentralised
 from program import refused
 
 from isd_gym import baselines
@@ -88,16 +87,6 @@ def test_the_slew_limit_is_a_rate(name, step):
     controller.reset()
     command = controller.act(np.full(12, 0.05, np.float32) * (np.arange(12) < 10))
     assert np.abs(command).max() == pytest.approx(100.0 * step)
-
-
-def test_a_broken_signal_breaks_its_own_corner_alone():
-    one, other = (baselines.make("lqg", HALF) for _ in range(2))
-    assert isinstance(one, Decentralised)
-    obs = np.random.default_rng(0).normal(size=(1, 12)) * 1e-2
-    broken = obs.copy()
-    broken[0, 6] = np.nan  # travel at the rear
-    a, b = one.act_batch(obs), other.act_batch(broken)
-    assert np.isfinite(b).all() and a[0, 0] == b[0, 0]
 
 
 def test_the_conventional_half_car_has_the_networks_own_body():

@@ -85,19 +85,6 @@ def test_reset_and_step_tell_the_same(mode):
     assert set(first) == set(one.step(currents(1)[0, 0])[4]) == KEYS
 
 
-def test_handed_out_speeds_are_those_of_the_step():
-    """The `info` of a step does not change when cars start again at other speeds."""
-    env = cars(randomize={"speed": (10.0, 30.0)}, autoreset_mode="same_step")
-    _, info = env.reset(seed=0)
-    before, kept = info["speed"], info["speed"].copy()
-    for a in currents(STEPS):
-        *_, info = env.step(a)
-    np.testing.assert_array_equal(before, kept)
-    np.testing.assert_array_equal(info["final_info"]["speed"], kept)
-    assert not (info["speed"] == kept).any() and not info["tyre_load"].any()
-    assert info["final_info"]["tyre_load"].all()
-
-
 @theirs
 def test_videos(tmp_path):
     """Films of Gymnasium's recorders run in real time."""

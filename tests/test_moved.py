@@ -72,13 +72,6 @@ def test_the_three_inputs_of_one_motion_agree_and_a_velocity_tells_absolute_velo
     assert np.allclose(by["velocity"]["v"], by["displacement"]["v"], atol=1e-6)
 
 
-def test_a_velocity_may_rub_on_the_ground_and_friction_does_there_as_with_the_displacement():
-    t = np.arange(0, 2, 1e-3)
-    rub = {"elements": [friction("m", "ground", 0.5, "r")]}
-    by = {q: simulate(shaken(q, **rub), t, {"u": MOVES[q][1](t)}) for q in ("velocity", "displacement")}
-    assert np.allclose(by["velocity"]["a"], by["displacement"]["a"], atol=5e-3)
-
-
 def test_the_names_of_a_state_space_say_what_was_measured():
     space = linearise(shaken("acceleration"))
     assert space.inputs == ("u",)

@@ -8,7 +8,6 @@ from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._records.reading import read_record
-from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network, own_time, slowest_time
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, check
@@ -122,24 +121,3 @@ def test_few_samples_of_many_periods_are_no_short_record():
     read_record(brief, network, notes)
     assert any("short: 185 samples of 200 (or 64 for 10 periods" in note for note in notes)
     refused("too short: 63 samples of at least 64", read_record, scrap, network, [])
-
-
-def test_uneven_stamps_are_compared_at_their_own_instants():
-    """As `inspect` says of them; a record at uniform steps of the same rig is the measure."""
-    network, table = rig(0.5, 0.01)
-    jitter = 1.0 + 0.4 * np.random.default_rng(1).uniform(-1, 1, len(table) - 1)
-    time = np.concatenate([[0.0], np.cumsum(np.diff(table.time) * jitter)])
-    uneven = Table(time, {n: np.interp(time, table.time, x) for n, x in table.columns.items()}, "rig")
-    notes = []
-    record = read_record(uneven, network, notes)
-    assert any("compared at their own instants" in n for n in notes)
-
-    def error(record):
-        problem = Problem(network, [record])
-        y = problem.simulate([network], 0)[:, 0, 0]
-        later = slice(len(y) // 3, None)  # the start is not at rest
-        return float(np.std((y - record.measured[:, 0])[later]) / np.std(record.measured[later, 0]))
-
-    assert error(record) < 2.0 * error(read_record(table, network, []))
-    torn = Table(np.where(table.time > 10.0, table.time + 3.0, table.time), table.columns, "rig")
-    refused("gaps in time", read_record, torn, network, [])
