@@ -1,5 +1,6 @@
 """The laws of the elements against formulas of their own, and what each class says of itself."""
 
+import string
 from dataclasses import replace
 
 import numpy as np
@@ -24,15 +25,20 @@ def library():
     return {k: cls for k, cls in el.TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")}
 
 
-def test_every_class_of_the_library_declares_its_kind():
-    for kind, cls in library().items():
-        assert "mechanism" in vars(cls), kind  # declared, not inherited
-        assert cls.mechanism in el.MECHANISMS, kind
-    assert {cls.mechanism for cls in library().values()} == set(el.MECHANISMS)
+def test_every_class_of_the_library_tells_kind_source_units_and_a_test_that_could_refute_it():
     places = {"sensor": "channel", "drive": "element"}
     for kind, cls in library().items():
-        if cls.place != "between":
-            assert places[cls.mechanism] == cls.place, kind
+        assert "mechanism" in vars(cls), kind  # declared, not inherited
+        assert cls.place == places.get(cls.mechanism, "between") or kind == "motor", kind
+        assert cls.equation and cls.source and cls.signature, kind
+        parameters = {f.name: f.metadata for f in el.parameter_fields(cls)}
+        for name, about in parameters.items():
+            assert about["range"][0] < about["range"][1] and about["unit"], (kind, name)
+        assert bool(cls.test) == (kind != "motor")
+        assert {field for _, field, _, _ in string.Formatter().parse(cls.test) if field} <= set(parameters), (
+            kind
+        )
+    assert {cls.mechanism for cls in library().values()} == set(el.MECHANISMS)
 
 
 def test_a_kind_that_is_none_of_the_list_is_refused():

@@ -5,7 +5,6 @@ import hashlib
 import html
 import json
 import re
-import string
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -30,7 +29,7 @@ from isd_gym.diagnosis._verdict.evidence import Evidence
 from isd_gym.diagnosis._verdict.explanation import draw_law as series_law
 from isd_gym.diagnosis._verdict.gates import gates_of
 from isd_gym.diagnosis.result import BestCandidate, ScreenedPlace, Tabulated
-from isd_gym.physics.elements import TYPES, CoulombFriction, parameter_fields
+from isd_gym.physics.elements import TYPES, CoulombFriction
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
 from isd_gym.records import schemas
@@ -414,16 +413,6 @@ def test_only_units_of_a_sentence_are_set_as_units(diagnosis):
     for effect in TYPES:
         name = effect.replace("_", " ")
         assert view.printed(says.format(name)) == shown.format(name)
-
-
-def test_every_effect_of_the_library_has_a_test_that_could_refute_it():
-    kept = {"motor"}
-    own = {n: cls for n, cls in TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")}
-    tests = {name: cls.test for name, cls in own.items()}
-    assert {name for name, text in tests.items() if text} == set(tests) - kept
-    for name, text in tests.items():
-        named = {field for _, field, _, _ in string.Formatter().parse(text) if field}
-        assert named <= {f.name for f in parameter_fields(TYPES[name])}, name
 
 
 def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):
