@@ -58,16 +58,6 @@ def test_a_heavier_load_needs_more_force_to_break_away():
     assert forces == pytest.approx([LEVEL + GAIN * w for w in (0.0, 20.0, 40.0)], rel=0.05)
 
 
-def test_friction_only_takes_energy():
-    time, inputs = driven(size=60.0, weight=30.0)
-    seen = simulate(joint(), time, inputs)
-    power = seen["friction"] * seen["speed"]
-    assert power.min() > -1e-9 * power.max()
-    sliding = np.abs(seen["speed"]) > 1e-2
-    expected = (LEVEL + GAIN * np.abs(seen["load"])) * np.sign(seen["speed"])
-    assert seen["friction"][sliding] == pytest.approx(expected[sliding], rel=1e-6)
-
-
 def test_the_force_of_a_motor_is_a_load():
     time, place = np.arange(0.0, 8.0, 1e-3), ("cart", "ground")
     parts = [element("motor", "motor", *place, thrust_constant=5.0), damper(*place, 4.0, "guide")]

@@ -15,6 +15,8 @@ from .plant import CREEP, Array, Element, Model, Run, Signal, integrate
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from .draw import Tempo
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -38,6 +40,20 @@ class Rig:
     pairs: tuple[tuple[str, str], ...] = ()  # where nuisances may sit
     snr_db: tuple[float, float] = (26.0, 60.0)
     input_db: float = 90.0  # how well displacements that go in are measured
+
+
+def rig_of(
+    model: Model,
+    drives: tuple[Drive, ...],
+    tempo: Tempo,
+    size: float,
+    known: tuple[str, ...] = (),
+    pairs: tuple[tuple[str, str], ...] = (),
+    snr_db: tuple[float, float] = Rig.snr_db,
+) -> Rig:
+    """Return a rig that moves by `size` [m] at its tempo."""
+    span, speed = 1 / tempo.omega, size * tempo.omega
+    return Rig(model, drives, tempo.size, tempo.interval, span, speed, known, pairs, snr_db)
 
 
 def at_rest(signals: list[Signal], name: str) -> tuple[Drive, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import effects as fx
 from . import half_car
-from .bench import Drive, Rig, at_rest
+from .bench import Drive, Rig, at_rest, rig_of
 from .case import Family
 from .draw import (
     amplitude,
@@ -48,7 +48,7 @@ def shaken(r: Generator, sensors: str = "position") -> Rig:
     net = model("shaken", {"mass": m}, elements, [channel("base", "displacement", at="base")], out[sort])
     drives = at_rest(excitation(r, t, size), "base")
     known = ("mass.mass",) if r.random() < 0.5 else ()
-    return Rig(net, drives, t.size, t.interval, 1 / t.omega, size * t.omega, known, (BASE, SOIL))
+    return rig_of(net, drives, t, size, known, (BASE, SOIL))
 
 
 def shaken2(r: Generator) -> Rig:
@@ -65,15 +65,8 @@ def shaken2(r: Generator) -> Rig:
         "shaken2", {"lower": m, "upper": upper}, elements, [channel("base", "displacement", at="base")], out
     )
     pairs = (("lower", "base"), ("upper", "lower"), ("lower", "ground"))
-    return Rig(
-        net,
-        at_rest(excitation(r, t, size, 0.3, 4.0), "base"),
-        t.size,
-        t.interval,
-        1 / t.omega,
-        size * t.omega,
-        ("lower.mass", "upper.mass"),
-        pairs,
+    return rig_of(
+        net, at_rest(excitation(r, t, size, 0.3, 4.0), "base"), t, size, ("lower.mass", "upper.mass"), pairs
     )
 
 
@@ -98,16 +91,7 @@ def three(r: Generator) -> Rig:
     push = size * sum(masses.values()) * t.omega**2 * 0.5
     net = model("three", masses, elements, [channel("push", "force", at="one")], keep)
     pairs = (("one", "ground"), ("two", "one"), ("three", "two"))
-    return Rig(
-        net,
-        at_rest(excitation(r, t, push, 0.3, 3.0), "push"),
-        t.size,
-        t.interval,
-        1 / t.omega,
-        size * t.omega,
-        ("one.mass",),
-        pairs,
-    )
+    return rig_of(net, at_rest(excitation(r, t, push, 0.3, 3.0), "push"), t, size, ("one.mass",), pairs)
 
 
 # --------------------------------------------------------------------------------------------------- left to itself
@@ -132,7 +116,7 @@ def decay(r: Generator, bodies: int = 1) -> Rig:
     for x in (1.5 * size, 1.5 * size * r.uniform(0.75, 1.2)):
         v = x * t.omega * r.uniform(-0.3, 0.3)
         drives.append(Drive({}, {n: (x * r.choice([1.0, -1.0]), v) for n in masses}))
-    return Rig(net, tuple(drives), t.size, t.interval, 1 / t.omega, size * t.omega, ("mass.mass",), pairs)
+    return rig_of(net, tuple(drives), t, size, ("mass.mass",), pairs)
 
 
 def spin(r: Generator) -> Rig:
@@ -177,7 +161,7 @@ def resonator(r: Generator) -> Rig:
     signals = [
         rough(r, t, 0.3 * t.frequency, 2.0 * t.frequency, 0.0, push * k) for k in (1.0, log(r, 0.7, 1.3))
     ]
-    return Rig(net, at_rest(signals, "push"), t.size, t.interval, 1 / t.omega, size * t.omega, (), (SOIL,))
+    return rig_of(net, at_rest(signals, "push"), t, size, (), (SOIL,))
 
 
 def pushed(r: Generator) -> Rig:
@@ -195,16 +179,7 @@ def pushed(r: Generator) -> Rig:
         [channel("push", "force", at="mass")],
         out,
     )
-    return Rig(
-        net,
-        at_rest(excitation(r, t, push), "push"),
-        t.size,
-        t.interval,
-        1 / t.omega,
-        size * t.omega,
-        (),
-        (SOIL,),
-    )
+    return rig_of(net, at_rest(excitation(r, t, push), "push"), t, size, (), (SOIL,))
 
 
 def cart(r: Generator) -> Rig:
@@ -228,7 +203,7 @@ def cart(r: Generator) -> Rig:
     else:
         net = model("cart", {"mass": m}, [guide], [channel("push", "force", at="mass")], out)
         drives = at_rest(excitation(r, t, force, 0.1, 1.5), "push")
-    return Rig(net, drives, t.size, t.interval, 1 / t.omega, size * t.omega, ("mass.mass",), (SOIL,))
+    return rig_of(net, drives, t, size, ("mass.mass",), (SOIL,))
 
 
 # ------------------------------------------------------------------------------------------------- stroke in, force out
@@ -247,17 +222,7 @@ def dyno(r: Generator) -> Rig:
     )
     net = model("dyno", {}, elements, [channel("stroke", "displacement", at="rod")], [cell])
     signals = excitation(r, t, size, 0.2, 1.5)
-    return Rig(
-        net,
-        at_rest(signals, "stroke"),
-        t.size,
-        t.interval,
-        1 / t.omega,
-        size * t.omega,
-        (),
-        (("rod", "ground"),),
-        (26.0, 50.0),
-    )
+    return rig_of(net, at_rest(signals, "stroke"), t, size, (), (("rod", "ground"),), (26.0, 50.0))
 
 
 ROD = ("rod", "ground")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from . import effects as fx
-from .bench import Drive, Rig, at_rest
+from .bench import Drive, Rig, at_rest, rig_of
 from .case import Family
 from .draw import (
     amplitude,
@@ -85,9 +85,7 @@ def press(r: Generator) -> Rig:
     net = model("press", {"head": m}, elements, [channel("stroke", "displacement", at="rod")], out)
     drives = at_rest(excitation(r, t, size, 0.2, 2.0), "stroke")
     pairs = (HEAD, MOUNT)
-    return Rig(
-        net, drives, t.size, t.interval, 1 / t.omega, size * t.omega, ("head.mass",), pairs, (28.0, 55.0)
-    )
+    return rig_of(net, drives, t, size, ("head.mass",), pairs, (28.0, 55.0))
 
 
 BRIDGE, LOAD = ("bridge", "ground"), ("load", "bridge")
@@ -110,16 +108,7 @@ def gantry(r: Generator) -> Rig:
         "gantry", {"bridge": m, "load": load}, elements, [channel("current", "current", element="drive")], out
     )
     signals = [held(r, t, log(r, 2.0, 8.0) / t.omega, amperes * k) for k in (1.0, log(r, 0.7, 1.3))]
-    return Rig(
-        net,
-        at_rest(signals, "current"),
-        t.size,
-        t.interval,
-        1 / t.omega,
-        size * t.omega,
-        ("bridge.mass",),
-        (BRIDGE, LOAD),
-    )
+    return rig_of(net, at_rest(signals, "current"), t, size, ("bridge.mass",), (BRIDGE, LOAD))
 
 
 RIM, HUB = ("rim", "hub"), ("hub", "ground")
@@ -165,7 +154,7 @@ def isolator(r: Generator) -> Rig:
     shakes, push = excitation(r, t, size), m * size * t.omega**2 * (0.2 + zeta)
     pushes = [rough(r, t, 0.3 * t.frequency, 2.0 * t.frequency, 0.5, push) for _ in shakes]
     drives = tuple(Drive({"base": s, "push": p}, {}) for s, p in zip(shakes, pushes, strict=True))
-    return Rig(net, drives, t.size, t.interval, 1 / t.omega, size * t.omega, (), (TABLE, FLOOR))
+    return rig_of(net, drives, t, size, (), (TABLE, FLOOR))
 
 
 SLIDE = ("slide", "ground")
@@ -181,7 +170,7 @@ def dry(r: Generator) -> Rig:
     out = [reading(r, str(r.choice(["displacement", "velocity"])), "slide")]
     net = model("dry", {"slide": m}, elements, [channel("push", "force", at="slide")], out)
     drives = at_rest(excitation(r, t, push), "push")
-    return Rig(net, drives, t.size, t.interval, 1 / t.omega, size * t.omega, (), (SLIDE,))
+    return rig_of(net, drives, t, size, (), (SLIDE,))
 
 
 LEFT, RIGHT = ("left", "ground"), ("right", "left")
@@ -201,9 +190,7 @@ def pair(r: Generator) -> Rig:
     for x in (1.5 * size, 1.5 * size * r.uniform(0.8, 1.25)):
         drives.append(Drive({}, {"left": (0.3 * x, 0.0), "right": (-x, x * t.omega * r.uniform(-0.3, 0.3))}))
     net = model("pair", {"left": m, "right": other}, elements, [], keep)
-    return Rig(
-        net, tuple(drives), t.size, t.interval, 1 / t.omega, size * t.omega, ("left.mass",), (LEFT, RIGHT)
-    )
+    return rig_of(net, tuple(drives), t, size, ("left.mass",), (LEFT, RIGHT))
 
 
 UNSEEN: dict[str, Family] = {
