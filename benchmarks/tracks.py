@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from isd_gym.benchmark import _cards as cards
+from isd_gym.benchmark import cards
 from isd_gym.benchmark.tracks import TRACKS
 from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 

@@ -239,7 +239,7 @@ def projection() -> None:
 
 def show() -> None:
     """Frames of ``isd-gym show``: two quarter cars after eight seconds, the picture of the README; a half and a full car on a bump."""
-    from isd_gym.benchmark._show import snapshots
+    from isd_gym.benchmark.show import snapshots
     from isd_gym.view.rendering import Renderer
 
     frames: dict[str, tuple[tuple[str, ...], str, float, tuple[int, int], str]] = {
@@ -277,7 +277,7 @@ def films() -> None:
 
     from imageio_ffmpeg import get_ffmpeg_exe
 
-    from isd_gym.benchmark._show import film
+    from isd_gym.benchmark.show import film
 
     with tempfile.TemporaryDirectory() as folder:
         for name, (policies, network, drive) in FILMS.items():
@@ -301,7 +301,7 @@ def films() -> None:
 
 def preview() -> None:
     """Change of J over the seconds of road ahead, of the references of the benchmark's card, and the ceilings."""
-    from isd_gym.benchmark import _cards as cards
+    from isd_gym.benchmark import cards
     from isd_gym.benchmark.ceilings import known
     from isd_gym.physics.network import Network
     from isd_gym.physics.road import road

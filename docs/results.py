@@ -30,8 +30,7 @@ import learning
 import tracks as tracks_of
 from table import table
 
-from isd_gym.benchmark import _cards as cards
-from isd_gym.benchmark import lq_bounds
+from isd_gym.benchmark import cards, lq_bounds
 from isd_gym.benchmark.ceilings import known
 from isd_gym.benchmark.tracks import TRACKS
 from isd_gym.diagnosis._selection import criteria

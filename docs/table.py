@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from isd_gym._common.markdown import markdown
 from isd_gym._common.seeds import named_roads
-from isd_gym.benchmark import _cards as cards
-from isd_gym.benchmark._cards import ranking
+from isd_gym.benchmark import cards
+from isd_gym.benchmark.cards import ranking
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

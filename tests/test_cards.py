@@ -10,7 +10,7 @@ import tracks
 from program import assert_one_line, refused, run
 
 from isd_gym._commands._card_table import print_track
-from isd_gym.benchmark import _cards as cards
+from isd_gym.benchmark import cards
 from isd_gym.benchmark.ceilings import known
 from isd_gym.benchmark.scoring import fingerprints, score
 from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isd_gym.benchmark import ceilings as beside
-from isd_gym.benchmark._comparability import Comparable, comparable
+from isd_gym.benchmark.comparability import Comparable, comparable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
 from isd_gym.env._sensors import Sensors

@@ -40,9 +40,13 @@ isd_gym.baselines.mpc
     MpcSettings
     also ACCELERATION_LIMIT Mpc PAPER TRAVEL_LIMIT
 isd_gym.benchmark
+isd_gym.benchmark.cards
+    also BUILT_IN CLOSE SAME built_in digest load make match ranking read_score regret track
 isd_gym.benchmark.ceilings
     also Ceiling FEWEST FIGURES SEED SETTINGS bounds_beside ceiling fronts known known_ceilings passive_cost
     reachable
+isd_gym.benchmark.comparability
+    also Comparable NAMES PAPER_CARS PAPER_SPEED comparable
 isd_gym.benchmark.driving
     Controller Entry cost_of
     also Crew Driver Idle travel
@@ -57,6 +61,8 @@ isd_gym.benchmark.scoring
     weighted_rms
     also IDLE LEARN MEASURES PRINTED check_size compare corner_measures fingerprints idle_policies measures
     units unscored
+isd_gym.benchmark.show
+    also FPS SIZE WIDE check_window film live snapshots
 isd_gym.benchmark.sweep
 isd_gym.benchmark.sweep.conditions
     also COMMANDS FOLDER RESAMPLES change_cell check_policies drive_item items_are merge overall rows sweep
@@ -108,6 +114,8 @@ isd_gym.physics.network
     AXES Assembly Body Channel GROUND Lever MOTIONS Network Point SCHEMA StateSpace UNITS assemble
     assemble_all builtin_networks cut linearise natural_frequencies own_time rejoin slowest_time transfer
     without
+isd_gym.physics.network.frames
+    also complete frames order_told unknown
 isd_gym.physics.prediction
     also DESIGN_SPEED Equations Laws Linearised Model N_SENSORS PAPER_CAR ROAD_INTENSITY SLIDING Sensors
     Weights device_reach dry equations equivalent_damping kalman_gain lift move_regulator paper_reach

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from program import assert_one_line, refused, run
 
-from isd_gym.benchmark import _cards as cards
+from isd_gym.benchmark import cards
 from isd_gym.benchmark.policies import find_all
 from isd_gym.benchmark.scoring import measures, score
 from isd_gym.benchmark.tracks import TRACKS, find_track

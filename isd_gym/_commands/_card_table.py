@@ -14,7 +14,7 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
     """Print a track, best first, and the comparisons of each submitted policy."""
     from rich.text import Text
 
-    from ..benchmark._cards import ranking
+    from ..benchmark.cards import ranking
 
     one = next(t for t in card["tracks"] if t["track"] == name)
     rows = ranking(card, name, scores, _ceilings(one))
@@ -73,8 +73,8 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
 
 def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | None] | None:
     """Return a function from preview [s] to the causal ceiling of a track; None where no ceiling may stand beside the track."""
-    from ..benchmark._comparability import comparable
     from ..benchmark.ceilings import known_ceilings
+    from ..benchmark.comparability import comparable
     from ..physics.network import Network
     from ..physics.road import road
 

@@ -40,7 +40,7 @@ def command(
 
     Example: isd-gym card score.json
     """
-    from ..benchmark import _cards as cards
+    from ..benchmark import cards
 
     found = [cards.read_score(path) for path in scores or ()]
     if write is not None:

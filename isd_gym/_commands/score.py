@@ -150,7 +150,7 @@ def command(
     }
     card = place = None
     if against is not None:
-        from ..benchmark import _cards as cards
+        from ..benchmark import cards
 
         card = cards.load(against)
         place = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]

@@ -42,8 +42,8 @@ def command(
 
     Example: isd-gym show mpc --against passive --out mpc.mp4
     """
-    from ..benchmark._show import check_window, film, live
     from ..benchmark.policies import find_all
+    from ..benchmark.show import check_window, film, live
     from ..physics.network import Network
     from ..physics.road import road as find_road
 

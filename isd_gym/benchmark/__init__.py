@@ -1,3 +1,3 @@
 """The benchmark: policies that drive an environment (`driving`, `policies`), their paired scores (`scoring`), cards of
-references (`_cards`), and their pictures (`_show`).
+references (`cards`), and their pictures (`show`).
 """

@@ -18,7 +18,7 @@ from ..physics.cost import StageCost, square
 from ..physics.network import Network
 from ..physics.road import road as find_road
 from ..physics.vehicle import Vehicle, vehicle
-from ._comparability import Comparable, comparable
+from .comparability import Comparable, comparable
 from .driving import Controller, Crew, Entry, Idle, travel
 from .policies import find_all, passive
 

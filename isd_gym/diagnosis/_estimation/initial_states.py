@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...physics.network import Channel, Network, assemble
-from ...physics.network._frames import frames
+from ...physics.network.frames import frames
 from .._simulation.node_motion import motion_rows_of
 from .._simulation.problem import Problem, Record, bare
 from .structure import Structure, offsets_of, twin

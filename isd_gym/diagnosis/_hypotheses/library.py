@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ...physics import elements as el
 from ...physics.network import GROUND, Network
-from ...physics.network._frames import frames, order_told
+from ...physics.network.frames import frames, order_told
 from .._estimation.structure import Hypothesis
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 from ..._common.arrays import rms
 from ...physics.elements import Motion, Setting
 from ...physics.network import MOTIONS, Channel, Network, assemble
-from ...physics.network._frames import order_told
+from ...physics.network.frames import order_told
 from ...physics.simulate import pace, side_by_side
 from .._simulation.problem import BROKEN, Problem, bare
 from .library import pairs

@@ -20,7 +20,7 @@ from ..._common.errors import InputError
 from ..._common.units import convert
 from ...physics import elements as el
 from ...physics.network import GROUND, Channel, Network, assemble, linearise
-from ...physics.network._frames import frames, order_told
+from ...physics.network.frames import frames, order_told
 from ...physics.simulate import Plant, pace, side_by_side
 from .._estimation.structure import Structure, add
 from .._simulation.problem import BROKEN, Problem, bare

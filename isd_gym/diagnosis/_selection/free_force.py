@@ -17,7 +17,7 @@ import numpy as np
 from ..._common.arrays import Z95, Array
 from ...physics import elements as el
 from ...physics.network import Network, assemble
-from ...physics.network._frames import order_told
+from ...physics.network.frames import order_told
 from .._estimation.gauss_newton import Fit, Fitter, residuals
 from .._estimation.noise import weights_of
 from .._estimation.structure import Free, Structure, cells_beside

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import welch
 
 from ..._common.errors import InputError
-from ...physics.network._frames import order_told
+from ...physics.network.frames import order_told
 from .._hypotheses.motion import motions
 from .._selection.admissibility import travels
 from .._simulation.problem import BROKEN

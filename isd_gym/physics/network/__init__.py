@@ -1,7 +1,7 @@
 """A suspension as a network: masses, named nodes, and two-terminal elements between nodes.
 
 `Network` is the model (`_model`), and `isd-model/1` its JSON format (`_format`). `assemble` derives the
-equations of motion (`_assembly`, `_frames`). `linearise` gives a state space with named signals, for
+equations of motion (`_assembly`, `frames`). `linearise` gives a state space with named signals, for
 controllers and frequency responses (`_linear`).
 """
 

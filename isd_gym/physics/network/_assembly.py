@@ -30,8 +30,8 @@ from ..._common.errors import InputError
 from ..._common.units import HELD
 from .. import elements as el
 from ._coordinates import coordinates
-from ._frames import complete, frames, unknown
 from ._model import GROUND, MOTIONS, Channel, Network
+from .frames import complete, frames, unknown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
