@@ -49,8 +49,6 @@ MOST_PERIODS = 20_000  # over the travel
 ALL = 1e9  # no upper limit of the band but the sampling
 BAND = 0.9  # of the thinned records' band that their low-pass keeps
 LOST = 0.25  # share of the residual's power beyond the noise that must not be lost
-#: power of the residual beyond the noise, over that of the noise, from which on the question is asked
-MATERIAL = 3.0
 #: names of the force in a model, and of the travel of a bench
 PUSH, TRAVEL = "_push", "_travel"
 #: samples of a record below which its simulated motion is used

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..._common.errors import InputError
 from .._estimation.gauss_newton import Fitter, residuals
-from .._estimation.initial_states import next_states
+from .._estimation.initial_states import next_states, transfer_states
 from .._estimation.noise import Floor, floors_of, independent_share, noise_of, weights_of, white_weights
 from .._estimation.structure import base_structure
 from .._hypotheses.law_matching import simulate_unmodelled_effects
@@ -78,11 +78,15 @@ class HeldOutEvaluator:
             self.nrmse(f, p.reporting, self.test_deviation),
         )
 
-    def held_fit(self, fit: Fit) -> Fit:
-        """Return the simulation of the held-out records: parameters as fitted, initial states and offsets from each record. Raise
-        InputError where a law breaks down on a whole record of the user."""
-        after = self._states_after_training(fit)
-        held = self.plain_fitter.follow(fit.structure, fit.x, self.problem.held, None, (after,))
+    def held_fit(self, fit: Fit, near: Fit | None = None) -> Fit:
+        """Return the simulation of the held-out records: parameters as fitted, initial states and offsets from each record, from the
+        states of a simulation `near` it if given. Raise InputError where a law breaks down on a whole record of the user."""
+        p, fitter = self.problem, self.plain_fitter
+        if near is None:
+            held = fitter.follow(fit.structure, fit.x, p.held, None, (self._states_after_training(fit),))
+        else:
+            states = transfer_states(p, near.network, near.initial, fit.structure)
+            held = fitter.follow(fit.structure, fit.x, p.held, states)
         self._check_whole_records(fit, held)
         return held
 

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 #: blocks per record, and their least number of samples
 BLOCKS, LEAST_BLOCK = 20, 10
+#: ratio of the errors on validation and on training records above which initial states may be wrong
+LOST = 2.0
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,11 @@ class Row:
         return float(np.sqrt(np.mean(self.validation**2)))
 
     @property
+    def is_lost(self) -> bool:
+        """Whether the error on validation records is so much larger than on training records that their initial states may be wrong."""
+        return self.error > LOST * float(np.sqrt(np.mean(self.training**2)))
+
+    @property
     def kinds(self) -> frozenset[tuple[str, tuple[str, ...]]]:
         """Kinds and places of the members."""
         return frozenset(m.kind for m in self.members)
@@ -125,9 +132,10 @@ class Row:
         return np.concatenate(parts)
 
 
-def row_of(evaluator: HeldOutEvaluator, fit: Fit) -> Row:
-    """Return the row of a fitted set; raise InputError where a record cannot be simulated."""
-    p, held = evaluator.problem, evaluator.held_fit(fit)
+def row_of(evaluator: HeldOutEvaluator, fit: Fit, near: Fit | None = None) -> Row:
+    """Return the row of a fitted set; raise InputError where a record cannot be simulated. `near`: a simulation of the held-out records
+    whose initial states are tried, too."""
+    p, held = evaluator.problem, evaluator.held_fit(fit, near)
     left = residuals(p, fit)
     level = np.maximum(np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)), evaluator.least_noise)
     contradictions = [find_contradiction(p, fit, element) for element in fit.elements]

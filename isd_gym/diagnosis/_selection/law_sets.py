@@ -129,14 +129,21 @@ class Search:
         return list(out.values())
 
     def score(self, fits: Sequence[Fit]) -> list[Row]:
-        """Return the rows of the fits that can simulate all records."""
-        rows = []
-        for fit in fits:
-            try:
-                rows.append(row_of(self.evaluator, fit))
-            except FAILS:
-                continue
-        return rows
+        """Return the rows of the fits that can simulate all records; lost ones start again from the states of the best one."""
+        found = [row for fit in fits if (row := self._row(fit)) is not None]
+        best = min(found, key=lambda row: row.error, default=None)
+        out = []
+        for row in found:
+            again = self._row(row.fit, best.held) if best is not None and row.is_lost else None
+            out.append(row if again is None or row.error < again.error else again)
+        return out
+
+    def _row(self, fit: Fit, near: Fit | None = None) -> Row | None:
+        """Return the row of a fit; None where a record cannot be simulated."""
+        try:
+            return row_of(self.evaluator, fit, near)
+        except FAILS:
+            return None
 
     def refit_nominal(self) -> Fit:
         """Refit the nominal model within its stated uncertainty from the nominal values and, where the motion is lightly damped, from

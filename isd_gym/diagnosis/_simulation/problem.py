@@ -93,12 +93,6 @@ class Record:
         """Time scale of the motion [s]: the inverse of the circular frequency that halves the power of the outputs."""
         return min(pace(self.measured[:, j], self.interval) for j in range(self.measured.shape[1]))
 
-    def with_inputs(self, inputs: Mapping[str, Array]) -> Record:
-        """Return the record with other inputs, and the same time scale."""
-        out = replace(self, inputs=inputs)
-        out.__dict__["pace"] = self.pace
-        return out
-
     @property
     def filtered(self) -> bool:
         """Whether the compared outputs are low-pass filtered."""
