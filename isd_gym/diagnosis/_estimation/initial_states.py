@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics.network import Channel, Network, assemble
+from ...physics.network import GROUND, Channel, Network, assemble
 from ...physics.network.frames import frames
 from .._simulation.node_motion import motion_rows_of
 from .._simulation.problem import Problem, Record, bare
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ..._common.arrays import Array
+    from ...physics.network import Assembly
 
 
 def motion_rows(problem: Problem, network: Network) -> Array:
@@ -48,9 +49,7 @@ def guess(
     small, or near the state `about`."""
     record = problem.records[index]
     pure = bare(network)
-    moved = [c for c in pure.outputs if c.quantity == "displacement"]
-    rates = tuple(pure.probe(f"_{c.name}", "velocity", at=c.at, between=c.between) for c in moved)
-    asm = assemble(pure, rates)
+    asm = assemble(pure)
     n0 = asm.size[0]
     if not n0:
         return np.zeros(0)
@@ -69,18 +68,32 @@ def guess(
         shift = offsets[j] if offsets is not None else 0.0
         shift += sum(e.bias for e in offsets_of(network, c))
         y = (record.measured[:count, j] - shift) / problem.factors[j]
-        slope, value = np.polyfit(t, y, 1)
+        slope = float((t - t.mean()) @ y / np.sum((t - t.mean()) ** 2))
+        value = float(y.mean()) - slope * float(t.mean())
         sigma = float(np.std(record.measured[:, j])) / problem.factors[j] * 0.02 + 1e-12
         A.append(asm.outputs[j : j + 1, x] / sigma)
         b.append(np.array([(value - asm.outputs[j, r] @ road) / sigma]))
-        if c in moved:
-            k = len(pure.outputs) + moved.index(c)
-            if not asm.outputs_by_difference[k]:
-                wide = sigma / max(t[-1], 1e-9) * 2
-                A.append(asm.outputs[k : k + 1, x] / wide)
-                b.append(np.array([slope / wide]))
+        rate = _rate_row(asm, c) if c.quantity == "displacement" else None
+        if rate is not None:
+            wide = sigma / max(t[-1], 1e-9) * 2
+            A.append(rate[None, x] / wide)
+            b.append(np.array([slope / wide]))
     x0 = np.linalg.lstsq(np.vstack(A), np.concatenate(b), rcond=None)[0]
     return x0 if np.isfinite(x0).all() else np.zeros(n0)
+
+
+def _rate_row(asm: Assembly, channel: Channel) -> Array | None:
+    """Return the rate of a displacement output over the base vector (columns,); None at an algebraic node, whose rate no state tells."""
+    every = [*(n for n in asm.network.nodes if n not in asm.network.moved_nodes), *asm.network.moved_nodes]
+    row = np.zeros(asm.velocity.shape[1])
+    for node, sign in zip(channel.between or (str(channel.at),), (1.0, -1.0), strict=False):
+        if node == GROUND:
+            continue
+        own = asm.velocity[every.index(node)]
+        if not own.any():
+            return None
+        row += sign * own
+    return row
 
 
 def states_along(
