@@ -157,7 +157,7 @@ def test_friction_under_feedback_is_named_and_whole_records_are_not_compared():
     assert [e.effect for e in d.effects] == ["coulomb_friction"]
     assert d.effects[0].parameters["level"].value == pytest.approx(0.3, rel=0.1)
     assert d.findings[0].laws[0].probability == pytest.approx(d.effects[0].confidence, abs=0.01)
-    d = diagnose(*records, validate=[run(2), run(3)], criteria=replace(CRITERIA, determined=0.0))
+    d = diagnose(*records, validate=[run(2), run(3)], criteria=replace(CRITERIA, least_removed=0.0))
     assert d.verdict == "unknown_effect"
     assert d.stretches is not None and d.stretches.reason == "feedback"
     assert "open loop" not in {g.name for g in d.gates}

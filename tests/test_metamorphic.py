@@ -41,7 +41,7 @@ class Rig:
     validation: tuple[Table, ...]
 
     def diagnose(self, jobs=2, **options):
-        settings = SearchSettings(matches=4, finals=2, jobs=jobs)
+        settings = SearchSettings(jobs=jobs)
         return diagnose(self.training, self.model, validate=self.validation, settings=settings, **options)
 
     def with_tables(self, change):

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -28,10 +29,11 @@ from .._hypotheses.library import hypotheses
 from .._hypotheses.motion import joined, motions, simulate_variants
 from .._hypotheses.pair_forces import measured_motions
 from .._simulation.problem import BROKEN, bare
+from .._simulation.time_limit import adopt, running
 from .admissibility import is_admissible, travels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from ..._common.arrays import Array
     from ...physics.elements import Start as Proposal
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
     from .._simulation.problem import Problem
     from .settings import SearchSettings
 
+I = TypeVar("I")
+O = TypeVar("O")
 FAILS = (*BROKEN, ValueError, InputError)
 
 
@@ -116,11 +120,14 @@ class Stage:
             if math.isfinite(beside[k]) and starts[k] not in own[starts[k].law]:
                 own[starts[k].law].append(starts[k])
         by_law = {law: found for law, found in own.items() if found}
-        begun: list[tuple[float, int, Fit]] = []
-        for law in self.with_special_cases(list(by_law)[:shortlist], by_law):
-            for fit in self.first_fits(by_law[law]):
-                begun.append((fit.cost, len(begun), fit))
-        return self.finish([fit for *_, fit in sorted(begun, key=lambda t: t[:2])], kept)
+        laws = self.with_special_cases(list(by_law)[:shortlist], by_law)
+        begun = [fit for found in self.each(self.first_fits, [by_law[law] for law in laws]) for fit in found]
+        return self.finish(sorted(begun, key=lambda fit: fit.cost), kept)
+
+    def each(self, work: Callable[[I], O], items: Sequence[I]) -> list[O]:
+        """Return what a function makes of each item, in threads: the kernel does not hold the interpreter."""
+        with ThreadPoolExecutor(self.rules.jobs, initializer=adopt, initargs=(running(),)) as pool:
+            return list(pool.map(work, items))
 
     @staticmethod
     def with_special_cases(laws: Sequence[Hypothesis], every: Iterable[Hypothesis]) -> list[Hypothesis]:
@@ -187,7 +194,7 @@ class Stage:
             if len(found) < len(proposal.ways):
                 continue  # a way broke down
             responses = np.stack([left - rows for _, rows in found], axis=1)
-            amplitude = np.linalg.lstsq(responses, left, rcond=None)[0]
+            amplitude = np.asarray(np.linalg.lstsq(responses, left, rcond=None)[0], dtype=np.float64)
             if not (proposal.signed or amplitude[0] > 0.0):
                 continue
             start = self.start(law, law.kind.sized(proposal, amplitude), refitted)
@@ -212,7 +219,7 @@ class Stage:
                 with np.errstate(over="ignore", invalid="ignore"):
                     left = p.records[i].measured[:, :, None] - y - offset[None]
                     rows[first:last] = self.coarse.weights(left).reshape(last - first, -1)
-            is_finite = (np.abs(rows) < 1e100).all(axis=0)
+            is_finite = np.asarray((np.abs(rows) < 1e100).all(axis=0))
             rows[:, ~is_finite] = 0.0
             own = len(now.x)
             for lane, k in enumerate(chunk):
@@ -280,32 +287,30 @@ class Stage:
 
     def finish(self, begun: Sequence[Fit], kept: int) -> list[Fit]:
         """Fit the laws to the end, each from its best first fit, and the best ones with all samples."""
-        out: list[Fit] = []
-        seen: set[Hypothesis] = set()
+        chosen: dict[Hypothesis, Fit] = {}
         for fit in begun:
             law = fit.structure.hypotheses[-1]
             is_small = len(fit.x) <= len(self.base.x) + 1
             is_hopeless = fit.cost > self.rules.hopeless * begun[0].cost
             # few steps say little about a law with one parameter while the set still misses much
             is_left = is_hopeless and bool(self.base.structure.hypotheses) if is_small else True
-            if law in seen or (len(seen) >= kept and is_left):
-                continue
-            seen.add(law)
-            more = try_fit(
-                self.coarse, fit.structure, fit.x, fit.initial, fit.offset, self.rules.further_steps
-            )
-            out += [more] if more is not None else []
+            if law not in chosen and not (len(chosen) >= kept and is_left):
+                chosen[law] = fit
+        out = self.continued(self.coarse, list(chosen.values()), self.rules.further_steps)
         out += self.special_cases(out)
         out.sort(key=lambda f: f.cost)
         if self.problem is self.whole:
             return out
-        last = [
-            try_fit(
-                self.full, f.structure, f.x, f.initial, f.offset, self.rules.last_steps if k < kept else 0
-            )
-            for k, f in enumerate(out)
-        ]
-        return sorted((f for f in last if f is not None), key=lambda f: f.cost)
+        last = self.continued(self.full, out[:kept], self.rules.last_steps)
+        return sorted(last + self.continued(self.full, out[kept:], 0), key=lambda f: f.cost)
+
+    def continued(self, fitter: Fitter, fits: Sequence[Fit], steps: int) -> list[Fit]:
+        """Return further fits from the values and states of fits."""
+
+        def go_on(f: Fit) -> Fit | None:
+            return try_fit(fitter, f.structure, f.x, f.initial, f.offset, steps)
+
+        return [fit for fit in self.each(go_on, fits) if fit is not None]
 
     def special_cases(self, fits: Sequence[Fit]) -> list[Fit]:
         """Return fits of special cases of the last law from the values of the law, where the law costs less than the special case: the
