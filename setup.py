@@ -10,4 +10,7 @@ class DistributionWithData(Distribution):
 
 
 found = find_packages(include=["isd_gym", "isd_gym.*"])
-setup(distclass=DistributionWithData, packages=sorted({*found, "isd_gym.agents", "isd_gym.baselines"}))
+setup(
+    distclass=DistributionWithData,
+    packages=sorted({*found, "isd_gym.agents", "isd_gym.baselines"}),
+)

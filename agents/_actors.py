@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from isd_gym.agents.policy import Head
 
 
-def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
+def actor_layers(
+    state: Mapping[str, np.ndarray],
+) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
     """Return the layers of the deterministic actor in a state dict of Stable-Baselines3."""
     if "action_net.weight" in state:
         kind, hidden, last = "ppo", "mlp_extractor.policy_net.", "action_net"
@@ -26,12 +28,16 @@ def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.nd
         kind, hidden, last = "td3", "actor.mu.", ""
     else:
         raise InputError("no MlpPolicy of PPO, SAC or TD3")
-    if any("features_extractor" in key and not key.startswith("critic") for key in state):
+    if any(
+        "features_extractor" in key and not key.startswith("critic") for key in state
+    ):
         raise InputError(
             "its features extractor has weights of its own; only the flat MlpPolicy can be converted"
         )
     if any("lstm" in key for key in state):
-        raise InputError("its policy is recurrent; only the flat MlpPolicy can be converted")
+        raise InputError(
+            "its policy is recurrent; only the flat MlpPolicy can be converted"
+        )
     if kind == "td3" and any(key.startswith("actor.latent_pi.") for key in state):
         raise InputError(
             "its SAC explores with gSDE, whose clipped mean is not supported; train without use_sde"

@@ -49,7 +49,9 @@ def _unzip(data: bytes, where: str) -> zipfile.ZipFile:
         archive = zipfile.ZipFile(io.BytesIO(data))
         total = sum(part.file_size for part in archive.infolist())
     except Exception as error:  # a zip archive can be broken in many ways
-        raise InputError(f"{where}: not a zip archive ({type(error).__name__})") from None
+        raise InputError(
+            f"{where}: not a zip archive ({type(error).__name__})"
+        ) from None
     if total > ARCHIVE_LIMIT:
         raise too_large(where, total, ARCHIVE_LIMIT)
     return archive
@@ -60,7 +62,9 @@ def _part(archive: zipfile.ZipFile, name: str, where: str) -> bytes:
     try:
         return archive.read(name)
     except Exception as error:
-        raise InputError(f"{where}: part {shown(name)} cannot be read ({type(error).__name__})") from None
+        raise InputError(
+            f"{where}: part {shown(name)} cannot be read ({type(error).__name__})"
+        ) from None
 
 
 def read_torch(data: bytes, where: str) -> dict[str, np.ndarray]:
@@ -79,17 +83,24 @@ def read_torch(data: bytes, where: str) -> dict[str, np.ndarray]:
     try:
         import torch
     except ImportError:
-        raise InputError(f"{where}: reading weights needs torch: {how_to_install('agents')}") from None
+        raise InputError(
+            f"{where}: reading weights needs torch: {how_to_install('agents')}"
+        ) from None
     _unzip(data, where)  # checks the unpacked size
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of unusual files
             state = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-        if sum(tensor.numel() * tensor.element_size() for tensor in state.values()) > ARCHIVE_LIMIT:
+        if (
+            sum(tensor.numel() * tensor.element_size() for tensor in state.values())
+            > ARCHIVE_LIMIT
+        ):
             raise ValueError("tensors that overlap")
         return {str(name): tensor.numpy() for name, tensor in state.items()}
     except Exception as error:  # any error is a fault of the file
-        raise InputError(f"{where}: not weights saved by torch ({type(error).__name__})") from None
+        raise InputError(
+            f"{where}: not weights saved by torch ({type(error).__name__})"
+        ) from None
 
 
 class _Inert:
@@ -144,11 +155,17 @@ def read_pickle(data: bytes) -> Any:
                 raise ValueError("too large")
         return _InertUnpickler(io.BytesIO(data)).load()
     except Exception as error:  # any error is a fault of the file
-        raise InputError(f"not a pickle that can be read ({type(error).__name__})") from None
+        raise InputError(
+            f"not a pickle that can be read ({type(error).__name__})"
+        ) from None
 
 
 #: numeric types of pickled arrays
-KINDS: dict[Any, np.dtype[Any]] = {"f4": np.dtype("<f4"), "f8": np.dtype("<f8"), "i8": np.dtype("<i8")}
+KINDS: dict[Any, np.dtype[Any]] = {
+    "f4": np.dtype("<f4"),
+    "f8": np.dtype("<f8"),
+    "i8": np.dtype("<i8"),
+}
 
 
 def array(value: Any) -> np.ndarray:
@@ -178,11 +195,24 @@ def array(value: Any) -> np.ndarray:
             data, kind, shape, order = value.arguments
         else:
             raise ValueError(value.made)
-        is_native = kind.state is None or (kind.state[1] in "<|" and not any(kind.state[2:5]))
+        is_native = kind.state is None or (
+            kind.state[1] in "<|" and not any(kind.state[2:5])
+        )
         if kind.made != "numpy.dtype" or not is_native:
             raise ValueError("dtype")
-        return np.frombuffer(bytes(data), KINDS[kind.arguments[0]]).reshape(shape, order=order).copy()
-    except (ArithmeticError, AttributeError, IndexError, KeyError, TypeError, ValueError):
+        return (
+            np.frombuffer(bytes(data), KINDS[kind.arguments[0]])
+            .reshape(shape, order=order)
+            .copy()
+        )
+    except (
+        ArithmeticError,
+        AttributeError,
+        IndexError,
+        KeyError,
+        TypeError,
+        ValueError,
+    ):
         raise InputError("not an array of numbers") from None
 
 
@@ -201,14 +231,26 @@ def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
     data = read_bytes(path)
     try:
         state = getattr(read_pickle(data), "state", None)
-        statistics = getattr(state.get("obs_rms"), "state", None) if isinstance(state, dict) else None
+        statistics = (
+            getattr(state.get("obs_rms"), "state", None)
+            if isinstance(state, dict)
+            else None
+        )
         if not isinstance(state, dict) or not isinstance(statistics, dict):
             raise InputError("no running mean of the observations")
-        mean, variance = (array(statistics.get(key)).astype(float) for key in ("mean", "var"))
+        mean, variance = (
+            array(statistics.get(key)).astype(float) for key in ("mean", "var")
+        )
         if state.get("norm_obs", True) is not True:
             return np.zeros_like(mean), np.ones_like(mean), math.inf
-        epsilon, clip = (number(array(state.get(k)).item(), k) for k in ("epsilon", "clip_obs"))
-        if not (np.isfinite(mean).all() and np.isfinite(variance).all() and (variance >= 0).all()):
+        epsilon, clip = (
+            number(array(state.get(k)).item(), k) for k in ("epsilon", "clip_obs")
+        )
+        if not (
+            np.isfinite(mean).all()
+            and np.isfinite(variance).all()
+            and (variance >= 0).all()
+        ):
             raise InputError("mean and variance are not finite")
         if not (clip > 0 and epsilon > 0):
             raise InputError("clip_obs and epsilon are not > 0")
@@ -226,17 +268,27 @@ def _space(data: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
 
 def _shape(space: Mapping[str, Any]) -> str:
     shape = space.get("_shape")
-    short = isinstance(shape, list) and len(shape) < 6 and all(isinstance(n, int) for n in shape)
+    short = (
+        isinstance(shape, list)
+        and len(shape) < 6
+        and all(isinstance(n, int) for n in shape)
+    )
     return str(shape) if short else shown(shape)
 
 
 def _bounds(space: Mapping[str, Any]) -> set[float]:
     """Return the different upper bounds of a space; raise `ValueError` for other text than numbers."""
-    return {float(word) for word in str(space.get("high", "[1.]"))[:20_000].strip("[] ").split()}
+    return {
+        float(word)
+        for word in str(space.get("high", "[1.]"))[:20_000].strip("[] ").split()
+    }
 
 
 #: options of the training that decide how a policy is run, with their values
-TRAINED = {"observation": ("measured", "history"), "action": ("current", "share", "increment")}
+TRAINED = {
+    "observation": ("measured", "history"),
+    "action": ("current", "share", "increment"),
+}
 #: built-in cars, to tell which of them an archive was trained on
 CARS = ("quarter-car-isd", "half-car-isd", "full-car-isd")
 
@@ -288,14 +340,18 @@ def _features(
         high = _bounds(acts)
         (limit,) = high
     except ValueError:
-        raise InputError(f"{where}: the bound of its actions is {shown(acts.get('high'))}") from None
+        raise InputError(
+            f"{where}: the bound of its actions is {shown(acts.get('high'))}"
+        ) from None
     if asked["observation"] is None:
         try:
             is_scaled = _bounds(seen) == {BOUND}
         except ValueError:
             is_scaled = False
         w = _width("history", car, step)
-        asked["observation"] = "history" if is_scaled and shape == [w * _frames(shape, w)] else "measured"
+        asked["observation"] = (
+            "history" if is_scaled and shape == [w * _frames(shape, w)] else "measured"
+        )
     if asked["action"] is None:
         asked["action"] = "share" if limit == 1.0 else "current"
     for name, known in TRAINED.items():
@@ -311,12 +367,17 @@ def _features(
             f"{asked['observation']} of {name}"
             for name in CARS
             if name != car.network.name
-            and shape == [_width(asked["observation"], vehicle(Network.load(name)), step)]
+            and shape
+            == [_width(asked["observation"], vehicle(Network.load(name)), step)]
         ]
         others += [
-            f"history of {n}" for n in CARS if shape == [_width("history", vehicle(Network.load(n)), step)]
+            f"history of {n}"
+            for n in CARS
+            if shape == [_width("history", vehicle(Network.load(n)), step)]
         ]
-        fits = f"; it fits {others[0]}, see --network and --trained-with" if others else ""
+        fits = (
+            f"; it fits {others[0]}, see --network and --trained-with" if others else ""
+        )
         raise InputError(
             f"{where} was trained on observations of shape {_shape(seen)}, this car gives [{wanted}]{fits}"
         )
@@ -328,19 +389,27 @@ def _features(
         raise InputError(
             f"{where} was trained for actions up to {limit:g}, neither 1 nor {CURRENT_LIMIT:g} A"
         )
-    memory = Memory.of(car, step) if asked["observation"] == "history" else Memory(step=step)
+    memory = (
+        Memory.of(car, step) if asked["observation"] == "history" else Memory(step=step)
+    )
     memory = replace(memory, frames=frames)
     is_increment = asked["action"] == "increment"
     return (
         memory,
-        Head("increment", slew=min(SLEW_RATE * step, CURRENT_LIMIT)) if is_increment else Head(),
+        Head("increment", slew=min(SLEW_RATE * step, CURRENT_LIMIT))
+        if is_increment
+        else Head(),
         limit,
     )
 
 
 def _frames(shape: Any, width: int) -> int:
     """Return the number of observations of a width in a stack of a shape; 1 if the shape is no stack."""
-    is_flat = isinstance(shape, list) and len(shape) == 1 and is_whole(shape[0], width, FRAMES * width)
+    is_flat = (
+        isinstance(shape, list)
+        and len(shape) == 1
+        and is_whole(shape[0], width, FRAMES * width)
+    )
     return shape[0] // width if is_flat and shape[0] % width == 0 else 1
 
 
@@ -405,11 +474,15 @@ def convert(
         )
     data = parse_json(_part(file, "data", where), where)
     if not isinstance(data, Mapping):
-        raise InputError(f"{where} is not an archive of Stable-Baselines3: its data is {shown(data)}")
+        raise InputError(
+            f"{where} is not an archive of Stable-Baselines3: its data is {shown(data)}"
+        )
     seen = _space(data, "observation_space", where)
     acts = _space(data, "action_space", where)
     car = vehicle(Network.load(network if network is not None else "quarter-car-isd"))
-    memory, head, high = _features(where, car, seen, acts, {"observation": observation, "action": action})
+    memory, head, high = _features(
+        where, car, seen, acts, {"observation": observation, "action": action}
+    )
     if normalize is None:
         normalize = normalize_beside(path)
     elif str(normalize) == "none":
@@ -421,7 +494,12 @@ def convert(
         given = given if isinstance(given, Mapping) else {}
         text = str(given.get("activation_fn", "Tanh" if kind == "ppo" else "ReLU"))
         activation = next(
-            (a for a in ("tanh", "relu") if f".{a}'" in text.lower() or a == text.lower()), None
+            (
+                a
+                for a in ("tanh", "relu")
+                if f".{a}'" in text.lower() or a == text.lower()
+            ),
+            None,
         )
         if activation is None:
             raise InputError(f"activation {shown(text)} is not supported (Tanh, ReLU)")
@@ -430,9 +508,17 @@ def convert(
         extractor = str(given.get("features_extractor_class", "FlattenExtractor"))
         if "FlattenExtractor" not in extractor:
             raise InputError(f"features extractor {shown(extractor)} is not supported")
-        bound = BOUND if memory.scale else math.inf  # the environment clips its histories
-        mean, scale, clip = read_normalize(normalize) if normalize else (None, None, math.inf)
-        if mean is not None and scale is not None and len(mean) * memory.frames == seen["_shape"][0]:
+        bound = (
+            BOUND if memory.scale else math.inf
+        )  # the environment clips its histories
+        mean, scale, clip = (
+            read_normalize(normalize) if normalize else (None, None, math.inf)
+        )
+        if (
+            mean is not None
+            and scale is not None
+            and len(mean) * memory.frames == seen["_shape"][0]
+        ):
             mean, scale = (
                 np.tile(mean, memory.frames),
                 np.tile(scale, memory.frames),
@@ -461,7 +547,11 @@ def convert(
 
 
 def open_policy(
-    name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
+    name: str,
+    model: Network,
+    cost: StageCost,
+    control_step: float,
+    options: dict[str, Any],
 ) -> Entry | None:
     """Return the policy of an archive as an entry of a score.
 
@@ -477,8 +567,13 @@ def open_policy(
     """
     if not name.lower().endswith(".zip"):
         return None
-    given: dict[str, Any] = dict(trained_options(options["trained"]) if options.get("trained") else {})
+    given: dict[str, Any] = dict(
+        trained_options(options["trained"]) if options.get("trained") else {}
+    )
     policy = convert(name, network=model, **given)
     if "normalisation" in policy.info and "normalize" not in given:
-        print(f"{name}: normalised by '{policy.info['normalisation']}' beside it", file=sys.stderr)
+        print(
+            f"{name}: normalised by '{policy.info['normalisation']}' beside it",
+            file=sys.stderr,
+        )
     return entry_of(policy, name, model, control_step, options)

@@ -18,13 +18,19 @@ if TYPE_CHECKING:
 
 
 def open_policy(
-    name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
+    name: str,
+    model: Network,
+    cost: StageCost,
+    control_step: float,
+    options: dict[str, Any],
 ) -> Entry | None:
     """Return a trained policy as an entry of a score."""
     path = Path(name)
     if path.name == "policy.json":
         path = path.parent
-    elif not os.path.isfile(path / "policy.json"):  # a known name counts before another folder of that name
+    elif not os.path.isfile(
+        path / "policy.json"
+    ):  # a known name counts before another folder of that name
         if name in names():
             path = SHIPPED / name
         elif not os.path.isdir(path) or name in available():
@@ -34,11 +40,17 @@ def open_policy(
 
 
 def entry_of(
-    policy: Policy, name: str, model: Network, control_step: float, options: dict[str, Any]
+    policy: Policy,
+    name: str,
+    model: Network,
+    control_step: float,
+    options: dict[str, Any],
 ) -> Entry:
     """Return the entry of a policy that fits the network, the control step and the preview of a score."""
     if abs(control_step - policy.memory.step) > 1e-9:
-        raise InputError(f"policy '{name}' acts every {policy.memory.step:g} s, not every {control_step:g} s")
+        raise InputError(
+            f"policy '{name}' acts every {policy.memory.step:g} s, not every {control_step:g} s"
+        )
     asked = options.get("preview")
     if asked is not None and policy.preview and abs(asked - policy.preview) > 1e-9:
         raise InputError(
@@ -62,9 +74,15 @@ def about() -> dict[str, str]:
     out = {}
     for name in names():
         try:
-            held = json.loads((SHIPPED / name / "policy.json").read_text(encoding="utf-8"))
+            held = json.loads(
+                (SHIPPED / name / "policy.json").read_text(encoding="utf-8")
+            )
             change = held["score"]["cost"]["change"]
-            car = "" if held["env"]["id"] == "ISDSuspension-v0" else f" for {held['env']['id']}"
+            car = (
+                ""
+                if held["env"]["id"] == "ISDSuspension-v0"
+                else f" for {held['env']['id']}"
+            )
             out[name] = (
                 f"shipped {held['algorithm'].upper()} policy{car}, cost J {100 * change:+.1f} % against passive when it was trained"
             )

@@ -47,17 +47,29 @@ class Filter:
     B: tuple[tuple[float, ...], ...]  # response to the currents (n, currents)
     G: tuple[tuple[float, ...], ...]  # response to the frictions (n, frictions)
     S: tuple[tuple[float, ...], ...]  # rates of the frictions (frictions, n)
-    K: tuple[tuple[float, ...], ...]  # rates of the frictions per friction (frictions, frictions)
-    C: tuple[tuple[float, ...], ...]  # output matrix of the first signals y (signals, n)
-    D: tuple[tuple[float, ...], ...]  # response of the signals to the currents (signals, currents)
-    F: tuple[tuple[float, ...], ...]  # response of the signals to the frictions (signals, frictions)
+    K: tuple[
+        tuple[float, ...], ...
+    ]  # rates of the frictions per friction (frictions, frictions)
+    C: tuple[
+        tuple[float, ...], ...
+    ]  # output matrix of the first signals y (signals, n)
+    D: tuple[
+        tuple[float, ...], ...
+    ]  # response of the signals to the currents (signals, currents)
+    F: tuple[
+        tuple[float, ...], ...
+    ]  # response of the signals to the frictions (signals, frictions)
     L: tuple[tuple[float, ...], ...]  # gain of the filter (n, signals)
     law: tuple[tuple[float, ...], ...]  # currents by the state (currents, n)
-    rate: tuple[tuple[float, ...], ...]  # rates in the friction compensation by the state (currents, n)
+    rate: tuple[
+        tuple[float, ...], ...
+    ]  # rates in the friction compensation by the state (currents, n)
     force: tuple[float, ...]  # friction over thrust constant (currents,) [A]
     slew: float = 0.5  # scale of the law's features [A]
     reach: float = 2.0  # bound of the law's features [-]
-    current: int = 5  # index of the first present current among the signals; the others follow
+    current: int = (
+        5  # index of the first present current among the signals; the others follow
+    )
     #: change of z per known rise of the road by 1 m over the last step (n, roads); empty without a known road
     road: tuple[tuple[float, ...], ...] = ()
     #: currents per rise of the road in the next steps (currents, points) [A/m], road after road
@@ -74,12 +86,30 @@ class Filter:
             raise InputError(
                 "memory: filter's B, K, D, law, road and law_ahead must be lists of numbers"
             ) from None
-        if not (0 < n <= STATES and nf <= STATES and ny <= SIGNALS and ahead <= SIGNALS and 0 < m <= STATES):
-            raise InputError(f"memory: filter has more than {STATES} states or {SIGNALS} signals")
+        if not (
+            0 < n <= STATES
+            and nf <= STATES
+            and ny <= SIGNALS
+            and ahead <= SIGNALS
+            and 0 < m <= STATES
+        ):
+            raise InputError(
+                f"memory: filter has more than {STATES} states or {SIGNALS} signals"
+            )
         if known not in (0, n) or roads > STATES:
-            raise InputError(f"memory: filter's road must have {n} rows or none, not {known}")
+            raise InputError(
+                f"memory: filter's road must have {n} rows or none, not {known}"
+            )
         shapes: dict[str, tuple[int, ...]] = dict(
-            A=(n, n), B=(n, m), G=(n, nf), S=(nf, n), K=(nf, nf), C=(ny, n), D=(ny, m), F=(ny, nf), L=(n, ny)
+            A=(n, n),
+            B=(n, m),
+            G=(n, nf),
+            S=(nf, n),
+            K=(nf, nf),
+            C=(ny, n),
+            D=(ny, m),
+            F=(ny, nf),
+            L=(n, ny),
         )
         shapes |= dict(law=(m, n), rate=(m, n), force=(m,))
         views = dict(road=(known, roads), law_ahead=(m, ahead), rate_ahead=(m, ahead))
@@ -89,13 +119,19 @@ class Filter:
             except (TypeError, ValueError, OverflowError):
                 raise InputError(f"memory: filter's {name} is not a matrix") from None
             if not (value.shape == shape or value.size == math.prod(shape) == 0):
-                raise InputError(f"memory: filter's {name} must have shape {shape}, not {value.shape}")
+                raise InputError(
+                    f"memory: filter's {name} must have shape {shape}, not {value.shape}"
+                )
             if not (np.abs(value) <= LARGEST).all():
-                raise InputError(f"memory: filter's {name} must be finite, at most {LARGEST:g}")
+                raise InputError(
+                    f"memory: filter's {name} must be finite, at most {LARGEST:g}"
+                )
         for name in ("slew", "reach"):
             size = number(getattr(self, name), f"memory: filter's {name}")
             if not 0 < size <= LARGEST:
-                raise InputError(f"memory: filter's {name} must be > 0 and at most {LARGEST:g}, not {size:g}")
+                raise InputError(
+                    f"memory: filter's {name} must be > 0 and at most {LARGEST:g}, not {size:g}"
+                )
         if not all(self.K[j][j] > 0 for j in range(nf)):
             raise InputError("memory: filter's diagonal of K must be > 0")
         if not is_whole(self.current, 0, SIGNALS - 1):
@@ -154,14 +190,24 @@ class Echo:
                 raise InputError(f"memory: echo's {name} must be {low:g} to {high:g}")
         for name in ("lag", "points"):
             if not isinstance(getattr(self, name), int):
-                raise InputError(f"memory: echo's {name} must be a whole number of control steps")
+                raise InputError(
+                    f"memory: echo's {name} must be a whole number of control steps"
+                )
         try:
             rows = np.array(self.rows, float)
-            pairs = [(int(leader), float(distance)) for leader, distance in self.followers]
+            pairs = [
+                (int(leader), float(distance)) for leader, distance in self.followers
+            ]
         except (TypeError, ValueError, OverflowError):
-            raise InputError("memory: echo's rows and followers must be lists of numbers") from None
-        if not (rows.ndim == 2 and 0 < len(rows) <= LEADERS and 0 < rows.shape[1] <= STATES):
-            raise InputError(f"memory: echo's rows must be 1 to {LEADERS}, one for each leading wheel")
+            raise InputError(
+                "memory: echo's rows and followers must be lists of numbers"
+            ) from None
+        if not (
+            rows.ndim == 2 and 0 < len(rows) <= LEADERS and 0 < rows.shape[1] <= STATES
+        ):
+            raise InputError(
+                f"memory: echo's rows must be 1 to {LEADERS}, one for each leading wheel"
+            )
         if not (np.abs(rows) <= LARGEST).all():
             raise InputError(f"memory: echo's rows must be finite, at most {LARGEST:g}")
         if not 0 < len(pairs) <= STATES or len(pairs) * self.points > SIGNALS:
@@ -188,7 +234,9 @@ class Echo:
             )
         ages = max(int(max(delays)) - self.lag, 0) + 2
         out = np.zeros((len(self.rows), ages, len(self.followers), self.points))
-        for f, ((leader, _), delay) in enumerate(zip(self.followers, delays, strict=True)):
+        for f, ((leader, _), delay) in enumerate(
+            zip(self.followers, delays, strict=True)
+        ):
             whole = round(delay)
             delay = whole if abs(delay - whole) < 1e-9 * max(whole, 1) else delay
             for i in range(self.points):
@@ -214,7 +262,9 @@ def _made(kind: type[Any], data: Mapping[str, Any] | None) -> Any:
 class Memory(History):
     """Definition of the features of observations: a history, the road ahead, and an estimate."""
 
-    filter: Filter | None = None  # estimate among the features; None without an estimate
+    filter: Filter | None = (
+        None  # estimate among the features; None without an estimate
+    )
     #: number of heights of the road ahead after the signals in an observation, one per control step
     ahead: int = 0
     #: scale of the rises of the road ahead [m]; RMS of the paper's road over a control step by default
@@ -227,9 +277,13 @@ class Memory(History):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not is_whole(self.frames, 1, FRAMES):
-            raise InputError(f"memory: frames must be 1 to {FRAMES}, not {shown(self.frames)}")
+            raise InputError(
+                f"memory: frames must be 1 to {FRAMES}, not {shown(self.frames)}"
+            )
         if not 0 <= self.ahead <= SIGNALS or not 1 / LARGEST < self.rise < LARGEST:
-            raise InputError(f"memory: ahead must be 0 to {SIGNALS} points and rise > 0")
+            raise InputError(
+                f"memory: ahead must be 0 to {SIGNALS} points and rise > 0"
+            )
         if self.echo is not None:
             if self.ahead:
                 raise InputError(
@@ -241,11 +295,19 @@ class Memory(History):
                 )
             self.echo.weights(self.step)  # its delays can be kept
             if self.filter.roads != len(self.echo.followers):
-                raise InputError("memory: its filter knows the road under other wheels than its echo")
+                raise InputError(
+                    "memory: its filter knows the road under other wheels than its echo"
+                )
         elif self.filter and self.filter.roads > 1:
-            raise InputError("memory: its filter knows the road under several wheels, and no echo tells it")
-        if self.filter and self.filter.points > (self.echo.width if self.echo else self.ahead):
-            raise InputError("memory: its filter looks farther ahead than the observation")
+            raise InputError(
+                "memory: its filter knows the road under several wheels, and no echo tells it"
+            )
+        if self.filter and self.filter.points > (
+            self.echo.width if self.echo else self.ahead
+        ):
+            raise InputError(
+                "memory: its filter looks farther ahead than the observation"
+            )
 
     @classmethod
     def of(cls, car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> Memory:
@@ -265,14 +327,22 @@ class Memory(History):
     def width(self, signals: int) -> int:
         """Return the number of features."""
         if self.scale and signals != len(self.scale):
-            raise InputError(f"memory: made for {len(self.scale)} signals, the observation has {signals}")
+            raise InputError(
+                f"memory: made for {len(self.scale)} signals, the observation has {signals}"
+            )
         return signals * (1 + self.order) + self.extra
 
     @property
     def extra(self) -> int:
         """Number of features besides the signals and their changes."""
         echo = self.echo.width if self.echo else 0
-        return len(self.leak) + len(self.late) + self.ahead + echo + (self.filter.width if self.filter else 0)
+        return (
+            len(self.leak)
+            + len(self.late)
+            + self.ahead
+            + echo
+            + (self.filter.width if self.filter else 0)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the memory as plain data."""
@@ -286,9 +356,13 @@ class Memory(History):
                 scale=tuple(float(s) for s in data.get("scale", ())),
                 change=tuple(float(s) for s in data.get("change", ())),
                 order=int(data.get("order", 0)),
-                leak=tuple((int(i), float(t), float(s)) for i, t, s in data.get("leak", ())),
+                leak=tuple(
+                    (int(i), float(t), float(s)) for i, t, s in data.get("leak", ())
+                ),
                 step=float(data.get("step", 5e-3)),
-                late=tuple((int(c), float(d), float(t)) for c, d, t in data.get("late", ())),
+                late=tuple(
+                    (int(c), float(d), float(t)) for c, d, t in data.get("late", ())
+                ),
                 speed=float(data.get("speed", 20.0)),
                 filter=_made(Filter, data.get("filter")),
                 ahead=int(data.get("ahead", 0)),
@@ -298,7 +372,13 @@ class Memory(History):
             )
         except InputError:
             raise
-        except (TypeError, ValueError, OverflowError, AttributeError, RecursionError) as error:
+        except (
+            TypeError,
+            ValueError,
+            OverflowError,
+            AttributeError,
+            RecursionError,
+        ) as error:
             raise InputError(f"memory: {error}") from None
 
     def start(self, observations: np.ndarray) -> Recall:
@@ -320,10 +400,14 @@ class Recall(Remembered):
         # columns of the rises, and of those which the first step of each road ahead begins with
         width = memory.echo.width if memory.echo else memory.ahead
         self._road = slice(first, first + width)
-        self._next = slice(first, first + width, memory.echo.points if memory.echo else max(width, 1))
+        self._next = slice(
+            first, first + width, memory.echo.points if memory.echo else max(width, 1)
+        )
         self._rise = np.float32(memory.echo.rise if memory.echo else memory.rise)
         self.filter = _Filter(memory.filter, count) if memory.filter else None
-        self._stack = np.zeros((count, memory.frames, self.features.shape[1]), np.float32)
+        self._stack = np.zeros(
+            (count, memory.frames, self.features.shape[1]), np.float32
+        )
         self.begin(slice(None), observations)
 
     def stacked(self) -> np.ndarray:
@@ -381,7 +465,9 @@ class _Echo:
         weights = given.weights(step)
         leaders, ages, width = weights.shape
         #: from the rises of all leaders to those ahead of the followers, over their scale
-        self.weights = (weights / given.rise).reshape(leaders * ages, width).astype(np.float32)
+        self.weights = (
+            (weights / given.rise).reshape(leaders * ages, width).astype(np.float32)
+        )
         self.met = np.zeros((count, leaders, ages), np.float32)
 
     def see(self, estimate: np.ndarray) -> np.ndarray:
@@ -412,11 +498,20 @@ class _Filter:
         K = array("K", nf, nf)
         self.stick = (predict @ S.T / np.diag(K)).astype(np.float32)
         self.others = (K / np.diag(K)[:, None] - np.eye(nf)).T.astype(np.float32)
-        self.free = np.vstack([predict[:n] @ correct.T, predict[n:] @ correct.T - (L @ array("D", ny, m)).T])
+        self.free = np.vstack(
+            [
+                predict[:n] @ correct.T,
+                predict[n:] @ correct.T - (L @ array("D", ny, m)).T,
+            ]
+        )
         self.free = self.free.astype(np.float32)
-        self.force = (array("G", n, nf).T @ correct.T - (L @ array("F", ny, nf)).T).astype(np.float32)
+        self.force = (
+            array("G", n, nf).T @ correct.T - (L @ array("F", ny, nf)).T
+        ).astype(np.float32)
         self.gain = L.T.astype(np.float32)
-        self.rows = np.concatenate([array("law", m, n), array("rate", m, n)]).T.astype(np.float32)
+        self.rows = np.concatenate([array("law", m, n), array("rate", m, n)]).T.astype(
+            np.float32
+        )
         self.push = np.array(given.force, np.float32)
         # effect of a rise of the road on the sliding rate of each friction and on the estimate; and the law
         # ahead
@@ -427,7 +522,9 @@ class _Filter:
         ahead = [array(name, m, given.points) for name in ("law_ahead", "rate_ahead")]
         self.ahead = np.concatenate(ahead).T.astype(np.float32)
 
-    def estimate(self, features: np.ndarray, observations: np.ndarray, risen: np.ndarray | None) -> None:
+    def estimate(
+        self, features: np.ndarray, observations: np.ndarray, risen: np.ndarray | None
+    ) -> None:
         """Take in observations; `risen` (count, roads) [m]: of the known roads over the last step."""
         n, given = self.n, self.given
         current = observations[:, given.current : given.current + self.m]
@@ -439,10 +536,16 @@ class _Filter:
         friction = np.clip(rest, -1.0, 1.0)
         for _ in range(2 if self.nf > 1 else 0):
             for j in range(self.nf):
-                friction[:, j] = np.clip(rest[:, j] - friction @ self.others[:, j], -1.0, 1.0)
+                friction[:, j] = np.clip(
+                    rest[:, j] - friction @ self.others[:, j], -1.0, 1.0
+                )
         # products of part of a row may raise the flag of an invalid value although all values are finite: the library reads past the part
         with np.errstate(invalid="ignore"):
-            z = now @ self.free + friction @ self.force + observations[:, : self.ny] @ self.gain
+            z = (
+                now @ self.free
+                + friction @ self.force
+                + observations[:, : self.ny] @ self.gain
+            )
         if known:
             z += risen @ self.road
         features[:, :n] = z

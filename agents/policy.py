@@ -59,17 +59,25 @@ class Head:
 
     def __post_init__(self) -> None:
         if self.mode not in ("target", "increment", "residual"):
-            raise InputError(f"action mode must be target, increment or residual, not {shown(self.mode)}")
+            raise InputError(
+                f"action mode must be target, increment or residual, not {shown(self.mode)}"
+            )
         for key, most in (("limit", CURRENT_LIMIT), ("slew", SLEW_LIMIT)):
             value = number(getattr(self, key), f"the action's {key}")
             if not 0 < value <= most:
-                raise InputError(f"the action's {key} must be > 0 and at most {most:g} A, not {value:g}")
+                raise InputError(
+                    f"the action's {key} must be > 0 and at most {most:g} A, not {value:g}"
+                )
         if not 0 <= number(self.keep, "the action's keep") <= 1:
             raise InputError(f"the action's keep must be 0 to 1, not {self.keep:g}")
         if abs(number(self.gain, "the action's gain")) > 2 * CURRENT_LIMIT:
-            raise InputError(f"the action's gain must be at most {2 * CURRENT_LIMIT:g} A, not {self.gain:g}")
+            raise InputError(
+                f"the action's gain must be at most {2 * CURRENT_LIMIT:g} A, not {self.gain:g}"
+            )
 
-    def current(self, share: np.ndarray, present: np.ndarray, recall: Recall | None = None) -> np.ndarray:
+    def current(
+        self, share: np.ndarray, present: np.ndarray, recall: Recall | None = None
+    ) -> np.ndarray:
         """Return the commanded currents (count, currents) [A] for outputs `share` (count, currents) in [-1,
         1] and present currents [A]; `recall` has the law and the offset of a residual."""
         if self.mode == "target":
@@ -106,19 +114,35 @@ _ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
 _OUTPUTS = ("clip", "tanh")  # PPO clips its mean; SAC and TD3 squash their output
 
 
-def _layers(weights: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+def _layers(
+    weights: list[tuple[np.ndarray, np.ndarray]],
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return weights and biases as float32. Raise `InputError` for sizes and values that cannot be run."""
     if len(weights) > LAYERS:
-        raise InputError(f"the policy has {len(weights)} layers, at most {LAYERS} are run")
+        raise InputError(
+            f"the policy has {len(weights)} layers, at most {LAYERS} are run"
+        )
     with np.errstate(over="ignore"):
-        layers = [(np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights]
+        layers = [
+            (np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights
+        ]
     for i, (w, b) in enumerate(layers):
-        if w.ndim != 2 or b.shape != w.shape[:1] or (i and w.shape[1] != len(layers[i - 1][1])):
-            raise InputError(f"layer {i} of the weights does not fit: {w.shape} and {b.shape}")
+        if (
+            w.ndim != 2
+            or b.shape != w.shape[:1]
+            or (i and w.shape[1] != len(layers[i - 1][1]))
+        ):
+            raise InputError(
+                f"layer {i} of the weights does not fit: {w.shape} and {b.shape}"
+            )
         if not 0 < min(w.shape) <= max(w.shape) <= WIDTH:
-            raise InputError(f"layer {i} of the weights has sizes {w.shape}, at most {WIDTH} are run")
+            raise InputError(
+                f"layer {i} of the weights has sizes {w.shape}, at most {WIDTH} are run"
+            )
         if not ((np.abs(w) <= LARGEST).all() and (np.abs(b) <= LARGEST).all()):
-            raise InputError(f"layer {i} of the weights is not finite, or larger than {LARGEST:g}")
+            raise InputError(
+                f"layer {i} of the weights is not finite, or larger than {LARGEST:g}"
+            )
     return layers
 
 
@@ -127,12 +151,28 @@ def _normalisation(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and scale of the features as float32. Raise `InputError` for invalid values."""
     with np.errstate(over="ignore", under="ignore"):
-        mean = np.zeros(features, np.float32) if mean is None else np.array(mean, np.float32)
-        scale = np.ones(features, np.float32) if scale is None else np.array(scale, np.float32)
+        mean = (
+            np.zeros(features, np.float32)
+            if mean is None
+            else np.array(mean, np.float32)
+        )
+        scale = (
+            np.ones(features, np.float32)
+            if scale is None
+            else np.array(scale, np.float32)
+        )
     if mean.shape != (features,) or scale.shape != (features,):
-        raise InputError(f"the normalisation needs {features} means and positive scales")
-    if not ((np.abs(mean) <= LARGEST).all() and (scale >= 1 / LARGEST).all() and (scale <= LARGEST).all()):
-        raise InputError(f"the normalisation needs means and positive scales of at most {LARGEST:g}")
+        raise InputError(
+            f"the normalisation needs {features} means and positive scales"
+        )
+    if not (
+        (np.abs(mean) <= LARGEST).all()
+        and (scale >= 1 / LARGEST).all()
+        and (scale <= LARGEST).all()
+    ):
+        raise InputError(
+            f"the normalisation needs means and positive scales of at most {LARGEST:g}"
+        )
     return mean, scale
 
 
@@ -181,9 +221,13 @@ class Policy:
         info: Mapping[str, Any] | None = None,
     ) -> None:
         if not isinstance(activation, str) or activation not in _ACTIVATIONS:
-            raise InputError(f"activation must be one of {', '.join(_ACTIVATIONS)}, not {shown(activation)}")
+            raise InputError(
+                f"activation must be one of {', '.join(_ACTIVATIONS)}, not {shown(activation)}"
+            )
         if output not in _OUTPUTS:
-            raise InputError(f"output must be one of {', '.join(_OUTPUTS)}, not {shown(output)}")
+            raise InputError(
+                f"output must be one of {', '.join(_OUTPUTS)}, not {shown(output)}"
+            )
         if not weights:
             raise InputError("the policy has no layers")
         self.memory, self.head = memory or Memory(), head or Head()
@@ -212,7 +256,9 @@ class Policy:
         self.signals = (features - self.memory.extra) // (1 + self.memory.order)
         given = frames * self.memory.width(self.signals)
         if given != inputs:
-            raise InputError(f"the policy has {inputs} inputs, its memory gives {given}")
+            raise InputError(
+                f"the policy has {inputs} inputs, its memory gives {given}"
+            )
         if self.signals <= self.currents:
             raise InputError(
                 f"the policy reads {_counted(self.signals, 'signal')} and commands {_counted(self.currents, 'current')}"
@@ -220,7 +266,10 @@ class Policy:
         self._check_filter()
         if self.memory.ahead:
             #: length of the previewed road [s]
-            self.observation, self.preview = "preview", self.memory.ahead * self.memory.step
+            self.observation, self.preview = (
+                "preview",
+                self.memory.ahead * self.memory.step,
+            )
         self._transposed = [(np.ascontiguousarray(w.T), b) for w, b in self.weights]
         self._act = _ACTIVATIONS[activation]
         self._recall: Recall | None = None
@@ -236,7 +285,9 @@ class Policy:
             )
         last = max(own.current + own.currents, len(own.D)) - 1
         if last >= self.signals:
-            raise InputError(f"the policy reads signal {last}, the observation has {self.signals}")
+            raise InputError(
+                f"the policy reads signal {last}, the observation has {self.signals}"
+            )
 
     # -------------------------------------------------------------------------------------- running
 
@@ -253,7 +304,9 @@ class Policy:
         Returns:
             Current [A], or currents (currents,) [A] of a car with several motors.
         """
-        wanted: np.ndarray = self.act_batch(np.asarray(observation, np.float32)[None])[0]
+        wanted: np.ndarray = self.act_batch(np.asarray(observation, np.float32)[None])[
+            0
+        ]
         return float(wanted) if self.currents == 1 else wanted
 
     def reset_batch(self, count: int) -> None:
@@ -282,7 +335,11 @@ class Policy:
         recall = self._recall
         if recall is None or len(recall.features) != len(obs):
             if obs.ndim != 2 or obs.shape[1] != self.signals + self.memory.ahead:
-                road = f" and {self.memory.ahead} points of the road ahead" if self.memory.ahead else ""
+                road = (
+                    f" and {self.memory.ahead} points of the road ahead"
+                    if self.memory.ahead
+                    else ""
+                )
                 raise InputError(
                     f"policy '{self.name}' wants observations of {self.signals} signals{road}, not shape {obs.shape[1:]}"
                 )
@@ -387,7 +444,10 @@ class Policy:
         head = {
             "schema": SCHEMA,
             "name": self.name,
-            "weights": {"file": WEIGHTS_NAME, "sha256": hashlib.sha256(blob).hexdigest()},
+            "weights": {
+                "file": WEIGHTS_NAME,
+                "sha256": hashlib.sha256(blob).hexdigest(),
+            },
             "actor": {
                 "layers": [list(w.shape) for w, _ in self.weights],
                 "activation": self.activation,
@@ -417,7 +477,9 @@ class Policy:
         """
         given, folder = folder, Path(folder)
         where = f"policy {shown(str(given), 200)}"
-        if not os.path.exists(folder) and os.path.isfile(SHIPPED / str(given) / JSON_NAME):
+        if not os.path.exists(folder) and os.path.isfile(
+            SHIPPED / str(given) / JSON_NAME
+        ):
             folder = SHIPPED / str(given)
         if folder.suffix == ".zip":
             raise InputError(
@@ -429,7 +491,9 @@ class Policy:
         blob = _read(folder, WEIGHTS_NAME)
         try:
             if hashlib.sha256(blob).hexdigest() != head["weights"]["sha256"]:
-                raise InputError(f"{WEIGHTS_NAME} was altered, its sha256 is not that of {JSON_NAME}")
+                raise InputError(
+                    f"{WEIGHTS_NAME} was altered, its sha256 is not that of {JSON_NAME}"
+                )
             tensors = read_safetensors(blob, WEIGHTS_NAME)
             actor, network = head["actor"], head.get("network")
             if not (network is None or isinstance(network, dict)):
@@ -438,7 +502,9 @@ class Policy:
             if not isinstance(training, dict):
                 raise InputError(f"training must be an object, not {shown(training)}")
             if not isinstance(training.get("versions", {}), dict):
-                raise InputError(f"training.versions must be an object, not {shown(training['versions'])}")
+                raise InputError(
+                    f"training.versions must be an object, not {shown(training['versions'])}"
+                )
             weights = [
                 (tensors[f"layer.{i}.weight"], tensors[f"layer.{i}.bias"])
                 for i in range(len(actor["layers"]))

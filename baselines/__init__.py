@@ -22,7 +22,9 @@ from isd_gym.physics.vehicle import require_quarter_car, vehicle
 from ._semiactive import Clipped, controlled_damper
 from .controller import BatchController
 
-if __name__ != "isd_gym.baselines":  # a second copy, found in the source tree, would have classes of its own
+if (
+    __name__ != "isd_gym.baselines"
+):  # a second copy, found in the source tree, would have classes of its own
     raise ImportError("the package is imported as isd_gym.baselines, not baselines")
 
 _PREVIEW = 0.25  # default preview of the controllers with preview [s]
@@ -34,7 +36,12 @@ def noisy(share: float) -> Any:
     from isd_gym.physics.prediction import Sensors
 
     clean = Sensors()
-    return Sensors(**{k: (getattr(clean, k) ** 2 + (share * v) ** 2) ** 0.5 for k, v in NOISE.items()})
+    return Sensors(
+        **{
+            k: (getattr(clean, k) ** 2 + (share * v) ** 2) ** 0.5
+            for k, v in NOISE.items()
+        }
+    )
 
 
 def _idle(name: str, model: Network, cost: StageCost, control_step: float) -> Idle:
@@ -56,12 +63,18 @@ def _made(
     """
     module, _, cls = kind.partition(".")
     home = import_module(f".{module}", __package__)
-    usual = preset(home, control_step, options) if preset else getattr(home, cls).default
+    usual = (
+        preset(home, control_step, options) if preset else getattr(home, cls).default
+    )
     settings = options.pop("settings", None) or usual
     known = {f.name for f in fields(settings)}
     if unknown := [k for k in options if k not in known]:
-        raise InputError(f"no option '{unknown[0]}': there are {', '.join(sorted(known))}")
-    return getattr(home, cls)(model, cost, control_step, replace(settings, **options), name)
+        raise InputError(
+            f"no option '{unknown[0]}': there are {', '.join(sorted(known))}"
+        )
+    return getattr(home, cls)(
+        model, cost, control_step, replace(settings, **options), name
+    )
 
 
 def _previewing(home: Any, control_step: float, options: dict[str, Any]) -> Any:
@@ -98,7 +111,10 @@ _IDLE = ("passive", "isd-passive")  # "passive" on another plant: the convention
 #: name -> factory(model, cost, control_step, **options)
 CONTROLLERS: dict[str, Callable[..., BatchController | Idle]] = {
     **{name: partial(_idle, name) for name in _IDLE},
-    **{name: partial(_made, kind, preset, name) for name, (kind, preset) in _CLASSES.items()},
+    **{
+        name: partial(_made, kind, preset, name)
+        for name, (kind, preset) in _CLASSES.items()
+    },
 }
 #: one-line descriptions
 ABOUT = {
@@ -120,7 +136,15 @@ ABOUT = {
 #: plants of controllers with a plant of their own
 PLANTS = {"passive": "quarter-car-passive"}
 #: controllers of a quarter car that drive a car with several corners as one at each corner
-_AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
+_AT_EACH_CORNER = (
+    "skyhook",
+    "add",
+    "lqg",
+    "mpc-paper",
+    "mpc",
+    "mpc-friction",
+    "mpc-robust",
+)
 
 #: controllers with preview of a quarter car that drive a car with several corners, each with the road ahead of its wheel
 _WITH_PREVIEW = ("lqg-preview", "mpc-friction-preview")
@@ -162,14 +186,26 @@ def make(
         from ._decentralised import Decentralised, Previewing, at_each_corner
 
         speed = float(options.pop("speed", 20.0))
-        corners = at_each_corner(network, cost, lambda one, own: factory(one, own, control_step, **options))  # type: ignore[arg-type, return-value]
+        corners = at_each_corner(
+            network,
+            cost,
+            lambda one, own: factory(  # type: ignore[arg-type, return-value]
+                one, own, control_step, **options
+            ),
+        )
         if name in _WITH_PREVIEW:
             return Previewing(name, network, corners, speed, control_step)
         return Decentralised(name, network, corners)
     if name not in (*_IDLE, *_AT_EACH_CORNER, *WHOLE_CAR):
         require_quarter_car(network, f"'{name}' is a controller")
     if name not in _IDLE and controlled_damper(network) is not None:
-        return Clipped(network, lambda active: factory(active, cost, control_step, **options), control_step)  # type: ignore[arg-type, return-value]
+        return Clipped(
+            network,
+            lambda active: factory(  # type: ignore[arg-type, return-value]
+                active, cost, control_step, **options
+            ),
+            control_step,
+        )
     return factory(network, cost, control_step, **options)
 
 

@@ -24,7 +24,13 @@ if TYPE_CHECKING:
     from isd_gym.physics.vehicle import Vehicle
 
 #: measured signals of a corner, in the order of a quarter car's observation after the acceleration
-OWN = ("suspension_travel", "suspension_travel_rate", "device_travel", "device_travel_rate", "current")
+OWN = (
+    "suspension_travel",
+    "suspension_travel_rate",
+    "device_travel",
+    "device_travel_rate",
+    "current",
+)
 
 
 def _corner_view(car: Vehicle) -> np.ndarray:
@@ -39,7 +45,9 @@ def _corner_view(car: Vehicle) -> np.ndarray:
 
 
 def at_each_corner(
-    model: Network, cost: StageCost, make: Callable[[Network, StageCost], BatchController]
+    model: Network,
+    cost: StageCost,
+    make: Callable[[Network, StageCost], BatchController],
 ) -> list[BatchController]:
     """Return a controller for each corner with a current."""
     car = vehicle(model)
@@ -49,7 +57,9 @@ def at_each_corner(
 class Decentralised(BatchController):
     """Independent controllers of quarter cars at the corners of a car, in the order of the currents."""
 
-    def __init__(self, name: str, model: Network, corners: Sequence[BatchController]) -> None:
+    def __init__(
+        self, name: str, model: Network, corners: Sequence[BatchController]
+    ) -> None:
         """Store the controllers of the corners."""
         super().__init__(name, model)
         self.corners = list(corners)
@@ -62,7 +72,9 @@ class Decentralised(BatchController):
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
         own = self.observed(np.asarray(observations, float))
-        self._last = np.stack([c.act_batch(obs) for c, obs in zip(self.corners, own, strict=True)])
+        self._last = np.stack(
+            [c.act_batch(obs) for c, obs in zip(self.corners, own, strict=True)]
+        )
         self.fallbacks = sum(c.fallbacks for c in self.corners)
         return self._last.T
 
@@ -88,14 +100,22 @@ class Previewing(Decentralised):
     observation = "preview"
 
     def __init__(
-        self, name: str, model: Network, corners: Sequence[BatchController], speed: float, control_step: float
+        self,
+        name: str,
+        model: Network,
+        corners: Sequence[BatchController],
+        speed: float,
+        control_step: float,
     ) -> None:
         """Store the controllers of the corners."""
         super().__init__(name, model, corners)
         self.preview = corners[0].preview
         self._points = steps_ahead(self.preview, control_step)
         wheels = self.car.wheels
-        delays, driven = wheels.delays(speed, control_step), map(self.car.corners.index, self.car.driven)
+        delays, driven = (
+            wheels.delays(speed, control_step),
+            map(self.car.corners.index, self.car.driven),
+        )
         self._wheels = [(wheels.track[i], float(delays[i])) for i in driven]
         self._tracks, self._kept = wheels.tracks, math.ceil(max(delays)) + 1
         self.reset()
@@ -106,7 +126,9 @@ class Previewing(Decentralised):
             self._met = np.zeros(
                 (count, self._tracks, self._kept)
             )  # heights met by the first axle, newest last [m]
-            self._next = np.zeros((count, self._tracks))  # rise of the next control step [m]
+            self._next = np.zeros(
+                (count, self._tracks)
+            )  # rise of the next control step [m]
 
     def observed(self, observations: np.ndarray) -> list[np.ndarray]:
         """Return the local observations of the corners, each with the road ahead of its wheel."""
@@ -116,14 +138,20 @@ class Previewing(Decentralised):
         now = self._met[:, :, -1:] + self._next[:, :, None]
         self._met = np.concatenate([self._met[:, :, 1:], now], axis=2)
         self._next = np.clip(ahead[:, :, 0], -STEEPEST, STEEPEST)
-        profile = np.concatenate([self._met, now + ahead], axis=2)  # of each track, over time
+        profile = np.concatenate(
+            [self._met, now + ahead], axis=2
+        )  # of each track, over time
         out = []
-        for own, (track, delay) in zip(super().observed(observations), self._wheels, strict=True):
+        for own, (track, delay) in zip(
+            super().observed(observations), self._wheels, strict=True
+        ):
             places = self._kept - 1 - delay + np.arange(self._points + 1)
             low = np.floor(places + 1e-9).astype(int)
             part = places - low
             heights = (1.0 - part) * profile[:, track, low]
-            heights += part * profile[:, track, np.minimum(low + 1, profile.shape[2] - 1)]
+            heights += (
+                part * profile[:, track, np.minimum(low + 1, profile.shape[2] - 1)]
+            )
             out.append(np.hstack([own, heights[:, 1:] - heights[:, :1]]))
         return out
 

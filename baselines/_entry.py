@@ -12,17 +12,29 @@ if TYPE_CHECKING:
 
 
 def open_policy(
-    name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
+    name: str,
+    model: Network,
+    cost: StageCost,
+    control_step: float,
+    options: dict[str, Any],
 ) -> Entry | None:
     """Return a baseline as an entry of a score."""
     from . import CONTROLLERS, make
 
     if name not in CONTROLLERS:
         return None
-    for option, endings in (("preview", ("-preview",)), ("speed", ("-wheelbase", "-preview"))):
+    for option, endings in (
+        ("preview", ("-preview",)),
+        ("speed", ("-wheelbase", "-preview")),
+    ):
         if not name.endswith(endings):
             options = {k: v for k, v in options.items() if k != option}
-    return Entry(name, lambda: make(name, model=model, cost=cost, control_step=control_step, **options))
+    return Entry(
+        name,
+        lambda: make(
+            name, model=model, cost=cost, control_step=control_step, **options
+        ),
+    )
 
 
 def about() -> dict[str, str]:

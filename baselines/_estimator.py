@@ -32,18 +32,32 @@ class Estimator:
     ) -> None:
         self.model = model
         noise = sum(
-            (friction_noise**2 * np.outer(model.G[:, j], model.G[:, j]) for j in model.friction),
+            (
+                friction_noise**2 * np.outer(model.G[:, j], model.G[:, j])
+                for j in model.friction
+            ),
             np.zeros((model.n, model.n)) if noise is None else noise,
         )
         if isinstance(model, Model):
-            self.gain, self._currents = kalman_gain(model, sensors, noise), slice(CURRENT, CURRENT + 1)
+            self.gain, self._currents = (
+                kalman_gain(model, sensors, noise),
+                slice(CURRENT, CURRENT + 1),
+            )
         else:
-            self.gain, self._currents = model.kalman_gain(sensors, noise), model.current_places
+            self.gain, self._currents = (
+                model.kalman_gain(sensors, noise),
+                model.current_places,
+            )
         self._measured = self.gain.shape[1]
-        self._inputs, self._feedthrough = model.inputs, model.feedthrough[: self._measured]
+        self._inputs, self._feedthrough = (
+            model.inputs,
+            model.feedthrough[: self._measured],
+        )
         self.levels = model.levels()
         self._dry = model.friction
-        self._implicit = model.S @ model.G + model.SF  # rate of a law at the end of the step per force
+        self._implicit = (
+            model.S @ model.G + model.SF
+        )  # rate of a law at the end of the step per force
         self.reset(1)
 
     def reset(self, count: int) -> None:
@@ -58,7 +72,10 @@ class Estimator:
         for _ in range(3 if len(self._dry) > 1 else 1):
             for j in self._dry:
                 rest = free[j] + self._implicit[j] @ f - self._implicit[j, j] * f[j]
-                f[j] = np.minimum(np.maximum(rest / -self._implicit[j, j], -self.levels[j]), self.levels[j])
+                f[j] = np.minimum(
+                    np.maximum(rest / -self._implicit[j, j], -self.levels[j]),
+                    self.levels[j],
+                )
         return f
 
     def update(self, obs: np.ndarray, road: np.ndarray | None = None) -> np.ndarray:
@@ -71,6 +88,8 @@ class Estimator:
             free += m.P[:, None] * road
         self.f = self.friction(free)
         x = free + m.G @ self.f
-        seen = m.C[:measured] @ x + self._feedthrough @ currents + m.F[:measured] @ self.f
+        seen = (
+            m.C[:measured] @ x + self._feedthrough @ currents + m.F[:measured] @ self.f
+        )
         self.x = x + self.gain @ (obs[:measured] - seen)
         return self.x

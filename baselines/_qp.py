@@ -20,7 +20,9 @@ class Outcome:
 class Program(Protocol):
     """The program min 1/2 x'Px + q'x with low <= Ax <= high; P and A are fixed at construction."""
 
-    def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome: ...
+    def solve(
+        self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray
+    ) -> Outcome: ...
 
 
 class Osqp:
@@ -51,13 +53,18 @@ class Osqp:
         # the wrapper copies every number, which takes longer than the solution
         self._bare = self._solver._solver
         self._infinite = self._solver.constant("OSQP_INFTY")
-        self._good = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
+        self._good = (
+            osqp.SolverStatus.OSQP_SOLVED,
+            osqp.SolverStatus.OSQP_SOLVED_INACCURATE,
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return a recipe for a new setup in another process, without the warm start; the solver itself cannot be pickled."""
         return type(self), self._made
 
-    def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
+    def solve(
+        self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray
+    ) -> Outcome:
         """Solve the program."""
         bare, most = self._bare, self._infinite
         # the solver reads contiguous memory and ignores strides

@@ -34,7 +34,9 @@ def controlled_damper(network: Network) -> el.ControlledDamper | None:
     """Return the controlled damper of a quarter car; None for other cars."""
     if network.bodies:
         return None
-    return next((e for e in network.elements if isinstance(e, el.ControlledDamper)), None)
+    return next(
+        (e for e in network.elements if isinstance(e, el.ControlledDamper)), None
+    )
 
 
 class Clipped(BatchController):
@@ -47,17 +49,27 @@ class Clipped(BatchController):
     """
 
     def __init__(
-        self, model: Network, make: Callable[[Network], BatchController], control_step: float
+        self,
+        model: Network,
+        make: Callable[[Network], BatchController],
+        control_step: float,
     ) -> None:
         damper = controlled_damper(model)
         assert damper is not None
         self._limit = damper.current
         self._half = 0.5 * (damper.high - damper.low)
-        middle = el.LinearDamping(damper.name, damper.where, damping=0.5 * (damper.low + damper.high))  # type: ignore[call-arg]
+        middle = el.LinearDamping(
+            damper.name, damper.where, damping=0.5 * (damper.low + damper.high)
+        )  # type: ignore[call-arg]
         motor = el.Motor("actuator", damper.where, thrust_constant=_THRUST)  # type: ignore[call-arg]
         elements = [middle if e is damper else e for e in model.elements]
-        inputs = [replace(c, element="actuator") if c.quantity == "current" else c for c in model.inputs]
-        active = replace(model, elements=(*elements, motor), inputs=tuple(inputs), uncertainty={})
+        inputs = [
+            replace(c, element="actuator") if c.quantity == "current" else c
+            for c in model.inputs
+        ]
+        active = replace(
+            model, elements=(*elements, motor), inputs=tuple(inputs), uncertainty={}
+        )
         self.active = make(active)
         super().__init__(self.active.name, model, control_step)
         self.observation, self.preview = self.active.observation, self.active.preview

@@ -38,11 +38,15 @@ class Strut:
     spring: float  # stiffness of the main spring, between body and wheel [N/m]
     beside: float  # damping between body and wheel that is not parallel to the motor [N s/m]
     thrust: float = 0.0  # thrust constant at the terminals [N/A]; 0 without a motor
-    stiffness: float = 0.0  # stiffness parallel to the motor, without the main spring [N/m]
+    stiffness: float = (
+        0.0  # stiffness parallel to the motor, without the main spring [N/m]
+    )
     damping: float = 0.0  # damping parallel to the motor [N s/m]
     inertance: float = 0.0  # inertance parallel to the motor [kg]
     friction: float = 0.0  # friction parallel to the motor [N]
-    series: float = np.inf  # damping in series with the motor [N s/m]; infinite without a damper
+    series: float = (
+        np.inf
+    )  # damping in series with the motor [N s/m]; infinite without a damper
 
     @classmethod
     def of(cls, network: Network) -> Strut:
@@ -58,7 +62,9 @@ class Strut:
         parallel = [e for e in between if set(e.between) == set(motor.between)]
         k, c, b = np.sum([e.linear() for e in parallel], axis=0)
         level = sum(
-            e.bound(np.array(e.law_parameters()), 0.0, SLIDING) for e in parallel if e.bound is not None
+            e.bound(np.array(e.law_parameters()), 0.0, SLIDING)
+            for e in parallel
+            if e.bound is not None
         )
         joints = set(motor.between) - {body, wheel}
         series = [
@@ -104,12 +110,16 @@ class ForceControl(DesignedController[StrutSettings]):
     def _command(self, obs: np.ndarray) -> np.ndarray:
         s, z = self.strut, self.settings
         acceleration, travel, rate, device, device_rate = obs[:5]
-        self.velocity = (self.velocity + self.step * acceleration) * (1.0 - z.forget * self.step)
+        self.velocity = (self.velocity + self.step * acceleration) * (
+            1.0 - z.forget * self.step
+        )
         if s.thrust == 0.0:
             return np.zeros(obs.shape[1])
         wanted = self.force(acceleration, rate) - s.beside * rate
         goal = rate - wanted / s.series
-        if np.isfinite(s.series):  # the damper in series sets the force, and the motor the rate of the device
+        if np.isfinite(
+            s.series
+        ):  # the damper in series sets the force, and the motor the rate of the device
             carried = -s.body_mass * acceleration - s.spring * travel - s.beside * rate
         else:
             carried = wanted
@@ -132,7 +142,9 @@ class Skyhook(ForceControl):
     the wheel (Karnopp, Crosby and Harwood, Journal of Engineering for Industry, 1974)."""
 
     usual = "skyhook"
-    default = StrutSettings(body=2500.0, travel=1100.0, forget=0.95, tau=0.006, width=0.012)
+    default = StrutSettings(
+        body=2500.0, travel=1100.0, forget=0.95, tau=0.006, width=0.012
+    )
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
         return self.settings.body * self.velocity + self.settings.travel * rate
@@ -143,8 +155,12 @@ class AccelerationDriven(ForceControl):
     otherwise (Savaresi, Silani and Bittanti, Journal of Dynamic Systems, Measurement, and Control, 2005)."""
 
     usual = "add"
-    default = StrutSettings(body=2600.0, travel=2300.0, forget=0.1, tau=0.0016, width=0.012, softness=0.06)
+    default = StrutSettings(
+        body=2600.0, travel=2300.0, forget=0.1, tau=0.0016, width=0.012, softness=0.06
+    )
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
         z = self.settings
-        return (z.travel + 0.5 * z.body * np.tanh(acceleration * rate / z.softness)) * rate
+        return (
+            z.travel + 0.5 * z.body * np.tanh(acceleration * rate / z.softness)
+        ) * rate

@@ -47,7 +47,9 @@ class WheelbaseSettings(LawSettings):
     def __post_init__(self) -> None:
         """Check the speed."""
         if not 0.0 < self.speed < np.inf:
-            raise InputError(f"speed must be a positive number of m/s, not {self.speed:g}")
+            raise InputError(
+                f"speed must be a positive number of m/s, not {self.speed:g}"
+            )
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,9 @@ class WheelbaseLqg(DesignedController[WheelbaseSettings]):
 
     def _design(self) -> None:
         s = self.settings
-        self.prediction, self.estimator = m, _ = wheelbase_model(self.name, self.model, self.step, s)
+        self.prediction, self.estimator = m, _ = wheelbase_model(
+            self.name, self.model, self.step, s
+        )
         self.weights = CarWeights(self.cost, s.effort, s.centring)
         thrusts = m.thrusts
         if not np.all(thrusts):
@@ -77,7 +81,9 @@ class WheelbaseLqg(DesignedController[WheelbaseSettings]):
             loop = m.A - m.inputs @ K
             self._law = -K @ _later(loop, s.lead / self.step)
             self._rates = m.device_rates @ _later(loop, s.foresight / self.step)
-            self._forces = s.compensation * _levels(m, self.step)[:, None] / thrusts[:, None]
+            self._forces = (
+                s.compensation * _levels(m, self.step)[:, None] / thrusts[:, None]
+            )
 
     def _start(self, count: int) -> None:
         self.estimator.reset(count)
@@ -87,7 +93,9 @@ class WheelbaseLqg(DesignedController[WheelbaseSettings]):
 
     def law(self, x: np.ndarray) -> np.ndarray:
         """Return the wanted currents."""
-        return self._law @ x - self._forces * np.tanh(self._rates @ x / self.settings.width)
+        return self._law @ x - self._forces * np.tanh(
+            self._rates @ x / self.settings.width
+        )
 
 
 class WheelbaseMpc(Decentralised):
@@ -115,16 +123,22 @@ class WheelbaseMpc(Decentralised):
             friction_noise=base.friction_noise,
             road_intensity=base.road_intensity,
         )
-        self.prediction, self.estimator = m, _ = wheelbase_model(name, model, control_step, own)
+        self.prediction, self.estimator = m, _ = wheelbase_model(
+            name, model, control_step, own
+        )
         car = m.car
         cost = StageCost.of(cost, car.axes, len(car.corners)).of_corner
         base = replace(base, road_intensity=m.road_intensity)
-        self._ahead = [m.rises_ahead(car.corners.index(corner)) for corner in car.driven]
+        self._ahead = [
+            m.rises_ahead(car.corners.index(corner)) for corner in car.driven
+        ]
         corners = []
         for corner, ahead in zip(car.driven, self._ahead, strict=True):
             known = len(ahead) * control_step
             planned = with_preview(base, known, control_step) if known else base
-            corners.append(FrictionMpc(car.quarter_car(corner), cost, control_step, planned, name))
+            corners.append(
+                FrictionMpc(car.quarter_car(corner), cost, control_step, planned, name)
+            )
         super().__init__(name, model, corners)
 
     def _start(self, count: int) -> None:
@@ -136,9 +150,14 @@ class WheelbaseMpc(Decentralised):
         obs = clean(observations, self._last, self._bounds, self._present)
         state = self.estimator.update(obs)
         line = state[self.prediction.motion :]
-        ahead = [np.cumsum(np.clip(rows @ line, -STEEPEST, STEEPEST), axis=0).T for rows in self._ahead]
+        ahead = [
+            np.cumsum(np.clip(rows @ line, -STEEPEST, STEEPEST), axis=0).T
+            for rows in self._ahead
+        ]
         seen = super().observed(observations)
-        return [np.hstack([own, heights]) for own, heights in zip(seen, ahead, strict=True)]
+        return [
+            np.hstack([own, heights]) for own, heights in zip(seen, ahead, strict=True)
+        ]
 
 
 def wheelbase_model(
@@ -163,7 +182,9 @@ def wheelbase_model(
 def _levels(model: CarModel, control_step: float) -> np.ndarray:
     """Return the level of the dry friction at each driven corner [N] (currents,)."""
     quarters = (model.car.quarter_car(c) for c in model.car.driven)
-    return np.array([prediction_model(q, control_step).levels().sum() for q in quarters])
+    return np.array(
+        [prediction_model(q, control_step).levels().sum() for q in quarters]
+    )
 
 
 def _later(loop: np.ndarray, steps: float) -> np.ndarray:

@@ -24,7 +24,9 @@ __all__ = [
 ]
 
 
-_BOUNDS = np.array([[signal.bound] for signal in vehicle(Network.load("quarter-car-isd")).measured])
+_BOUNDS = np.array(
+    [[signal.bound] for signal in vehicle(Network.load("quarter-car-isd")).measured]
+)
 CURRENT = 5  # index of the present current in the observation of a quarter car
 Settings = TypeVar("Settings")
 
@@ -63,7 +65,9 @@ class BatchController(ABC):
         signals, currents = len(self.car.measured), len(self.car.driven)
         self._bounds = np.array([[signal.bound] for signal in self.car.measured])
         self._is_quarter = len(self.car.corners) == 1
-        self._present = CURRENT if self._is_quarter else slice(signals - currents, signals)
+        self._present = (
+            CURRENT if self._is_quarter else slice(signals - currents, signals)
+        )
 
     def reset(self) -> None:
         """Clear the memory: a new road starts at rest. The number of fallbacks is kept."""
@@ -75,7 +79,9 @@ class BatchController(ABC):
         Args:
             count: Number of cars.
         """
-        self._last = np.zeros(count if self._is_quarter else (len(self.car.driven), count))
+        self._last = np.zeros(
+            count if self._is_quarter else (len(self.car.driven), count)
+        )
         self._start(count)
 
     def act(self, observation: np.ndarray) -> float | np.ndarray:
@@ -147,7 +153,9 @@ class DesignedController(BatchController, Generic[Settings]):
         super().__init__(name or self.usual, model, control_step)
         self.settings: Any = settings or self.default
         cost = StageCost.of(cost, self.car.axes, len(self.car.corners))
-        self.cost = replace(cost, tyre_load=cost.tyre_load + getattr(self.settings, "tyre_load", 0.0))
+        self.cost = replace(
+            cost, tyre_load=cost.tyre_load + getattr(self.settings, "tyre_load", 0.0)
+        )
         self.preview = getattr(self.settings, "preview", 0.0)
         self._points = steps_ahead(self.preview, control_step)
         if self._points:
@@ -194,7 +202,9 @@ def rises(obs: np.ndarray, points: int) -> np.ndarray:
         InputError: The observation shows fewer points.
     """
     if len(obs) < len(_BOUNDS) + points:
-        raise InputError(f"the observation shows {len(obs) - len(_BOUNDS)} points of road, not {points}")
+        raise InputError(
+            f"the observation shows {len(obs) - len(_BOUNDS)} points of road, not {points}"
+        )
     return np.diff(obs[len(_BOUNDS) : len(_BOUNDS) + points], axis=0, prepend=0.0)
 
 
@@ -220,12 +230,16 @@ def clean(
         broken = ~np.isfinite(obs)
         obs[broken] = 0.0
         obs[currents] = np.where(broken[currents], last, obs[currents])
-    signals = obs[: len(bounds)]  # minimum and maximum: np.clip takes several times as long for a single car
+    signals = obs[
+        : len(bounds)
+    ]  # minimum and maximum: np.clip takes several times as long for a single car
     np.minimum(np.maximum(signals, -bounds, out=signals), bounds, out=signals)
     return obs
 
 
-def limit(wanted: np.ndarray, present: np.ndarray, slew: float = SLEW_LIMIT) -> np.ndarray:
+def limit(
+    wanted: np.ndarray, present: np.ndarray, slew: float = SLEW_LIMIT
+) -> np.ndarray:
     """Limit currents as in Table 5: |I| <= 5 A and |dI| <= slew; an invalid command holds the present current.
 
     Args:

@@ -108,7 +108,9 @@ def _empty_path(problem, steps):
 def _empty_feedback(problem, steps):
     """Return a feedback of zeros."""
     width = len(problem.A) + 1
-    return _Feedback(np.zeros((steps, width)), np.zeros(steps), np.zeros((steps, width)))
+    return _Feedback(
+        np.zeros((steps, width)), np.zeros(steps), np.zeros((steps, width))
+    )
 
 
 @jit.compiled(error_model="numpy")
@@ -229,7 +231,9 @@ def _stop(rest, gain, stiffness, clearance):
 
 
 @jit.compiled(error_model="numpy")
-def _forces(free, k, is_dry, level, stiffness, clearance, coupling, spread, forces, slopes):
+def _forces(
+    free, k, is_dry, level, stiffness, clearance, coupling, spread, forces, slopes
+):
     """Compute the forces of the laws at the end of step `k`, and their slopes.
 
     `free` (nl,) are the rates (friction) or elongations (stops) without the forces.
@@ -245,15 +249,21 @@ def _forces(free, k, is_dry, level, stiffness, clearance, coupling, spread, forc
                     rest += coupling[j, i] * forces[k, i]
             gain = coupling[j, j]
             if is_dry[j]:
-                forces[k, j], slopes[k, j] = _friction(rest, gain, level[j], spread[k, j])
+                forces[k, j], slopes[k, j] = _friction(
+                    rest, gain, level[j], spread[k, j]
+                )
             else:
-                forces[k, j], slopes[k, j] = _stop(rest, gain, stiffness[j], clearance[j])
+                forces[k, j], slopes[k, j] = _stop(
+                    rest, gain, stiffness[j], clearance[j]
+                )
 
 
 @jit.compiled(error_model="numpy")
 def _allowed(move, current, slew):
     """Return the nearest move that obeys the limits of current and slew."""
-    return min(max(move, -slew, -CURRENT_LIMIT - current), slew, CURRENT_LIMIT - current)
+    return min(
+        max(move, -slew, -CURRENT_LIMIT - current), slew, CURRENT_LIMIT - current
+    )
 
 
 @jit.compiled(error_model="numpy")
@@ -263,12 +273,39 @@ def _roll(start, current, moves, feedback, share, road, problem, path):
     A `share` above 0 changes the moves by this share of the open-loop changes and by the feedback.
     """
     # named once: compiled code counts references at every access to an array of a tuple
-    A, B, G, P, C, D, F = problem.A, problem.B, problem.G, problem.P, problem.C, problem.D, problem.F
-    motion, motion_current, coupling = problem.motion, problem.motion_current, problem.coupling
+    A, B, G, P, C, D, F = (
+        problem.A,
+        problem.B,
+        problem.G,
+        problem.P,
+        problem.C,
+        problem.D,
+        problem.F,
+    )
+    motion, motion_current, coupling = (
+        problem.motion,
+        problem.motion_current,
+        problem.coupling,
+    )
     is_dry, level, stiffness = problem.is_dry, problem.level, problem.stiffness
-    clearance, spread, weights, value = problem.clearance, problem.spread, problem.weights, problem.value
-    states, currents, forces, slopes = path.states, path.currents, path.forces, path.slopes
-    signals, gains, changes, nominal = path.signals, feedback.gains, feedback.changes, feedback.nominal
+    clearance, spread, weights, value = (
+        problem.clearance,
+        problem.spread,
+        problem.weights,
+        problem.value,
+    )
+    states, currents, forces, slopes = (
+        path.states,
+        path.currents,
+        path.forces,
+        path.slopes,
+    )
+    signals, gains, changes, nominal = (
+        path.signals,
+        feedback.gains,
+        feedback.changes,
+        feedback.nominal,
+    )
     n, steps, laws = len(A), len(moves), len(level)
     free = np.empty(laws)
     cost = 0.0
@@ -293,11 +330,25 @@ def _roll(start, current, moves, feedback, share, road, problem, path):
             for i in range(n):
                 rate += motion[j, i] * states[k + 1, i]
             free[j] = rate
-        _forces(free, k, is_dry, level, stiffness, clearance, coupling, spread, forces, slopes)
+        _forces(
+            free,
+            k,
+            is_dry,
+            level,
+            stiffness,
+            clearance,
+            coupling,
+            spread,
+            forces,
+            slopes,
+        )
         for i in range(n):
             for j in range(laws):
                 states[k + 1, i] += G[i, j] * forces[k, j]
-        cost += 0.5 * (problem.move_weight * move * move + problem.current_weight * current * current)
+        cost += 0.5 * (
+            problem.move_weight * move * move
+            + problem.current_weight * current * current
+        )
         for r in range(len(weights)):
             signal = D[r] * current
             for i in range(n):
@@ -347,13 +398,26 @@ def _differentiate_step(problem, slopes, k, state, forces, signals, system):
 @jit.compiled(error_model="numpy")
 def _sweep(moves, problem, path, feedback):
     """Run the backward sweep over a plan, and write the feedback of the moves within their limits."""
-    weights, states, currents, slopes = problem.weights, path.states, path.currents, path.slopes
+    weights, states, currents, slopes = (
+        problem.weights,
+        path.states,
+        path.currents,
+        path.slopes,
+    )
     gains, changes, nominal = feedback.gains, feedback.changes, feedback.nominal
     n, steps, laws, ny = len(problem.A), len(moves), len(problem.level), len(weights)
-    state, forces, signals = np.empty((n, n + 1)), np.empty((laws, n + 1)), np.empty((ny, n + 1))
+    state, forces, signals = (
+        np.empty((n, n + 1)),
+        np.empty((laws, n + 1)),
+        np.empty((ny, n + 1)),
+    )
     system = np.empty((laws, laws))
     weighted = np.empty((ny, n + 1))
-    value, across, curvature = problem.value.copy(), np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
+    value, across, curvature = (
+        problem.value.copy(),
+        np.empty((n + 1, n + 1)),
+        np.empty((n + 1, n + 1)),
+    )
     slope, gradient = np.empty(n + 1), np.empty(n + 1)
     _scale(slope, value[:, n], currents[steps])
     _add_image(slope, value, states[steps])
@@ -407,7 +471,9 @@ def _sweep(moves, problem, path, feedback):
 
 
 @jit.compiled(error_model="numpy")
-def _improve(start, current, moves, road, problem, iterations, path, other, feedback, trial):
+def _improve(
+    start, current, moves, road, problem, iterations, path, other, feedback, trial
+):
     """Improve the plan of a car in place, and return its cost; `path` to `trial` are scratch."""
     cost = _roll(start, current, moves, feedback, 0.0, road, problem, path)
     for _ in range(iterations):
@@ -442,10 +508,23 @@ def _plan(x, current, moves, road, problem, iterations):
     broken = 0
     for e in range(cars):
         start, plan, present = np.ascontiguousarray(x[:, e]), moves[e], current[e]
-        for k in range(steps):  # the warm start must be feasible from the present current
+        for k in range(
+            steps
+        ):  # the warm start must be feasible from the present current
             plan[k] = _allowed(plan[k], present, problem.slew)
             present += plan[k]
-        cost = _improve(start, current[e], plan, road[e], problem, iterations, path, other, feedback, trial)
+        cost = _improve(
+            start,
+            current[e],
+            plan,
+            road[e],
+            problem,
+            iterations,
+            path,
+            other,
+            feedback,
+            trial,
+        )
         if not math.isfinite(cost):
             plan[:] = 0.0
             broken += 1
@@ -468,19 +547,29 @@ class FrictionMpcSettings:
     centring: float = 0.05  # weight of the device's travel over its stop [-]
     spread: float = 1.0  # factor on the road's share in the friction's rate [-]
     floor: float = 0.005  # smallest spread of the friction's rate [m/s]
-    terminal_rate: float = 0.2  # rate of the linearisation of friction in the cost-to-go [m/s]
-    friction_noise: float = 300.0  # standard deviation of the estimator's friction per step [N]
-    preview: float = 0.0  # known road ahead [s]; only the road beyond contributes to the spread
+    terminal_rate: float = (
+        0.2  # rate of the linearisation of friction in the cost-to-go [m/s]
+    )
+    friction_noise: float = (
+        300.0  # standard deviation of the estimator's friction per step [N]
+    )
+    preview: float = (
+        0.0  # known road ahead [s]; only the road beyond contributes to the spread
+    )
     #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
+    road_intensity: float = (
+        ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
+    )
 
     def __post_init__(self) -> None:
         if self.horizon < 1 or self.iterations < 1:
             raise InputError("horizon and iterations must be at least 1")
 
 
-def with_preview(settings: FrictionMpcSettings, preview: float, control_step: float) -> FrictionMpcSettings:
+def with_preview(
+    settings: FrictionMpcSettings, preview: float, control_step: float
+) -> FrictionMpcSettings:
     """Return the settings for a preview [s]: a horizon of at least the preview, and more sweeps for the
     longer plan.
 
@@ -499,13 +588,22 @@ class FrictionMpc(DesignedController[FrictionMpcSettings]):
 
     def _design(self) -> None:
         s, model = self.settings, self.model
-        self.prediction = m = prediction_model(model, self.step, road_intensity=s.road_intensity)
-        self.weights = w = Weights(self.cost, s.move, s.effort, s.centring, device_reach(model))
+        self.prediction = m = prediction_model(
+            model, self.step, road_intensity=s.road_intensity
+        )
+        self.weights = w = Weights(
+            self.cost, s.move, s.effort, s.centring, device_reach(model)
+        )
         self.estimator = Estimator(m, s.sensors, s.friction_noise)
         stops = {e.name: 0.0 for e in m.laws if e.bound is None}
         levels = m.levels()
-        damping = {m.laws[j].name: equivalent_damping(levels[j], s.terminal_rate) for j in m.friction}
-        linear = prediction_model(model, self.step, damping=damping | stops, road_intensity=s.road_intensity)
+        damping = {
+            m.laws[j].name: equivalent_damping(levels[j], s.terminal_rate)
+            for j in m.friction
+        }
+        linear = prediction_model(
+            model, self.step, damping=damping | stops, road_intensity=s.road_intensity
+        )
         self._idle = m.thrust == 0.0
         if not self._idle:
             design = replace(w, move=max(w.move, 1e-3), centring=max(w.centring, 1e-3))
@@ -571,6 +669,10 @@ class FrictionMpc(DesignedController[FrictionMpcSettings]):
             return np.zeros(obs.shape[1])
         self.moves[:, :-1] = self.moves[:, 1:]
         self.moves[:, -1] = 0.0
-        present = np.ascontiguousarray(obs[CURRENT])  # one type of argument: the sweeps are compiled once
-        self.fallbacks += _plan(x, present, self.moves, self._road, self._problem, self.settings.iterations)
+        present = np.ascontiguousarray(
+            obs[CURRENT]
+        )  # one type of argument: the sweeps are compiled once
+        self.fallbacks += _plan(
+            x, present, self.moves, self._road, self._problem, self.settings.iterations
+        )
         return present + self.moves[:, 0]

@@ -35,13 +35,21 @@ class LawSettings:
     tyre_load: float = 0.0  # weight of the tyre load [-]
     centring: float = 0.03  # weight of the device's travel over its stop [-]
     compensation: float = 1.0  # compensated share of the friction [-]
-    lead: float = 0.01  # time ahead for which the law is evaluated, since the drive slews [s]
-    foresight: float = 0.025  # time ahead for which the sign of the device's rate is evaluated [s]
+    lead: float = (
+        0.01  # time ahead for which the law is evaluated, since the drive slews [s]
+    )
+    foresight: float = (
+        0.025  # time ahead for which the sign of the device's rate is evaluated [s]
+    )
     width: float = 0.02  # rate below which the sign is smoothed [m/s]
-    friction_noise: float = 300.0  # standard deviation of the estimator's friction per step [N]
+    friction_noise: float = (
+        300.0  # standard deviation of the estimator's friction per step [N]
+    )
     #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
+    road_intensity: float = (
+        ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
+    )
 
 
 @dataclass(frozen=True)
@@ -59,9 +67,14 @@ class Lqg(DesignedController[LqgSettings]):
 
     def _design(self) -> None:
         s = self.settings
-        self.prediction = m = prediction_model(self.model, self.step, road_intensity=s.road_intensity)
+        self.prediction = m = prediction_model(
+            self.model, self.step, road_intensity=s.road_intensity
+        )
         self.weights = Weights(
-            self.cost, effort=s.effort, centring=s.centring, reach=device_reach(self.model)
+            self.cost,
+            effort=s.effort,
+            centring=s.centring,
+            reach=device_reach(self.model),
         )
         self.estimator = Estimator(m, s.sensors, s.friction_noise)
         if m.thrust == 0.0:
@@ -71,12 +84,17 @@ class Lqg(DesignedController[LqgSettings]):
         else:
             K, G = preview_regulator(m, self.weights, self._points)
             at, by = self._ahead(K, G, s.lead / self.step)
-            self._law, self._law_ahead = -K @ at, -K @ by - _later(G, s.lead / self.step)
+            self._law, self._law_ahead = (
+                -K @ at,
+                -K @ by - _later(G, s.lead / self.step),
+            )
             at, by = self._ahead(K, G, s.foresight / self.step)
             self._rate, self._rate_ahead = m.motor_rate @ at, m.motor_rate @ by
             self._force = s.compensation * sum(m.levels()) / m.thrust
 
-    def _ahead(self, K: np.ndarray, G: np.ndarray, steps: float) -> tuple[np.ndarray, np.ndarray]:
+    def _ahead(
+        self, K: np.ndarray, G: np.ndarray, steps: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return matrices to the state `steps` later in the closed loop, from the state (n, n) and the rises of
         the road (n, points)."""
         m, points = self.prediction, self._points
@@ -102,7 +120,9 @@ class Lqg(DesignedController[LqgSettings]):
             return self.law(self.estimator.update(obs))
         last = self._rises[0]
         seen = np.nan_to_num(rises(obs, self._points), nan=0.0, posinf=0.0, neginf=0.0)
-        self._rises = np.clip(seen, -STEEPEST, STEEPEST)  # an invalid sensor value is limited
+        self._rises = np.clip(
+            seen, -STEEPEST, STEEPEST
+        )  # an invalid sensor value is limited
         return self.law(self.estimator.update(obs, last), self._rises)
 
     def law(self, x: np.ndarray, ahead: np.ndarray | None = None) -> np.ndarray:
@@ -110,7 +130,10 @@ class Lqg(DesignedController[LqgSettings]):
         cars) [m]."""
         wanted, rate = self._law @ x, self._rate @ x
         if ahead is not None:
-            wanted, rate = wanted + self._law_ahead @ ahead, rate + self._rate_ahead @ ahead
+            wanted, rate = (
+                wanted + self._law_ahead @ ahead,
+                rate + self._rate_ahead @ ahead,
+            )
         return wanted - self._force * np.tanh(rate / self.settings.width)
 
 
@@ -124,11 +147,17 @@ class FullStateLqr(Lqg):
         super()._design()
         m, channels = self.prediction, list(enumerate(state_channels(self.model)))
         heights = [i for i, c in channels if c.quantity == "displacement"]
-        speeds = [i for i, c in channels if c.quantity == "velocity" and c.at in self.model.masses]
+        speeds = [
+            i
+            for i, c in channels
+            if c.quantity == "velocity" and c.at in self.model.masses
+        ]
         # velocities of massless nodes depend on forces, not only on the state: the device's rate replaces
         # them
         self._places = [1, 2, 3, 4, *(6 + i for i in heights), *(6 + i for i in speeds)]
-        self._state = np.linalg.pinv(np.vstack([m.C[1:5], m.nodes[heights], m.nodes[speeds]]))
+        self._state = np.linalg.pinv(
+            np.vstack([m.C[1:5], m.nodes[heights], m.nodes[speeds]])
+        )
 
     def _command(self, obs: np.ndarray) -> np.ndarray:
         return self.law(self._state @ obs[self._places])

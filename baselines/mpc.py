@@ -67,27 +67,43 @@ class MpcSettings:
     #: damper along the last plan, whose rates are known in advance, averaged over the effect of the road
     friction: str = "planned"
     spread: float = 1.0  # factor on the effect of the road in 'planned' [-]
-    friction_noise: float = 300.0  # standard deviation of the estimator's friction per step [N]
+    friction_noise: float = (
+        300.0  # standard deviation of the estimator's friction per step [N]
+    )
     #: class of the quadratic program (`_qp.Program`); other solvers are compared in
     #: `docs/explanation/baselines.md`
     solver: Callable[[np.ndarray, np.ndarray], Program] = Osqp
     #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
+    road_intensity: float = (
+        ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
+    )
 
     def __post_init__(self) -> None:
-        if self.horizon < 1 or not self.moves or min(self.moves) < 1 or sum(self.moves) > self.horizon:
+        if (
+            self.horizon < 1
+            or not self.moves
+            or min(self.moves) < 1
+            or sum(self.moves) > self.horizon
+        ):
             raise InputError(
                 f"moves {self.moves} must be positive lengths that fit into the horizon of {self.horizon}"
             )
         if self.friction not in ("equivalent", "planned"):
-            raise InputError(f"friction must be equivalent or planned, not {self.friction!r}")
+            raise InputError(
+                f"friction must be equivalent or planned, not {self.friction!r}"
+            )
 
 
 #: horizons as the default of a toolbox: 10 steps with 2 moves, no cost-to-go, a tenth of the move weight's
 #: unit
 PAPER = MpcSettings(
-    horizon=10, moves=(1, 1), move=0.1 / CURRENT_LIMIT**2, terminal=False, friction="equivalent", centring=0.0
+    horizon=10,
+    moves=(1, 1),
+    move=0.1 / CURRENT_LIMIT**2,
+    terminal=False,
+    friction="equivalent",
+    centring=0.0,
 )
 
 
@@ -99,17 +115,25 @@ class Mpc(DesignedController[MpcSettings]):
 
     def _design(self) -> None:
         s, model = self.settings, self.model
-        self.weights = w = Weights(self.cost, move=s.move, centring=s.centring, reach=device_reach(model))
+        self.weights = w = Weights(
+            self.cost, move=s.move, centring=s.centring, reach=device_reach(model)
+        )
         # a regulator must hold the device at some position
         design = replace(w, centring=max(w.centring, 1e-3))
-        self.linear = statistical_linearisation(model, self.step, design, road_intensity=s.road_intensity)
+        self.linear = statistical_linearisation(
+            model, self.step, design, road_intensity=s.road_intensity
+        )
         linear = self.linear.model
         free = prediction_model(model, self.step, road_intensity=s.road_intensity)
-        self.planned = s.friction == "planned" and bool(free.friction) and free.thrust > 0.0
+        self.planned = (
+            s.friction == "planned" and bool(free.friction) and free.thrust > 0.0
+        )
         if s.friction == "planned":
             self.estimator = Estimator(free, s.sensors, s.friction_noise)
         else:
-            self.estimator = Estimator(linear, s.sensors, 0.0, self.linear.friction_noise)
+            self.estimator = Estimator(
+                linear, s.sensors, 0.0, self.linear.friction_noise
+            )
         self._passive = free.thrust == 0.0
         if not self._passive:
             self._condense(linear, free, design)
@@ -132,13 +156,18 @@ class Mpc(DesignedController[MpcSettings]):
         self._later = np.linalg.lstsq(spread_out, later, rcond=None)[0]
         nf = len(free.friction) if self.planned else 0
         G, S = free.G[:, free.friction], free.S[free.friction]
-        self._damping = np.array([self.linear.damping[free.laws[j].name] for j in free.friction])
+        self._damping = np.array(
+            [self.linear.damping[free.laws[j].name] for j in free.friction]
+        )
         self._levels = free.levels()[free.friction]
         # columns: x (n), present current (1), friction (N * nf), moves
         width = n + 1 + N * nf + pieces
         x = np.zeros((n, width))
         x[:, :n] = np.eye(n)
-        signals, rates = np.empty((N, 6, width)), np.empty((N, len(free.friction), width))
+        signals, rates = (
+            np.empty((N, 6, width)),
+            np.empty((N, len(free.friction), width)),
+        )
         for k in range(N):
             current = np.zeros(width)
             current[n] = 1.0
@@ -171,7 +200,9 @@ class Mpc(DesignedController[MpcSettings]):
         )  # without the present current, the second half
         self._low = -self._high
         # one solver per car, created on demand: it starts from its last solution
-        self._programs: dict[int, Program] = defaultdict(partial(s.solver, self._P, self._rows))
+        self._programs: dict[int, Program] = defaultdict(
+            partial(s.solver, self._P, self._rows)
+        )
         # acceleration and travel have soft limits: two additional slacks, in a program that is rarely needed
         self._soft_given = signals[:, :2, given].transpose(1, 0, 2).reshape(2 * N, -1)
         self._soft_moves = signals[:, :2, u].transpose(1, 0, 2).reshape(2 * N, -1)
@@ -190,7 +221,9 @@ class Mpc(DesignedController[MpcSettings]):
                 np.hstack([np.zeros((2, pieces)), np.eye(2)]),
             ]
         )
-        self._soft_programs: dict[int, Program] = defaultdict(partial(s.solver, P_soft, soft))
+        self._soft_programs: dict[int, Program] = defaultdict(
+            partial(s.solver, P_soft, soft)
+        )
         self._rates_given, self._rates_moves = rates[:, :, given], rates[:, :, u]
         # effect of the road on the rates k steps ahead, without feedback
         V, deviations = np.zeros((n, n)), np.empty((N, len(free.friction)))
@@ -213,7 +246,11 @@ class Mpc(DesignedController[MpcSettings]):
     def _command(self, obs: np.ndarray) -> np.ndarray:
         x = self.estimator.update(obs)
         present = obs[CURRENT]
-        return np.zeros_like(present) if self._passive else present + self._solve(x, present)[0]
+        return (
+            np.zeros_like(present)
+            if self._passive
+            else present + self._solve(x, present)[0]
+        )
 
     @property
     def plan(self) -> np.ndarray:
@@ -226,25 +263,34 @@ class Mpc(DesignedController[MpcSettings]):
         parts = [x, present[None]]
         if self._nf:
             share = self._rates / (np.sqrt(2) * self._deviations)[:, :, None]
-            beyond = self._levels[:, None] * erf(share) - self._damping[:, None] * self._rates
+            beyond = (
+                self._levels[:, None] * erf(share)
+                - self._damping[:, None] * self._rates
+            )
             parts.append(beyond.reshape(-1, len(present)))
         given = np.concatenate(parts)
         q = self._linear_term @ given
         guess = self._later @ self._moves
-        low, high = (np.repeat(v[:, None], len(present), axis=1) for v in (self._low, self._high))
+        low, high = (
+            np.repeat(v[:, None], len(present), axis=1) for v in (self._low, self._high)
+        )
         low[len(guess) :] -= present
         high[len(guess) :] -= present
         moves = -self._inverse @ q  # the optimum without limits is often feasible
         self.status = "solved"
         rows = self._rows @ moves
         for i in np.flatnonzero(((rows < low) | (rows > high)).any(axis=0)).tolist():
-            outcome = self._programs[i].solve(q[:, i], low[:, i], high[:, i], guess[:, i])
+            outcome = self._programs[i].solve(
+                q[:, i], low[:, i], high[:, i], guess[:, i]
+            )
             self.status = outcome.status
             moves[:, i] = np.nan if outcome.x is None else outcome.x
         ahead = self._soft_given @ given
         beyond = np.abs(ahead + self._soft_moves @ moves) > self._soft_limits[:, None]
         for i in np.flatnonzero(beyond.any(axis=0)).tolist():
-            self._soften(i, q[:, i], low[:, i], high[:, i], ahead[:, i], guess[:, i], moves[:, i])
+            self._soften(
+                i, q[:, i], low[:, i], high[:, i], ahead[:, i], guess[:, i], moves[:, i]
+            )
         lost = np.isnan(moves[0])
         if lost.any():
             # the rest of the last plan; without a plan, towards zero current

@@ -75,10 +75,15 @@ class OutOfTime(BaseException):
 
 # ---------------------------------------------------------------------------------------------------- finding cases
 def in_folder(folder: Path, wanted: list[str]) -> Iterator[Job]:
-    inside, beside = folder / "truth.json", folder.with_name(f"{folder.name}.truth.json")
+    inside, beside = (
+        folder / "truth.json",
+        folder.with_name(f"{folder.name}.truth.json"),
+    )
     if inside.exists() or beside.exists():
         truth = json.loads((inside if inside.exists() else beside).read_text())
-        entries = {n: (t["kind"], t["answer"], t.get("truth")) for n, t in truth.items()}
+        entries = {
+            n: (t["kind"], t["answer"], t.get("truth")) for n, t in truth.items()
+        }
     else:
         expected = json.loads((ROOT / "benchmarks" / "real.json").read_text())
         entries = {n: (n, expected[n], None) for n in expected if (folder / n).is_dir()}
@@ -90,8 +95,23 @@ def in_folder(folder: Path, wanted: list[str]) -> Iterator[Job]:
         kind, answer, truth = entries[name]
         if wanted and not any(w in name or w in kind for w in wanted):
             continue
-        family = "measured" if isinstance(answer, dict) else "car" if inside.exists() else kind.split("_")[0]
-        yield Job(folder.name, family, kind, name, str((folder / name).resolve()), 0, answer, truth)
+        family = (
+            "measured"
+            if isinstance(answer, dict)
+            else "car"
+            if inside.exists()
+            else kind.split("_")[0]
+        )
+        yield Job(
+            folder.name,
+            family,
+            kind,
+            name,
+            str((folder / name).resolve()),
+            0,
+            answer,
+            truth,
+        )
 
 
 def in_suite(wanted: list[str], seeds: list[int]) -> Iterator[Job]:
@@ -103,7 +123,9 @@ def in_suite(wanted: list[str], seeds: list[int]) -> Iterator[Job]:
     asked = set(wanted)
     for word in asked:
         if not any(word in k for k in known + aside):
-            sys.exit(f"--suite {word}: neither home, families nor unseen, nor a family, nor a kind")
+            sys.exit(
+                f"--suite {word}: neither home, families nor unseen, nor a family, nor a kind"
+            )
     for seed in seeds:
         for suite, family, kind in known + aside:
             if asked & {suite, family, kind} or (not asked and suite != "unseen"):
@@ -128,13 +150,20 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
         said = job.answer if isinstance(job.answer, dict) else {}
         records, held = (
             # "a.csv+b": the files of two loggers
-            ["+".join(str(folder / part) for part in f"{n}.csv".split("+")) for n in said[key]]
+            [
+                "+".join(str(folder / part) for part in f"{n}.csv".split("+"))
+                for n in said[key]
+            ]
             if key in said
             else [str(path) for path in sorted(folder.glob(f"{which}*.csv"))]
             for key, which in (("records", "estimation"), ("validate", "validation"))
         )
         mapping = folder / f"{said['map']}.json" if "map" in said else None
-        return Case(records, folder / "model.json", held, mapping), job.answer, job.truth
+        return (
+            Case(records, folder / "model.json", held, mapping),
+            job.answer,
+            job.truth,
+        )
     from rigs import families, hidden
 
     from isd_gym.physics.network import Network
@@ -152,7 +181,9 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
     Network.load(case.model).save(place / "model.json")
     truth = {**case.record()["truth"], "base": base_values(case)}
     more = {
-        k: case.record()[k] for k in ("snr_db", "spread", "visibility", "irreducible") if k in case.record()
+        k: case.record()[k]
+        for k in ("snr_db", "spread", "visibility", "irreducible")
+        if k in case.record()
     }
     files = Case(tables("estimation"), place / "model.json", tables("validation"))
     return files, case.answer, {**truth, **more}
@@ -167,7 +198,11 @@ def base_values(case: Any) -> dict[str, float]:
         owner = true.get("bodies", {}).get(name, owner)
         for part in where:
             owner = owner[part]
-        value = true["masses"].get(name, owner.get(key)) if key == "mass" else owner.get(key)
+        value = (
+            true["masses"].get(name, owner.get(key))
+            if key == "mass"
+            else owner.get(key)
+        )
         if value is not None:
             out[path] = float(value)
     return out
@@ -177,7 +212,9 @@ def base_values(case: Any) -> dict[str, float]:
 def run(limit: float, **case: Any) -> Row:
     """Diagnose one case, the fields of a `Job`: an item of `engine`."""
     job = Job(**case)
-    row: Row = {k: case[k] for k in ("suite", "family", "kind", "name")} | {"state": code_state()}
+    row: Row = {k: case[k] for k in ("suite", "family", "kind", "name")} | {
+        "state": code_state()
+    }
     with tempfile.TemporaryDirectory() as place:
         try:
             files, row["answer"], row["truth"] = load(job, Path(place))
@@ -198,7 +235,10 @@ def run(limit: float, **case: Any) -> Row:
             row["error"] = f"{type(error).__name__}: {error}"
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-        row["seconds"], row["wall"] = time.process_time() - began, time.perf_counter() - wall
+        row["seconds"], row["wall"] = (
+            time.process_time() - began,
+            time.perf_counter() - wall,
+        )
     print(line(row), flush=True)
     return row
 
@@ -209,22 +249,41 @@ def command(files: Case, out: Path) -> Any:
 
     held = ["--validate", *files.held] if files.held else []
     mapping = ["--map", files.mapping] if files.mapping else []
-    words = ["diagnose", *files.records, "--model", files.model, "--out", out, *held, *mapping]
+    words = [
+        "diagnose",
+        *files.records,
+        "--model",
+        files.model,
+        "--out",
+        out,
+        *held,
+        *mapping,
+    ]
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         status = app([str(w) for w in words], standalone_mode=False)
-    missing = [f for f in ("diagnosis.json", "model.json", "report.html") if not (out / f).exists()]
+    missing = [
+        f
+        for f in ("diagnosis.json", "model.json", "report.html")
+        if not (out / f).exists()
+    ]
     if status or missing:
         last = (said.getvalue().strip().splitlines() or [""])[-1]
-        raise RuntimeError(f"exit status {status or 0}, without {', '.join(missing) or 'fault'}: {last}")
+        raise RuntimeError(
+            f"exit status {status or 0}, without {', '.join(missing) or 'fault'}: {last}"
+        )
     return json.loads((out / "diagnosis.json").read_text())
 
 
 def line(row: Row) -> str:
     closed = row.get("diagnosis", {}).get("gap", {}).get("closed")
     said = [f"{n} {'-'.join(sorted(p))}" for n, p in grading.named(row)]
-    sure = [f"{e['confidence']:.3f}" for e in row.get("diagnosis", {}).get("effects", [])]
-    why = grading.outcome(row) if "diagnosis" in row else row.get("error", "out of time")
+    sure = [
+        f"{e['confidence']:.3f}" for e in row.get("diagnosis", {}).get("effects", [])
+    ]
+    why = (
+        grading.outcome(row) if "diagnosis" in row else row.get("error", "out of time")
+    )
     return (
         f"{grading.graded(row):6s} {row['name']} {row['kind'] if row['kind'] not in row['name'] else ''} {row['seconds']:.1f}s "
         f"closed {'-' if closed is None else f'{closed:.3f}'} {why} {said} {sure} <- {row['answer']}"
@@ -245,14 +304,20 @@ def run_all(jobs: list[Job], out: Path, count: int, limit: float) -> list[Row]:
     items = [{**asdict(job), "limit": limit} for job in jobs]
     if there := len(engine.stored(items, out)):
         print(f"{there} of {len(jobs)} are there already", flush=True)
-    engine.run(run, items, out, jobs=count, say=lambda text: print(text[-400:], flush=True))
+    engine.run(
+        run, items, out, jobs=count, say=lambda text: print(text[-400:], flush=True)
+    )
     return said([*engine.stored(items, out).values()])
 
 
 def read(folders: list[Path]) -> list[Row]:
     """The rows of finished runs."""
     return said(
-        [json.loads(p.read_text())["result"] for folder in folders for p in sorted(folder.glob("*.json"))]
+        [
+            json.loads(p.read_text())["result"]
+            for folder in folders
+            for p in sorted(folder.glob("*.json"))
+        ]
     )
 
 
@@ -273,11 +338,19 @@ def summarise(rows: list[Row], path: Path) -> None:
     """
     known = json.loads(path.read_text()) if path.exists() else {}
     seeds = sorted(
-        {r["name"].rpartition("-")[2] for r in rows if r["suite"] in ("home", "families", "unseen")}
+        {
+            r["name"].rpartition("-")[2]
+            for r in rows
+            if r["suite"] in ("home", "families", "unseen")
+        }
     )
     name = " ".join([*sorted({r["suite"] for r in rows}), *seeds])
     today = datetime.date.today().isoformat()
-    known[name] = {"date": today, "version": version("isd-gym"), **grading.figures(rows)}
+    known[name] = {
+        "date": today,
+        "version": version("isd-gym"),
+        **grading.figures(rows),
+    }
     path.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n")
 
 
@@ -308,7 +381,9 @@ def main() -> None:
         rows = run_all(jobs, out, args.jobs, args.limit)
     print("\n" + grading.report(rows))
     if args.json:
-        args.json.write_text(json.dumps({"figures": grading.figures(rows), "rows": rows}))
+        args.json.write_text(
+            json.dumps({"figures": grading.figures(rows), "rows": rows})
+        )
     if args.summary:
         summarise(rows, args.summary)
 

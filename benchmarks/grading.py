@@ -25,24 +25,43 @@ BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 1.0 + 1e-12)
 
 def pair(place: Any) -> frozenset[str] | None:
     """Terminals whatever their order, or a channel; None: anywhere."""
-    return None if place is None else frozenset([place] if isinstance(place, str) else place)
+    return (
+        None
+        if place is None
+        else frozenset([place] if isinstance(place, str) else place)
+    )
 
 
 def named(row: Row) -> list[tuple[str, frozenset[str]]]:
     """The effects that the diagnosis gave names to, each with its place."""
     effects = row.get("diagnosis", {}).get("effects", [])
-    return [(e["effect"], pair(e.get("channel") or e.get("between") or []) or frozenset()) for e in effects]
+    return [
+        (e["effect"], pair(e.get("channel") or e.get("between") or []) or frozenset())
+        for e in effects
+    ]
 
 
-def same(found: Sequence[tuple[str, Any]], answer: Sequence[Any], allowed: Iterable[Any] = ()) -> bool:
+def same(
+    found: Sequence[tuple[str, Any]], answer: Sequence[Any], allowed: Iterable[Any] = ()
+) -> bool:
     """Every effect named, in the right place (None: anywhere), and nothing else but what is `allowed`."""
     left = list(found)
     for what, where in answer:
-        hit = next((f for f in left if f[0] == what and (where is None or f[1] == pair(where))), None)
+        hit = next(
+            (
+                f
+                for f in left
+                if f[0] == what and (where is None or f[1] == pair(where))
+            ),
+            None,
+        )
         if hit is None:
             return False
         left.remove(hit)
-    return all(any(f[0] == what and f[1] == pair(where) for what, where in allowed) for f in left)
+    return all(
+        any(f[0] == what and f[1] == pair(where) for what, where in allowed)
+        for f in left
+    )
 
 
 def nuisances(row: Row) -> list[tuple[str, Any]]:
@@ -52,14 +71,25 @@ def nuisances(row: Row) -> list[tuple[str, Any]]:
     return [(e["type"], e.get("between") or e.get("channel")) for e in small]
 
 
-def grade(verdict: str, found: Sequence[tuple[str, Any]], answer: Any, allowed: Iterable[Any] = ()) -> str:
+def grade(
+    verdict: str,
+    found: Sequence[tuple[str, Any]],
+    answer: Any,
+    allowed: Iterable[Any] = (),
+) -> str:
     """right, wrong (a name that is not true), or missed. `answer`: pairs of effect and place, [] or "unknown"."""
     if answer == "unknown":
-        return "right" if verdict == "unknown_effect" else "wrong" if found else "missed"
+        return (
+            "right" if verdict == "unknown_effect" else "wrong" if found else "missed"
+        )
     if isinstance(answer, Mapping):
         return _measured(found, answer)
     if same(found, answer, allowed):
-        return "right" if answer or verdict in ("no_discrepancy", "parameters_only") else "missed"
+        return (
+            "right"
+            if answer or verdict in ("no_discrepancy", "parameters_only")
+            else "missed"
+        )
     return "wrong" if found else "missed"
 
 
@@ -130,12 +160,20 @@ def true_values(row: Row) -> dict[str, float]:
             if isinstance(v, int | float) and not isinstance(v, bool)
         }
     if "fc" in truth:
-        return {k: max(truth[v], key=abs) for k, v in RIGS.items() if max(truth.get(v, [0.0]), key=abs)}
+        return {
+            k: max(truth[v], key=abs)
+            for k, v in RIGS.items()
+            if max(truth.get(v, [0.0]), key=abs)
+        }
     out = {k: truth[v] for k, v in CARS.items() if v in truth}
-    if "bw_A" in truth:  # dz = A v - beta (|v| z + v |z|): stiffness A, saturation at A / (2 beta)
+    if (
+        "bw_A" in truth
+    ):  # dz = A v - beta (|v| z + v |z|): stiffness A, saturation at A / (2 beta)
         out["hysteresis.stiffness"] = truth["bw_A"]
         out["hysteresis.level"] = truth["bw_A"] / (2 * truth["bw_beta"])
-    strut = any(w == {"body", "wheel"} for e, w in named(row) if e == "coulomb_friction")
+    strut = any(
+        w == {"body", "wheel"} for e, w in named(row) if e == "coulomb_friction"
+    )
     if ("strut_f" if strut else "f") in truth:
         out["coulomb_friction.level"] = truth["strut_f" if strut else "f"]
     return out
@@ -171,7 +209,9 @@ def kind_of(effect: str) -> str | None:
     return TYPES[effect].mechanism if effect in TYPES else None
 
 
-def statements(row: Row, level: str, *, is_placed: bool = False) -> list[tuple[float, bool]]:
+def statements(
+    row: Row, level: str, *, is_placed: bool = False
+) -> list[tuple[float, bool]]:
     """Return the statements of a diagnosis at a level: stated probability, and whether the statement is true.
 
     Kinds and laws of a hidden law that is not in the library are left out: only its place can be right or wrong.
@@ -185,13 +225,18 @@ def statements(row: Row, level: str, *, is_placed: bool = False) -> list[tuple[f
     if isinstance(answer, Mapping):
         places: set[Any] = {pair(p) for p in answer["places"]}
         kinds = {(p, k) for p in places for k in answer["kinds"]}
-        names = [n for need in answer["needs"] for n in ([need] if isinstance(need, str) else need)]
+        names = [
+            n
+            for need in answer["needs"]
+            for n in ([need] if isinstance(need, str) else need)
+        ]
         laws = {(p, n) for p in places for n in [*names, *answer.get("allows", ())]}
     elif answer == "unknown":
         if level != "place":
             return []
         places = {
-            pair(e.get("between") or e.get("channel")) for e in (row.get("truth") or {}).get("hidden", [])
+            pair(e.get("between") or e.get("channel"))
+            for e in (row.get("truth") or {}).get("hidden", [])
         }
         kinds, laws = set(), set()
     else:
@@ -217,7 +262,10 @@ def statements(row: Row, level: str, *, is_placed: bool = False) -> list[tuple[f
             out[place, f["kind"]] = f["kind_probability"], is_true(kinds, f["kind"])
         else:
             for law in f["laws"]:
-                out[place, law["effect"]] = law["probability"], is_true(laws, law["effect"])
+                out[place, law["effect"]] = (
+                    law["probability"],
+                    is_true(laws, law["effect"]),
+                )
     return list(out.values())
 
 
@@ -225,7 +273,11 @@ def kind_graded(row: Row) -> str:
     """Return 'right' where a true kind at a true place is stated as more likely than not, 'wrong' where only others are, else 'missed'."""
     if graded(row) == "right":
         return "right"
-    likely = [ok for p, ok in statements(row, "kind", is_placed=True) if p >= CRITERIA.probable]
+    likely = [
+        ok
+        for p, ok in statements(row, "kind", is_placed=True)
+        if p >= CRITERIA.probable
+    ]
     return "right" if any(likely) else "wrong" if likely else "missed"
 
 
@@ -238,7 +290,9 @@ def names_with_confidence(rows: Iterable[Row]) -> list[tuple[float, bool]]:
     ]
 
 
-def reliability(rows: Iterable[Row], level: str | None = None) -> list[dict[str, float]]:
+def reliability(
+    rows: Iterable[Row], level: str | None = None
+) -> list[dict[str, float]]:
     """Return stated against observed probability by bin, with the 95 % Wilson interval of the observed share.
 
     Args:
@@ -246,7 +300,11 @@ def reliability(rows: Iterable[Row], level: str | None = None) -> list[dict[str,
         level: Level of the statements; None for the names of verdicts.
     """
     rows = list(rows)
-    given = [s for r in rows for s in statements(r, level)] if level else names_with_confidence(rows)
+    given = (
+        [s for r in rows for s in statements(r, level)]
+        if level
+        else names_with_confidence(rows)
+    )
     out = []
     for low, high in zip(BINS, BINS[1:], strict=False):
         here = [(c, ok) for c, ok in given if low <= c < high]
@@ -289,7 +347,10 @@ def table(rows: Sequence[Row]) -> str:
     for family in [*families, "all"] if len(families) > 1 else families:
         mine = [r for r in rows if family in ("all", r["family"])]
         count = Counter((sort(r), graded(r)) for r in mine)
-        n = {s: sum(v for (k, _), v in count.items() if k == s) for s in ("effect", "clean", "unknown")}
+        n = {
+            s: sum(v for (k, _), v in count.items() if k == s)
+            for s in ("effect", "clean", "unknown")
+        }
         effect = " ".join(share(count["effect", g], n["effect"]) for g in GRADES)
         if family == "all":
             lines.append("-" * len(head))
@@ -310,13 +371,20 @@ def _median(values: Sequence[float]) -> float | None:
 
 def _closed(rows: Sequence[Row], wanted: str) -> list[float]:
     """Shares of the gap that diagnoses of rigs of a sort close, where they have one."""
-    gaps = [r["diagnosis"]["gap"]["closed"] for r in rows if "diagnosis" in r and sort(r) == wanted]
+    gaps = [
+        r["diagnosis"]["gap"]["closed"]
+        for r in rows
+        if "diagnosis" in r and sort(r) == wanted
+    ]
     return [gap for gap in gaps if gap is not None]
 
 
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
     """The figures of a run, as numbers: those of the table's last row, names, gap, intervals, values, time."""
-    grades = {s: [graded(r) for r in rows if sort(r) == s] for s in ("effect", "clean", "unknown")}
+    grades = {
+        s: [graded(r) for r in rows if sort(r) == s]
+        for s in ("effect", "clean", "unknown")
+    }
     kinds = [kind_graded(r) for r in rows if sort(r) == "effect"]
 
     def rate(s: str, wanted: str) -> float | None:
@@ -363,7 +431,11 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
 def rival(row: Row) -> bool:
     """Whether the diagnosis could not decide, and the truth is among what it lists."""
     d = row.get("diagnosis", {})
-    if d.get("verdict") != "ambiguous" or not isinstance(row["answer"], list) or not row["answer"]:
+    if (
+        d.get("verdict") != "ambiguous"
+        or not isinstance(row["answer"], list)
+        or not row["answer"]
+    ):
         return False
     wanted = sorted(a[0] for a in row["answer"])
     listed = [*d["alternatives"], *filter(None, [d.get("best_candidate")])]
@@ -379,7 +451,9 @@ def report(rows: Sequence[Row]) -> str:
 
     lines = [table(rows), ""]
     if f["broke_off"] or f["out_of_time"]:
-        lines.append(f"counted as missed: {f['broke_off']} broke off, {f['out_of_time']} ran out of time")
+        lines.append(
+            f"counted as missed: {f['broke_off']} broke off, {f['out_of_time']} ran out of time"
+        )
     if f["undecided_with_the_truth_among_rivals"]:
         lines.append(
             f"of what was missed, undecided with the truth among the rivals: {f['undecided_with_the_truth_among_rivals']}"
@@ -418,7 +492,10 @@ def report(rows: Sequence[Row]) -> str:
                 for b in curve
             ]
     lines += ["", "what was hidden -> what was said"]
-    lines += [f"  {truth:45s} -> {said:45s} {n}" for (truth, said), n in sorted(confusion(rows).items())]
+    lines += [
+        f"  {truth:45s} -> {said:45s} {n}"
+        for (truth, said), n in sorted(confusion(rows).items())
+    ]
     return "\n".join(lines)
 
 
@@ -427,9 +504,15 @@ def confusion(rows: Iterable[Row]) -> Counter[tuple[str, str]]:
     for r in rows:
         answer = r["answer"]
         if isinstance(answer, Mapping):
-            truth = "+".join(n if isinstance(n, str) else "/".join(n) for n in answer["needs"])
+            truth = "+".join(
+                n if isinstance(n, str) else "/".join(n) for n in answer["needs"]
+            )
         else:
-            truth = "unknown" if answer == "unknown" else "+".join(sorted(a[0] for a in answer)) or "nothing"
+            truth = (
+                "unknown"
+                if answer == "unknown"
+                else "+".join(sorted(a[0] for a in answer)) or "nothing"
+            )
         said = "+".join(sorted(n for n, _ in named(r)))
         count[truth, said or outcome(r)] += 1
     return count
@@ -439,4 +522,8 @@ def outcome(row: Row) -> str:
     """The verdict, or why there is none."""
     if "diagnosis" in row:
         return str(row["diagnosis"]["verdict"])
-    return "out of time" if row.get("timed_out") else str(row.get("error", "?")).split(":")[0]
+    return (
+        "out of time"
+        if row.get("timed_out")
+        else str(row.get("error", "?")).split(":")[0]
+    )

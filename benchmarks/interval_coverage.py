@@ -39,7 +39,9 @@ HALF = 1.959963984540054
 DETERMINED = 0.5
 
 
-def make_rig(family: str, population: str, seed: int) -> tuple[dict[str, Any], dict[str, float], list[Any]]:
+def make_rig(
+    family: str, population: str, seed: int
+) -> tuple[dict[str, Any], dict[str, float], list[Any]]:
     """Return the nominal model, the true parameters by path, and the records of a rig."""
     from rigs.families import FAMILIES
     from rigs.families.bench import changed, outputs, run, scale, set_relative
@@ -50,7 +52,9 @@ def make_rig(family: str, population: str, seed: int) -> tuple[dict[str, Any], d
     from isd_gym.records.data import Table
 
     for attempt in range(100):
-        rng = np.random.default_rng([zlib.crc32(f"coverage {family} {population}".encode()), seed, attempt])
+        rng = np.random.default_rng(
+            [zlib.crc32(f"coverage {family} {population}".encode()), seed, attempt]
+        )
         rig = FAMILIES[family].draw(rng)
         if rig.size > LONGEST:
             continue
@@ -62,8 +66,12 @@ def make_rig(family: str, population: str, seed: int) -> tuple[dict[str, Any], d
             if population == "law" and rig.pairs:
                 pair = rig.pairs[int(rng.integers(len(rig.pairs)))]
                 plain = outputs(rig, true, run(rig, true, rig.drives[0]))
-                make = coulomb(rng, scale(rig, run(rig, true, rig.drives[0]), pair), pair)
-                change = sized(rig, make, 0.2, functools.partial(_moved, rig.model, plain))
+                make = coulomb(
+                    rng, scale(rig, run(rig, true, rig.drives[0]), pair), pair
+                )
+                change = sized(
+                    rig, make, 0.2, functools.partial(_moved, rig.model, plain)
+                )
                 true = changed(true, change, "law")
                 stated["law_1.level"] = 0.3
             owner = copy.deepcopy(true)
@@ -74,20 +82,32 @@ def make_rig(family: str, population: str, seed: int) -> tuple[dict[str, Any], d
             continue
         owner["uncertainty"] = stated
         for path, sigma in stated.items():
-            set_relative(owner, path, sigma * float(np.clip(rng.standard_normal(), -2.0, 2.0)))
-        truth = Network.load({**copy.deepcopy(rig.model if population != "law" else true)}).parameters
-        sensors = Noise.draw(rng, owner, {k: float(np.std(y)) for k, y in seen[0].items()}, snr_db)
+            set_relative(
+                owner, path, sigma * float(np.clip(rng.standard_normal(), -2.0, 2.0))
+            )
+        truth = Network.load(
+            {**copy.deepcopy(rig.model if population != "law" else true)}
+        ).parameters
+        sensors = Noise.draw(
+            rng, owner, {k: float(np.std(y)) for k, y in seen[0].items()}, snr_db
+        )
         tables = []
         for drive, y in zip(rig.drives, seen, strict=True):
             record = sensors.record(rng, rig, drive, y)
             tables.append(
-                Table(time=record.pop("time"), columns=record, source=f"{family}_{seed}_{len(tables)}")
+                Table(
+                    time=record.pop("time"),
+                    columns=record,
+                    source=f"{family}_{seed}_{len(tables)}",
+                )
             )
         return owner, truth, tables
     raise ArithmeticError(f"{family} {seed}: no rig with at most {LONGEST} samples")
 
 
-def _moved(model: dict[str, Any], plain: dict[str, Any], outputs: dict[str, Any]) -> float:
+def _moved(
+    model: dict[str, Any], plain: dict[str, Any], outputs: dict[str, Any]
+) -> float:
     """Return the largest change of a channel as a share of its deviation."""
     from rigs.families.bench import shares
 
@@ -101,7 +121,10 @@ def case(family: str, population: str, seed: int) -> dict[str, Any]:
     model, truth, tables = make_rig(family, population, seed)
     begun = time.perf_counter()
     result = diagnose(
-        tables, model, accept=["all"], settings=SearchSettings(depth=0, jobs=1, max_seconds=60.0)
+        tables,
+        model,
+        accept=["all"],
+        settings=SearchSettings(depth=0, jobs=1, max_seconds=60.0),
     )
     rows = [
         {
@@ -155,16 +178,31 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seeds", type=int, nargs=2, required=True, metavar=("FIRST", "END"))
     parser.add_argument(
-        "--families", nargs="+", choices=FAMILIES, default=[f for f in FAMILIES if f != "half_car"]
+        "--seeds", type=int, nargs=2, required=True, metavar=("FIRST", "END")
     )
     parser.add_argument(
-        "--with", dest="populations", nargs="+", choices=POPULATIONS, default=list(POPULATIONS[:2])
+        "--families",
+        nargs="+",
+        choices=FAMILIES,
+        default=[f for f in FAMILIES if f != "half_car"],
     )
-    parser.add_argument("--json", type=Path, help="file of the results; a run goes on with it")
+    parser.add_argument(
+        "--with",
+        dest="populations",
+        nargs="+",
+        choices=POPULATIONS,
+        default=list(POPULATIONS[:2]),
+    )
+    parser.add_argument(
+        "--json", type=Path, help="file of the results; a run goes on with it"
+    )
     args = parser.parse_args()
-    rows = json.loads(args.json.read_text())["rigs"] if args.json and args.json.exists() else []
+    rows = (
+        json.loads(args.json.read_text())["rigs"]
+        if args.json and args.json.exists()
+        else []
+    )
     done = {(r["family"], r["population"], r["seed"]) for r in rows}
     for seed in range(*args.seeds):
         family = args.families[seed % len(args.families)]
@@ -173,19 +211,34 @@ def main() -> None:
                 continue
             try:
                 rows.append(case(family, population, seed))
-            except (ArithmeticError, InputError) as error:  # a rig that cannot be fitted has no interval
+            except (
+                ArithmeticError,
+                InputError,
+            ) as error:  # a rig that cannot be fitted has no interval
                 print(f"{family} {population} {seed}: {error}", flush=True)
                 continue
-            inside = sum(p["low"] <= p["truth"] <= p["high"] for p in rows[-1]["parameters"])
+            inside = sum(
+                p["low"] <= p["truth"] <= p["high"] for p in rows[-1]["parameters"]
+            )
             print(
                 f"{family:10s} {population:6s} seed {seed}: {inside} of {len(rows[-1]['parameters'])} inside, "
                 f"{rows[-1]['verdict']} ({rows[-1]['seconds']:.0f} s)", flush=True,
             )  # fmt: skip
             if args.json:
-                found = {p: summary([r for r in rows if r["population"] == p]) for p in args.populations}
-                args.json.write_text(json.dumps({"summary": found, "rigs": rows}, indent=1) + "\n")
+                found = {
+                    p: summary([r for r in rows if r["population"] == p])
+                    for p in args.populations
+                }
+                args.json.write_text(
+                    json.dumps({"summary": found, "rigs": rows}, indent=1) + "\n"
+                )
     for population in args.populations:
-        print(population, json.dumps(summary([r for r in rows if r["population"] == population]), indent=1))
+        print(
+            population,
+            json.dumps(
+                summary([r for r in rows if r["population"] == population]), indent=1
+            ),
+        )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,11 @@ from isd_gym._commands.train import arguments, read_recipe
 
 RESULT = Path(__file__).with_suffix(".json")
 POINTS = 10  # of a learning curve
-QUARTER, HALF, FULL = "ISDSuspensionLearning-v0", "ISDHalfCarLearning-v0", "ISDFullCarLearning-v0"
+QUARTER, HALF, FULL = (
+    "ISDSuspensionLearning-v0",
+    "ISDHalfCarLearning-v0",
+    "ISDFullCarLearning-v0",
+)
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,12 @@ for recipe, environment, car in (
 ):
     plan = read_recipe(recipe)
     SETTINGS[f"recipe {recipe}{car}"] = Setting(
-        plan["algorithm"], plan["steps"], plan["environment"], plan["cars"], environment, recipe
+        plan["algorithm"],
+        plan["steps"],
+        plan["environment"],
+        plan["cars"],
+        environment,
+        recipe,
     )
 
 
@@ -95,12 +104,16 @@ def train(setting: Setting, seed: int, model_file: Path) -> dict[str, Any]:
     library = sb3_contrib if setting.algorithm == "TQC" else stable_baselines3
     more: dict[str, Any] = {}
     if setting.recipe:
-        env: Any = sb3.make_vec_env(setting.environment, setting.cars, **setting.options)
+        env: Any = sb3.make_vec_env(
+            setting.environment, setting.cars, **setting.options
+        )
         more = arguments(read_recipe(setting.recipe))
     elif setting.cars == 1:
         env = gymnasium.make(setting.environment, **setting.options)
     else:
-        env = make_vec_env(setting.environment, setting.cars, env_kwargs=setting.options)
+        env = make_vec_env(
+            setting.environment, setting.cars, env_kwargs=setting.options
+        )
     learner = getattr(library, setting.algorithm)
     model = learner("MlpPolicy", env, seed=seed, device="cpu", **more)
     curve = Curve(setting.decisions // POINTS, references=(), verbose=0)
@@ -136,10 +149,15 @@ def study(names: list[str], seeds: int) -> None:
             if seed in read().get(name, {}):
                 continue
             setting = SETTINGS[name]
-            model_file = folder / f"{name.replace(', ', '-').replace(' ', '-')}-{seed}.zip"
+            model_file = (
+                folder / f"{name.replace(', ', '-').replace(' ', '-')}-{seed}.zip"
+            )
             found = train(setting, int(seed), model_file)
             found["change"] = score_of(model_file, LEARNING[setting.environment])
-            print(f"{name}, seed {seed}: {found['change']} %, {found['seconds']} s", flush=True)
+            print(
+                f"{name}, seed {seed}: {found['change']} %, {found['seconds']} s",
+                flush=True,
+            )
             results = read()  # others may have added to it
             results.setdefault(name, {})[seed] = found
             RESULT.write_text(json.dumps(results) + "\n", encoding="utf-8")
@@ -155,7 +173,12 @@ def table() -> str:
         runs = list(by_seed.values())
         changes = np.array([run["change"] for run in runs])
         seconds = np.mean([run["seconds"] for run in runs])
-        cells = [name, f"{SETTINGS[name].decisions:,}", str(len(runs)), f"{seconds:.0f} s"]
+        cells = [
+            name,
+            f"{SETTINGS[name].decisions:,}",
+            str(len(runs)),
+            f"{seconds:.0f} s",
+        ]
         for value in (trim_mean(changes, 0.25), changes.min(), changes.max()):
             cells.append(f"{value:+.1f} %".replace("-", "−"))
         lines.append("| " + " | ".join(cells) + " |")
@@ -166,7 +189,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS), metavar="NAME")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=list(SETTINGS),
+        default=list(SETTINGS),
+        metavar="NAME",
+    )
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--table", action="store_true", help="print the results")
     given = parser.parse_args()

@@ -79,7 +79,9 @@ def read_csv(path: Path) -> Columns:
 def write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns of equal length with a header."""
     table = np.column_stack(list(columns.values()))
-    np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
+    np.savetxt(
+        path, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments=""
+    )
 
 
 def sealed(folder: Path) -> Path:
@@ -112,7 +114,11 @@ def statements(answer: Answer) -> dict[tuple[tuple[str, ...], str], float]:
 
 def places(answer: Answer) -> set[tuple[str, ...]]:
     """Return the stated places, those without a law included."""
-    return {key_of(e["place"]) for e in answer["effects"] if float(e.get("probability", 1.0)) >= STATED}
+    return {
+        key_of(e["place"])
+        for e in answer["effects"]
+        if float(e.get("probability", 1.0)) >= STATED
+    }
 
 
 def prediction_error(truth: Columns, prediction: Columns) -> float:
@@ -129,7 +135,10 @@ def prediction_error(truth: Columns, prediction: Columns) -> float:
 
 
 def score_case(
-    truth: Mapping[str, Any], test: Columns, answer: Answer | None, prediction: Columns | None
+    truth: Mapping[str, Any],
+    test: Columns,
+    answer: Answer | None,
+    prediction: Columns | None,
 ) -> dict[str, Any]:
     """Score the answer for one case.
 
@@ -148,7 +157,11 @@ def score_case(
     true_places = {key_of(p) for p in truth["places"]}
     said = {s: p for s, p in statements(answer).items() if s not in small - true}
     named = {s for s, p in said.items() if p >= STATED}
-    stated = {p for p in places(answer) if p in true_places or p not in {place for place, _ in small}}
+    stated = {
+        p
+        for p in places(answer)
+        if p in true_places or p not in {place for place, _ in small}
+    }
     row: dict[str, Any] = {
         "set": truth["set"],
         "noise_db": truth["noise_db"],
@@ -158,8 +171,15 @@ def score_case(
         "right": bool(true) and named == true,
         "wrong": bool(named - true),
         "abstained": not named,
-        "place": [len(stated & true_places), len(stated - true_places), len(true_places - stated)],
-        "brier": [(said.get(s, 0.0) - (s in true)) ** 2 for s in sorted(true | set(said))] or [0.0],
+        "place": [
+            len(stated & true_places),
+            len(stated - true_places),
+            len(true_places - stated),
+        ],
+        "brier": [
+            (said.get(s, 0.0) - (s in true)) ** 2 for s in sorted(true | set(said))
+        ]
+        or [0.0],
         "bias": {
             path: answer["parameters"][path] / value - 1.0
             for path, value in truth["parameters"].items()
@@ -190,7 +210,9 @@ def summarise(rows: Iterable[dict[str, Any]]) -> dict[str, Any]:
     reductions = [r["reduction"] for r in rows if "reduction" in r]
     return {
         "cases": len(rows),
-        "place_f1": 2 * hit / (2 * hit + false + missed) if hit + false + missed else None,
+        "place_f1": 2 * hit / (2 * hit + false + missed)
+        if hit + false + missed
+        else None,
         "law_accuracy": mean([r["right"] for r in rows if r["nameable"]]),
         "wrong_names": mean([r["wrong"] for r in rows]),
         "abstention": mean([r["abstained"] for r in rows if not r["nameable"]]),
@@ -214,10 +236,17 @@ def score(folder: Path, answers: Path) -> dict[str, Any]:
     truth_folder = sealed(folder)
     seal = json.loads((folder / "benchmark.json").read_text(encoding="utf-8"))
     if digest(truth_folder) != seal["truth_sha256"]:
-        raise SystemExit(f"{truth_folder}: not the truth that {folder}/benchmark.json was sealed with")
+        raise SystemExit(
+            f"{truth_folder}: not the truth that {folder}/benchmark.json was sealed with"
+        )
     rows = {}
-    for name, truth in json.loads((truth_folder / "truth.json").read_text(encoding="utf-8")).items():
-        said, predicted = answers / name / "answer.json", answers / name / "prediction.csv"
+    for name, truth in json.loads(
+        (truth_folder / "truth.json").read_text(encoding="utf-8")
+    ).items():
+        said, predicted = (
+            answers / name / "answer.json",
+            answers / name / "prediction.csv",
+        )
         rows[name] = score_case(
             truth,
             read_csv(truth_folder / f"{name}.csv"),
@@ -231,18 +260,37 @@ def score(folder: Path, answers: Path) -> dict[str, Any]:
         "seed": seal["seed"],
         **(json.loads(about.read_text(encoding="utf-8")) if about.exists() else {}),
         "all": summarise(rows.values()),
-        "sets": {k: summarise(r for r in rows.values() if r["set"] == k) for k in kinds},
-        "noise": {str(n): summarise(r for r in rows.values() if r["noise_db"] == n) for n in levels},
+        "sets": {
+            k: summarise(r for r in rows.values() if r["set"] == k) for k in kinds
+        },
+        "noise": {
+            str(n): summarise(r for r in rows.values() if r["noise_db"] == n)
+            for n in levels
+        },
         "rows": rows,
     }
 
 
 def table(figures: Mapping[str, Any]) -> str:
     """Return the figures over all cases and by set, as text."""
-    heads = ["set", "cases", "place F1", "law", "wrong", "abst.", "Brier", "par.", "reduc.", "s"]
+    heads = [
+        "set",
+        "cases",
+        "place F1",
+        "law",
+        "wrong",
+        "abst.",
+        "Brier",
+        "par.",
+        "reduc.",
+        "s",
+    ]
     lines = ["".join(f"{h:>9s}" if k else f"{h:22s}" for k, h in enumerate(heads))]
     for name, f in {**figures["sets"], "all": figures["all"]}.items():
-        cells = [f"{v:9.2f}" if isinstance(v, float) else f"{'-' if v is None else v:>9}" for v in f.values()]
+        cells = [
+            f"{v:9.2f}" if isinstance(v, float) else f"{'-' if v is None else v:>9}"
+            for v in f.values()
+        ]
         lines.append(f"{name:22s}" + "".join(cells))
     return "\n".join(lines)
 
@@ -272,21 +320,34 @@ def make(folder: Path, seed: int, full: bool = False) -> None:
     folder.mkdir(parents=True)
     truth_folder.mkdir()
     wanted, truths = plan(full), {}
-    order = np.random.default_rng(seed).permutation(len(wanted))  # the number says nothing about the set
+    order = np.random.default_rng(seed).permutation(
+        len(wanted)
+    )  # the number says nothing about the set
     for number, (which, kind, level) in zip(order, wanted, strict=True):
         name = f"case_{number + 1:02d}"
         files, test, truth = rigs.make_case(kind, seed, level, SAMPLES)
         model = files.pop("model")
         place = folder / name
         place.mkdir()
-        (place / "model.json").write_text(json.dumps(model, indent=1) + "\n", encoding="utf-8")
+        (place / "model.json").write_text(
+            json.dumps(model, indent=1) + "\n", encoding="utf-8"
+        )
         for file, columns in files.items():
             write_csv(place / f"{file}.csv", columns)
         write_csv(truth_folder / f"{name}.csv", test)
         truths[name] = {"set": which, "kind": kind, "noise_db": level, **truth}
-        print(name, which, kind, f"{level} dB", f"nominal error {truth['nominal_error']:.3f}", flush=True)
+        print(
+            name,
+            which,
+            kind,
+            f"{level} dB",
+            f"nominal error {truth['nominal_error']:.3f}",
+            flush=True,
+        )
     ordered = dict(sorted(truths.items()))
-    (truth_folder / "truth.json").write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
+    (truth_folder / "truth.json").write_text(
+        json.dumps(ordered, indent=1) + "\n", encoding="utf-8"
+    )
     head = {
         "name": "MissingPhysBench",
         "version": 1,
@@ -295,7 +356,9 @@ def make(folder: Path, seed: int, full: bool = False) -> None:
         "laws": LAWS,
         "truth_sha256": digest(truth_folder),
     }
-    (folder / "benchmark.json").write_text(json.dumps(head, indent=1) + "\n", encoding="utf-8")
+    (folder / "benchmark.json").write_text(
+        json.dumps(head, indent=1) + "\n", encoding="utf-8"
+    )
 
 
 # --------------------------------------------------------------------------------------------------------------- run
@@ -324,14 +387,32 @@ def run(folder: Path, tool: str, answers: Path, only: list[str] | None = None) -
         try:
             answer, prediction = tools.TOOLS[tool](folder / name, out)
         except Exception as error:  # a tool that fails has made no statement
-            answer, prediction = {"effects": [], "error": f"{type(error).__name__}: {error}"}, None
+            answer, prediction = (
+                {"effects": [], "error": f"{type(error).__name__}: {error}"},
+                None,
+            )
         # `seconds` is processor time; a tool with a process of its own measures there
-        answer = {"seconds": tools.processor_seconds(), **answer} if "seconds" not in answer else answer
+        answer = (
+            {"seconds": tools.processor_seconds(), **answer}
+            if "seconds" not in answer
+            else answer
+        )
         if prediction is not None:
             write_csv(out / "prediction.csv", prediction)
-        (out / "answer.json").write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
-        said = [(e["law"], e["place"], round(e.get("probability", 1.0), 3)) for e in answer["effects"]]
-        print(name, f"{time.perf_counter() - began:.0f} s", said, answer.get("error", ""), flush=True)
+        (out / "answer.json").write_text(
+            json.dumps(answer, indent=1) + "\n", encoding="utf-8"
+        )
+        said = [
+            (e["law"], e["place"], round(e.get("probability", 1.0), 3))
+            for e in answer["effects"]
+        ]
+        print(
+            name,
+            f"{time.perf_counter() - began:.0f} s",
+            said,
+            answer.get("error", ""),
+            flush=True,
+        )
 
 
 def main() -> None:
@@ -351,7 +432,11 @@ def main() -> None:
     of_run.add_argument("--out", type=Path, required=True)
     of_run.add_argument("--only", nargs="+")
     of_score.add_argument("answers", type=Path)
-    of_score.add_argument("--json", type=Path, help="add the figures to this file, under the name of ANSWERS")
+    of_score.add_argument(
+        "--json",
+        type=Path,
+        help="add the figures to this file, under the name of ANSWERS",
+    )
     given = parser.parse_args()
     if given.command == "make":
         make(given.folder, given.seed, given.full)
@@ -361,7 +446,11 @@ def main() -> None:
         figures = score(given.folder, given.answers)
         print(table(figures))
         if given.json:
-            known = json.loads(given.json.read_text(encoding="utf-8")) if given.json.exists() else {}
+            known = (
+                json.loads(given.json.read_text(encoding="utf-8"))
+                if given.json.exists()
+                else {}
+            )
             known[given.answers.name] = figures
             given.json.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 

@@ -86,7 +86,11 @@ def _rates(x, v, n, ends, codes, P, grid, mass, push, a):
 def _march(n, ends, codes, P, grid, mass, moved, moved_rate, push, step, substeps):
     """Runge-Kutta of fourth order from rest; inputs are linear between samples. Nodes: masses, moved nodes, ground."""
     size, m = moved.shape
-    X, V, A = np.zeros((size, n + m + 1)), np.zeros((size, n + m + 1)), np.zeros((size, n))
+    X, V, A = (
+        np.zeros((size, n + m + 1)),
+        np.zeros((size, n + m + 1)),
+        np.zeros((size, n)),
+    )
     x, v, h = np.zeros(n + m + 1), np.zeros(n + m + 1), step / substeps
     xs, vs = np.zeros((4, n)), np.zeros((4, n))
     a, xt, vt, f = np.zeros(n), np.zeros(n + m + 1), np.zeros(n + m + 1), np.zeros(n)
@@ -135,17 +139,27 @@ class Plant:
     """The model of a case."""
 
     def __init__(self, case: Path) -> None:
-        self.model: dict[str, Any] = json.loads((case / "model.json").read_text(encoding="utf-8"))
+        self.model: dict[str, Any] = json.loads(
+            (case / "model.json").read_text(encoding="utf-8")
+        )
         self.window = WINDOWS[2]
         self.masses = list(self.model["masses"])
-        self.moved = {i["at"]: i["name"] for i in self.model["inputs"] if i["quantity"] == "displacement"}
-        self.pushed = {i["at"]: i["name"] for i in self.model["inputs"] if i["quantity"] == "force"}
+        self.moved = {
+            i["at"]: i["name"]
+            for i in self.model["inputs"]
+            if i["quantity"] == "displacement"
+        }
+        self.pushed = {
+            i["at"]: i["name"] for i in self.model["inputs"] if i["quantity"] == "force"
+        }
         self.nodes = [*self.masses, *self.moved, "ground"]
         self.uncertain: dict[str, float] = self.model["uncertainty"]
         self.outputs: list[dict[str, Any]] = self.model["outputs"]
         # sampling step of the records [s]
         with (case / "test_input.csv").open(encoding="utf-8") as file:
-            first, second = (float(line.split(",")[0]) for line in file.read().splitlines()[1:3])
+            first, second = (
+                float(line.split(",")[0]) for line in file.read().splitlines()[1:3]
+            )
         self.step = second - first
 
     @property
@@ -160,29 +174,44 @@ class Plant:
         out = {}
         for path, q in zip(self.uncertain, theta, strict=True):
             name, key = path.split(".")
-            nominal = self.model["masses"][name] if key == "mass" else elements[name][key]
+            nominal = (
+                self.model["masses"][name] if key == "mass" else elements[name][key]
+            )
             out[path] = nominal * float(np.exp(q))
         return out
 
-    def terms(self, theta: np.ndarray) -> tuple[np.ndarray, list[tuple[Place, str, float]]]:
+    def terms(
+        self, theta: np.ndarray
+    ) -> tuple[np.ndarray, list[tuple[Place, str, float]]]:
         """Return the masses, and place, law and parameter of every element of the model."""
         values = self.values(theta)
-        mass = np.array([values.get(f"{n}.mass", self.model["masses"][n]) for n in self.masses])
+        mass = np.array(
+            [values.get(f"{n}.mass", self.model["masses"][n]) for n in self.masses]
+        )
         key = {"linear_stiffness": "stiffness", "linear_damping": "damping"}
         elements = [
-            (tuple(e["between"]), e["type"], values.get(f"{e['name']}.{key[e['type']]}", e[key[e["type"]]]))
+            (
+                tuple(e["between"]),
+                e["type"],
+                values.get(f"{e['name']}.{key[e['type']]}", e[key[e["type"]]]),
+            )
             for e in self.model["elements"]
         ]
         return mass, elements
 
-    def simulate(self, theta: np.ndarray, extras: list[Extra], table: Columns) -> Columns:
+    def simulate(
+        self, theta: np.ndarray, extras: list[Extra], table: Columns
+    ) -> Columns:
         """Return the outputs for the inputs of a table, from rest."""
         mass, elements = self.terms(theta)
         step, n = float(table["time"][1] - table["time"][0]), len(self.masses)
         moved = np.zeros((len(table["time"]), len(self.moved)))
         rate, push = np.zeros_like(moved), np.zeros((len(table["time"]), n))
         for j, name in enumerate(self.moved.values()):
-            moved[:, j], rate[:, j] = table[name], CubicSpline(table["time"], table[name])(table["time"], 1)
+            moved[:, j], rate[:, j] = (
+                table[name],
+                CubicSpline(table["time"], table[name])(table["time"], 1),
+            )
         for node, name in self.pushed.items():
             push[:, self.masses.index(node)] += table[name]
         speed = self._speed(table)
@@ -203,11 +232,23 @@ class Plant:
                 slope = max(abs(x) for x in e.values[:2]) / (CREEP * speed) / mass.min()
                 substeps = min(max(substeps, int(np.ceil(step * slope / 2.0))), 60)
         X, V, A = _march(
-            n, np.array(ends), np.array(codes), np.array(P), grid, mass, moved, rate, push, step, substeps
+            n,
+            np.array(ends),
+            np.array(codes),
+            np.array(P),
+            grid,
+            mass,
+            moved,
+            rate,
+            push,
+            step,
+            substeps,
         )
         out = {}
         for o in self.outputs:
-            i, j = (self.nodes.index(k) for k in (o.get("between") or (o["at"], "ground")))
+            i, j = (
+                self.nodes.index(k) for k in (o.get("between") or (o["at"], "ground"))
+            )
             if o["quantity"] == "acceleration":
                 y = A[:, i]
             else:
@@ -228,12 +269,16 @@ class Plant:
             names = [o["name"] for o in self.outputs if o["quantity"] == "displacement"]
             step = float(table["time"][1] - table["time"][0])
             self._typical = max(
-                float(np.std(savgol_filter(table[n], WINDOWS[2], ORDER, 1, step))) for n in names
+                float(np.std(savgol_filter(table[n], WINDOWS[2], ORDER, 1, step)))
+                for n in names
             )
         return self._typical
 
     def fit(
-        self, tables: list[Columns], extras: list[Extra] | None = None, weight: dict[str, float] | None = None
+        self,
+        tables: list[Columns],
+        extras: list[Extra] | None = None,
+        weight: dict[str, float] | None = None,
     ) -> tuple[np.ndarray, list[Extra], float, dict[str, float]]:
         """Fit the uncertain parameters and those of `extras` by output error, with the stated deviations as prior.
 
@@ -247,7 +292,9 @@ class Plant:
         """
         extras = extras or []
         sigma = np.array(list(self.uncertain.values()))
-        start = np.concatenate([np.zeros(len(sigma)), *(np.ones(len(e.values)) for e in extras)])
+        start = np.concatenate(
+            [np.zeros(len(sigma)), *(np.ones(len(e.values)) for e in extras)]
+        )
         scale = {o["name"]: float(np.std(tables[0][o["name"]])) for o in self.outputs}
 
         def unpack(x: np.ndarray) -> tuple[np.ndarray, list[Extra]]:
@@ -281,10 +328,15 @@ class Plant:
             def residual(x: np.ndarray) -> np.ndarray:
                 e = errors(x)
                 return np.concatenate(
-                    [*(np.clip(e[c] / by[c], -1e6, 1e6) for c in e), x[: len(sigma)] / sigma]
+                    [
+                        *(np.clip(e[c] / by[c], -1e6, 1e6) for c in e),
+                        x[: len(sigma)] / sigma,
+                    ]
                 )
 
-            return least_squares(residual, x, method="trf", max_nfev=15, diff_step=1e-4).x
+            return least_squares(
+                residual, x, method="trf", max_nfev=15, diff_step=1e-4
+            ).x
 
         x = start
         if weight is None:
@@ -295,7 +347,12 @@ class Plant:
         deviance = sum(len(e) * np.log(np.mean(e**2)) for e in left.values())
         deviance += float(np.sum((x[: len(sigma)] / sigma) ** 2))
         theta, fitted = unpack(x)
-        return theta, fitted, float(deviance), {c: float(np.std(e)) for c, e in left.items()}
+        return (
+            theta,
+            fitted,
+            float(deviance),
+            {c: float(np.std(e)) for c, e in left.items()},
+        )
 
     def error(self, theta: np.ndarray, extras: list[Extra], table: Columns) -> float:
         """Return the error of a free run: root mean square over channels of RMS over deviation."""
@@ -306,7 +363,9 @@ class Plant:
     def motion(self, table: Columns) -> tuple[Columns, Columns, Columns]:
         """Return displacement, velocity and acceleration of every node, by differentiating the displacements."""
         step = float(table["time"][1] - table["time"][0])
-        node = {"ground": np.zeros(len(table["time"]))} | {k: table[name] for k, name in self.moved.items()}
+        node = {"ground": np.zeros(len(table["time"]))} | {
+            k: table[name] for k, name in self.moved.items()
+        }
         while len(node) < len(self.nodes):
             for o in self.outputs:
                 if o["quantity"] == "displacement":
@@ -314,7 +373,10 @@ class Plant:
                     if second in node and first not in node:
                         node[first] = node[second] + table[o["name"]]
         return tuple(  # type: ignore[return-value]
-            {k: savgol_filter(x, self.window, ORDER, order, step) for k, x in node.items()}
+            {
+                k: savgol_filter(x, self.window, ORDER, order, step)
+                for k, x in node.items()
+            }
             for order in range(3)
         )
 
@@ -334,4 +396,6 @@ class Plant:
                     force[node] = force[node] + sign * f
         inner = slice(self.window, -self.window)  # the filter extrapolates at the ends
         at = {p: (x[p[0]] - x[p[1]], v[p[0]] - v[p[1]]) for p in self.places}
-        return {n: f[inner] for n, f in force.items()}, {p: (d[inner], w[inner]) for p, (d, w) in at.items()}
+        return {n: f[inner] for n, f in force.items()}, {
+            p: (d[inner], w[inner]) for p, (d, w) in at.items()
+        }

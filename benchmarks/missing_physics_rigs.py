@@ -34,7 +34,12 @@ def _with_outputs(rig: Rig, *channels: tuple[str, str, list[str] | None]) -> Rig
     unit = {"displacement": "m", "acceleration": "m/s^2"}
     model = copy.deepcopy(rig.model)
     model["outputs"] = [
-        {"name": n, "quantity": q, "unit": unit[q], **({"between": w} if w else {"at": "mass"})}
+        {
+            "name": n,
+            "quantity": q,
+            "unit": unit[q],
+            **({"between": w} if w else {"at": "mass"}),
+        }
         for n, q, w in channels
     ]
     return replace(rig, model=model)
@@ -42,7 +47,9 @@ def _with_outputs(rig: Rig, *channels: tuple[str, str, list[str] | None]) -> Rig
 
 def _shaken(r: np.random.Generator) -> Rig:
     travel = ("travel", "displacement", ["mass", "base"])
-    return _with_outputs(drawn.shaken(r, "both"), travel, ("acceleration", "acceleration", None))
+    return _with_outputs(
+        drawn.shaken(r, "both"), travel, ("acceleration", "acceleration", None)
+    )
 
 
 def _pushed(r: np.random.Generator) -> Rig:
@@ -51,7 +58,9 @@ def _pushed(r: np.random.Generator) -> Rig:
 
 def _two_masses(r: np.random.Generator) -> Rig:
     lower = ("lower_travel", "displacement", ["lower", "base"])
-    return _with_outputs(drawn.shaken2(r), lower, ("upper_travel", "displacement", ["upper", "lower"]))
+    return _with_outputs(
+        drawn.shaken2(r), lower, ("upper_travel", "displacement", ["upper", "lower"])
+    )
 
 
 def _loop(r: np.random.Generator) -> Rig:
@@ -59,16 +68,28 @@ def _loop(r: np.random.Generator) -> Rig:
     rig = _pushed(r)
     model = copy.deepcopy(rig.model)
     mass = model["masses"]["mass"]
-    stiffness = next(e["stiffness"] for e in model["elements"] if e["name"] == "spring") * LOOP[0]
+    stiffness = (
+        next(e["stiffness"] for e in model["elements"] if e["name"] == "spring")
+        * LOOP[0]
+    )
     damping = 2.0 * LOOP[1] * np.sqrt(stiffness * mass)
     here = {"between": ["mass", "reference"]}
     model["elements"] += [
-        {"name": "loop_stiffness", "type": "linear_stiffness", **here, "stiffness": stiffness},
+        {
+            "name": "loop_stiffness",
+            "type": "linear_stiffness",
+            **here,
+            "stiffness": stiffness,
+        },
         {"name": "loop_damping", "type": "linear_damping", **here, "damping": damping},
     ]
     name = model["inputs"][0]["name"]
-    model["inputs"] = [{"name": name, "quantity": "displacement", "at": "reference", "unit": "m"}]
-    drives = tuple(Drive({name: _divided(d.inputs[name], stiffness)}, {}) for d in rig.drives)
+    model["inputs"] = [
+        {"name": name, "quantity": "displacement", "at": "reference", "unit": "m"}
+    ]
+    drives = tuple(
+        Drive({name: _divided(d.inputs[name], stiffness)}, {}) for d in rig.drives
+    )
     known = (*rig.known, "loop_stiffness.stiffness", "loop_damping.damping")
     return replace(rig, model=model, drives=drives, known=known)
 
@@ -123,7 +144,9 @@ def make_case(
         rig = RIGS[which](r)
         while not samples[0] <= rig.size <= samples[1]:
             rig = RIGS[which](r)
-        rig = replace(rig, drives=(*rig.drives, _test_drive(r, rig)), snr_db=(noise_db, noise_db))
+        rig = replace(
+            rig, drives=(*rig.drives, _test_drive(r, rig)), snr_db=(noise_db, noise_db)
+        )
         last[:] = [rig]
         return rig
 
@@ -140,7 +163,9 @@ def make_case(
             _opened(owner, rig),
             [_push(true, rig, r, d) for r, d in zip(ran, rig.drives, strict=True)],
         )
-        records = [{**t, name: d.value} for t, d in zip(records, driven[:2], strict=True)]
+        records = [
+            {**t, name: d.value} for t, d in zip(records, driven[:2], strict=True)
+        ]
         drives = tuple(Drive({name: d}, {}) for d in driven)
         rig = replace(rig, model=_opened(rig.model, rig), drives=drives)
     time = np.arange(rig.size) * rig.interval
@@ -157,7 +182,10 @@ def make_case(
         else [],
         "places": [p for p in map(_place, case.truth["hidden"]) if p],
         "hidden": case.truth["hidden"],
-        "nuisances": [{**e, "law": e["type"], "place": e["between"]} for e in case.truth["nuisances"]],
+        "nuisances": [
+            {**e, "law": e["type"], "place": e["between"]}
+            for e in case.truth["nuisances"]
+        ],
         "parameters": _true_values(owner, true),
         "nominal_error": _nominal_error(rig, seen, owner["uncertainty"]),
     }
@@ -170,7 +198,9 @@ def _test_drive(r: np.random.Generator, rig: Rig) -> Drive:
     frequency = 1.0 / (2.0 * np.pi * rig.time)
     tempo = Tempo(frequency, rig.interval, rig.size)
     size = float(np.std(signal.value)) * log(r, 0.7, 1.3)
-    return Drive({name: rough(r, tempo, 0.25 * frequency, 3.0 * frequency, 0.5, size)}, {})
+    return Drive(
+        {name: rough(r, tempo, 0.25 * frequency, 3.0 * frequency, 0.5, size)}, {}
+    )
 
 
 def _place(e: dict[str, Any]) -> Any:
@@ -189,9 +219,14 @@ def _opened(model: dict[str, Any], rig: Rig) -> dict[str, Any]:
 def _push(true: dict[str, Any], rig: Rig, ran: Run, drive: Drive) -> Signal:
     """The force of the controller on the mass."""
     gains = {e["name"]: e for e in true["elements"]}
-    stiffness, damping = gains["loop_stiffness"]["stiffness"], gains["loop_damping"]["damping"]
+    stiffness, damping = (
+        gains["loop_stiffness"]["stiffness"],
+        gains["loop_damping"]["damping"],
+    )
     (target,) = drive.inputs.values()
-    force = stiffness * (target.value - ran.position["mass"]) + damping * (target.rate - ran.velocity["mass"])
+    force = stiffness * (target.value - ran.position["mass"]) + damping * (
+        target.rate - ran.velocity["mass"]
+    )
     rate = stiffness * (target.rate - ran.velocity["mass"]) + damping * (
         target.second - ran.acceleration["mass"]
     )
@@ -204,7 +239,9 @@ def _true_values(owner: dict[str, Any], true: dict[str, Any]) -> dict[str, float
     out = {}
     for path in owner["uncertainty"]:
         name, key = path.split(".")
-        out[path] = float(true["masses"][name] if key == "mass" else elements[name][key])
+        out[path] = float(
+            true["masses"][name] if key == "mass" else elements[name][key]
+        )
     return out
 
 
@@ -216,4 +253,13 @@ def _nominal_error(rig: Rig, seen: list[Columns], stated: dict[str, float]) -> f
     for path, q in zip(stated, theta, strict=False):
         set_relative(model, path, float(q))
     y = outputs(rig, model, run(rig, model, rig.drives[2]))
-    return float(np.sqrt(np.mean([np.mean((y[k] - seen[2][k]) ** 2) / np.var(seen[2][k]) for k in seen[2]])))
+    return float(
+        np.sqrt(
+            np.mean(
+                [
+                    np.mean((y[k] - seen[2][k]) ** 2) / np.var(seen[2][k])
+                    for k in seen[2]
+                ]
+            )
+        )
+    )

@@ -37,14 +37,20 @@ PACKAGES = {
 
 def versions(tool: str) -> dict[str, str]:
     """Return the versions of the packages of a tool."""
-    return {name: importlib.metadata.version(name) for name in (*PACKAGES.get(tool, ()), "numpy", "scipy")}
+    return {
+        name: importlib.metadata.version(name)
+        for name in (*PACKAGES.get(tool, ()), "numpy", "scipy")
+    }
 
 
 def processor_seconds() -> float:
     """Return the processor time since the last call [s]."""
     now = resource.getrusage(resource.RUSAGE_SELF)
     total = now.ru_utime + now.ru_stime
-    used, processor_seconds.last = total - getattr(processor_seconds, "last", 0.0), total  # type: ignore[attr-defined]
+    used, processor_seconds.last = (
+        total - getattr(processor_seconds, "last", 0.0),
+        total,
+    )  # type: ignore[attr-defined]
     return used
 
 
@@ -59,9 +65,28 @@ def isd_gym(case: Path, out: Path) -> tuple[Answer, Columns]:
     begun = resource.getrusage(resource.RUSAGE_CHILDREN)
     program = [sys.executable, "-m", "isd_gym"]
     records = [case / "train.csv", "--validate", case / "validation.csv"]
-    words = ["diagnose", *records, "--model", case / "model.json", "--out", found, "--jobs", 1]
+    words = [
+        "diagnose",
+        *records,
+        "--model",
+        case / "model.json",
+        "--out",
+        found,
+        "--jobs",
+        1,
+    ]
     _call([*program, *words], found)
-    _call([*program, "simulate", found / "model.json", case / "test_input.csv", "--out", predicted], found)
+    _call(
+        [
+            *program,
+            "simulate",
+            found / "model.json",
+            case / "test_input.csv",
+            "--out",
+            predicted,
+        ],
+        found,
+    )
     ended = resource.getrusage(resource.RUSAGE_CHILDREN)
     said = json.loads((found / "diagnosis.json").read_text(encoding="utf-8"))
     effects = [
@@ -72,7 +97,10 @@ def isd_gym(case: Path, out: Path) -> tuple[Answer, Columns]:
         }
         for e in said["effects"]
     ]
-    stated = {tuple(sorted([e["place"]] if isinstance(e["place"], str) else e["place"])) for e in effects}
+    stated = {
+        tuple(sorted([e["place"]] if isinstance(e["place"], str) else e["place"]))
+        for e in effects
+    }
     open_places = [
         (f["place"], f["place_probability"])
         for f in said["findings"]
@@ -88,7 +116,11 @@ def isd_gym(case: Path, out: Path) -> tuple[Answer, Columns]:
     answer = {
         "effects": effects,
         "verdict": said["verdict"],
-        "parameters": {k: q["value"] for k, q in said["parameters"].items() if k in model["uncertainty"]},
+        "parameters": {
+            k: q["value"]
+            for k, q in said["parameters"].items()
+            if k in model["uncertainty"]
+        },
         "seconds": ended.ru_utime + ended.ru_stime - begun.ru_utime - begun.ru_stime,
     }
     return answer, read_csv(predicted)
@@ -97,7 +129,10 @@ def isd_gym(case: Path, out: Path) -> tuple[Answer, Columns]:
 def _call(words: list[Any], found: Path) -> None:
     """Run a command; its output goes into a file beside the result."""
     done = subprocess.run(
-        list(map(str, words)), capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+        list(map(str, words)),
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     with found.with_suffix(".log").open("a", encoding="utf-8") as log:
         log.write(done.stdout + done.stderr)
@@ -131,7 +166,10 @@ class Rig:
         """Return the answer, with the prediction of the model with extras."""
         parameters = self.plant.values(theta)
         outputs = self.plant.simulate(theta, extras, self.test)
-        return {"effects": effects, "parameters": parameters}, {"time": self.test["time"], **outputs}
+        return {"effects": effects, "parameters": parameters}, {
+            "time": self.test["time"],
+            **outputs,
+        }
 
     def best(
         self, attempt: Callable[[], tuple[list[dict[str, Any]], np.ndarray, list[Any]]]
@@ -153,15 +191,23 @@ class Rig:
                 least, found = error, (effects, theta, extras)
         return self.answer(*found)
 
-    def forces(self, table: Columns) -> tuple[Columns, dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]]:
+    def forces(
+        self, table: Columns
+    ) -> tuple[Columns, dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]]:
         return self.plant.residual_forces(self.theta, table)
 
     def target(self, forces: Columns, place: tuple[str, str]) -> np.ndarray:
         """Return the force at a place that explains most of the residual forces on its masses."""
-        sides = [sign * forces[n] for n, sign in zip(place, (-1.0, 1.0), strict=True) if n in forces]
+        sides = [
+            sign * forces[n]
+            for n, sign in zip(place, (-1.0, 1.0), strict=True)
+            if n in forces
+        ]
         return np.mean(sides, axis=0)
 
-    def unexplained(self, forces: Columns, place: tuple[str, str], force: np.ndarray) -> float:
+    def unexplained(
+        self, forces: Columns, place: tuple[str, str], force: np.ndarray
+    ) -> float:
         """Return the sum of squares that a force at a place leaves, every mass relative to its own."""
         total = 0.0
         for n, r in forces.items():
@@ -178,7 +224,10 @@ def refit(case: Path, out: Path) -> tuple[Answer, Columns]:
 
 def has_linear(plant: Any, law: str, place: tuple[str, ...]) -> bool:
     """Return whether the model has an element of this law at the place."""
-    return any(e["type"] == law and set(e["between"]) == set(place) for e in plant.model["elements"])
+    return any(
+        e["type"] == law and set(e["between"]) == set(place)
+        for e in plant.model["elements"]
+    )
 
 
 # --------------------------------------------------------------------------------------- AIC over the fixed list of laws
@@ -239,10 +288,17 @@ def candidates(plant: Any, at: Any, size: float, laws: Any, extra: Any) -> list[
             "linear_damping": (f / rate,),
             "linear_stiffness": (f / travel,),
         }
-        out += [extra(law, place, start[law]) for law in laws if not has_linear(plant, law, place)]
+        out += [
+            extra(law, place, start[law])
+            for law in laws
+            if not has_linear(plant, law, place)
+        ]
     step = 2.0 * plant.step
     for o in plant.outputs:
-        out += [extra("sensor_gain", (o["name"],), (1.0,)), extra("sensor_delay", (o["name"],), (step,))]
+        out += [
+            extra("sensor_gain", (o["name"],), (1.0,)),
+            extra("sensor_delay", (o["name"],), (step,)),
+        ]
     return out
 
 
@@ -258,7 +314,10 @@ def sindy(case: Path, out: Path) -> tuple[Answer, Columns]:
         "d": ("linear_stiffness", lambda d, v: d),
         "v": ("linear_damping", lambda d, v: v),
         "d^3": ("cubic_stiffness", lambda d, v: d**3),
-        "hinge(d)": ("bump_stop", lambda d, v: np.sign(d) * np.maximum(np.abs(d) - 2.0, 0.0)),
+        "hinge(d)": (
+            "bump_stop",
+            lambda d, v: np.sign(d) * np.maximum(np.abs(d) - 2.0, 0.0),
+        ),
         "sign(v)": ("coulomb_friction", lambda d, v: np.sign(v)),
         "v|v|": ("quadratic_damping", lambda d, v: v * np.abs(v)),
         "max(v,0)": ("asymmetric_damping", lambda d, v: np.maximum(v, 0.0)),
@@ -266,7 +325,9 @@ def sindy(case: Path, out: Path) -> tuple[Answer, Columns]:
     return rig.best(lambda: equation(rig, terms))
 
 
-def equation(rig: Rig, terms: dict[str, Any]) -> tuple[list[dict[str, Any]], np.ndarray, list[Any]]:
+def equation(
+    rig: Rig, terms: dict[str, Any]
+) -> tuple[list[dict[str, Any]], np.ndarray, list[Any]]:
     """Return the effects of the sparse equation, and parameters and extras fitted by output error."""
     import pysindy as ps
     from missing_physics_plant import Extra
@@ -284,9 +345,16 @@ def equation(rig: Rig, terms: dict[str, Any]) -> tuple[list[dict[str, Any]], np.
                 sides = {place[0]: -1.0, place[1]: 1.0}
                 # every equation relative to the size of its residual force
                 columns.append(
-                    np.concatenate([sides.get(n, 0.0) * force * min(size.values()) / size[n] for n in forces])
+                    np.concatenate(
+                        [
+                            sides.get(n, 0.0) * force * min(size.values()) / size[n]
+                            for n in forces
+                        ]
+                    )
                 )
-        return np.column_stack(columns), np.concatenate([forces[n] / size[n] for n in forces])
+        return np.column_stack(columns), np.concatenate(
+            [forces[n] / size[n] for n in forces]
+        )
 
     names = [(p, t) for p in motion for t in terms]
     (X, y), (X_check, y_check) = system(rig.train), system(rig.validation)
@@ -294,7 +362,9 @@ def equation(rig: Rig, terms: dict[str, Any]) -> tuple[list[dict[str, Any]], np.
     library = ps.IdentityLibrary()
     found = []
     for level in (0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5):
-        model = ps.SINDy(optimizer=ps.STLSQ(threshold=level, alpha=1e-6), feature_library=library)
+        model = ps.SINDy(
+            optimizer=ps.STLSQ(threshold=level, alpha=1e-6), feature_library=library
+        )
         model.fit(X / norm, t=1.0, x_dot=y[:, None])
         c = model.coefficients()[0]
         error = float(np.sqrt(np.mean((X_check / norm @ c - y_check) ** 2)))
@@ -306,7 +376,9 @@ def equation(rig: Rig, terms: dict[str, Any]) -> tuple[list[dict[str, Any]], np.
             )
         )
     least = min(error for error, *_ in found)
-    _, kept, coefficients = min((f for f in found if f[0] <= 1.5 * least), key=lambda f: len(f[1]))
+    _, kept, coefficients = min(
+        (f for f in found if f[0] <= 1.5 * least), key=lambda f: len(f[1])
+    )
     extras = []
     for place, term in kept:
         law, (travel, rate) = terms[term][0], scale[place]
@@ -323,14 +395,21 @@ def equation(rig: Rig, terms: dict[str, Any]) -> tuple[list[dict[str, Any]], np.
             "hinge(d)": travel,
         }
         extras.append(
-            Extra(law, place, (2.0 * travel, c / travel) if law == "bump_stop" else (c / by[term],))
+            Extra(
+                law,
+                place,
+                (2.0 * travel, c / travel) if law == "bump_stop" else (c / by[term],),
+            )
         )
     theta, fitted, _, _ = rig.plant.fit([rig.train], extras)
     return [{"law": e.law, "place": list(e.place)} for e in fitted], theta, fitted
 
 
 # ------------------------------------------------------------------------- one force over distance and rate at one place
-def surface(rig: Rig, fit: Callable[[np.ndarray, np.ndarray], Callable[[np.ndarray], np.ndarray]]) -> Any:
+def surface(
+    rig: Rig,
+    fit: Callable[[np.ndarray, np.ndarray], Callable[[np.ndarray], np.ndarray]],
+) -> Any:
     """Fit a force over distance and rate at every place, and return the place that explains most of the validation record.
 
     Args:
@@ -346,15 +425,29 @@ def surface(rig: Rig, fit: Callable[[np.ndarray, np.ndarray], Callable[[np.ndarr
     check, there = rig.forces(rig.validation)
     found = []
     for place, (d, v) in at.items():
-        travel, rate, target = float(np.std(d)), float(np.std(v)), rig.target(forces, place)
+        travel, rate, target = (
+            float(np.std(d)),
+            float(np.std(v)),
+            rig.target(forces, place),
+        )
         size = float(np.std(target))
         pick = np.linspace(0, len(d) - 1, min(POINTS, len(d))).astype(int)
-        predict = fit(np.column_stack([d / travel, v / rate])[pick], target[pick] / size)
-        force = size * predict(np.column_stack([there[place][0] / travel, there[place][1] / rate]))
-        reach = [1.2 * max(np.max(np.abs(q[k])) for q in (at[place], there[place])) for k in range(2)]
+        predict = fit(
+            np.column_stack([d / travel, v / rate])[pick], target[pick] / size
+        )
+        force = size * predict(
+            np.column_stack([there[place][0] / travel, there[place][1] / rate])
+        )
+        reach = [
+            1.2 * max(np.max(np.abs(q[k])) for q in (at[place], there[place]))
+            for k in range(2)
+        ]
         axes = [np.linspace(-r, r, 61) for r in reach]
         mesh = np.column_stack(
-            [q.ravel() for q in np.meshgrid(axes[0] / travel, axes[1] / rate, indexing="ij")]
+            [
+                q.ravel()
+                for q in np.meshgrid(axes[0] / travel, axes[1] / rate, indexing="ij")
+            ]
         )
         grid = size * predict(mesh).reshape(61, 61)
         found.append(
@@ -439,7 +532,9 @@ def closest_law(d: np.ndarray, v: np.ndarray, force: np.ndarray) -> str | None:
 
     def left(*more: np.ndarray) -> float:
         X = np.column_stack([line, *more])
-        return float(np.mean((force - X @ np.linalg.lstsq(X, force, rcond=None)[0]) ** 2))
+        return float(
+            np.mean((force - X @ np.linalg.lstsq(X, force, rcond=None)[0]) ** 2)
+        )
 
     beyond, (least, law) = left(), min((left(x), n) for n, x in shapes.items())
     is_line = beyond < 0.01 * float(np.var(force))
@@ -453,7 +548,9 @@ def narx(case: Path, out: Path) -> tuple[Answer, Columns]:
     from sysidentpy.model_structure_selection import FROLS
     from sysidentpy.parameter_estimation import LeastSquares
 
-    train, validation, test = (read_csv(case / f"{n}.csv") for n in ("train", "validation", "test_input"))
+    train, validation, test = (
+        read_csv(case / f"{n}.csv") for n in ("train", "validation", "test_input")
+    )
     model = json.loads((case / "model.json").read_text(encoding="utf-8"))
     (source,) = (i["name"] for i in model["inputs"])
     size, prediction = float(np.std(train[source])), {"time": test["time"]}
@@ -462,12 +559,20 @@ def narx(case: Path, out: Path) -> tuple[Answer, Columns]:
         name, best = o["name"], (np.inf, np.zeros(len(test["time"])))
         scale = float(np.std(train[name]))
         for degree, lag in ((1, 2), (1, 4), (1, 8), (2, 2), (2, 4), (3, 2)):
-            how: dict[str, Any] = {"estimator": LeastSquares(), "basis_function": Polynomial(degree=degree)}
+            how: dict[str, Any] = {
+                "estimator": LeastSquares(),
+                "basis_function": Polynomial(degree=degree),
+            }
             found = FROLS(ylag=lag, xlag=lag, info_criteria="bic", **how)
             try:
                 with np.errstate(all="ignore"):
                     found.fit(X=u, y=train[name][:, None] / scale)
-                    run = scale * found.predict(X=u_check, y=validation[name][:, None] / scale)[:, 0]
+                    run = (
+                        scale
+                        * found.predict(X=u_check, y=validation[name][:, None] / scale)[
+                            :, 0
+                        ]
+                    )
                     error = float(np.mean((run - validation[name]) ** 2))
                     # a prediction needs its first samples; all masses start at rest
                     start = np.zeros((len(u_test), 1))

@@ -46,12 +46,20 @@ class Daqp:
         self._solver: Any = daqp.Model()
         m, n = A.shape
         self._solver.setup(
-            np.ascontiguousarray(P), np.zeros(n), np.ascontiguousarray(A), np.ones(m), -np.ones(m)
+            np.ascontiguousarray(P),
+            np.zeros(n),
+            np.ascontiguousarray(A),
+            np.ones(m),
+            -np.ones(m),
         )
 
-    def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
+    def solve(
+        self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray
+    ) -> Outcome:
         self._solver.update(
-            f=q, bupper=np.minimum(high, self.INFINITE), blower=np.maximum(low, -self.INFINITE)
+            f=q,
+            bupper=np.minimum(high, self.INFINITE),
+            blower=np.maximum(low, -self.INFINITE),
         )
         x, _, flag, _ = self._solver.solve()
         good = flag > 0 and bool(np.isfinite(x).all())
@@ -69,7 +77,9 @@ class Piqp:
         self._solver.setup(P, np.zeros(n), None, None, A, -np.ones(m), np.ones(m))
         self._good = piqp.PIQP_SOLVED
 
-    def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
+    def solve(
+        self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray
+    ) -> Outcome:
         self._solver.update(c=q, h_l=low, h_u=high)
         status = self._solver.solve()
         x = np.array(self._solver.result.x)
@@ -107,7 +117,9 @@ class Recorded:
 
 def observations(controller: Any, road: str, steps: int) -> np.ndarray:
     """What the controller sees while it drives (steps, 6+)."""
-    env = gym.make("ISDSuspension-v0", road=road, observation=controller.observation).unwrapped
+    env = gym.make(
+        "ISDSuspension-v0", road=road, observation=controller.observation
+    ).unwrapped
     obs, _ = env.reset(seed=SEED)
     controller.reset()
     seen = []
@@ -135,7 +147,9 @@ def readings(wall: np.ndarray, cpu: np.ndarray) -> dict[str, Any]:
     }
 
 
-def step_times(name: str, options: dict[str, Any], road: str, steps: int) -> dict[str, Any]:
+def step_times(
+    name: str, options: dict[str, Any], road: str, steps: int
+) -> dict[str, Any]:
     seen = observations(baselines.make(name, **options), road, steps)
     wall, cpu = np.empty((2, REPLAYS, steps), np.int64)
     for r in range(REPLAYS):
@@ -144,12 +158,20 @@ def step_times(name: str, options: dict[str, Any], road: str, steps: int) -> dic
         for k, obs in enumerate(seen):
             begin, thread = time.perf_counter_ns(), time.thread_time_ns()
             controller.act(obs)
-            cpu[r, k], wall[r, k] = time.thread_time_ns() - thread, time.perf_counter_ns() - begin
+            cpu[r, k], wall[r, k] = (
+                time.thread_time_ns() - thread,
+                time.perf_counter_ns() - begin,
+            )
     return readings(wall, cpu) | {"steps": steps, "fallbacks": controller.fallbacks}
 
 
 def optimum(
-    P: np.ndarray, q: np.ndarray, A: np.ndarray, low: np.ndarray, high: np.ndarray, x: np.ndarray
+    P: np.ndarray,
+    q: np.ndarray,
+    A: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    x: np.ndarray,
 ) -> np.ndarray:
     """The optimum of min 1/2 x'Px + q'x, low <= Ax <= high, from a point near it, with proof: the limits that push are
     held exactly, and the conditions of Karush, Kuhn and Tucker are checked, which suffice for a convex program."""
@@ -160,7 +182,9 @@ def optimum(
         side = np.where(rows > high - near, 1.0, np.where(rows < low + near, -1.0, 0.0))
         on = np.flatnonzero(side)
         push, missing = (
-            nnls(A[on].T * side[on], -(P @ x + q)) if len(on) else (np.zeros(0), np.linalg.norm(P @ x + q))
+            nnls(A[on].T * side[on], -(P @ x + q))
+            if len(on)
+            else (np.zeros(0), np.linalg.norm(P @ x + q))
         )
         return on[push > 0.0], missing / size
 
@@ -186,7 +210,9 @@ def optimum(
 def compare(P: np.ndarray, A: np.ndarray, asked: list[tuple]) -> dict[str, Any]:
     """Every solver on the same problems."""
     first = Daqp(P, A)
-    best = np.array([optimum(P, q, A, l, h, first.solve(q, l, h, g).x) for q, l, h, g in asked])
+    best = np.array(
+        [optimum(P, q, A, l, h, first.solve(q, l, h, g).x) for q, l, h, g in asked]
+    )
     objective = lambda x, q: 0.5 * x @ P @ x + q @ x  # noqa: E731
     # no change of current has cost 0, so the optimum is negative: the mean optimum is the possible gain
     gain = -float(np.mean([objective(x, asked[k][0]) for k, x in enumerate(best)]))
@@ -199,7 +225,10 @@ def compare(P: np.ndarray, A: np.ndarray, asked: list[tuple]) -> dict[str, Any]:
             for k, (q, low, high, guess) in enumerate(asked):
                 begin, thread = time.perf_counter_ns(), time.thread_time_ns()
                 x = solved.solve(q, low, high, guess).x
-                cpu[r, k], wall[r, k] = time.thread_time_ns() - thread, time.perf_counter_ns() - begin
+                cpu[r, k], wall[r, k] = (
+                    time.thread_time_ns() - thread,
+                    time.perf_counter_ns() - begin,
+                )
                 if r:
                     continue
                 if x is None:
@@ -218,14 +247,19 @@ def compare(P: np.ndarray, A: np.ndarray, asked: list[tuple]) -> dict[str, Any]:
             "limit_passed": float(max(np.max(beyond), 0.0)),
         }
     inside = [
-        np.maximum(A @ x - high, low - A @ x).max() for x, (_, low, high, _) in zip(best, asked, strict=True)
+        np.maximum(A @ x - high, low - A @ x).max()
+        for x, (_, low, high, _) in zip(best, asked, strict=True)
     ]
     return {"problems": len(asked), "variables": len(P), "limits": len(A), "reference_limit_passed": float(max(inside)), "solvers": out}  # fmt: skip
 
 
 def programs(steps: int) -> dict[str, Any]:
     out = {}
-    for label, road in (("mpc-paper, horizon 20", "paper"), ("mpc", "paper"), ("mpc", "C")):
+    for label, road in (
+        ("mpc-paper, horizon 20", "paper"),
+        ("mpc", "paper"),
+        ("mpc", "C"),
+    ):
         name, options = CONTROLLERS[label]
         controller: Any = baselines.make(name, **options)
         controller._programs[0] = hard = Recorded(controller._programs[0])
@@ -233,7 +267,9 @@ def programs(steps: int) -> dict[str, Any]:
         observations(controller, road, steps)
         if len(hard.asked) > 20:
             found = compare(controller._P, controller._rows, hard.asked)
-            out[f"{label}, road {road}"] = found | {"share_of_steps": len(hard.asked) / steps}
+            out[f"{label}, road {road}"] = found | {
+                "share_of_steps": len(hard.asked) / steps
+            }
             out[f"{label}, road {road}"]["soft_problems"] = len(soft.asked)
     return out
 
@@ -243,9 +279,14 @@ def closed_loop(episodes: int, duration: float) -> dict[str, Any]:
     net = Network.load("quarter-car-isd")
     out = {}
     for solver in SOLVERS:
-        entry = Entry(f"mpc, {solver}", lambda s=solver: baselines.make("mpc", solver=SOLVERS[s]))
+        entry = Entry(
+            f"mpc, {solver}", lambda s=solver: baselines.make("mpc", solver=SOLVERS[s])
+        )
         run = drive(entry, net, episodes=episodes, seed=SEED, duration=duration)
-        out[solver] = {"cost": float(run.cost(StageCost()).mean()), "fallbacks": run.fallbacks}
+        out[solver] = {
+            "cost": float(run.cost(StageCost()).mean()),
+            "fallbacks": run.fallbacks,
+        }
     return {"episodes": episodes, "duration": duration, "seed": SEED, "solvers": out}
 
 
@@ -271,13 +312,17 @@ def main() -> None:
         "seed": SEED,
         "steps": {},
     }
-    print(f"{'ms per step':<38}" + "".join(f"{k:>9} med.   99.9 %" for k in ("wall", "cpu", "own")))
+    print(
+        f"{'ms per step':<38}"
+        + "".join(f"{k:>9} med.   99.9 %" for k in ("wall", "cpu", "own"))
+    )
     for road in ROADS:
         for label, (name, options) in CONTROLLERS.items():
             found = step_times(name, options, road, args.steps)
             result["steps"][f"{label}, road {road}"] = found
             cells = "".join(
-                f"{found[k]['median']:14.3f} {found[k]['p99_9']:8.3f}" for k in ("wall", "cpu", "own")
+                f"{found[k]['median']:14.3f} {found[k]['p99_9']:8.3f}"
+                for k in ("wall", "cpu", "own")
             )
             print(f"{label + ', road ' + road:<38}{cells}")
     result["programs"] = programs(args.steps)
@@ -292,7 +337,10 @@ def main() -> None:
     result["closed_loop"] = closed_loop(4, 10.0)
     print(
         "\nclosed loop: "
-        + ", ".join(f"{s} J {r['cost']:.5f}" for s, r in result["closed_loop"]["solvers"].items())
+        + ", ".join(
+            f"{s} J {r['cost']:.5f}"
+            for s, r in result["closed_loop"]["solvers"].items()
+        )
     )
     if args.json:
         write_text(args.json, json.dumps(result, indent=1) + "\n")

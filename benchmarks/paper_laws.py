@@ -24,7 +24,10 @@ import numpy as np
 
 LOW, HIGH, LIMIT = 300.0, 2700.0, 2.0  # damping [N s/m] at -LIMIT and LIMIT [A]
 SPRING, BODY = 22000.0, 345.0  # main spring [N/m] and mass of the body [kg]
-STEP, FORGET = 5e-3, 0.95  # control step [s], high pass of the integrated acceleration [1/s]
+STEP, FORGET = (
+    5e-3,
+    0.95,
+)  # control step [s], high pass of the integrated acceleration [1/s]
 
 
 class Law(ABC):
@@ -50,32 +53,44 @@ class Law(ABC):
         return LIMIT * (2.0 * (damping - LOW) / (HIGH - LOW) - 1.0)
 
     @abstractmethod
-    def damping(self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def damping(
+        self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray
+    ) -> np.ndarray:
         """Return the damping [N s/m]; the damper limits it."""
 
 
 class TwoStateSkyhook(Law):
-    def damping(self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def damping(
+        self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray
+    ) -> np.ndarray:
         return np.where(self.velocity * rate >= 0.0, HIGH, LOW)
 
 
 class LinearSkyhook(Law):
-    def damping(self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def damping(
+        self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray
+    ) -> np.ndarray:
         return HIGH * self.velocity * rate / np.maximum(rate**2, 1e-12)
 
 
 class RelativeControl(Law):
-    def damping(self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def damping(
+        self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray
+    ) -> np.ndarray:
         return np.where(travel * rate <= 0.0, HIGH, LOW)
 
 
 class AccelerationDriven(Law):
-    def damping(self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def damping(
+        self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray
+    ) -> np.ndarray:
         return np.where(acceleration * rate >= 0.0, HIGH, LOW)
 
 
 class PowerDriven(Law):
-    def damping(self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def damping(
+        self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray
+    ) -> np.ndarray:
         return -SPRING * travel * rate / np.maximum(rate**2, 1e-12)
 
 
@@ -83,6 +98,10 @@ class SkyhookAdd(Law):
     #: crossover of skyhook and ADD [rad/s], at the invariant point of the body's resonance
     crossover = np.sqrt(2.0 * SPRING / BODY)
 
-    def damping(self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def damping(
+        self, acceleration: np.ndarray, travel: np.ndarray, rate: np.ndarray
+    ) -> np.ndarray:
         slow = acceleration**2 <= (self.crossover * self.velocity) ** 2
-        return np.where(np.where(slow, self.velocity, acceleration) * rate > 0.0, HIGH, LOW)
+        return np.where(
+            np.where(slow, self.velocity, acceleration) * rate > 0.0, HIGH, LOW
+        )

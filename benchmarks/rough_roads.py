@@ -35,12 +35,21 @@ def lifting(name: str) -> Network:
     """A built-in car whose wheels lift off."""
     network = Network.load(name)
     car, content = vehicle(network), network.to_dict()
-    stiffness = {e["between"][1]: e["stiffness"] for e in content["elements"] if e["name"].startswith("tyre")}
+    stiffness = {
+        e["between"][1]: e["stiffness"]
+        for e in content["elements"]
+        if e["name"].startswith("tyre")
+    }
     for corner, load in zip(car.corners, car.static_tyre_loads, strict=True):
         place = [corner.wheel, corner.road]
         values = {"stiffness": stiffness[corner.road], "load": load}
         content["elements"].append(
-            {"name": corner.named("lift_off"), "type": "tyre_lift_off", "between": place, **values}
+            {
+                "name": corner.named("lift_off"),
+                "type": "tyre_lift_off",
+                "between": place,
+                **values,
+            }
         )
     return Network.load(content)
 
@@ -73,12 +82,23 @@ def drive(network: Network, road: str, speed: float, episodes: int) -> dict[str,
         seen, reward, _, _, info = cars.step(idle)
         loads = np.array([info[name] for name in task.vehicle.tyre_loads])
         pulls += float(np.mean(loads + static < -1e-6 * static))
-        squares += [-reward.mean(), np.mean(seen[:, 0].astype(float) ** 2), np.mean(loads**2)]
+        squares += [
+            -reward.mean(),
+            np.mean(seen[:, 0].astype(float) ** 2),
+            np.mean(loads**2),
+        ]
     cost, acceleration, load = squares / STEPS
-    return {"share": pulls / STEPS, "cost": cost, "acceleration": acceleration**0.5, "tyre_load": load**0.5}
+    return {
+        "share": pulls / STEPS,
+        "cost": cost,
+        "acceleration": acceleration**0.5,
+        "tyre_load": load**0.5,
+    }
 
 
-def speeds(networks: list[Network], steps: int = 60, repetitions: int = 15) -> list[float]:
+def speeds(
+    networks: list[Network], steps: int = 60, repetitions: int = 15
+) -> list[float]:
     """Speed of batches over the first, median of alternating runs, processor time."""
     fleet = [batch(network, BATCH, "paper") for network in networks]
     idle = np.zeros(fleet[0].action_space.shape, np.float32)
@@ -96,7 +116,9 @@ def speeds(networks: list[Network], steps: int = 60, repetitions: int = 15) -> l
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0] if __doc__ else ""
+    )
     parser.add_argument("--episodes", type=int, default=16)
     parser.add_argument("--json", type=Path, required=True)
     given = parser.parse_args()
@@ -108,16 +130,40 @@ def main() -> None:
                 found = drive(car.network, road, speed, given.episodes)["share"]
                 linear = pulling_share(car, find_road(road), speed)
                 shares.append(
-                    {"network": name, "road": road, "speed": speed, "share": found, "predicted": linear}
+                    {
+                        "network": name,
+                        "road": road,
+                        "speed": speed,
+                        "share": found,
+                        "predicted": linear,
+                    }
                 )
     for name in ("quarter-car-passive", "quarter-car-isd"):
         for road in ("paper", "C", "D", "E"):
             linear_tyre = drive(Network.load(name), road, 20.0, given.episodes)
             lifts_off = drive(lifting(name), road, 20.0, given.episodes)
-            effects.append({"network": name, "road": road, "linear": linear_tyre, "lifts_off": lifts_off})
-    ratios = {name: speeds([Network.load(name), lifting(name)])[1] for name in CARS[1:3]}
-    about = {"date": time.strftime("%Y-%m-%d"), "episodes": given.episodes, "seconds": STEPS * 0.005}
-    data = {**about, "shares": shares, "effects": effects, "batch_speed_of_lift_off": ratios}
+            effects.append(
+                {
+                    "network": name,
+                    "road": road,
+                    "linear": linear_tyre,
+                    "lifts_off": lifts_off,
+                }
+            )
+    ratios = {
+        name: speeds([Network.load(name), lifting(name)])[1] for name in CARS[1:3]
+    }
+    about = {
+        "date": time.strftime("%Y-%m-%d"),
+        "episodes": given.episodes,
+        "seconds": STEPS * 0.005,
+    }
+    data = {
+        **about,
+        "shares": shares,
+        "effects": effects,
+        "batch_speed_of_lift_off": ratios,
+    }
     given.json.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 

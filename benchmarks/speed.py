@@ -62,7 +62,12 @@ def single(steps: int = 20_000) -> float:
 
 
 def batch(
-    currents: str, count: int = 1024, steps: int = 300, *, name: str = "ISDSuspension-v0", **options: object
+    currents: str,
+    count: int = 1024,
+    steps: int = 300,
+    *,
+    name: str = "ISDSuspension-v0",
+    **options: object,
 ) -> tuple[float, float]:
     """(ratio to CartPole's own vector environment, million steps per second) of `gymnasium.make_vec`.
 
@@ -111,10 +116,19 @@ def _sample(space: gym.Space) -> None:
 
 
 #: environments of the official table
-OFFICIAL = ("CartPole-v1", "Pendulum-v1", "Hopper-v5", "ISDSuspension-v0", "ISDHalfCar-v0", "ISDFullCar-v0")
+OFFICIAL = (
+    "CartPole-v1",
+    "Pendulum-v1",
+    "Hopper-v5",
+    "ISDSuspension-v0",
+    "ISDHalfCar-v0",
+    "ISDFullCar-v0",
+)
 
 
-def official(seconds_each: int = 1, repetitions: int = 5, cars: int = 1024) -> dict[str, dict[str, float]]:
+def official(
+    seconds_each: int = 1, repetitions: int = 5, cars: int = 1024
+) -> dict[str, dict[str, float]]:
     """Return figures of `gymnasium.utils.performance` by environment, medians of alternating repetitions.
 
     The functions read the processor time instead of the clock, so that other work on the machine counts little.
@@ -126,24 +140,37 @@ def official(seconds_each: int = 1, repetitions: int = 5, cars: int = 1024) -> d
     from gymnasium.utils import performance
 
     found: dict[str, dict[str, list[float]]] = {name: {} for name in OFFICIAL}
-    with mock.patch.object(performance, "time", SimpleNamespace(time=time.process_time)):
+    with mock.patch.object(
+        performance, "time", SimpleNamespace(time=time.process_time)
+    ):
         for _ in range(repetitions):
             for name in OFFICIAL:
                 one = gym.make(name)
                 rate = performance.benchmark_step(one, seconds_each, seed=0)
                 row = {"steps per second": rate, "step and sample [us]": 1e6 / rate}
-                row["sample [us]"] = 1e6 * seconds(partial(_sample, one.action_space)) / DRAWS
+                row["sample [us]"] = (
+                    1e6 * seconds(partial(_sample, one.action_space)) / DRAWS
+                )
                 if gym.spec(name).vector_entry_point is not None:
-                    many = gym.make_vec(name, cars, **({"threads": 1} if "ISD" in name else {}))
-                    row["vector [M/s]"] = performance.benchmark_vector_step(many, seconds_each, seed=0) / 1e6
+                    many = gym.make_vec(
+                        name, cars, **({"threads": 1} if "ISD" in name else {})
+                    )
+                    row["vector [M/s]"] = (
+                        performance.benchmark_vector_step(many, seconds_each, seed=0)
+                        / 1e6
+                    )
                     action = many.action_space.sample()
                     many.action_space.sample = lambda action=action: action
                     row["vector, constant action [M/s]"] = (
-                        performance.benchmark_vector_step(many, seconds_each, seed=0) / 1e6
+                        performance.benchmark_vector_step(many, seconds_each, seed=0)
+                        / 1e6
                     )
                 for key, value in row.items():
                     found[name].setdefault(key, []).append(value)
-    return {name: {k: float(np.median(v)) for k, v in rows.items()} for name, rows in found.items()}
+    return {
+        name: {k: float(np.median(v)) for k, v in rows.items()}
+        for name, rows in found.items()
+    }
 
 
 def threads(count: int = 8192, steps: int = 100) -> float:
@@ -185,7 +212,11 @@ def fresh() -> tuple[float, float]:
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
         out = subprocess.run(
-            [sys.executable, "-c", FRESH], env=environment, capture_output=True, text=True, check=True
+            [sys.executable, "-c", FRESH],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
         )
     first, more = (float(word) for word in out.stdout.split())
     return first, more
@@ -196,10 +227,14 @@ def hour() -> float:
     plant = Plant(Network.load("quarter-car-isd"))
     road = paper_road().heights(3600.0, rng=np.random.default_rng(0))
     inputs = {"road": road, "current": np.zeros(len(road))}
-    return min(seconds(lambda: plant.run(inputs, every=5, samples=720_001)) for _ in range(3))
+    return min(
+        seconds(lambda: plant.run(inputs, every=5, samples=720_001)) for _ in range(3)
+    )
 
 
-def trial(more: dict[str, object] | None, lanes: int = 30, steps: int = 10_000) -> tuple[float, float]:
+def trial(
+    more: dict[str, object] | None, lanes: int = 30, steps: int = 10_000
+) -> tuple[float, float]:
     """Milliseconds to make ready and to run what the diagnosis runs: one network a lane, their friction levels differ.
 
     The road is twice the paper's at 2 ms, the current a sine that drives the car into its stops now and then.
@@ -209,24 +244,33 @@ def trial(more: dict[str, object] | None, lanes: int = 30, steps: int = 10_000) 
     nets = [net.with_parameters({"seal.level": 300.0 + 10 * i}) for i in range(lanes)]
     time_ = np.arange(steps + 1) * 2e-3
     inputs = {
-        "road": 2 * paper_road().heights(steps * 2e-3, step=2e-3, rng=np.random.default_rng(0))[: steps + 1],
+        "road": 2
+        * paper_road().heights(steps * 2e-3, step=2e-3, rng=np.random.default_rng(0))[
+            : steps + 1
+        ],
         "current": 5.0 * np.sin(7.5 * time_),
     }
     plant = Plant(nets, 2e-3)
     plant.run(inputs, samples=steps + 1)  # compiled by now
     ready = min(seconds(lambda: Plant(nets, 2e-3)) for _ in range(5))
-    return 1e3 * ready, 1e3 * min(seconds(lambda: plant.run(inputs, samples=steps + 1)) for _ in range(3))
+    return 1e3 * ready, 1e3 * min(
+        seconds(lambda: plant.run(inputs, samples=steps + 1)) for _ in range(3)
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--official", action="store_true", help="Gymnasium's own functions")
+    parser.add_argument(
+        "--official", action="store_true", help="Gymnasium's own functions"
+    )
     given = parser.parse_args()
     file = given.json
     if given.official:
         for name, row in official().items():
-            print(f"{name:<18}", *(f"{key}: {value:.4g};" for key, value in row.items()))
+            print(
+                f"{name:<18}", *(f"{key}: {value:.4g};" for key, value in row.items())
+            )
         return
     idle, moving = batch("0"), batch("random")
     first, more = fresh()
@@ -236,7 +280,9 @@ def main() -> None:
         "  million steps per second": idle[1],
         "make_vec 1024 with random currents, over CartPole's own": moving[0],
         "  million steps per second, random": moving[1],
-        "make_vec 1024 on the end stops (5 A throughout), over CartPole's": batch("5")[0],
+        "make_vec 1024 on the end stops (5 A throughout), over CartPole's": batch("5")[
+            0
+        ],
         "make_vec 1024 on a class E road, over CartPole's": batch("0", road="E")[0],
         "make_vec 1024, body mass randomised, over CartPole's": batch(
             "0", randomize={"body.mass": (0.8, 1.2)}
@@ -258,8 +304,17 @@ def main() -> None:
     suspension = ["body", "wheel"]
     for name, more in {
         "no other law": None,
-        "hysteresis": {"type": "hysteresis", "between": suspension, "level": 200.0, "stiffness": 1e5},
-        "quadratic damping": {"type": "quadratic_damping", "between": suspension, "damping": 2000.0},
+        "hysteresis": {
+            "type": "hysteresis",
+            "between": suspension,
+            "level": 200.0,
+            "stiffness": 1e5,
+        },
+        "quadratic damping": {
+            "type": "quadratic_damping",
+            "between": suspension,
+            "damping": 2000.0,
+        },
     }.items():
         ready, run = trial(more)
         figures[f"30 lanes, {name}: made ready [ms]"] = ready

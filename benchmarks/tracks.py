@@ -62,9 +62,16 @@ def reward_threshold(card: dict[str, Any]) -> float:
 def run(words: list[str]) -> float:
     """Run a command of the program, and return its processor time [s]."""
     before = os.times()
-    subprocess.run([sys.executable, "-m", "isd_gym", *words], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, "-m", "isd_gym", *words], check=True, stdout=subprocess.DEVNULL
+    )
     after = os.times()
-    return after.children_user + after.children_system - before.children_user - before.children_system
+    return (
+        after.children_user
+        + after.children_system
+        - before.children_user
+        - before.children_system
+    )
 
 
 def make_card(environment: str, folder: Path) -> dict[str, float]:
@@ -74,17 +81,31 @@ def make_card(environment: str, folder: Path) -> dict[str, float]:
         track = TRACKS[name]
         if track.card == environment:
             files.append(folder / f"{track.name}.json")
-            spent[track.name] = run(["score", *policies, "--track", name, "--json", str(files[-1])])
+            spent[track.name] = run(
+                ["score", *policies, "--track", name, "--json", str(files[-1])]
+            )
             print(f"{environment}, {track.name}: {spent[track.name]:.0f} s", flush=True)
-    run(["card", *map(str, files), "--write", str(cards.BUILT_IN / f"{environment}.json")])
+    run(
+        [
+            "card",
+            *map(str, files),
+            "--write",
+            str(cards.BUILT_IN / f"{environment}.json"),
+        ]
+    )
     return spent
 
 
 def drive_robust(folder: Path, jobs: int) -> dict[str, float]:
     """Drive the robust track and keep its overall result; return the processor time [s]."""
-    spent = run(["sweep", "robust", "--out", str(folder / "robust"), "--jobs", str(jobs)])
+    spent = run(
+        ["sweep", "robust", "--out", str(folder / "robust"), "--jobs", str(jobs)]
+    )
     found = json.loads((folder / "robust" / "sweep.json").read_text(encoding="utf-8"))
-    kept = {k: found[k] for k in ("schema", "episodes", "seed", "duration", "overall", "missing")}
+    kept = {
+        k: found[k]
+        for k in ("schema", "episodes", "seed", "duration", "overall", "missing")
+    }
     kept["conditions"] = len(found["conditions"])
     ROBUST.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     print(f"robust: {spent:.0f} s", flush=True)
@@ -97,7 +118,9 @@ def main() -> None:
     )
     names = (*dict.fromkeys(TRACKS[name].card for name in POLICIES), "robust")
     parser.add_argument("--only", nargs="+", choices=names, default=names)
-    parser.add_argument("--jobs", type=int, default=1, help="processes of the robust track")
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="processes of the robust track"
+    )
     given = parser.parse_args()
     times = json.loads(TIMES.read_text(encoding="utf-8")) if TIMES.exists() else {}
     for name in given.only:
@@ -110,7 +133,9 @@ def main() -> None:
         TIMES.write_text(json.dumps(times, indent=1) + "\n", encoding="utf-8")
     for script in ("table.py", "results.py"):
         subprocess.run([sys.executable, str(ROOT / "docs" / script)], check=True)
-    thresholds = {name: reward_threshold(cards.load(name)) for name in REWARD_THRESHOLDS}
+    thresholds = {
+        name: reward_threshold(cards.load(name)) for name in REWARD_THRESHOLDS
+    }
     print(f"REWARD_THRESHOLDS = {json.dumps(thresholds)}")
 
 

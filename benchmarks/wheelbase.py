@@ -19,7 +19,15 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-POLICIES = ("isd-passive", "skyhook", "lqg", "mpc", "mpc-friction", "lqg-wheelbase", "mpc-wheelbase")
+POLICIES = (
+    "isd-passive",
+    "skyhook",
+    "lqg",
+    "mpc",
+    "mpc-friction",
+    "lqg-wheelbase",
+    "mpc-wheelbase",
+)
 BASE = "mpc-friction"
 KEPT = ("cost", "body_acceleration_rms", "pitch_acceleration_rms", "weighted_acceleration_rms", "tyre_load_rms",
         "suspension_travel_front_rms", "suspension_travel_rear_rms")  # fmt: skip
@@ -36,22 +44,38 @@ def entry(name: str, network: Any, speed: float) -> Any:
         return find(name, network)
     if name.endswith("-wheelbase"):
         return Entry(name, lambda: baselines.make(name, network, speed=speed))
-    return Entry(name, lambda: baselines.make(name, network, road_intensity=ROAD_INTENSITY * speed / 20.0))
+    return Entry(
+        name,
+        lambda: baselines.make(
+            name, network, road_intensity=ROAD_INTENSITY * speed / 20.0
+        ),
+    )
 
 
-def drive(network: Any, speed: float, episodes: int, seed: int, duration: float) -> dict[str, Any]:
+def drive(
+    network: Any, speed: float, episodes: int, seed: int, duration: float
+) -> dict[str, Any]:
     """Return the figures of all controllers at one speed."""
     from isd_gym.benchmark.scoring import compare, measures, score
 
     entries = [entry(name, network, speed) for name in POLICIES]
-    found = score(entries, network, speed=speed, episodes=episodes, seed=seed, duration=duration)
+    found = score(
+        entries, network, speed=speed, episodes=episodes, seed=seed, duration=duration
+    )
     base = measures(found.runs[BASE], found.cost)["cost"][0]
     rows = {}
     for row in found.policies:
         name = row["policy"]
-        against = compare("cost", measures(found.runs[name], found.cost)["cost"][0], base, "-")
-        rows[name] = {k: row[k] for k in KEPT if k in row} | {f"cost_against_{BASE}": against}
-        rows[name] |= {"fallbacks": row["fallbacks"], "control_time": row["control_time"]}
+        against = compare(
+            "cost", measures(found.runs[name], found.cost)["cost"][0], base, "-"
+        )
+        rows[name] = {k: row[k] for k in KEPT if k in row} | {
+            f"cost_against_{BASE}": against
+        }
+        rows[name] |= {
+            "fallbacks": row["fallbacks"],
+            "control_time": row["control_time"],
+        }
     return {"speed": {"value": speed, "unit": "m/s"}, "policies": rows}
 
 
@@ -64,7 +88,11 @@ def bound(network: Any, speed: float) -> dict[str, Any] | None:
         found = wheelbase_bound(network, speed=speed)
     except InputError:
         return None
-    return {"change": found.change, "change_without_rear_road": found.blind_change, "passive": found.passive}
+    return {
+        "change": found.change,
+        "change_without_rear_road": found.blind_change,
+        "passive": found.passive,
+    }
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -76,7 +104,9 @@ def main(argv: list[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--network", default="half-car-isd")
-    parser.add_argument("--speeds", type=float, nargs="+", default=[10.0, 15.0, 20.0, 25.0, 30.0])
+    parser.add_argument(
+        "--speeds", type=float, nargs="+", default=[10.0, 15.0, 20.0, 25.0, 30.0]
+    )
     parser.add_argument("--episodes", type=int, default=16)
     parser.add_argument("--seed", type=int, default=3000)
     parser.add_argument("--duration", type=float, default=20.0)
@@ -97,16 +127,24 @@ def main(argv: list[str] | None = None) -> None:
             continue
         begin = time.time()
         one = drive(network, speed, args.episodes, args.seed, args.duration)
-        one["preview"] = {"value": conditions["wheelbase"]["value"] / speed, "unit": "s"}
+        one["preview"] = {
+            "value": conditions["wheelbase"]["value"] / speed,
+            "unit": "s",
+        }
         one["lq_bound"] = bound(network, speed)
-        out["speeds"] = sorted([*out["speeds"], one], key=lambda row: row["speed"]["value"])
+        out["speeds"] = sorted(
+            [*out["speeds"], one], key=lambda row: row["speed"]["value"]
+        )
         args.json.write_text(json.dumps(out, indent=1) + "\n")
         for name, row in one["policies"].items():
             a, b = row["cost"], row[f"cost_against_{BASE}"]
             print(
                 f"{speed:g} m/s {name:15} J {a['value']:.4f} {_interval(a)} against passive, {_interval(b)} against {BASE}"
             )
-        print(f"{speed:g} m/s bound {one['lq_bound']}, {time.time() - begin:.0f} s", flush=True)
+        print(
+            f"{speed:g} m/s bound {one['lq_bound']}, {time.time() - begin:.0f} s",
+            flush=True,
+        )
 
 
 def _interval(q: dict[str, Any]) -> str:

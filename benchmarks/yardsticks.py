@@ -70,7 +70,9 @@ def _element(name: str, kind: str, node: str, **values: float) -> dict[str, Any]
     return {"name": name, "type": kind, "between": [node, "ground"], **values}
 
 
-def _channel(name: str, quantity: str, node: str, unit: str, **more: str) -> dict[str, Any]:
+def _channel(
+    name: str, quantity: str, node: str, unit: str, **more: str
+) -> dict[str, Any]:
     return {"name": name, "quantity": quantity, "at": node, "unit": unit, **more}
 
 
@@ -86,8 +88,14 @@ YARDSTICKS = {
                 _element("damper", "linear_damping", "mass", damping=2.3e-4),
             ],
             "inputs": [_channel("drive", "force", "mass", "N")],
-            "outputs": [_channel("position", "displacement", "mass", "m", offset="free")],
-            "uncertainty": {"mass.mass": 0.05, "spring.stiffness": 0.05, "damper.damping": 0.2},
+            "outputs": [
+                _channel("position", "displacement", "mass", "m", offset="free")
+            ],
+            "uncertainty": {
+                "mass.mass": 0.05,
+                "spring.stiffness": 0.05,
+                "damper.damping": 0.2,
+            },
         },
         ("test_multisine", "test_arrow_full", "test_arrow_no_extrapolation"),
         50,
@@ -101,7 +109,9 @@ YARDSTICKS = {
             "schema": "isd-model/1",
             "name": "emps",
             "masses": {"carriage": 95.0},
-            "elements": [_element("guide", "linear_damping", "carriage", damping=220.0)],
+            "elements": [
+                _element("guide", "linear_damping", "carriage", damping=220.0)
+            ],
             "inputs": [_channel("force", "force", "carriage", "N")],
             "outputs": [_channel("displacement", "displacement", "carriage", "m")],
             "uncertainty": {"carriage.mass": 0.1, "guide.damping": 0.5},
@@ -147,14 +157,21 @@ def download(folder: Path) -> None:
         count = len(next(iter(columns.values())))
         target = folder / path
         target.parent.mkdir(exist_ok=True)
-        write_table(target, Table(np.arange(count) * float(data.sampling_time), dict(columns), path))
+        write_table(
+            target,
+            Table(np.arange(count) * float(data.sampling_time), dict(columns), path),
+        )
 
     train, tests = nonlinear_benchmarks.Silverbox()
     names = YARDSTICKS["silverbox"].tests
     for name, data in zip(("train", *names), (train, *tests), strict=True):
         write(f"silverbox/{name}.csv", data, {"drive": data.u, "position": data.y})
     for name, data in zip(("train", "test"), nonlinear_benchmarks.EMPS(), strict=True):
-        write(f"emps/{name}.csv", data, {"force": DRIVE_GAIN * data.u, "displacement": data.y})
+        write(
+            f"emps/{name}.csv",
+            data,
+            {"force": DRIVE_GAIN * data.u, "displacement": data.y},
+        )
 
 
 def diagnose(yardstick: Yardstick, folder: Path, out: Path) -> tuple[float, float]:
@@ -171,8 +188,21 @@ def diagnose(yardstick: Yardstick, folder: Path, out: Path) -> tuple[float, floa
     model = out.with_suffix(".json")
     model.write_text(json.dumps(yardstick.model), encoding="utf-8")
     train = folder / yardstick.folder / "train.csv"
-    words = [sys.executable, "-m", "isd_gym", "diagnose", train, "--model", model, "--out", out]
-    start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    words = [
+        sys.executable,
+        "-m",
+        "isd_gym",
+        "diagnose",
+        train,
+        "--model",
+        model,
+        "--out",
+        out,
+    ]
+    start, before = (
+        time.perf_counter(),
+        resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime,
+    )
     subprocess.run(list(map(str, words)), check=True)
     used = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
     return time.perf_counter() - start, used
@@ -189,12 +219,20 @@ def free_run_error(network: Network, table: Table, window: int) -> np.ndarray:
     Returns:
         Errors (samples - window,).
     """
-    fixed = replace(network, outputs=tuple(replace(c, offset=None) for c in network.outputs))
-    head = Table(table.time[:window], {k: v[:window] for k, v in table.columns.items()}, table.source)
+    fixed = replace(
+        network, outputs=tuple(replace(c, offset=None) for c in network.outputs)
+    )
+    head = Table(
+        table.time[:window],
+        {k: v[:window] for k, v in table.columns.items()},
+        table.source,
+    )
     begun = initial_state(head, fixed)
     inputs = {c.name: table[c.name] for c in fixed.inputs}
     name = fixed.outputs[0].name
-    outputs = simulate(fixed, table.time, inputs, initial=begun.state, interpolation="auto")
+    outputs = simulate(
+        fixed, table.time, inputs, initial=begun.state, interpolation="auto"
+    )
     return np.asarray(table[name] - outputs[name])[window:]
 
 
@@ -204,7 +242,9 @@ def stretch_error(network: Network, table: Table, window: int) -> float:
     errors = []
     for first in range(0, len(table.time) - count + 1, count):
         own = slice(first, first + count)
-        part = Table(table.time[own], {k: v[own] for k, v in table.columns.items()}, table.source)
+        part = Table(
+            table.time[own], {k: v[own] for k, v in table.columns.items()}, table.source
+        )
         errors.append(free_run_error(network, part, window))
     return rms(np.concatenate(errors))
 
@@ -220,7 +260,9 @@ def force_error(network: Network, train: Path, test: Path) -> float:
     taps = np.ones(1) if filtered.taps is None else filtered.taps
     moved = {c.name: low_pass(record.inputs[c.name], taps) for c in network.moving}
     slopes = {name: differences(x, record.step) for name, x in moved.items()}
-    fixed = replace(network, outputs=tuple(replace(c, offset=None) for c in network.outputs))
+    fixed = replace(
+        network, outputs=tuple(replace(c, offset=None) for c in network.outputs)
+    )
     smooth = replace(record, inputs=dict(record.inputs) | moved, slopes=slopes)
     computed = low_pass(Problem(fixed, [smooth]).simulate([fixed], 0)[:, 0, 0], taps)
     measured = low_pass(record.measured[:, 0], taps)
@@ -232,8 +274,14 @@ def law_of(network: Network, yardstick: Yardstick) -> dict[str, Any]:
     """Return the static force between two nodes over their distance or their rate, for the picture."""
     pair, reach, plane, label = yardstick.picture
     axis = np.linspace(-reach, reach, 201)
-    here = [e for e in network.elements if e.place == "between" and set(e.where) == set(pair)]
-    force = np.sum([e.curve(axis) for e in here if e.plane == plane and any(e.curve(axis))], axis=0)
+    here = [
+        e
+        for e in network.elements
+        if e.place == "between" and set(e.where) == set(pair)
+    ]
+    force = np.sum(
+        [e.curve(axis) for e in here if e.plane == plane and any(e.curve(axis))], axis=0
+    )
     return {"axis": axis.tolist(), "force": force.tolist(), "label": label}
 
 
@@ -264,9 +312,13 @@ def measure(name: str, folder: Path, out: Path) -> dict[str, Any]:
             table = read_table(path)
             figures[test] = y.factor * rms(free_run_error(network, table, y.window))
             if name == "emps":
-                figures["test, stretches of 1 s"] = y.factor * stretch_error(network, table, y.window)
+                figures["test, stretches of 1 s"] = y.factor * stretch_error(
+                    network, table, y.window
+                )
         else:
-            figures[test] = y.factor * force_error(network, folder / y.folder / "train.csv", path)
+            figures[test] = y.factor * force_error(
+                network, folder / y.folder / "train.csv", path
+            )
     return {
         "unit": y.unit,
         "verdict": said["verdict"],
@@ -287,10 +339,16 @@ if __name__ == "__main__":
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", nargs="?", type=Path)
-    parser.add_argument("--only", nargs="+", choices=list(YARDSTICKS), default=list(YARDSTICKS))
+    parser.add_argument(
+        "--only", nargs="+", choices=list(YARDSTICKS), default=list(YARDSTICKS)
+    )
     parser.add_argument("--json", type=Path, default=JSON)
     given = parser.parse_args()
-    found = json.loads(given.json.read_text(encoding="utf-8")) if given.json.exists() else {}
+    found = (
+        json.loads(given.json.read_text(encoding="utf-8"))
+        if given.json.exists()
+        else {}
+    )
     with tempfile.TemporaryDirectory() as temporary:
         records = given.folder or Path(temporary)
         if given.folder is None:

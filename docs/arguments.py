@@ -33,8 +33,16 @@ def defaults(thing: griffe.Class) -> dict[str, str | None]:
     """Return the public fields of a dataclass with the text of their defaults."""
     out = {}
     for name, field in thing.members.items():
-        is_field = field.is_attribute and field.annotation is not None and not name.startswith("_")
-        if is_field and "property" not in field.labels and f"{name}: ClassVar" not in thing.source:
+        is_field = (
+            field.is_attribute
+            and field.annotation is not None
+            and not name.startswith("_")
+        )
+        if (
+            is_field
+            and "property" not in field.labels
+            and f"{name}: ClassVar" not in thing.source
+        ):
             out[name] = None if field.value is None else str(field.value)
     return out
 
@@ -44,13 +52,20 @@ def describe_fields(thing: griffe.Class) -> None:
     assert thing.docstring is not None
     text, beside, fields = thing.docstring.value, comments(thing), defaults(thing)
     if beside and "Attributes:" not in text:
-        rows = [f"    {name}: {whole(beside[name]) if name in beside else '–'}" for name in fields]
-        prose, *rest = re.split(r"^(?=(?:Raises|References):$)", text, maxsplit=1, flags=re.MULTILINE)
+        rows = [
+            f"    {name}: {whole(beside[name]) if name in beside else '–'}"
+            for name in fields
+        ]
+        prose, *rest = re.split(
+            r"^(?=(?:Raises|References):$)", text, maxsplit=1, flags=re.MULTILINE
+        )
         text = "\n\n".join([prose.strip(), "\n".join(["Attributes:", *rows]), *rest])
     for name, default in fields.items():
         if default is not None and len(default) < 40:
             row = rf"(\n    {name}: .*(?:\n {{8,}}\S.*)*)"
-            text = re.sub(row, lambda m, d=default: f"{m[1]} (default `{d}`)", text, count=1)
+            text = re.sub(
+                row, lambda m, d=default: f"{m[1]} (default `{d}`)", text, count=1
+            )
     thing.docstring.value = text
 
 
@@ -68,7 +83,8 @@ class Arguments(griffe.Extension):
             if member.is_module or member.is_class:
                 self.walk(member, seen)
             is_dataclass = member.is_class and (
-                "dataclass" in member.labels or any("dataclass" in str(d.value) for d in member.decorators)
+                "dataclass" in member.labels
+                or any("dataclass" in str(d.value) for d in member.decorators)
             )
             if is_dataclass and member.docstring is not None:
                 describe_fields(member)

@@ -26,12 +26,27 @@ def _power(value: float) -> str:
 
 
 def times(found: dict[str, Any]) -> str:
-    heads = ["controller", "road", "own: median", "99.9 %", "cpu: median", "99.9 %", "wall: median", "99.9 %"]
+    heads = [
+        "controller",
+        "road",
+        "own: median",
+        "99.9 %",
+        "cpu: median",
+        "99.9 %",
+        "wall: median",
+        "99.9 %",
+    ]
     rows = []
     for label, row in found["steps"].items():
         name, road = label.rsplit(", road ", 1)
-        cells = [f"{row[k][q]:.3f}" for k in ("own", "cpu", "wall") for q in ("median", "p99_9")]
-        rows.append([f"`{name.split(',')[0]}`{name[len(name.split(',')[0]) :]}", road, *cells])
+        cells = [
+            f"{row[k][q]:.3f}"
+            for k in ("own", "cpu", "wall")
+            for q in ("median", "p99_9")
+        ]
+        rows.append(
+            [f"`{name.split(',')[0]}`{name[len(name.split(',')[0]) :]}", road, *cells]
+        )
     what = (
         f"Milliseconds per step, {next(iter(found['steps'].values()))['steps']} steps of seed {found['seed']}, {found['replays']} replays; "
         f"{found['machine']}, a machine that was busy with other work."
@@ -46,7 +61,9 @@ def solvers(found: dict[str, Any]) -> str:
         for name, s in case["solvers"].items():
             rows.append(
                 [
-                    f"{label}: {case['problems']} of {case['variables']} variables" if name == "osqp" else "",
+                    f"{label}: {case['problems']} of {case['variables']} variables"
+                    if name == "osqp"
+                    else "",
                     name,
                     *(f"{1e3 * s['own'][q]:.0f}" for q in ("median", "p99_9")),
                     _power(s["objective_error"]),
@@ -70,7 +87,9 @@ def robustness(found: dict[str, Any]) -> str:
     rows, wrong, commands, fallbacks = [], 0, 0, 0
     for condition in found["conditions"]:
         by = {row["policy"]: row for row in condition["policies"]}
-        rows.append([condition["name"], *(_signed(by[n]["cost"]["change"]) for n in names)])
+        rows.append(
+            [condition["name"], *(_signed(by[n]["cost"]["change"]) for n in names)]
+        )
         for row in by.values():
             counts = dict(row["commands"])
             commands += counts.pop("given")
@@ -89,10 +108,16 @@ def fill(page: str, folder: Path = ROOT / "benchmarks") -> str:
     """The page with every table between its marks."""
     for name, source in SOURCES.items():
         found = json.loads((folder / source).read_text(encoding="utf-8"))
-        start, end = f"<!-- {name}: python docs/controllers.py -->", f"<!-- end of {name} -->"
+        start, end = (
+            f"<!-- {name}: python docs/controllers.py -->",
+            f"<!-- end of {name} -->",
+        )
         text = f"{start}\n\n{globals()[name](found)}\n\n{end}"
         page, count = re.subn(
-            f"{re.escape(start)}.*?{re.escape(end)}", lambda _, t=text: t, page, flags=re.DOTALL
+            f"{re.escape(start)}.*?{re.escape(end)}",
+            lambda _, t=text: t,
+            page,
+            flags=re.DOTALL,
         )
         if count != 1:
             raise SystemExit(f"{PAGE.name}: no place for {name}")

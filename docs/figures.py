@@ -48,7 +48,12 @@ plt.rcParams.update(
 
 
 def save(figure: plt.Figure, name: str) -> None:
-    figure.savefig(HERE / f"{name}.svg", metadata={"Date": None}, bbox_inches="tight", facecolor="white")
+    figure.savefig(
+        HERE / f"{name}.svg",
+        metadata={"Date": None},
+        bbox_inches="tight",
+        facecolor="white",
+    )
     plt.close(figure)
 
 
@@ -83,14 +88,25 @@ def reports() -> None:
     from isd_gym.view import score_report, write_report
 
     with tempfile.TemporaryDirectory() as folder:
-        names = ("passive", "isd-passive", "skyhook", "lqg", "mpc", "mpc-friction", "ppo", "sac")
+        names = (
+            "passive",
+            "isd-passive",
+            "skyhook",
+            "lqg",
+            "mpc",
+            "mpc-friction",
+            "ppo",
+            "sac",
+        )
         result = score([find(n, CAR) for n in names], CAR, reference=passive(CAR))
         score_report(result, Path(folder) / "score")
         page = (HERE.parent / "tutorials" / "diagnose.md").read_text(encoding="utf-8")
         blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[:2]
         with contextlib.chdir(folder):
             exec("".join(blocks), {})  # the tutorial's own lines
-            found = diagnose(["run1.csv", "run2.csv"], "model.json", validate=["run3.csv"])
+            found = diagnose(
+                ["run1.csv", "run2.csv"], "model.json", validate=["run3.csv"]
+            )
         write_report(found, Path(folder) / "found")
         for kind, figure in (
             ("score", "trade_off"),
@@ -98,7 +114,9 @@ def reports() -> None:
             ("found", "time"),
             ("found", "plane"),
         ):
-            shutil.copy(Path(folder) / kind / f"{figure}.svg", HERE / f"{kind}_{figure}.svg")
+            shutil.copy(
+                Path(folder) / kind / f"{figure}.svg", HERE / f"{kind}_{figure}.svg"
+            )
 
 
 # --------------------------------------------------------------------------------------------- force test
@@ -115,7 +133,9 @@ def force_test() -> None:
         force = simulate(name, t, {"displacement": triangle})["force"]
         left.plot(t, force / 1e3, color=colour, label=text)
     left.set(xlabel="time [s]", ylabel="force [kN]", title="0.1 Hz triangle of ±10 mm")
-    left.axhspan(-0.5, 0.5, color=GREY, alpha=0.15, lw=0, label="Figure 6: ±0.5 kN square")
+    left.axhspan(
+        -0.5, 0.5, color=GREY, alpha=0.15, lw=0, label="Figure 6: ±0.5 kN square"
+    )
     left.legend(fontsize=7.5, loc="upper right")
     left.set_ylim(-8, 17)
     frequency = np.array([0.1, 0.2, 0.4, 0.7, 1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9, 10])
@@ -123,17 +143,26 @@ def force_test() -> None:
         size = []
         for f in frequency:
             tt = np.arange(0, 6 / f, 1 / (400 * f))
-            force = simulate(name, tt, {"displacement": 0.01 * np.sin(2 * np.pi * f * tt)}, step=5e-4)[
-                "force"
-            ]
+            force = simulate(
+                name, tt, {"displacement": 0.01 * np.sin(2 * np.pi * f * tt)}, step=5e-4
+            )["force"]
             kept = tt >= 3 / f
-            size.append(2 * np.abs(np.mean(force[kept] * np.exp(-2j * np.pi * f * tt[kept]))))
+            size.append(
+                2 * np.abs(np.mean(force[kept] * np.exp(-2j * np.pi * f * tt[kept])))
+            )
         right.loglog(frequency, np.array(size) / 1e3, "o-", ms=3, color=colour)
     right.loglog(
-        frequency, 95 * (2 * np.pi * frequency) ** 2 * 0.01 / 1e3, color=GREY, ls="--", label="ideal inerter"
+        frequency,
+        95 * (2 * np.pi * frequency) ** 2 * 0.01 / 1e3,
+        color=GREY,
+        ls="--",
+        label="ideal inerter",
     )
     right.set(
-        xlabel="frequency [Hz]", ylabel="force, fundamental [kN]", title="sines of 10 mm", ylim=(0.05, 30)
+        xlabel="frequency [Hz]",
+        ylabel="force, fundamental [kN]",
+        title="sines of 10 mm",
+        ylim=(0.05, 30),
     )
     right.legend(fontsize=7.5)
     fig.tight_layout()
@@ -155,7 +184,9 @@ def sticking() -> None:
     fig, (a, b) = plt.subplots(2, 1, figsize=(7.2, 3.2), sharex=True)
     stuck = np.abs(out["rate"]) < 1e-6
     share = stuck.mean()
-    moving = np.convolve(~stuck, np.ones(2000), "valid")  # the two seconds with most sliding
+    moving = np.convolve(
+        ~stuck, np.ones(2000), "valid"
+    )  # the two seconds with most sliding
     part = slice(int(np.argmax(moving)), int(np.argmax(moving)) + 2000, 4)
     a.plot(t[part], 1e3 * out["rate"][part], color=BLUE)
     a.set(ylabel="device rate\n[mm/s]")
@@ -165,7 +196,14 @@ def sticking() -> None:
         b.axhline(y, color=GREY, lw=0.8, ls="--")
     for ax in (a, b):
         ax.fill_between(
-            t[part], 0, 1, where=stuck[part], transform=ax.get_xaxis_transform(), color=GREY, alpha=0.13, lw=0
+            t[part],
+            0,
+            1,
+            where=stuck[part],
+            transform=ax.get_xaxis_transform(),
+            color=GREY,
+            alpha=0.13,
+            lw=0,
         )
     a.set_title(
         f"no current, the paper's road: the device sticks (grey) {100 * share:.0f} % of a minute; its liveliest 2 s"
@@ -185,12 +223,25 @@ def roads() -> None:
     for letter, colour in zip("ABCD", (GREEN, BLUE, ORANGE, RED), strict=True):
         ax.loglog(n, iso_road(letter).psd(n), color=colour, label=f"class {letter}")
     rng, step = np.random.default_rng(0), 1e-3
-    z = np.concatenate([paper_road().heights(100.0, speed=20.0, step=step, rng=rng) for _ in range(8)])
+    z = np.concatenate(
+        [paper_road().heights(100.0, speed=20.0, step=step, rng=rng) for _ in range(8)]
+    )
     z = z.reshape(8, -1)
     f, s = welch(z, 1 / (20.0 * step), nperseg=20000, axis=1)
     keep = np.unique(np.searchsorted(f, np.logspace(-1.7, 0.99, 150)))
-    ax.loglog(f[keep], s.mean(axis=0)[keep], color=GREY, lw=0.8, alpha=0.9, label="paper, 8 drives of 2 km")
-    ax.set(xlabel="spatial frequency [cycle/m]", ylabel="PSD of height [m³]", xlim=(0.01, 10))
+    ax.loglog(
+        f[keep],
+        s.mean(axis=0)[keep],
+        color=GREY,
+        lw=0.8,
+        alpha=0.9,
+        label="paper, 8 drives of 2 km",
+    )
+    ax.set(
+        xlabel="spatial frequency [cycle/m]",
+        ylabel="PSD of height [m³]",
+        xlim=(0.01, 10),
+    )
     ax.legend(fontsize=7.5)
     save(fig, "roads")
 
@@ -209,13 +260,24 @@ def response() -> None:
             {"seal": 4 * 500 / (np.pi * 0.05)},
             RED,
         ),
-        ("ISD without friction", CAR.with_parameters({"seal.level": 0.0}), {"seal": 0.0}, BLUE),
+        (
+            "ISD without friction",
+            CAR.with_parameters({"seal.level": 0.0}),
+            {"seal": 0.0},
+            BLUE,
+        ),
     )
     for label, net, damping, colour in kinds:
         ss = linearise(net, damping=damping)
-        h = ss.response(f)[:, ss.outputs.index("body_acceleration"), ss.inputs.index("road")]
+        h = ss.response(f)[
+            :, ss.outputs.index("body_acceleration"), ss.inputs.index("road")
+        ]
         ax.loglog(f, np.abs(h) / (2 * np.pi * f), color=colour, label=label)
-    ax.set(xlabel="frequency [Hz]", ylabel="body acceleration / road velocity [1/s]", xlim=(f[0], f[-1]))
+    ax.set(
+        xlabel="frequency [Hz]",
+        ylabel="body acceleration / road velocity [1/s]",
+        xlim=(f[0], f[-1]),
+    )
     ax.legend(fontsize=7.5)
     save(fig, "response")
 
@@ -245,13 +307,21 @@ def show() -> None:
     frames: dict[str, tuple[tuple[str, ...], str, float, tuple[int, int], str]] = {
         "show": (("mpc", "passive"), "quarter-car-isd", 8.0, (1000, 560), "paper"),
         "show-half-car": (("mpc-friction",), "half-car-isd", 1.1, (960, 560), "C+bump"),
-        "show-full-car": (("mpc-friction",), "full-car-isd", 1.1, (960, 560), "C+bump-right"),
+        "show-full-car": (
+            ("mpc-friction",),
+            "full-car-isd",
+            1.1,
+            (960, 560),
+            "C+bump-right",
+        ),
     }
     for name, (policies, network, seconds, (width, height), ground) in frames.items():
         drawn = Renderer("rgb_array", width=width, height=height, cars=len(policies))
         plant = Network.load(network)
         entries = [find(policy, plant) for policy in policies]
-        for k, shots in enumerate(snapshots(entries, plant, seconds=seconds, road=ground)):
+        for k, shots in enumerate(
+            snapshots(entries, plant, seconds=seconds, road=ground)
+        ):
             if k % 4 == 0:
                 frame = drawn.draw(*shots)
         drawn.close()
@@ -260,14 +330,26 @@ def show() -> None:
 
 #: film -> policies, network and what else `isd-gym show` is told; the gallery says the same
 FILMS: dict[str, tuple[tuple[str, ...], str, dict[str, Any]]] = {
-    "pair-bump": (("mpc-friction", "lqg"), "quarter-car-isd", {"road": "C+bump", "seconds": 4.0}),
+    "pair-bump": (
+        ("mpc-friction", "lqg"),
+        "quarter-car-isd",
+        {"road": "C+bump", "seconds": 4.0},
+    ),
     "preview": (
         ("mpc-friction-preview", "mpc-friction"),
         "quarter-car-isd",
         {"road": "C+pothole", "seconds": 4.0, "preview": 0.2},
     ),
-    "half-car-bump": (("mpc-friction", "passive"), "half-car-isd", {"road": "C+bump", "seconds": 3.0}),
-    "full-car-bump": (("mpc-friction",), "full-car-isd", {"road": "C+bump-right", "seconds": 3.0}),
+    "half-car-bump": (
+        ("mpc-friction", "passive"),
+        "half-car-isd",
+        {"road": "C+bump", "seconds": 3.0},
+    ),
+    "full-car-bump": (
+        ("mpc-friction",),
+        "full-car-isd",
+        {"road": "C+bump-right", "seconds": 3.0},
+    ),
 }
 
 
@@ -284,8 +366,23 @@ def films() -> None:
             raw = Path(folder) / f"{name}.mp4"
             plant, drive = Network.load(network), dict(drive)
             ahead = {"preview": drive.pop("preview")} if "preview" in drive else {}
-            film([find(policy, plant, **ahead) for policy in policies], plant, raw, **drive)
-            small = ["-vf", "scale=800:-2", "-r", "25", "-crf", "33", "-preset", "veryslow", "-an"]
+            film(
+                [find(policy, plant, **ahead) for policy in policies],
+                plant,
+                raw,
+                **drive,
+            )
+            small = [
+                "-vf",
+                "scale=800:-2",
+                "-r",
+                "25",
+                "-crf",
+                "33",
+                "-preset",
+                "veryslow",
+                "-an",
+            ]
             args = [
                 get_ffmpeg_exe(),
                 "-y",
@@ -311,7 +408,10 @@ def preview() -> None:
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in families}
     bounds = []
     for track in card["tracks"]:
-        rows = {r["policy"]: r["cost"]["change"] for r in cards.ranking(card, track["track"])}
+        rows = {
+            r["policy"]: r["cost"]["change"]
+            for r in cards.ranking(card, track["track"])
+        }
         ahead = max(p["preview"] for p in track["policies"].values())
         for name, stem in families.items():
             for policy in (stem, f"{stem}-preview", f"{stem}-preview-{ahead:g}"):
@@ -319,14 +419,23 @@ def preview() -> None:
                     found[name].append((ahead, 100 * rows[policy]))
         plant = Network.load(track["network"])
         bound = known(
-            plant, road(track["road"]), track["speed"]["value"], track["duration"]["value"], preview=ahead
+            plant,
+            road(track["road"]),
+            track["speed"]["value"],
+            track["duration"]["value"],
+            preview=ahead,
         )
         if bound:
             bounds.append((ahead, 100 * bound["change"]))
     figure, axes = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
     for (name, points), mark in zip(found.items(), "s^o", strict=True):
         axes.plot(*zip(*sorted(points), strict=True), marker=mark, label=name)
-    axes.plot(*zip(*sorted(bounds), strict=True), color="0.4", linestyle="--", label="ceiling (searched)")
+    axes.plot(
+        *zip(*sorted(bounds), strict=True),
+        color="0.4",
+        linestyle="--",
+        label="ceiling (searched)",
+    )
     axes.set(xlabel="road ahead [s]", ylabel="J against the passive car [%]")
     axes.legend()
     save(figure, "preview")
@@ -342,7 +451,9 @@ def measured() -> None:
         print("no records of EMPS: its figure stays")
         return
     found = diagnose(
-        [records / "estimation.csv"], records / "model.json", validate=[records / "validation.csv"]
+        [records / "estimation.csv"],
+        records / "model.json",
+        validate=[records / "validation.csv"],
     )
     with tempfile.TemporaryDirectory() as folder:
         write_report(found, Path(folder))
@@ -351,7 +462,9 @@ def measured() -> None:
 
 def yardsticks() -> None:
     """The completed laws of the official benchmarks."""
-    found = json.loads((HERE.parents[1] / "benchmarks" / "yardsticks.json").read_text(encoding="utf-8"))
+    found = json.loads(
+        (HERE.parents[1] / "benchmarks" / "yardsticks.json").read_text(encoding="utf-8")
+    )
     fig, axes = plt.subplots(1, 2, figsize=(7, 2.6), layout="constrained")
     spring, friction = found["silverbox"]["law"], found["emps"]["law"]
     x, force = np.array(spring["axis"]), np.array(spring["force"])
@@ -360,9 +473,17 @@ def yardsticks() -> None:
     axes[0].plot(x, linear * x, color=GREY, ls="--", label="linear part")
     axes[0].set(xlabel=spring["label"], ylabel="spring force", title="Silverbox")
     axes[0].legend()
-    axes[1].plot(friction["axis"], friction["force"], color=BLUE, label="from force to motion")
+    axes[1].plot(
+        friction["axis"], friction["force"], color=BLUE, label="from force to motion"
+    )
     other = found["emps-inverse"]["law"]
-    axes[1].plot(other["axis"], other["force"], color=ORANGE, ls="--", label="from motion to force")
+    axes[1].plot(
+        other["axis"],
+        other["force"],
+        color=ORANGE,
+        ls="--",
+        label="from motion to force",
+    )
     axes[1].set(xlabel=friction["label"], ylabel="friction [N]", title="EMPS")
     axes[1].legend()
     save(fig, "yardsticks")
@@ -384,7 +505,9 @@ def see_through(file: Path) -> None:
     if picture.getextrema()[3][0] < 255:
         return
     rgb = np.asarray(picture, float)[..., :3] / 255
-    alpha = 1 - rgb.min(axis=2, keepdims=True)  # the least ink that gives this colour on white
+    alpha = 1 - rgb.min(
+        axis=2, keepdims=True
+    )  # the least ink that gives this colour on white
     ink = np.where(alpha > 0, 1 - (1 - rgb) / np.maximum(alpha, 1e-3), 0.0)
     pixels = np.concatenate([ink, alpha], axis=2).clip(0, 1)
     drawn = Image.fromarray(np.rint(255 * pixels).astype(np.uint8))  # RGBA

@@ -57,7 +57,9 @@ def on_page_markdown(markdown, page, config, files):
 def on_page_content(content, page, config, files):
     def formula(match: re.Match) -> str:
         inline, block = match.groups()
-        return convert(html.unescape(inline or block), display="inline" if inline else "block")
+        return convert(
+            html.unescape(inline or block), display="inline" if inline else "block"
+        )
 
     return FORMULA.sub(formula, content)
 
@@ -69,7 +71,9 @@ def commands() -> str:
     names = [c.name or c.callback.__name__ for c in app.registered_commands]
     parts = []
     for name in names:
-        done = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "96", "TERMINAL_WIDTH": "96"})
+        done = CliRunner().invoke(
+            app, [name, "--help"], env={"COLUMNS": "96", "TERMINAL_WIDTH": "96"}
+        )
         text = done.stdout.replace("Usage: root", "Usage: isd-gym").strip()
         parts.append(f"## isd-gym {name}\n\n```text\n{text}\n```\n")
     return "\n".join(parts)

@@ -42,13 +42,21 @@ def model_schema() -> dict[str, Any]:
                 "description": "mass [kg] of each node that has one",
                 "type": "object",
                 "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
-                "additionalProperties": {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1]},
+                "additionalProperties": {
+                    "type": "number",
+                    "minimum": MASSES[0],
+                    "maximum": MASSES[1],
+                },
             },
             "inertias": {
                 "description": "moment of inertia [kg m^2] of each node that turns and has one",
                 "type": "object",
                 "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
-                "additionalProperties": {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1]},
+                "additionalProperties": {
+                    "type": "number",
+                    "minimum": MASSES[0],
+                    "maximum": MASSES[1],
+                },
             },
             "bodies": {
                 "description": "rigid bodies by name: the name is the node at the centre of gravity, every point a node that "
@@ -72,7 +80,10 @@ def model_schema() -> dict[str, Any]:
                     # validation follows one branch, so that an error names the wrong key
                     "allOf": [
                         {
-                            "if": {"properties": {"type": {"const": kind}}, "required": ["type"]},
+                            "if": {
+                                "properties": {"type": {"const": kind}},
+                                "required": ["type"],
+                            },
                             "then": {"$ref": f"#/$defs/{kind}"},
                         }
                         for kind in types
@@ -85,7 +96,11 @@ def model_schema() -> dict[str, Any]:
                 "description": "relative one-sigma of a parameter, by its path ('body.mass', 'oil.stiffness')",
                 "type": "object",
                 "propertyNames": {"pattern": r"^.+\..+$"},
-                "additionalProperties": {"type": "number", "minimum": 0, "maximum": 100},
+                "additionalProperties": {
+                    "type": "number",
+                    "minimum": 0,
+                    "maximum": 100,
+                },
             },
         },
         "$defs": {
@@ -111,7 +126,12 @@ def _body() -> dict[str, Any]:
     """Return the schema of a rigid body."""
     from isd_gym.physics.network._bodies import AXES, FARTHEST, MASSES
 
-    inertia = {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1], "description": "[kg m^2]"}
+    inertia = {
+        "type": "number",
+        "minimum": MASSES[0],
+        "maximum": MASSES[1],
+        "description": "[kg m^2]",
+    }
     place = {"type": "number", "minimum": -FARTHEST, "maximum": FARTHEST}
     return {
         "description": "a mass that turns about the axes for which it has an inertia",
@@ -119,7 +139,12 @@ def _body() -> dict[str, Any]:
         "required": ["mass"],
         "additionalProperties": False,
         "properties": {
-            "mass": {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1], "description": "[kg]"},
+            "mass": {
+                "type": "number",
+                "minimum": MASSES[0],
+                "maximum": MASSES[1],
+                "description": "[kg]",
+            },
             "inertia": {
                 "type": "object",
                 "additionalProperties": False,
@@ -132,8 +157,10 @@ def _body() -> dict[str, Any]:
                     "type": "object",
                     "additionalProperties": False,
                     "properties": {
-                        "x": place | {"description": "[m] in front of the centre of gravity"},
-                        "y": place | {"description": "[m] to the left of the centre of gravity"},
+                        "x": place
+                        | {"description": "[m] in front of the centre of gravity"},
+                        "y": place
+                        | {"description": "[m] to the left of the centre of gravity"},
                     },
                 },
             },
@@ -153,7 +180,10 @@ def _lever() -> dict[str, Any]:
         "additionalProperties": False,
         "properties": {
             "name": {"$ref": "#/$defs/name"},
-            "between": {"$ref": "#/$defs/pair", "not": {"contains": {"const": "ground"}}},
+            "between": {
+                "$ref": "#/$defs/pair",
+                "not": {"contains": {"const": "ground"}},
+            },
             "ratio": {"anyOf": [size, opposite]},
             "unit": {"enum": list(LEVER_UNITS)},
         },
@@ -164,12 +194,18 @@ def _about(quantities: tuple[str, ...], more: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of a channel about an axis of a body."""
     from isd_gym.physics.network._bodies import AXES
 
-    return _channel({"body": {"$ref": "#/$defs/name"}, "axis": {"enum": list(AXES)}}, quantities, more)
+    return _channel(
+        {"body": {"$ref": "#/$defs/name"}, "axis": {"enum": list(AXES)}},
+        quantities,
+        more,
+    )
 
 
 def _element(cls: type) -> dict[str, Any]:
     """Return the schema of an element: its place, and each parameter with unit, limits and plausible range."""
-    place = {"$ref": "#/$defs/pair"} if cls.place == "between" else {"$ref": "#/$defs/name"}  # type: ignore[attr-defined]
+    place = (
+        {"$ref": "#/$defs/pair"} if cls.place == "between" else {"$ref": "#/$defs/name"}
+    )  # type: ignore[attr-defined]
     properties: dict[str, Any] = {
         "name": {"$ref": "#/$defs/name"},
         "type": {"const": cls.type},  # type: ignore[attr-defined]
@@ -181,11 +217,16 @@ def _element(cls: type) -> dict[str, Any]:
             continue
         if "unit" in f.metadata:
             low, high = f.metadata["range"]
-            spec: dict[str, Any] = {"type": "number", "description": f"[{f.metadata['unit']}]"}
+            spec: dict[str, Any] = {
+                "type": "number",
+                "description": f"[{f.metadata['unit']}]",
+            }
             if math.isfinite(low) and math.isfinite(high):
                 spec["description"] += f", usually {low:g} to {high:g}"
             if math.isfinite(f.metadata["minimum"]):
-                spec["exclusiveMinimum" if f.metadata["open"] else "minimum"] = f.metadata["minimum"]
+                spec["exclusiveMinimum" if f.metadata["open"] else "minimum"] = (
+                    f.metadata["minimum"]
+                )
             else:
                 spec["minimum"] = -f.metadata["maximum"]
             spec["maximum"] = f.metadata["maximum"]
@@ -193,12 +234,20 @@ def _element(cls: type) -> dict[str, Any]:
             row = {"type": "array", "items": {"type": "number"}}
             spec = {"description": f"[{f.metadata['knots']}]", **row}
             if f.metadata["knots"] == "N":
-                spec = {"description": "[N]", "type": "array", "items": {"anyOf": [{"type": "number"}, row]}}
+                spec = {
+                    "description": "[N]",
+                    "type": "array",
+                    "items": {"anyOf": [{"type": "number"}, row]},
+                }
                 required.append(f.name)
         elif f.name in cls.choices:  # type: ignore[attr-defined]
             spec = {"enum": list(cls.choices[f.name])}  # type: ignore[attr-defined]
         else:
-            named = "an element whose force is the load" if cls.loaded else "an input that acts on no node"  # type: ignore[attr-defined]
+            named = (
+                "an element whose force is the load"
+                if cls.loaded
+                else "an input that acts on no node"
+            )  # type: ignore[attr-defined]
             spec = {"type": "string", "description": f"name of {named}"}
         if f.default is MISSING:
             required.append(f.name)
@@ -223,7 +272,9 @@ def _units(quantity: str) -> list[str]:
     return own + [spelling for spelling, unit in _SPELLINGS.items() if unit in own]
 
 
-def _channel(place: dict[str, Any], quantities: tuple[str, ...], more: dict[str, Any]) -> dict[str, Any]:
+def _channel(
+    place: dict[str, Any], quantities: tuple[str, ...], more: dict[str, Any]
+) -> dict[str, Any]:
     """Return the schema of a channel of one of `quantities` at `place`."""
     return {
         "type": "object",
@@ -248,7 +299,12 @@ def _channel(place: dict[str, Any], quantities: tuple[str, ...], more: dict[str,
 
 def _input() -> dict[str, Any]:
     name, no_offset = {"$ref": "#/$defs/name"}, {"offset": {"const": "none"}}
-    road = {"measured": {"type": "boolean", "description": "false: a displacement that nobody measures"}}
+    road = {
+        "measured": {
+            "type": "boolean",
+            "description": "false: a displacement that nobody measures",
+        }
+    }
     return {
         "description": "a displacement, velocity or acceleration moves its node (angles where it turns); a force or torque "
         "acts at it; a current or voltage drives a motor; a temperature, pressure or speed without a place is what coefficients "

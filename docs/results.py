@@ -95,12 +95,17 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], align: str) ->
 
 def card_rows(track: str = "standard") -> dict[str, dict[str, Any]]:
     """The rows of the shipped card by policy."""
-    return {row["policy"]: row for row in cards.ranking(cards.load("ISDSuspension-v0"), track)}
+    return {
+        row["policy"]: row
+        for row in cards.ranking(cards.load("ISDSuspension-v0"), track)
+    }
 
 
 def change_of(quantity: dict[str, Any]) -> str:
     """The change against the passive car with its interval."""
-    return f"{percent(quantity['change'])} {interval(quantity['low'], quantity['high'])}"
+    return (
+        f"{percent(quantity['change'])} {interval(quantity['low'], quantity['high'])}"
+    )
 
 
 def headline() -> str:
@@ -118,7 +123,13 @@ def headline() -> str:
                 f"{1e3 * row['suspension_travel_rms']['value']:.2f} mm",
             ]
         )
-    heads = ["controller", "J", "change against `passive` [95 % interval]", "acceleration", "travel"]
+    heads = [
+        "controller",
+        "J",
+        "change against `passive` [95 % interval]",
+        "acceleration",
+        "travel",
+    ]
     return markdown(heads, body, "lrrrr")
 
 
@@ -129,8 +140,16 @@ def scores() -> str:
         if name == "passive":
             continue
         names = ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
-        body.append([f"`{name}`", change_of(row["cost"]), *(percent(row[n]["change"]) for n in names)])
-    return markdown(["policy", "J", "acceleration", "travel", "tyre load"], body, "lrrrr")
+        body.append(
+            [
+                f"`{name}`",
+                change_of(row["cost"]),
+                *(percent(row[n]["change"]) for n in names),
+            ]
+        )
+    return markdown(
+        ["policy", "J", "acceleration", "travel", "tyre load"], body, "lrrrr"
+    )
 
 
 def ceilings() -> str:
@@ -147,7 +166,12 @@ def ceilings() -> str:
                 f"{percent(found['proven_without_stops'])} ± {100 * found['proven_standard_error']:.1f} %",
             ]
         )
-    heads = ["road ahead", "roads", "ceiling (searched)", "proven bound, without end stops"]
+    heads = [
+        "road ahead",
+        "roads",
+        "ceiling (searched)",
+        "proven bound, without end stops",
+    ]
     return markdown(heads, body, "lrrr")
 
 
@@ -155,12 +179,24 @@ def steps() -> str:
     """Time per step of the controllers on the paper's road."""
     found = stored("mpc.json")["steps"]
     body = []
-    for label in ("lqg", "mpc-paper, horizon 20", "mpc", "mpc-friction", "mpc-friction-preview"):
+    for label in (
+        "lqg",
+        "mpc-paper, horizon 20",
+        "mpc",
+        "mpc-friction",
+        "mpc-friction-preview",
+    ):
         row = found[f"{label}, road paper"]
         name, comma, rest = label.partition(",")
-        times = [f"{row[k][q]:.3f} ms" for k in ("own", "cpu") for q in ("median", "p99_9")]
+        times = [
+            f"{row[k][q]:.3f} ms" for k in ("own", "cpu") for q in ("median", "p99_9")
+        ]
         body.append([f"`{name}`{comma}{rest}", *times])
-    return markdown(["controller", "own: median", "99.9 %", "processor: median", "99.9 %"], body, "lrrrr")
+    return markdown(
+        ["controller", "own: median", "99.9 %", "processor: median", "99.9 %"],
+        body,
+        "lrrrr",
+    )
 
 
 def half_car() -> str:
@@ -176,9 +212,20 @@ def half_car() -> str:
     for row in found["policies"]:
         if row["policy"] != "passive":
             body.append(
-                [f"`{row['policy']}`", change_of(row["cost"]), *(percent(row[n]["change"]) for n in names)]
+                [
+                    f"`{row['policy']}`",
+                    change_of(row["cost"]),
+                    *(percent(row[n]["change"]) for n in names),
+                ]
             )
-    heads = ["policy", "J", "vertical acceleration", "pitch acceleration", "travel front", "travel rear"]
+    heads = [
+        "policy",
+        "J",
+        "vertical acceleration",
+        "pitch acceleration",
+        "travel front",
+        "travel rear",
+    ]
     return markdown(heads, body, "lrrrrr")
 
 
@@ -209,11 +256,26 @@ def pulling() -> str:
     found = stored("rough-roads.json")["shares"]
     speeds = sorted({row["speed"] for row in found})
     body = []
-    for name in ("quarter-car-passive", "quarter-car-isd", "half-car-isd", "full-car-isd"):
+    for name in (
+        "quarter-car-passive",
+        "quarter-car-isd",
+        "half-car-isd",
+        "full-car-isd",
+    ):
         for road in ("C", "D", "E"):
-            share = {r["speed"]: r["share"] for r in found if (r["network"], r["road"]) == (name, road)}
-            body.append([f"`{name}`", road, *(f"{100 * share[speed]:.2f}" for speed in speeds)])
-    return markdown(["car", "class", *(f"{v:g} m/s" for v in speeds)], body, "ll" + "r" * len(speeds))
+            share = {
+                r["speed"]: r["share"]
+                for r in found
+                if (r["network"], r["road"]) == (name, road)
+            }
+            body.append(
+                [f"`{name}`", road, *(f"{100 * share[speed]:.2f}" for speed in speeds)]
+            )
+    return markdown(
+        ["car", "class", *(f"{v:g} m/s" for v in speeds)],
+        body,
+        "ll" + "r" * len(speeds),
+    )
 
 
 def lift_off() -> str:
@@ -221,15 +283,24 @@ def lift_off() -> str:
     found = stored("rough-roads.json")
     body = []
     for row in found["effects"]:
-        change = {k: v / row["lifts_off"][k] - 1 for k, v in row["linear"].items() if k != "share"}
+        change = {
+            k: v / row["lifts_off"][k] - 1
+            for k, v in row["linear"].items()
+            if k != "share"
+        }
         body.append(
             [
                 f"`{row['network']}`",
                 row["road"],
-                *(percent(round(change[k], 4) + 0.0, 2) for k in ("cost", "acceleration", "tyre_load")),
+                *(
+                    percent(round(change[k], 4) + 0.0, 2)
+                    for k in ("cost", "acceleration", "tyre_load")
+                ),
             ]
         )
-    return markdown(["car", "road, 20 m/s", "J", "acceleration", "tyre load"], body, "llrrr")
+    return markdown(
+        ["car", "road, 20 m/s", "J", "acceleration", "tyre load"], body, "llrrr"
+    )
 
 
 # ----------------------------------------------------------------------------------------------------- tracks
@@ -255,7 +326,9 @@ def bound_of(track: Track) -> str:
     if track.card == "ISDHalfCar-v0":
         speeds = stored("wheelbase.json")["speeds"]
         (found,) = (s["lq_bound"] for s in speeds if s["speed"]["value"] == 20.0)
-        return f"{percent(found['change'])} linear-quadratic, without friction and limits"
+        return (
+            f"{percent(found['change'])} linear-quadratic, without friction and limits"
+        )
     return "not known"
 
 
@@ -266,7 +339,9 @@ def least_change(track: Track) -> str:
     how = {"speed": track.speed, "road": track.road}
     base = lq_bounds.reference(track.network, **how)
     weights = np.array([*StageCost().quadratic[:2], 0.0]) * base**2
-    point = np.array(lq_bounds.lq_bound(track.network, **how, weights=tuple(weights)).triple)
+    point = np.array(
+        lq_bounds.lq_bound(track.network, **how, weights=tuple(weights)).triple
+    )
     return percent(float(weights @ (point / base) ** 2 / weights.sum() - 1.0))
 
 
@@ -277,7 +352,9 @@ def each_road(card_name: str) -> str:
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for name, track in on.items():
         files = sorted((BENCHMARKS / "entries").glob(f"{name}-*.json"))
-        for row in cards.ranking(card, track.name, [cards.read_score(file) for file in files]):
+        for row in cards.ranking(
+            card, track.name, [cards.read_score(file) for file in files]
+        ):
             found.setdefault(row["policy"], {})[track.road] = row
     body = []
     for policy, by in found.items():
@@ -286,11 +363,16 @@ def each_road(card_name: str) -> str:
             for key in ("travel_exceedance", "wheel_lift")
         ]
         costs = [
-            percent(by[road]["cost"].get("change", 0.0)) if road in by else "" for road in tracks_of.ROADS
+            percent(by[road]["cost"].get("change", 0.0)) if road in by else ""
+            for road in tracks_of.ROADS
         ]
         on_c = [
             percent(by["C"][key].get("change", 0.0)) if "C" in by else ""
-            for key in ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
+            for key in (
+                "body_acceleration_rms",
+                "suspension_travel_rms",
+                "tyre_load_rms",
+            )
         ]
         order = by["C"]["cost"]["value"] if "C" in by else np.inf
         body.append((order, [f"`{policy}`", *worst, *costs, *on_c]))
@@ -328,10 +410,16 @@ def tracks() -> str:
         track = TRACKS[name]
         card = cards.load(track.card)
         rows = cards.ranking(card, track.name)
-        by = {row["policy"]: row["cost"]["change"] for row in cards.ranking(card, "standard")}
+        by = {
+            row["policy"]: row["cost"]["change"]
+            for row in cards.ranking(card, "standard")
+        }
         by |= {row["policy"]: row["cost"]["change"] for row in rows}
         pair = [tracks_of.best(rows, learned=learned) for learned in (True, False)]
-        cells = ["none" if row is None else f"`{row['policy']}` {change_of(row['cost'])}" for row in pair]
+        cells = [
+            "none" if row is None else f"`{row['policy']}` {change_of(row['cost'])}"
+            for row in pair
+        ]
         held = next(t for t in card["tracks"] if t["track"] == track.name)
         learned = pair[0]
         body.append(
@@ -369,7 +457,15 @@ def robust_row() -> tuple[float, *tuple[str, ...]]:
         )
     spread = by["skyhook"] - rows[0]["change"]["value"]
     sweep = f"`isd-gym sweep robust`, {found['conditions']} conditions"
-    return spread, "robust", percent(by["skyhook"]), *cells, "not known", "policy of the nominal car", sweep
+    return (
+        spread,
+        "robust",
+        percent(by["skyhook"]),
+        *cells,
+        "not known",
+        "policy of the nominal car",
+        sweep,
+    )
 
 
 def card_table(environment: str) -> str:
@@ -423,7 +519,10 @@ def told(of: type, level: int) -> str:
 
     def table_of(section: re.Match[str]) -> str:
         title, body = section.groups()
-        rows = [[f"`{name}`", " ".join(words.split())] for name, words in FIELD.findall(body)]
+        rows = [
+            [f"`{name}`", " ".join(words.split())]
+            for name, words in FIELD.findall(body)
+        ]
         head = {"Args": ["argument", "meaning"], "Raises": ["error", "reason"]}[title]
         return f"{markdown(head, rows, 'll')}\n\n"
 
@@ -482,7 +581,14 @@ def suites() -> str:
                 f"{f['date']}, {f['version']}",
             ]
         )
-    heads = ["suite, seed", "rigs", "right", "place and kind right", "wrong name", "clean left alone"]
+    heads = [
+        "suite, seed",
+        "rigs",
+        "right",
+        "place and kind right",
+        "wrong name",
+        "clean left alone",
+    ]
     heads += ["unknown recognised", "processor time: median / longest", "date, version"]
     return markdown(heads, body, "lrrrrrrrl")
 
@@ -524,7 +630,9 @@ def limits() -> str:
 def mistaken() -> str:
     """Shares of statements that are wrong although no resampling shows it."""
     return markdown(
-        ["statement", "mistaken"], [[f"`{k}`", f"{v:.2f}"] for k, v in grades.MISTAKEN.items()], "lr"
+        ["statement", "mistaken"],
+        [[f"`{k}`", f"{v:.2f}"] for k, v in grades.MISTAKEN.items()],
+        "lr",
     )
 
 
@@ -533,7 +641,12 @@ def measurements() -> str:
     body = []
     for entry in read(MEASURED).values():
         answer = entry.get("diagnosis")
-        judged = {"right": "yes", "wrong": "**no**", "missed": "undecided", None: "open"}
+        judged = {
+            "right": "yes",
+            "wrong": "**no**",
+            "missed": "undecided",
+            None: "open",
+        }
         body.append(
             [
                 entry["rig"],
@@ -541,12 +654,15 @@ def measurements() -> str:
                 f"{answer['answer']} <small>({answer['date']}, {answer['version']})</small>"
                 if answer
                 else "not run yet",
-                judged[answer["grade"]] + (f": {answer['remark']}" if answer.get("remark") else "")
+                judged[answer["grade"]]
+                + (f": {answer['remark']}" if answer.get("remark") else "")
                 if answer
                 else "",
             ]
         )
-    return markdown(["rig", "what is known", "answer of the diagnosis", "right?"], body, "llll")
+    return markdown(
+        ["rig", "what is known", "answer of the diagnosis", "right?"], body, "llll"
+    )
 
 
 def first_looks() -> str:
@@ -559,7 +675,10 @@ def first_looks() -> str:
     body = []
     for look in stored("first-looks.json"):
         rigs = look["rigs"]
-        said = {level: [s for r in rigs for s in r["stated"][level]] for level in ("law", "kind", "place")}
+        said = {
+            level: [s for r in rigs for s in r["stated"][level]]
+            for level in ("law", "kind", "place")
+        }
         body.append(
             [
                 f"{look['date']}, {look['version']}",
@@ -570,8 +689,17 @@ def first_looks() -> str:
                 *(right(said[level]) for level in ("law", "kind", "place")),
             ]
         )
-    heads = ["date, version", "rigs", "law right or rightly silent", "place and kind right", "wrong name"]
-    heads += [f"{level} stated at 0.9 or more that is right" for level in ("name", "kind", "place")]
+    heads = [
+        "date, version",
+        "rigs",
+        "law right or rightly silent",
+        "place and kind right",
+        "wrong name",
+    ]
+    heads += [
+        f"{level} stated at 0.9 or more that is right"
+        for level in ("name", "kind", "place")
+    ]
     return markdown(heads, body, "lrrrrrrr")
 
 
@@ -585,16 +713,28 @@ def first_looks_by_rig() -> str:
         for r in look["rigs"]
         if r["name"] not in listed
     ]  # fmt: skip
-    return markdown(["rig", "what is known", "first answer", "right?", "place and kind"], body, "lllll")
+    return markdown(
+        ["rig", "what is known", "first answer", "right?", "place and kind"],
+        body,
+        "lllll",
+    )
 
 
 def sources() -> str:
     """Where the public data sets are, their licences, and the records that are compared."""
     body = [
-        [f"`{name}`", entry["source"], entry["licence"], entry["records"], entry["model"]]
+        [
+            f"`{name}`",
+            entry["source"],
+            entry["licence"],
+            entry["records"],
+            entry["model"],
+        ]
         for name, entry in read(MEASURED).items()
     ]
-    return markdown(["name", "source", "licence", "records", "nominal model"], body, "lllll")
+    return markdown(
+        ["name", "source", "licence", "records", "nominal model"], body, "lllll"
+    )
 
 
 def answer_of(diagnosis: dict[str, Any]) -> str:
@@ -629,15 +769,21 @@ def read_answers(folder: Path) -> None:
         answer = answer_of(diagnosis)
         grade = before.get("grade") if before.get("answer") == answer else None
         if name in expected:
-            grade = grading.graded({"diagnosis": diagnosis, "answer": expected[name], "truth": None})
+            grade = grading.graded(
+                {"diagnosis": diagnosis, "answer": expected[name], "truth": None}
+            )
         entry["diagnosis"] = {
             "answer": answer,
             "grade": grade,
-            "remark": before.get("remark", "") if before.get("answer") == answer else "",
+            "remark": before.get("remark", "")
+            if before.get("answer") == answer
+            else "",
             "date": datetime.date.fromtimestamp(file.stat().st_mtime).isoformat(),
             "version": importlib.metadata.version("isd-gym"),
         }
-    MEASURED.write_text(json.dumps(entries, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    MEASURED.write_text(
+        json.dumps(entries, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
 
 
 #: figures of Champneys and others 2024 on the official splits: method, Silverbox [mV], EMPS [mm]
@@ -658,8 +804,14 @@ def yardsticks() -> str:
     """Figures of the completed models on the official splits, beside the published ones."""
     found = stored("yardsticks.json")
     silverbox = " / ".join(f"{v:.2f}" for v in found["silverbox"]["figures"].values())
-    ours = ["**`isd-gym diagnose`**", f"**{silverbox}**", f"**{found['emps']['figures']['test']:.2f}**"]
-    return markdown(["method", "Silverbox [mV]", "EMPS [mm]"], [ours, *map(list, PUBLISHED)], "lrr")
+    ours = [
+        "**`isd-gym diagnose`**",
+        f"**{silverbox}**",
+        f"**{found['emps']['figures']['test']:.2f}**",
+    ]
+    return markdown(
+        ["method", "Silverbox [mV]", "EMPS [mm]"], [ours, *map(list, PUBLISHED)], "lrr"
+    )
 
 
 def yardstick_models() -> str:
@@ -667,11 +819,25 @@ def yardstick_models() -> str:
     body = []
     for name, f in stored("yardsticks.json").items():
         effects = ", ".join(e.replace("_", " ") for e in f["effects"])
-        values = ", ".join(f"{path} {value:.4g}" for path, value in f["parameters"].items())
-        figures = "; ".join(f"{k.replace('_', ' ')} {v:.2f} {f['unit']}" for k, v in f["figures"].items())
+        values = ", ".join(
+            f"{path} {value:.4g}" for path, value in f["parameters"].items()
+        )
+        figures = "; ".join(
+            f"{k.replace('_', ' ')} {v:.2f} {f['unit']}"
+            for k, v in f["figures"].items()
+        )
         time = f"{f['seconds']:.0f} s"
-        body.append([f"`{name}`", effects, str(len(f["parameters"])), values, figures, time])
-    heads = ["benchmark", "effects named", "parameters", "values in `model.json`", "test figures", "time"]
+        body.append(
+            [f"`{name}`", effects, str(len(f["parameters"])), values, figures, time]
+        )
+    heads = [
+        "benchmark",
+        "effects named",
+        "parameters",
+        "values in `model.json`",
+        "test figures",
+        "time",
+    ]
     return markdown(heads, body, "llrllr")
 
 
@@ -696,12 +862,38 @@ def missing_physics() -> str:
     found, body = _missing_physics(), []
     for tool, label in TOOLS.items():
         f = found[tool]["all"]
-        cells = [f["place_f1"], f["law_accuracy"], f["wrong_names"], f["abstention"], f["brier"]]
-        parameters = "–" if f["parameter_error"] is None else f"{100 * f['parameter_error']:.1f} %"
-        body.append(
-            [label, *map(ratio, cells), parameters, ratio(f["error_reduction"]), f"{f['seconds']:.0f} s"]
+        cells = [
+            f["place_f1"],
+            f["law_accuracy"],
+            f["wrong_names"],
+            f["abstention"],
+            f["brier"],
+        ]
+        parameters = (
+            "–"
+            if f["parameter_error"] is None
+            else f"{100 * f['parameter_error']:.1f} %"
         )
-    heads = ["tool", "place F1", "law", "wrong", "abstention", "Brier", "parameters", "reduction", "time"]
+        body.append(
+            [
+                label,
+                *map(ratio, cells),
+                parameters,
+                ratio(f["error_reduction"]),
+                f"{f['seconds']:.0f} s",
+            ]
+        )
+    heads = [
+        "tool",
+        "place F1",
+        "law",
+        "wrong",
+        "abstention",
+        "Brier",
+        "parameters",
+        "reduction",
+        "time",
+    ]
     return markdown(heads, body, "lrrrrrrrr")
 
 
@@ -713,7 +905,9 @@ def missing_physics_sets() -> str:
         cells = []
         for name in sets:
             f = found[tool]["sets"][name]
-            cells.append(f"{ratio(f['law_accuracy'])} ({round(f['wrong_names'] * f['cases'])})")
+            cells.append(
+                f"{ratio(f['law_accuracy'])} ({round(f['wrong_names'] * f['cases'])})"
+            )
         body.append([label, *cells])
     return markdown(["tool", *sets], body, "l" + "r" * len(sets))
 
@@ -722,16 +916,37 @@ def missing_physics_cases() -> str:
     """Truth and answer of the diagnosis on every case of MissingPhysBench."""
 
     def told(names: list[list[str]]) -> str:
-        return "; ".join(f"{law.replace('_', ' ')} at {'–'.join(place)}" for law, *place in names)
+        return "; ".join(
+            f"{law.replace('_', ' ')} at {'–'.join(place)}" for law, *place in names
+        )
 
     body = []
     for name, r in _missing_physics()["isd_gym"]["rows"].items():
-        truth = told(r["truth"]) or ("nothing" if r["set"] == "nothing" else "a law outside the list")
+        truth = told(r["truth"]) or (
+            "nothing" if r["set"] == "nothing" else "a law outside the list"
+        )
         hit, false, _ = r["place"]
-        place = "the place, no law" if hit else "a wrong place, no law" if false else "nothing"
+        place = (
+            "the place, no law"
+            if hit
+            else "a wrong place, no law"
+            if false
+            else "nothing"
+        )
         answer = told(r["named"]) or place
-        body.append([name, r["set"], f"{r['noise_db']} dB", truth, answer, ratio(r.get("reduction"))])
-    return markdown(["case", "set", "noise", "truth", "answer", "reduction"], body, "lllllr")
+        body.append(
+            [
+                name,
+                r["set"],
+                f"{r['noise_db']} dB",
+                truth,
+                answer,
+                ratio(r.get("reduction")),
+            ]
+        )
+    return markdown(
+        ["case", "set", "noise", "truth", "answer", "reduction"], body, "lllllr"
+    )
 
 
 # ------------------------------------------------------------------------------------------------------ pages
@@ -741,7 +956,11 @@ def missing_physics_cases() -> str:
 
 def elements() -> str:
     """Every element type: law, parameters with units and plausible ranges, what tells it apart, source."""
-    where = {"between": "between two nodes", "element": "at a motor", "channel": "at a channel"}
+    where = {
+        "between": "between two nodes",
+        "element": "at a motor",
+        "channel": "at a channel",
+    }
     parts = []
     for place, title in where.items():
         parts.append(f"## {title[0].upper()}{title[1:]}\n")
@@ -753,12 +972,19 @@ def elements() -> str:
             for f in parameter_fields(cls):
                 low, high = f.metadata["range"]
                 usual = f"{low:g} to {high:g}" if abs(high) < float("inf") else "any"
-                default = f"{f.default:g}" if isinstance(f.default, int | float) else "needed"
-                rows.append(f"| `{f.name}` | {f.metadata['unit']} | {usual} | {default} |")
+                default = (
+                    f"{f.default:g}" if isinstance(f.default, int | float) else "needed"
+                )
+                rows.append(
+                    f"| `{f.name}` | {f.metadata['unit']} | {usual} | {default} |"
+                )
             for key, allowed in cls.choices.items():
                 default = cls.__dataclass_fields__[key].default
                 rows.append(f"| `{key}` | | {', '.join(allowed)} | {default} |")
-            parts += ["\n".join(rows) + "\n", f"Recognised by: {cls.signature}. Source: {cls.source}.\n"]
+            parts += [
+                "\n".join(rows) + "\n",
+                f"Recognised by: {cls.signature}. Source: {cls.source}.\n",
+            ]
     return "\n".join(parts).strip()
 
 
@@ -772,9 +998,18 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/explanation/study.md": (learning_study,),
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/diagnosis.md": (suites, calibration),
-    "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig, sources),
+    "docs/validation/public-measurements.md": (
+        measurements,
+        first_looks,
+        first_looks_by_rig,
+        sources,
+    ),
     "docs/validation/yardsticks.md": (yardsticks, yardstick_models),
-    "docs/validation/missing-physics.md": (missing_physics, missing_physics_sets, missing_physics_cases),
+    "docs/validation/missing-physics.md": (
+        missing_physics,
+        missing_physics_sets,
+        missing_physics_cases,
+    ),
     "docs/reference/environment.md": (environment,),
     "docs/reference/tracks.md": (
         tracks,
@@ -800,10 +1035,15 @@ def fill(page: str) -> str:
     text = (ROOT / page).read_text(encoding="utf-8")
     for make in PAGES[page]:
         name = make.__name__
-        start, end = f"<!-- {name}: python docs/results.py -->", f"<!-- end of {name} -->"
+        start, end = (
+            f"<!-- {name}: python docs/results.py -->",
+            f"<!-- end of {name} -->",
+        )
         block = f"{start}\n\n{make()}\n\n{end}"
         pattern = f"{re.escape(start)}.*?{re.escape(end)}"
-        text, count = re.subn(pattern, lambda _, block=block: block, text, flags=re.DOTALL)
+        text, count = re.subn(
+            pattern, lambda _, block=block: block, text, flags=re.DOTALL
+        )
         if count != 1:
             raise SystemExit(f"{page}: no place for {name}")
     return text

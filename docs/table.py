@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 PAGE = Path(__file__).parent / "reference" / "benchmark.md"
 
 
-def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> str:
+def table(
+    card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()
+) -> str:
     """Return a track as Markdown, best policy first, with date, command and digest."""
     one = next(t for t in card["tracks"] if t["track"] == name)
 
@@ -27,8 +29,19 @@ def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]
             text += f"<br>{100 * q['change']:+.1f} % <small>[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]</small>"
         return text.replace("-", "−")
 
-    heads = ["", "policy", "cost J", "acceleration [m/s²]", "travel [mm]", "tyre load [N]", "current [A]"]
-    lines = ["| " + " | ".join(heads) + " |", "|---:|---" + "|---:" * (len(heads) - 2) + "|"]
+    heads = [
+        "",
+        "policy",
+        "cost J",
+        "acceleration [m/s²]",
+        "travel [mm]",
+        "tyre load [N]",
+        "current [A]",
+    ]
+    lines = [
+        "| " + " | ".join(heads) + " |",
+        "|---:|---" + "|---:" * (len(heads) - 2) + "|",
+    ]
     for place, row in enumerate(ranking(card, name, scores), 1):
         cells = [
             str(place),
@@ -47,9 +60,15 @@ def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]
     )
     command, date, version = (
         markdown(x, 400, code=code)
-        for x, code in ((one["command"], True), (card["date"], False), (card["version"], False))
+        for x, code in (
+            (one["command"], True),
+            (card["date"], False),
+            (card["version"], False),
+        )
     )
-    made = f"Made by {command} on {date}, version {version}; card {card['digest'][:16]}."
+    made = (
+        f"Made by {command} on {date}, version {version}; card {card['digest'][:16]}."
+    )
     return "\n".join([what, "", *lines, "", made])
 
 
@@ -57,10 +76,16 @@ def fill(page: str) -> str:
     """The page with every track of the card between its marks."""
     card = cards.load("ISDSuspension-v0")
     for track in card["tracks"]:
-        start, end = f"<!-- {track['track']}: python docs/table.py -->", f"<!-- end of {track['track']} -->"
+        start, end = (
+            f"<!-- {track['track']}: python docs/table.py -->",
+            f"<!-- end of {track['track']} -->",
+        )
         text = f"{start}\n\n{table(card, track['track'])}\n\n{end}"
         page, count = re.subn(
-            f"{re.escape(start)}.*?{re.escape(end)}", lambda _, t=text: t, page, flags=re.DOTALL
+            f"{re.escape(start)}.*?{re.escape(end)}",
+            lambda _, t=text: t,
+            page,
+            flags=re.DOTALL,
         )
         if count != 1:
             raise SystemExit(f"{PAGE.name}: no place for {track['track']}")

@@ -36,17 +36,25 @@ def record(name: str, seed: int, duration: float = 10.0, step: float = 2e-3) -> 
     """A drive of `duration` [s] on the paper's road with random currents, sensors with 2 % noise."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, duration, step)
-    heights = road("paper").heights(time[-1], speed=20.0, step=step, rng=rng)[: len(time)]
+    heights = road("paper").heights(time[-1], speed=20.0, step=step, rng=rng)[
+        : len(time)
+    ]
     held = round(0.1 / step)
-    current = np.repeat(rng.uniform(-4.0, 4.0, len(time) // held + 1), held)[: len(time)]
+    current = np.repeat(rng.uniform(-4.0, 4.0, len(time) // held + 1), held)[
+        : len(time)
+    ]
     measured = simulate(CAR, time, {"road": heights, "current": current})
-    noisy = {k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in measured.items()}
+    noisy = {
+        k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in measured.items()
+    }
     return Table(time, {"road": heights, "current": current, **noisy}, name)
 
 
 def close(episodes: int = 8, say: Any = None) -> tuple[Diagnosis, Score]:
     """Diagnose two records of the car, then score the MPC that believes in the old and in the new model, on the car."""
-    found = diagnose([record("drive 1", 1)], OWNERS, validate=[record("drive 2", 2)], progress=say)
+    found = diagnose(
+        [record("drive 1", 1)], OWNERS, validate=[record("drive 2", 2)], progress=say
+    )
     entries = [
         Entry("mpc, old model", lambda: baselines.make("mpc", OWNERS)),
         Entry("mpc, new model", lambda: baselines.make("mpc", found.model)),
@@ -58,15 +66,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, help="folder for the diagnosis and its report")
-    parser.add_argument("--episodes", type=int, default=8, help="roads of 20 s to score on")
+    parser.add_argument(
+        "--out", type=Path, help="folder for the diagnosis and its report"
+    )
+    parser.add_argument(
+        "--episodes", type=int, default=8, help="roads of 20 s to score on"
+    )
     parser.add_argument("--json", type=Path, help="file for the score")
     args = parser.parse_args()
     found, result = close(args.episodes, print)
     print(found.summary)
     for row in result.to_dict()["policies"]:
         cost = row["cost"]
-        change = "" if cost.get("change") is None else f"  {100 * cost['change']:+.1f} %"
+        change = (
+            "" if cost.get("change") is None else f"  {100 * cost['change']:+.1f} %"
+        )
         print(f"{row['policy']:16s} J {cost['value']:.3f}{change}")
     if args.out:
         print(f"report: {write_report(found, args.out)}")

@@ -21,7 +21,9 @@ CARS, HORIZON = 256, 128
 
 
 def roads(config: dict[str, Any]) -> gymnasium.vector.VectorEnv:
-    return gymnasium.make_vec("ISDSuspensionLearning-v0", config["num_envs"], cars_per_road=8, **RELATIVE)
+    return gymnasium.make_vec(
+        "ISDSuspensionLearning-v0", config["num_envs"], cars_per_road=8, **RELATIVE
+    )
 
 
 def main() -> None:
@@ -67,7 +69,9 @@ def main() -> None:
 
     def act(features: np.ndarray) -> np.ndarray:
         with torch.no_grad():
-            told = module.forward_inference({"obs": torch.from_numpy(features)})["action_dist_inputs"]
+            told = module.forward_inference({"obs": torch.from_numpy(features)})[
+                "action_dist_inputs"
+            ]
         actions: np.ndarray = told[:, :1].numpy()
         return actions
 

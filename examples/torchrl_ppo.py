@@ -24,7 +24,13 @@ CARS, HORIZON, EPOCHS, BATCHES = 512, 128, 2, 16
 
 
 def network(outputs: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(21, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, outputs))
+    return nn.Sequential(
+        nn.Linear(21, 64),
+        nn.Tanh(),
+        nn.Linear(64, 64),
+        nn.Tanh(),
+        nn.Linear(64, outputs),
+    )
 
 
 def train(updates: int) -> nn.Module:
@@ -32,7 +38,11 @@ def train(updates: int) -> nn.Module:
     torch.manual_seed(0)
     torch.set_num_threads(1)
     cars = gymnasium.make_vec(
-        "ISDSuspensionLearning-v0", CARS, cars_per_road=8, autoreset_mode="same_step", **RELATIVE
+        "ISDSuspensionLearning-v0",
+        CARS,
+        cars_per_road=8,
+        autoreset_mode="same_step",
+        **RELATIVE,
     )
     env = GymWrapper(cars)
     body = network(2)
@@ -40,13 +50,19 @@ def train(updates: int) -> nn.Module:
         body[-1].weight *= 0.1
         body[-1].bias[1] = -1.2
     actor = ProbabilisticActor(
-        TensorDictModule(nn.Sequential(body, NormalParamExtractor()), ["observation"], ["loc", "scale"]),
+        TensorDictModule(
+            nn.Sequential(body, NormalParamExtractor()),
+            ["observation"],
+            ["loc", "scale"],
+        ),
         in_keys=["loc", "scale"],
         distribution_class=IndependentNormal,
         return_log_prob=True,
     )
     critic = ValueOperator(network(1), in_keys=["observation"])
-    loss = ClipPPOLoss(actor, critic, entropy_bonus=False, critic_coeff=1.0, loss_critic_type="l2")
+    loss = ClipPPOLoss(
+        actor, critic, entropy_bonus=False, critic_coeff=1.0, loss_critic_type="l2"
+    )
     advantage = GAE(gamma=0.98, lmbda=1.0, value_network=critic)
     optimizer = torch.optim.Adam(loss.parameters(), 1e-3)
     frames = CARS * HORIZON
@@ -62,7 +78,9 @@ def train(updates: int) -> nn.Module:
             with torch.no_grad():
                 advantage(data)
             rows = data.reshape(-1)
-            rows["advantage"] = (rows["advantage"] - rows["advantage"].mean()) / rows["advantage"].std()
+            rows["advantage"] = (rows["advantage"] - rows["advantage"].mean()) / rows[
+                "advantage"
+            ].std()
             for some in torch.randperm(frames).chunk(BATCHES):
                 told = loss(rows[some])
                 optimizer.zero_grad()
@@ -79,9 +97,14 @@ def main() -> None:
     body = train(given.updates)
     seconds = time.process_time() - begin
     with torch.no_grad():
-        j = cost_of(lambda features: body(torch.from_numpy(features))[:, :1].numpy(), action="increment")
+        j = cost_of(
+            lambda features: body(torch.from_numpy(features))[:, :1].numpy(),
+            action="increment",
+        )
     steps = given.updates * CARS * HORIZON / 1e6
-    print(f"J {j:.3f} after {steps:.1f} million steps, {seconds:.0f} s of processor time (passive: 0.869)")
+    print(
+        f"J {j:.3f} after {steps:.1f} million steps, {seconds:.0f} s of processor time (passive: 0.869)"
+    )
 
 
 if __name__ == "__main__":

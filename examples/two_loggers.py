@@ -40,13 +40,17 @@ def main() -> None:
         current = np.repeat(rng.uniform(-3, 3, 280), len(time) // 280)
         said = simulate(car, time, {"road": heights, "current": current}, step=step)
 
-        def logged(values: np.ndarray, at: np.ndarray, share: float, time: np.ndarray = time) -> np.ndarray:
+        def logged(
+            values: np.ndarray, at: np.ndarray, share: float, time: np.ndarray = time
+        ) -> np.ndarray:
             own = np.interp(at, time, values)
             return own + share * own.std() * rng.standard_normal(len(own))
 
         body = np.arange(0.5, 13.5, 1 / 500)
         with (out / f"{run}_body.csv").open("w", encoding="utf-8") as file:
-            file.write("Zeit [ms];az_Aufbau [g];Federweg [mm];Weg_Inerter [mm];Temp [degC]\n")
+            file.write(
+                "Zeit [ms];az_Aufbau [g];Federweg [mm];Weg_Inerter [mm];Temp [degC]\n"
+            )
             columns = [
                 1e3 * (body - body[0]),
                 logged(said["body_acceleration"], body, 0.02) / 9.80665,
@@ -61,9 +65,12 @@ def main() -> None:
         columns = {"Laser_Strasse": 1e3 * logged(heights, wheel, 1e-3), "I_Motor": held}
         stamps = wheel - wheel[0] + LATE
         write_table(
-            out / f"{run}_wheel.mf4", Table(stamps, columns, units={"Laser_Strasse": "mm", "I_Motor": "A"})
+            out / f"{run}_wheel.mf4",
+            Table(stamps, columns, units={"Laser_Strasse": "mm", "I_Motor": "A"}),
         )
-    print(f"run1 and run2 in {out}, each of two loggers; the owner's model: {out / 'car.json'}")
+    print(
+        f"run1 and run2 in {out}, each of two loggers; the owner's model: {out / 'car.json'}"
+    )
 
 
 if __name__ == "__main__":

@@ -35,7 +35,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from stable_baselines3.common.vec_env.base_vec_env import (
+        VecEnvIndices,
+        VecEnvObs,
+        VecEnvStepReturn,
+    )
 
     from .env.task import Task
 
@@ -84,7 +88,13 @@ class BatchedVecEnv(VecEnv):
         stagger: bool = False,
         **options: Any,
     ) -> None:
-        env = gym.make_vec(env_id, count, autoreset_mode="same_step", cars_per_road=cars_per_road, **options)
+        env = gym.make_vec(
+            env_id,
+            count,
+            autoreset_mode="same_step",
+            cars_per_road=cars_per_road,
+            **options,
+        )
         if not isinstance(env.unwrapped, ISDSuspensionVectorEnv):
             raise InputError(f"'{env_id}' is not one of this package's environments")
         self.env: ISDSuspensionVectorEnv = env.unwrapped
@@ -92,7 +102,9 @@ class BatchedVecEnv(VecEnv):
         assert isinstance(box, spaces.Box)
         self._gain = box.high if rescale else None
         action_space = spaces.Box(-1.0, 1.0, box.shape, np.float32) if rescale else box
-        self._seeds: list[int | None] = [None] * count  # before super().__init__, which resets the seeds
+        self._seeds: list[int | None] = [
+            None
+        ] * count  # before super().__init__, which resets the seeds
         self.render_mode = self.env.render_mode
         super().__init__(count, self.env.single_observation_space, action_space)
         self._stagger = stagger
@@ -120,13 +132,21 @@ class BatchedVecEnv(VecEnv):
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         ended = "final_obs" in info
-        self._returns -= np.where(done, info["final_info"]["cost"], info["cost"]) if ended else info["cost"]
+        self._returns -= (
+            np.where(done, info["final_info"]["cost"], info["cost"])
+            if ended
+            else info["cost"]
+        )
         self._lengths += 1
         if ended:
             now = time.time() - self._begun
             hold = self.env.task.options.hold
             for i in np.flatnonzero(done):
-                statistics = {"r": hold * float(self._returns[i]), "l": int(self._lengths[i]), "t": now}
+                statistics = {
+                    "r": hold * float(self._returns[i]),
+                    "l": int(self._lengths[i]),
+                    "t": now,
+                }
                 infos[i] = {
                     "terminal_observation": info["final_obs"][i],
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
@@ -148,22 +168,32 @@ class BatchedVecEnv(VecEnv):
         value = getattr(self.env, attr_name)
         return [value for _ in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        raise InputError("the cars of a batch share their attributes: give options to make_vec_env instead")
+    def set_attr(
+        self, attr_name: str, value: Any, indices: VecEnvIndices = None
+    ) -> None:
+        raise InputError(
+            "the cars of a batch share their attributes: give options to make_vec_env instead"
+        )
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        raise InputError(f"the cars of a batch have no methods of their own (env_method '{method_name}')")
+        raise InputError(
+            f"the cars of a batch have no methods of their own (env_method '{method_name}')"
+        )
 
     def env_is_wrapped(
-        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+        self,
+        wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]],
+        indices: VecEnvIndices = None,
     ) -> list[bool]:
         # a batch has no wrappers of single cars
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        frames: list[np.ndarray | None] = [*(self.env.render() or [None] * self.num_envs)]
+        frames: list[np.ndarray | None] = [
+            *(self.env.render() or [None] * self.num_envs)
+        ]
         return frames
 
 
@@ -246,7 +276,9 @@ class ScoreCallback(BaseCallback):
         if not 0.1 <= duration <= 1e3:
             raise InputError(f"duration must be 0.1 to 1000 s, not {duration!r}")
         if isinstance(references, str):
-            raise InputError(f"references must be a list of names, such as ['{references}']")
+            raise InputError(
+                f"references must be a list of names, such as ['{references}']"
+            )
         self._save = None if save is None else str(save).removesuffix(".zip") + ".zip"
         if self._save is not None:
             check_file(self._save)
@@ -261,21 +293,32 @@ class ScoreCallback(BaseCallback):
             task: Task = self.training_env.get_attr("task", [0])[0]
             self._task, options = task, task.options
         except AttributeError:
-            raise InputError("ScoreCallback is for the environments of isd_gym") from None
+            raise InputError(
+                "ScoreCallback is for the environments of isd_gym"
+            ) from None
         space = self.model.observation_space
         if len(space.shape or ()) != 1 or space.shape[0] % task.width:  # type: ignore[index]
             raise InputError(
                 f"ScoreCallback: the model has observations of shape {space.shape}, the environment gives ({task.width},)"
             )
         if abs(options.control_step - CONTROL_STEP) > 1e-9:
-            raise InputError(f"ScoreCallback is for a control step of {CONTROL_STEP:g} s")
+            raise InputError(
+                f"ScoreCallback is for a control step of {CONTROL_STEP:g} s"
+            )
         begin = time.perf_counter()
         self._passive = self._cost(passive(task.network))
         self._idle = self._cost(find("isd-passive", task.network))
-        found = [find(name, task.network, cost=task.cost, speed=options.speed) for name in self._wanted]
-        self.references = {entry.name: self._change(self._cost(entry)) for entry in found}
+        found = [
+            find(name, task.network, cost=task.cost, speed=options.speed)
+            for name in self._wanted
+        ]
+        self.references = {
+            entry.name: self._change(self._cost(entry)) for entry in found
+        }
         if self.verbose:
-            beside = "".join(f", {name} {change:+.1f} %" for name, change in self.references.items())
+            beside = "".join(
+                f", {name} {change:+.1f} %" for name, change in self.references.items()
+            )
             print(
                 f"score: {self.roads} validation roads of {self.duration:g} s, passive J {self._passive:.4f}{beside}"
                 f" ({time.perf_counter() - begin:.1f} s)"
@@ -326,7 +369,9 @@ class ScoreCallback(BaseCallback):
         self.logger.record("score/change_percent", change)
         for name, reference in self.references.items():
             self.logger.record(f"score/{name}_percent", reference)
-        self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
+        self.logger.record(
+            "time/total_timesteps", self.num_timesteps, exclude="tensorboard"
+        )
         self.logger.dump(self.num_timesteps)
         if self.verbose:
             print(
@@ -377,7 +422,9 @@ class _Learner:
         signals, currents = len(task.measured), len(task.vehicle.driven)
         self._present = slice(signals - currents, signals)
         scales = history_of(task.vehicle).scale[self._present]
-        self._unit = np.array(scales) if self.observation == "history" else np.ones(currents)
+        self._unit = (
+            np.array(scales) if self.observation == "history" else np.ones(currents)
+        )
         self._is_increment = task.options.action == "increment"
 
     def reset(self) -> None:
@@ -413,4 +460,6 @@ class _Learner:
         shares = np.asarray(actions, float) * self._share
         if not self._is_increment:
             return shares * CURRENT_LIMIT
-        return observations[:, self._present] * self._unit + shares * (SLEW_RATE * CONTROL_STEP)
+        return observations[:, self._present] * self._unit + shares * (
+            SLEW_RATE * CONTROL_STEP
+        )

@@ -38,21 +38,40 @@ def friction(a: str, b: str, level: Any, name: str = "rub") -> dict[str, Any]:
 
 def channel(name: str, quantity: str, *nodes: str, **more: Any) -> dict[str, Any]:
     """Return an input or output at one node, between two nodes, or at `element`, in SI unless `unit` says otherwise."""
-    place: dict[str, Any] = {0: {}, 1: {"at": nodes[0]} if nodes else {}, 2: {"between": [*nodes]}}[
-        len(nodes)
-    ]
-    return {"name": name, "quantity": quantity, **place, "unit": UNITS.get(quantity), **more}
+    place: dict[str, Any] = {
+        0: {},
+        1: {"at": nodes[0]} if nodes else {},
+        2: {"between": [*nodes]},
+    }[len(nodes)]
+    return {
+        "name": name,
+        "quantity": quantity,
+        **place,
+        "unit": UNITS.get(quantity),
+        **more,
+    }
 
 
-def model(name: str, elements: Any, inputs: Any = (), outputs: Any = (), **more: Any) -> dict[str, Any]:
+def model(
+    name: str, elements: Any, inputs: Any = (), outputs: Any = (), **more: Any
+) -> dict[str, Any]:
     """Return the JSON of a model: `more` holds masses, inertias, bodies, levers and uncertainty.
 
     A channel may be a text of its name, quantity and nodes ("travel displacement body wheel").
     """
     named = {"name": name} if name else {}
     sides = {"inputs": inputs, "outputs": outputs}
-    channels = {k: [channel(*c.split()) if isinstance(c, str) else c for c in v] for k, v in sides.items()}
-    return {"schema": "isd-model/1", **named, **more, "elements": [*elements], **channels}
+    channels = {
+        k: [channel(*c.split()) if isinstance(c, str) else c for c in v]
+        for k, v in sides.items()
+    }
+    return {
+        "schema": "isd-model/1",
+        **named,
+        **more,
+        "elements": [*elements],
+        **channels,
+    }
 
 
 def network(*given: Any, **more: Any) -> Network:
@@ -76,7 +95,9 @@ def oscillator(
     beside: Any = (), name: str = "oscillator", **more: Any,
 ) -> Network:  # fmt: skip
     """Return a mass [kg] on a spring [N/m] and a damper [N s/m], shaken at a base of this name or pushed by a force."""
-    foot, moved = (base, f"{base} displacement {base}") if base else ("ground", "push force mass")
+    foot, moved = (
+        (base, f"{base} displacement {base}") if base else ("ground", "push force mass")
+    )
     parts = [spring("mass", foot, stiffness), damper("mass", foot, damping), *beside]
     return network(name, parts, [moved], outputs, masses={"mass": mass}, **more)
 
@@ -87,7 +108,9 @@ def sines(time: Any, frequencies: Any, phases: Any, sizes: Any = 1.0) -> Any:
     return np.sin(2 * np.pi * np.outer(time, f) + p) @ a
 
 
-def recorded(model: Network, step: float, inputs: Any, samples: int = 0, initial: Any = None) -> Any:
+def recorded(
+    model: Network, step: float, inputs: Any, samples: int = 0, initial: Any = None
+) -> Any:
     """Return the record of a diagnosis that a network itself makes, from rest or from a state."""
     from isd_gym.diagnosis._simulation.problem import Problem, Record
 
@@ -104,12 +127,16 @@ def fitted(problem: Any, *noise: float, **options: Any) -> Any:
     from isd_gym.diagnosis._estimation.noise import white_weights
     from isd_gym.diagnosis._estimation.structure import base_structure
 
-    return Fitter(problem, white_weights(np.array(noise))).fit(base_structure(problem.network), **options)
+    return Fitter(problem, white_weights(np.array(noise))).fit(
+        base_structure(problem.network), **options
+    )
 
 
 def decoupled_half_car() -> Network:
     """Return the half car whose pitch inertia is m a b, so that the axles do not feel one another."""
-    return Network.load("half-car-isd").with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
+    return Network.load("half-car-isd").with_parameters(
+        {"body.inertia.pitch": 690.0 * 1.35 * 1.35}
+    )
 
 
 #: a passive quarter car with the sensors of a test drive
@@ -133,7 +160,9 @@ def drive_quarter_car(
     f = np.geomspace(0.3, 15, 50)
     heights = sines(time, f, rng.uniform(0, 6.3, 50), 2e-3 / f)
     said = simulate(car, time, {"road": heights})
-    noisy = {k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()}
+    noisy = {
+        k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
+    }
     return time, {"road": heights} | noisy
 
 
@@ -145,4 +174,7 @@ def table(columns: Any, name: str) -> Table:
 
 def named(d: Any) -> set[tuple[str, frozenset[str]]]:
     """Return the named effects of a diagnosis, with channel or terminals."""
-    return {(e.effect, frozenset([e.channel] if e.channel else e.between or ())) for e in d.effects}
+    return {
+        (e.effect, frozenset([e.channel] if e.channel else e.between or ()))
+        for e in d.effects
+    }

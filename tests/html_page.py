@@ -37,7 +37,9 @@ class Page(html.parser.HTMLParser):
             self.figures.append(dict(attrs)["id"].removeprefix("figure-"))
         if dict(attrs).get("http-equiv") == "Content-Security-Policy":
             self.policies.append(dict(attrs)["content"])
-        self.links += [v for k, v in attrs if k in ("src", "href") and not v.startswith("data:")]
+        self.links += [
+            v for k, v in attrs if k in ("src", "href") and not v.startswith("data:")
+        ]
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
@@ -46,5 +48,7 @@ class Page(html.parser.HTMLParser):
     def handle_data(self, data):
         if self.inside:
             self.scripts.append(data)
-        elif not {"figure", "svg"} <= set(self.open):  # texts of a chart are no words of the page
+        elif not {"figure", "svg"} <= set(
+            self.open
+        ):  # texts of a chart are no words of the page
             self.text += data

@@ -19,12 +19,16 @@ if TYPE_CHECKING:
 
 def frame(*shots: Any, width: int, height: int) -> np.ndarray:
     """Return the picture of the shots."""
-    picture = Renderer("rgb_array", width=width, height=height, cars=len(shots)).draw(*shots)
+    picture = Renderer("rgb_array", width=width, height=height, cars=len(shots)).draw(
+        *shots
+    )
     assert picture is not None
     return picture
 
 
-def near(picture: np.ndarray, colour: tuple[int, int, int], tolerance: int = 6) -> np.ndarray:
+def near(
+    picture: np.ndarray, colour: tuple[int, int, int], tolerance: int = 6
+) -> np.ndarray:
     """Return the pixels of nearly this colour."""
     return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=2)
 
@@ -34,18 +38,33 @@ def read_mp4(path: Path, size: tuple[int, int]) -> np.ndarray:
     import imageio_ffmpeg
 
     encoder = imageio_ffmpeg.get_ffmpeg_exe()
-    command = [encoder, "-loglevel", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    command = [
+        encoder,
+        "-loglevel",
+        "error",
+        "-i",
+        str(path),
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-",
+    ]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
     return np.frombuffer(raw, np.uint8).reshape(-1, size[1], size[0], 3).astype(int)
 
 
-def check_words(poses: list[Any], cars: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+def check_words(
+    poses: list[Any], cars: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Assert that the words of each pose are inside the picture and do not touch."""
     placed: list[Any] = []
     finish = Canvas.finish
 
     def remember(canvas: Any) -> None:
-        placed[:] = [surface.get_rect(topleft=place) for surface, place in canvas._texts]
+        placed[:] = [
+            surface.get_rect(topleft=place) for surface, place in canvas._texts
+        ]
         finish(canvas)
 
     monkeypatch.setattr(Canvas, "finish", remember)
@@ -56,4 +75,8 @@ def check_words(poses: list[Any], cars: int, size: tuple[int, int], monkeypatch:
         assert all(box.contains(words) for words in placed)
         # the boxes of full height may graze each other; the words themselves then do not
         tight = [words.inflate(0, -0.3 * words.height) for words in placed]
-        assert not [pair for pair in itertools.combinations(tight, 2) if pair[0].colliderect(pair[1])]
+        assert not [
+            pair
+            for pair in itertools.combinations(tight, 2)
+            if pair[0].colliderect(pair[1])
+        ]

@@ -26,7 +26,9 @@ class Done(NamedTuple):
     stderr: str
 
 
-def run(*words: Any, cwd: Path | None = None, env: dict[str, str] | None = None) -> Done:
+def run(
+    *words: Any, cwd: Path | None = None, env: dict[str, str] | None = None
+) -> Done:
     """Return what the program prints and ends with; nothing of the process is changed afterwards."""
     from isd_gym._commands import main
 
@@ -48,10 +50,14 @@ def run(*words: Any, cwd: Path | None = None, env: dict[str, str] | None = None)
     return Done(int(code or 0), out.getvalue(), err.getvalue())
 
 
-def python(code: str, *words: Any, cwd: Path | None = None, env: dict[str, str] | None = None) -> Done:
+def python(
+    code: str, *words: Any, cwd: Path | None = None, env: dict[str, str] | None = None
+) -> Done:
     """Return what a program of Python prints and ends with, in a process of its own."""
     command = [sys.executable, "-c", code, *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=env)
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=cwd, env=env
+    )
     return Done(done.returncode, done.stdout, done.stderr)
 
 

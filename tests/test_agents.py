@@ -27,7 +27,9 @@ MEMORY = Memory.of(vehicle(Network.load("quarter-car-isd")))
 
 def small_policy(rng, head=None, memory=MEMORY):
     sizes = [memory.width(6), 8, 1]
-    layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
+    layers = [
+        (rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)
+    ]
     car = Network.load("quarter-car-isd")
     return Policy(layers, memory=memory, head=head or Head("increment"), network=car)
 
@@ -55,7 +57,9 @@ def test_memory_is_the_signals_their_changes_and_their_leaky_integral(rng):
     for row in x[1:]:
         features = recall.see(row)[0]
     np.testing.assert_allclose(features[:2], x[4, 0] / [2.0, 4.0], rtol=1e-6)
-    np.testing.assert_allclose(features[2:4], (x[4, 0] - x[3, 0]) / [0.5, 0.25], rtol=1e-5)
+    np.testing.assert_allclose(
+        features[2:4], (x[4, 0] - x[3, 0]) / [0.5, 0.25], rtol=1e-5
+    )
     second = x[4, 0] - 2 * x[3, 0] + x[2, 0]
     np.testing.assert_allclose(features[4:6], second / [0.5, 0.25], rtol=1e-4)
     integral = sum(0.01 * x[k, 0, 1] * 0.9 ** (4 - k) for k in range(1, 5))
@@ -71,7 +75,9 @@ def test_each_car_has_a_memory_of_its_own(rng):
         alone.see(row[1:2])
         if k == 1:
             many.begin(np.array([True, False, False]), row[:1])
-            np.testing.assert_array_equal(many.features[0], MEMORY.start(row).features[0])
+            np.testing.assert_array_equal(
+                many.features[0], MEMORY.start(row).features[0]
+            )
     np.testing.assert_array_equal(many.features[1], alone.features[0])
 
 
@@ -102,9 +108,15 @@ def test_a_residual_of_nothing_is_the_lqg():
 def test_increment_and_target_are_currents_within_the_drive_s_limits(rng):
     present = np.array([[-4.8], [0.0], [4.9]], np.float32)
     share = np.array([[-1.0], [0.5], [1.0]], np.float32)
-    np.testing.assert_allclose(Head("increment").current(share, present)[:, 0], [-5.0, 0.25, 5.0])
-    np.testing.assert_allclose(Head("target").current(share, present)[:, 0], [-5.0, 2.5, 5.0])
-    two = Head("increment").current(np.array([[1.0, -1.0]], np.float32), np.array([[4.9, 0.0]], np.float32))
+    np.testing.assert_allclose(
+        Head("increment").current(share, present)[:, 0], [-5.0, 0.25, 5.0]
+    )
+    np.testing.assert_allclose(
+        Head("target").current(share, present)[:, 0], [-5.0, 2.5, 5.0]
+    )
+    two = Head("increment").current(
+        np.array([[1.0, -1.0]], np.float32), np.array([[4.9, 0.0]], np.float32)
+    )
     np.testing.assert_allclose(two, [[5.0, -0.5]])
 
 
@@ -130,7 +142,12 @@ def test_a_folder_gives_the_same_policy_back(rng, tmp_path):
     [
         (lambda d: (d / WEIGHTS_NAME).unlink(), f"no {WEIGHTS_NAME}"),
         (lambda d: (d / JSON_NAME).unlink(), f"no {JSON_NAME}"),
-        (lambda d: (d / WEIGHTS_NAME).write_bytes((d / WEIGHTS_NAME).read_bytes()[:-1] + b"\0"), "altered"),
+        (
+            lambda d: (d / WEIGHTS_NAME).write_bytes(
+                (d / WEIGHTS_NAME).read_bytes()[:-1] + b"\0"
+            ),
+            "altered",
+        ),
         (lambda d: (d / JSON_NAME).write_text("{"), "not JSON"),
         (lambda d: (d / JSON_NAME).write_bytes(b"\xff\xfe"), "not JSON"),
         (lambda d: (d / JSON_NAME).write_text("[1]"), "schema"),
@@ -146,8 +163,12 @@ def test_a_spoilt_folder_is_one_clear_line(rng, tmp_path, spoil, says):
 
 def test_a_car_with_other_inputs_is_refused(rng):
     refused("quarter-car-passive", small_policy(rng).check, "quarter-car-passive")
-    small_policy(rng).check(Network.load("quarter-car-isd").with_parameters({"body.mass": 400.0}))
-    refused("filter", small_policy, rng, Head("residual"))  # a residual is added to the current of a filter
+    small_policy(rng).check(
+        Network.load("quarter-car-isd").with_parameters({"body.mass": 400.0})
+    )
+    refused(
+        "filter", small_policy, rng, Head("residual")
+    )  # a residual is added to the current of a filter
 
 
 def test_scoring_finds_a_folder_and_leaves_other_names_alone(rng, tmp_path):
@@ -175,21 +196,41 @@ def test_a_shipped_policy_is_what_its_score_says(name):
         other -= car.step(np.zeros(shape))[1].sum()
     change = own / other - 1
     assert change == pytest.approx(policy.info["score"]["cost"]["change"], abs=0.04)
-    assert policy.info["training"]["command"].startswith(f"isd-gym train {policy.info['algorithm']}")
+    assert policy.info["training"]["command"].startswith(
+        f"isd-gym train {policy.info['algorithm']}"
+    )
 
 
-def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path, monkeypatch):
+def test_shipped_policies_are_scored_beside_the_baselines_without_torch(
+    tmp_path, monkeypatch
+):
     """What is shipped is whole (its checksum is that of its weights), small, and ahead of the passive car."""
     for name in ("ppo", "sac"):
         head = json.loads((SHIPPED / name / JSON_NAME).read_text())
         blob = (SHIPPED / name / WEIGHTS_NAME).read_bytes()
-        assert hashlib.sha256(blob).hexdigest() == head["weights"]["sha256"] and len(blob) < 100_000
+        assert (
+            hashlib.sha256(blob).hexdigest() == head["weights"]["sha256"]
+            and len(blob) < 100_000
+        )
         assert head["training"]["curve"] and head["training"]["versions"]
     for absent in ("torch", "stable_baselines3", "isd_gym.sb3"):
         monkeypatch.setitem(sys.modules, absent, None)
-    words = ["score", "passive", "lqg", "ppo", "sac", "--episodes", "2", "--json", "s.json"]
+    words = [
+        "score",
+        "passive",
+        "lqg",
+        "ppo",
+        "sac",
+        "--episodes",
+        "2",
+        "--json",
+        "s.json",
+    ]
     assert run(*words, cwd=tmp_path).returncode == 0
-    rows = {r["policy"]: r for r in json.loads((tmp_path / "s.json").read_text())["policies"]}
+    rows = {
+        r["policy"]: r
+        for r in json.loads((tmp_path / "s.json").read_text())["policies"]
+    }
     for name in ("ppo", "sac"):
         assert rows[name]["cost"]["change"] < -0.15
         assert rows[name]["tyre_load_rms"]["change"] < 0.05
@@ -232,7 +273,12 @@ def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
     from isd_gym.sb3 import make_vec_env
 
     env = make_vec_env(
-        "ISDSuspension-v0", 2, rescale=False, max_episode_steps=4, stagger=True, observation="history"
+        "ISDSuspension-v0",
+        2,
+        rescale=False,
+        max_episode_steps=4,
+        stagger=True,
+        observation="history",
     )
     env.seed(0)
     start = env.reset()
@@ -252,7 +298,11 @@ def test_weights_are_read_as_torch_reads_them(sb3, tmp_path):
     import torch
 
     layer = torch.nn.Linear(3, 2)
-    state = {**layer.state_dict(), "turned": layer.weight.detach().T, "count": torch.arange(4)}
+    state = {
+        **layer.state_dict(),
+        "turned": layer.weight.detach().T,
+        "count": torch.arange(4),
+    }
     buffer = io.BytesIO()
     torch.save(state, buffer)
     ours = read_torch(buffer.getvalue(), "here")

@@ -55,16 +55,23 @@ def record(excitation=None, rig=None, **changes):
     x = road() if excitation is None else excitation
     said = simulate(rig or true_rig(), TIME, {"platen": x}, step=1e-3)
     rng = np.random.default_rng(1)
-    columns = {"platen": x} | {n: y + 0.01 * y.std() * rng.standard_normal(N) for n, y in said.items()}
+    columns = {"platen": x} | {
+        n: y + 0.01 * y.std() * rng.standard_normal(N) for n, y in said.items()
+    }
     columns["load"] = columns["load"] + 3.7  # a static load
-    changed = {n: columns[k] if isinstance(k, str) else k * columns[n] for n, k in changes.items()}
+    changed = {
+        n: columns[k] if isinstance(k, str) else k * columns[n]
+        for n, k in changes.items()
+    }
     units = {"platen": "mm", "acc": "g", "travel": "mm", "load": "kN", "hub": "g"}
     return Table(TIME, columns | changed, units={n: units[n] for n in columns})
 
 
 def line(*tables, model=CAR):
     network = Network.load(model)
-    return find_misreading(Problem(network, [read_record(t, network, [], ("all",)) for t in tables]))
+    return find_misreading(
+        Problem(network, [read_record(t, network, [], ("all",)) for t in tables])
+    )
 
 
 @pytest.mark.parametrize(
@@ -86,15 +93,22 @@ def test_a_misread_channel_is_named_with_its_remedy(changes, remedy):
 
 
 def test_two_channels_of_one_quantity_are_exchanged_by_their_names():
-    model = {**CAR, "outputs": [*CAR["outputs"], channel("hub", "acceleration", "wheel", unit="g")]}
+    model = {
+        **CAR,
+        "outputs": [*CAR["outputs"], channel("hub", "acceleration", "wheel", unit="g")],
+    }
     rig = {**true_rig().to_dict(), "outputs": Network.load(model).to_dict()["outputs"]}
     rig = Network.load(rig)
     assert line(record(rig=rig), model=model) == ""
-    assert "--rename acc=hub --rename hub=acc" in line(record(rig=rig, acc="hub", hub="acc"), model=model)
+    assert "--rename acc=hub --rename hub=acc" in line(
+        record(rig=rig, acc="hub", hub="acc"), model=model
+    )
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"acc": 0.6}, {"travel": 1.3}, {"load": 1.1}, {"acc": 5.0}], ids=lambda c: str(c)
+    "changes",
+    [{}, {"acc": 0.6}, {"travel": 1.3}, {"load": 1.1}, {"acc": 5.0}],
+    ids=lambda c: str(c),
 )
 def test_a_defect_of_a_rig_is_no_misreading(changes):
     """Other parameters, friction of any size, and gains of sensors go on to the diagnosis."""
@@ -106,17 +120,25 @@ def test_a_motor_whose_nodes_are_exchanged_has_two_remedies():
     """One output that a motor moves the wrong way: the sensor or the motor may be turned round."""
     outputs = [channel("angle", "angle", "arm")]
     parts = [spring("arm", "ground", 2.0), damper("arm", "ground", 0.02)]
-    inputs = [{"name": "command", "quantity": "voltage", "element": "drive", "unit": "V"}]
+    inputs = [
+        {"name": "command", "quantity": "voltage", "element": "drive", "unit": "V"}
+    ]
     rigs = []
     for ends in (("ground", "arm"), ("arm", "ground")):
         motor = builders.element("drive", "motor", *ends, thrust_constant=0.1)
-        rigs.append(builders.network("arm", [*parts, motor], inputs, outputs, inertias={"arm": 0.003}))
+        rigs.append(
+            builders.network(
+                "arm", [*parts, motor], inputs, outputs, inertias={"arm": 0.003}
+            )
+        )
     rig, model = rigs
     volts = 5.0 * road()
     moved = simulate(rig, TIME, {"command": volts})
     table = Table(TIME, {"command": volts, "angle": moved["angle"]})
     assert line(table, model=rig) == ""
-    assert line(table, model=model).endswith("--sign angle=-1, or swap the nodes of motor drive in the model")
+    assert line(table, model=model).endswith(
+        "--sign angle=-1, or swap the nodes of motor drive in the model"
+    )
 
 
 def test_a_delayed_sensor_is_no_misreading():
@@ -140,13 +162,21 @@ def test_a_free_decay_and_a_short_record_cannot_be_compared():
     still = record(excitation=np.zeros(N) + 1e-9 * road())
     assert line(Table(TIME[:100], {n: x[:100] for n, x in still.columns.items()})) == ""
     free = {**CAR, "inputs": [], "outputs": CAR["outputs"][:2]}
-    free["elements"] = [*CAR["elements"][:2], {**CAR["elements"][2], "between": ["wheel", "ground"]}]
+    free["elements"] = [
+        *CAR["elements"][:2],
+        {**CAR["elements"][2], "between": ["wheel", "ground"]},
+    ]
     assert line(Table(TIME, {n: still[n] for n in ("acc", "travel")}), model=free) == ""
 
 
 def test_the_diagnosis_refuses_at_once_and_goes_on_when_accepted(monkeypatch):
     turned = record(load=-1)
-    refused(r"load follows the model with r = -0.9\d, turned round: --sign load=-1", diagnose, [turned], CAR)
+    refused(
+        r"load follows the model with r = -0.9\d, turned round: --sign load=-1",
+        diagnose,
+        [turned],
+        CAR,
+    )
     known_check("sign")
 
     class Reached(Exception):

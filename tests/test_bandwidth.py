@@ -7,7 +7,11 @@ from builders import channel, damper, friction
 from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
-from isd_gym.diagnosis._records.filtering import choose_decimation, count_derivatives, differentiate_inputs
+from isd_gym.diagnosis._records.filtering import (
+    choose_decimation,
+    count_derivatives,
+    differentiate_inputs,
+)
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.network import Network
 
@@ -18,9 +22,16 @@ OUTPUT_NOISE = 0.01  # RMS of a sensor's noise, relative to the deviation of its
 def shaken(natural, quantity="displacement", damping_ratio=0.03):
     """A mass of 1 kg on a spring and a damper whose base is moved."""
     stiffness = (2 * np.pi * natural) ** 2
-    y = channel("y", quantity, "mass", unit={"displacement": "mm", "acceleration": "g"}[quantity])
+    y = channel(
+        "y",
+        quantity,
+        "mass",
+        unit={"displacement": "mm", "acceleration": "g"}[quantity],
+    )
     damping = 2 * damping_ratio * np.sqrt(stiffness)
-    return builders.oscillator(y, mass=1.0, stiffness=stiffness, damping=damping, base="base")
+    return builders.oscillator(
+        y, mass=1.0, stiffness=stiffness, damping=damping, base="base"
+    )
 
 
 def base_motion(kind, natural, rate, rng):
@@ -39,12 +50,18 @@ def base_motion(kind, natural, rate, rng):
     if kind == "random":
         return band_limited(0.05 * natural, 1.5 * natural, rate, rng, 3e-3)
     ratio = {"sine at resonance": 1.0, "sine above resonance": 1.8}[kind]
-    return 1e-3 * np.sin(2 * np.pi * ratio * natural * t) * np.minimum(1.0, natural * t / 3)
+    return (
+        1e-3
+        * np.sin(2 * np.pi * ratio * natural * t)
+        * np.minimum(1.0, natural * t / 3)
+    )
 
 
 def band_limited(low, high, rate, rng, deviation):
     x = rng.standard_normal(SAMPLES + 2000)
-    x = sosfiltfilt(butter(3, [low, min(high, 0.45 * rate)], "band", fs=rate, output="sos"), x)[1000:-1000]
+    x = sosfiltfilt(
+        butter(3, [low, min(high, 0.45 * rate)], "band", fs=rate, output="sos"), x
+    )[1000:-1000]
     return deviation * x / x.std()
 
 
@@ -63,17 +80,31 @@ def share_kept(record, clean, low=0.0, high=np.inf):
     if record.taps is None:
         return 1.0
     f, s = welch(clean - clean.mean(), 1 / record.step, nperseg=4096)
-    gain = np.abs(np.exp(-2j * np.pi * np.outer(f * record.step, np.arange(len(record.taps)))) @ record.taps)
+    gain = np.abs(
+        np.exp(-2j * np.pi * np.outer(f * record.step, np.arange(len(record.taps))))
+        @ record.taps
+    )
     band = (f >= low) & (f <= high)
     return float((gain**2 * s)[band].sum() / s[band].sum())
 
 
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
-@pytest.mark.parametrize(("natural", "rate"), [(1.0, 100.0), (3.0, 100.0), (10.0, 300.0), (30.0, 2000.0)])
 @pytest.mark.parametrize(
-    "kind", ["slow and broadband", "slow and steps", "random", "sine at resonance", "sine above resonance"]
+    ("natural", "rate"), [(1.0, 100.0), (3.0, 100.0), (10.0, 300.0), (30.0, 2000.0)]
 )
-def test_preparation_keeps_the_measured_power_where_the_model_responds(kind, natural, rate, quantity):
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "slow and broadband",
+        "slow and steps",
+        "random",
+        "sine at resonance",
+        "sine above resonance",
+    ],
+)
+def test_preparation_keeps_the_measured_power_where_the_model_responds(
+    kind, natural, rate, quantity
+):
     rng = np.random.default_rng(3)
     network, motion = shaken(natural, quantity), base_motion(kind, natural, rate, rng)
     record, clean = measured(network, motion, rate, rng, noise=3e-3 * motion.std())
@@ -85,8 +116,13 @@ def test_preparation_keeps_the_measured_power_where_the_model_responds(kind, nat
 def test_the_harmonics_that_friction_makes_of_a_sine_are_compared():
     natural, rate, rng = 3.0, 100.0, np.random.default_rng(7)
     rub = friction("mass", "base", 0.15)
-    network, motion = shaken(natural), base_motion("sine above resonance", natural, rate, rng)
-    record, clean = measured(network.with_element(rub), motion, rate, rng, noise=3e-3 * motion.std())
+    network, motion = (
+        shaken(natural),
+        base_motion("sine above resonance", natural, rate, rng),
+    )
+    record, clean = measured(
+        network.with_element(rub), motion, rate, rng, noise=3e-3 * motion.std()
+    )
     (prepared,) = differentiate_inputs([record], network)
     third = 3 * 1.8 * natural
     assert share_kept(prepared, clean[:, 0], 0.95 * third, 1.05 * third) > 0.98
@@ -95,9 +131,17 @@ def test_the_harmonics_that_friction_makes_of_a_sine_are_compared():
 def test_a_resonance_that_friction_holds_is_compared_too():
     # the base shakes the mass at its natural frequency, but the mass sticks to the ground
     natural, rate, rng = 3.0, 100.0, np.random.default_rng(4)
-    network, motion = shaken(natural), base_motion("slow and broadband", natural, rate, rng)
+    network, motion = (
+        shaken(natural),
+        base_motion("slow and broadband", natural, rate, rng),
+    )
     record, _ = measured(network, motion, rate, rng, noise=2e-5)
-    still = Record("stuck", record.step, record.inputs, 0.01 * rng.standard_normal(record.measured.shape))
+    still = Record(
+        "stuck",
+        record.step,
+        record.inputs,
+        0.01 * rng.standard_normal(record.measured.shape),
+    )
     (prepared,) = differentiate_inputs([still], network)
     responds = np.sin(2 * np.pi * natural * np.arange(SAMPLES) / rate)
     assert share_kept(prepared, responds, 0.5 * natural, 2 * natural) > 0.98
@@ -108,10 +152,16 @@ INERTER = builders.element("inerter", "inertance", "rod", "ground", inertance=90
 FRICTION = friction("rod", "ground", 60.0, "seal")
 
 
-@pytest.mark.parametrize(("element", "highest", "unfiltered"), [(INERTER, 8.0, 1.0), (FRICTION, 2.0, 0.1)])
-def test_the_noise_that_a_force_makes_of_a_displacement_is_left_out(element, highest, unfiltered):
+@pytest.mark.parametrize(
+    ("element", "highest", "unfiltered"), [(INERTER, 8.0, 1.0), (FRICTION, 2.0, 0.1)]
+)
+def test_the_noise_that_a_force_makes_of_a_displacement_is_left_out(
+    element, highest, unfiltered
+):
     """Inertance differentiates noise twice; friction takes the sign of a rate from it."""
-    network = builders.network("test bench", [ROD, element], ["x displacement rod"], ["F force rod"])
+    network = builders.network(
+        "test bench", [ROD, element], ["x displacement rod"], ["F force rod"]
+    )
     rate, rng = 1000.0, np.random.default_rng(5)
     motion = band_limited(0.02, highest, rate, rng, 5e-3)
     record, clean = measured(network, motion, rate, rng, noise=1.5e-5)
@@ -129,7 +179,9 @@ def test_the_noise_that_a_force_makes_of_a_displacement_is_left_out(element, hig
 
 def test_an_input_that_tells_more_is_differentiated_less():
     model = shaken(3.0).to_dict()
-    model["elements"].append(builders.element("b", "inertance", "mass", "base", inertance=0.5))
+    model["elements"].append(
+        builders.element("b", "inertance", "mass", "base", inertance=0.5)
+    )
     for quantity, unit, orders in (
         ("displacement", "m", {"base": 2}),
         ("velocity", "m/s", {"base": 1}),

@@ -43,7 +43,9 @@ from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
 
 STEP = 5e-3
 CAR = Network.load("quarter-car-isd")
-OWN = [n for n in baselines.CONTROLLERS if n not in baselines.WHOLE_CAR]  # of a quarter car
+OWN = [
+    n for n in baselines.CONTROLLERS if n not in baselines.WHOLE_CAR
+]  # of a quarter car
 SEVERAL = ["mpc-friction", *baselines.WHOLE_CAR]  # of several corners, too
 MEASURED = [n for n in OWN if n not in ("lqr-full", "mpc-friction-preview")]
 
@@ -75,7 +77,9 @@ def broken(status):
 
 def cost_change(controller, *, cars=8, duration=10.0):
     """Relative change of the cost against the conventional passive car, on the same roads."""
-    found = score([Entry("own", lambda: controller)], CAR, episodes=cars, duration=duration)
+    found = score(
+        [Entry("own", lambda: controller)], CAR, episodes=cars, duration=duration
+    )
     return found.policies[-1]["cost"]["change"]
 
 
@@ -86,7 +90,11 @@ def test_prediction_model_is_the_linearised_network():
     s = 2j * math.pi
     z = np.exp(s * m.step)
     hold = (1 - np.exp(-s * m.step)) / (s * m.step)
-    own = (m.C @ np.linalg.solve(z * np.eye(m.n) - m.A, m.B) + m.D)[:2] * hold * np.exp(s * m.step) ** 0
+    own = (
+        (m.C @ np.linalg.solve(z * np.eye(m.n) - m.A, m.B) + m.D)[:2]
+        * hold
+        * np.exp(s * m.step) ** 0
+    )
     column = ss.inputs.index("current")
     want = ss.response(np.array([1.0]))[0, :2, column]
     assert np.abs(own / want - 1).max() < 2e-3
@@ -104,7 +112,9 @@ def test_equivalent_damping_is_the_least_squares_gain():
     v = np.random.default_rng(0).normal(0.0, 0.07, 200_000)
     fitted = v @ (500.0 * np.sign(v)) / (v @ v)
     assert equivalent_damping(500.0, 0.07) == pytest.approx(fitted, rel=0.01)
-    assert equivalent_damping(500.0, 0.07) == pytest.approx(500.0 * math.sqrt(2 / math.pi) / 0.07, rel=1e-12)
+    assert equivalent_damping(500.0, 0.07) == pytest.approx(
+        500.0 * math.sqrt(2 / math.pi) / 0.07, rel=1e-12
+    )
 
 
 def test_statistical_linearisation_is_self_consistent():
@@ -121,7 +131,9 @@ def test_statistical_linearisation_is_self_consistent():
         S[:-1, :-1] += m.W
     row = np.append(prediction_model(CAR, STEP).S[0], 0.0)
     assert math.sqrt(row @ S @ row) == pytest.approx(found.rate_rms["seal"], rel=0.01)
-    assert found.damping["seal"] == pytest.approx(equivalent_damping(500.0, found.rate_rms["seal"]), rel=0.01)
+    assert found.damping["seal"] == pytest.approx(
+        equivalent_damping(500.0, found.rate_rms["seal"]), rel=0.01
+    )
 
 
 def test_riccati_value_is_the_cost_of_the_rollout():
@@ -134,7 +146,9 @@ def test_riccati_value_is_the_cost_of_the_rollout():
     # the current that is paid for is the one chosen at the state: K S K
     cost = weights.signals @ np.diag(y) + weights.current * (K @ spread @ K)
     # signals at the end of the step carry the step's own noise, which no value function contains
-    assert cost == pytest.approx(np.trace(V @ m.W) + weights.signals @ np.diag(m.C @ m.W @ m.C.T), rel=1e-6)
+    assert cost == pytest.approx(
+        np.trace(V @ m.W) + weights.signals @ np.diag(m.C @ m.W @ m.C.T), rel=1e-6
+    )
 
 
 def test_estimate_on_the_car_is_the_state():
@@ -151,8 +165,12 @@ def test_estimate_on_the_car_is_the_state():
         errors.append(estimate - x)
         truth.append(x)
     m = full.prediction
-    rows = np.vstack([m.C[[1, 3]], m.nodes[1], m.C[5]])  # travel, device travel, body velocity, tyre load
-    error, true = (np.std(rows @ np.array(x)[300:], axis=(0, 2)) for x in (errors, truth))
+    rows = np.vstack(
+        [m.C[[1, 3]], m.nodes[1], m.C[5]]
+    )  # travel, device travel, body velocity, tyre load
+    error, true = (
+        np.std(rows @ np.array(x)[300:], axis=(0, 2)) for x in (errors, truth)
+    )
     assert np.all(error[:3] < [0.01 * true[0], 0.01 * true[1], 0.2 * true[2]])
     assert error[3] < 0.3 * true[3]
 
@@ -160,7 +178,9 @@ def test_estimate_on_the_car_is_the_state():
 def test_stage_cost_is_the_objective():
     """MPC's quadratic form of a plan is the sum of `StageCost` over the predicted steps (and the move weight)."""
     cost = StageCost(tyre_load=0.2, current=0.05)
-    settings = MpcSettings(horizon=6, moves=(1,) * 6, terminal=False, centring=0.0, move=0.3)
+    settings = MpcSettings(
+        horizon=6, moves=(1,) * 6, terminal=False, centring=0.0, move=0.3
+    )
     controller = Mpc(CAR, cost, STEP, settings)
     m = controller.linear.model
     rng = np.random.default_rng(2)
@@ -176,8 +196,14 @@ def test_stage_cost_is_the_objective():
         return total
 
     for _ in range(3):
-        x0, present, moves = scale * rng.normal(size=m.n), rng.normal(), 0.2 * rng.normal(size=6)
-        given = np.concatenate([x0, [present], np.zeros(controller._linear_term.shape[1] - m.n - 1)])
+        x0, present, moves = (
+            scale * rng.normal(size=m.n),
+            rng.normal(),
+            0.2 * rng.normal(size=6),
+        )
+        given = np.concatenate(
+            [x0, [present], np.zeros(controller._linear_term.shape[1] - m.n - 1)]
+        )
         q = controller._linear_term @ given
         form = 0.5 * moves @ controller._P @ moves + q @ moves
         direct = objective(x0, present, moves) - objective(x0, present, np.zeros(6))
@@ -186,9 +212,13 @@ def test_stage_cost_is_the_objective():
 
 def test_cost_to_go_makes_a_short_horizon_long():
     """With the regulator's cost-to-go, 3 free moves and the infinite horizon agree exactly."""
-    controller = Mpc(CAR, None, STEP, MpcSettings(horizon=3, moves=(1, 1, 1), friction="equivalent"))
+    controller = Mpc(
+        CAR, None, STEP, MpcSettings(horizon=3, moves=(1, 1, 1), friction="equivalent")
+    )
     K, _ = move_regulator(controller.linear.model, controller.weights)
-    z = np.append(np.random.default_rng(3).normal(size=controller.linear.model.n) * 1e-4, 0.02)
+    z = np.append(
+        np.random.default_rng(3).normal(size=controller.linear.model.n) * 1e-4, 0.02
+    )
     free = -controller._inverse @ (controller._linear_term @ z)
     assert free[0] == pytest.approx(-K @ z, rel=1e-6)
 
@@ -200,7 +230,10 @@ def test_without_the_soft_program_the_hard_plan_is_used():
 
     controller._soft_programs[0] = broken("maximum iterations reached")
     plain._soft_limits = plain._soft_limits * np.inf
-    assert np.array_equal(controller._solve(x[:, None], np.zeros(1)), plain._solve(x[:, None], np.zeros(1)))
+    assert np.array_equal(
+        controller._solve(x[:, None], np.zeros(1)),
+        plain._solve(x[:, None], np.zeros(1)),
+    )
     controller.reset()  # forgets no fallback
     assert (controller.fallbacks, plain.fallbacks) == (1, 0)
 
@@ -215,14 +248,26 @@ def test_soft_limits_bend_the_plan():
     controller.reset()
     controller._soft_limits = controller._soft_limits * np.inf
     hard = controller._solve(x[:, None], np.zeros(1))[:, 0]
-    given = np.concatenate([x, [0.0], np.zeros(controller._linear_term.shape[1] - m.n - 1)])
-    travel = lambda moves: np.abs(controller._soft_given @ given + controller._soft_moves @ moves)[20:].max()  # noqa: E731
+    given = np.concatenate(
+        [x, [0.0], np.zeros(controller._linear_term.shape[1] - m.n - 1)]
+    )
+
+    def travel(moves):
+        forced = controller._soft_given @ given + controller._soft_moves @ moves
+        return np.abs(forced)[20:].max()
+
     assert travel(soft) <= travel(hard) + 1e-9
     assert not np.allclose(soft, hard)
 
 
 @pytest.mark.parametrize(
-    "status", ["primal infeasible", "maximum iterations reached", "unsolved", "problem non convex"]
+    "status",
+    [
+        "primal infeasible",
+        "maximum iterations reached",
+        "unsolved",
+        "problem non convex",
+    ],
 )
 def test_every_solver_status_has_a_defined_answer(status):
     """Without a plan the current goes to zero at the slew limit; with one its rest is used. Both are counted."""
@@ -230,7 +275,9 @@ def test_every_solver_status_has_a_defined_answer(status):
 
     rough = np.array([3.0, 0.02, -0.4, 0.01, 0.3, 2.0])
     controller._programs[0] = controller._soft_programs[0] = broken(status)
-    assert controller.act(rough) == pytest.approx(1.5)  # towards no current, 0.5 A a step
+    assert controller.act(rough) == pytest.approx(
+        1.5
+    )  # towards no current, 0.5 A a step
     assert controller.fallbacks == 1 and controller.status == status
     fresh = baselines.make("mpc")
     fresh.act(rough)
@@ -247,14 +294,23 @@ def test_osqp_statuses_are_read(monkeypatch):
     import osqp
 
     qp = Osqp(np.eye(2), np.eye(2))
-    kinds = {s: getattr(osqp.SolverStatus, s) for s in dir(osqp.SolverStatus) if s.startswith("OSQP_")}
+    kinds = {
+        s: getattr(osqp.SolverStatus, s)
+        for s in dir(osqp.SolverStatus)
+        if s.startswith("OSQP_")
+    }
 
     info, solution = SimpleNamespace(status="word"), SimpleNamespace()
-    idle = {name: lambda *_, **__: None for name in ("update_data_vec", "warm_start", "solve")}
+    idle = {
+        name: lambda *_, **__: None
+        for name in ("update_data_vec", "warm_start", "solve")
+    }
     qp._bare = SimpleNamespace(info=info, solution=solution, **idle)
     for name, info.status_val in kinds.items():
         solution.x = np.zeros(2)
-        taken = qp.solve(np.zeros(2), -np.ones(2), np.ones(2), np.zeros(2)).x is not None
+        taken = (
+            qp.solve(np.zeros(2), -np.ones(2), np.ones(2), np.zeros(2)).x is not None
+        )
         assert taken == (name in ("OSQP_SOLVED", "OSQP_SOLVED_INACCURATE")), name
         solution.x = np.array([np.nan, 0.0])
         assert qp.solve(np.zeros(2), -np.ones(2), np.ones(2), np.zeros(2)).x is None
@@ -268,7 +324,9 @@ def test_expected_friction_balances_rate_and_force():
         g = -(10 ** rng.uniform(-6, -3))
         f, _ = _friction(free, g, 500.0, spread)
         v = free + g * f
-        assert f == pytest.approx(500.0 * math.erf(v / (math.sqrt(2) * spread)), abs=0.5)
+        assert f == pytest.approx(
+            500.0 * math.erf(v / (math.sqrt(2) * spread)), abs=0.5
+        )
 
 
 def test_one_sweep_solves_a_linear_problem():
@@ -284,11 +342,15 @@ def test_one_sweep_solves_a_linear_problem():
 
 def test_plan_is_a_local_minimum():
     """At a plan on the real car, no small allowed change of any move costs less."""
-    controller = FrictionMpc(CAR, None, STEP, FrictionMpcSettings(iterations=60, horizon=12))
+    controller = FrictionMpc(
+        CAR, None, STEP, FrictionMpcSettings(iterations=60, horizon=12)
+    )
     m = controller.prediction
     x = np.linalg.pinv(m.C[[1, 2, 3, 4]]) @ np.array([0.01, 0.15, 0.003, -0.05])
     moves = np.zeros((1, 12))
-    _plan(x[:, None], np.array([0.3]), moves, np.zeros((1, 12)), controller._problem, 60)
+    _plan(
+        x[:, None], np.array([0.3]), moves, np.zeros((1, 12)), controller._problem, 60
+    )
     problem = controller._problem
 
     def cost(w):
@@ -329,7 +391,9 @@ def test_limits_hold_on_any_road(name, network, road):
     env = ISDSuspensionVectorEnv(1, network, road=road, **options)
     obs, _ = env.reset(seed=7)
     controller.reset()
-    currents = [i for i, signal in enumerate(env.task.measured) if signal.kind == "current"]
+    currents = [
+        i for i, signal in enumerate(env.task.measured) if signal.kind == "current"
+    ]
     for _ in range(200):
         command = np.atleast_1d(controller.act(obs[0]))
         assert command.shape == (len(currents),) and np.isfinite(command).all()
@@ -351,8 +415,12 @@ def test_no_observation_breaks_a_controller(name, network):
     controller = baselines.make(name, network)
     controller.reset()
     rng = np.random.default_rng(8)
-    signals, currents = (6, slice(5, 6)) if network == "quarter-car-isd" else (12, slice(10, 12))
-    seen = signals + round(200 * getattr(controller, "preview", 0.0))  # and a point of road a control step
+    signals, currents = (
+        (6, slice(5, 6)) if network == "quarter-car-isd" else (12, slice(10, 12))
+    )
+    seen = signals + round(
+        200 * getattr(controller, "preview", 0.0)
+    )  # and a point of road a control step
     for k in range(60):
         obs = (rng.normal(size=seen) * 10 ** rng.uniform(-2, 6)).astype(np.float32)
         if k % 3 == 0:
@@ -360,7 +428,9 @@ def test_no_observation_breaks_a_controller(name, network):
         command = np.asarray(controller.act(obs))
         assert np.isfinite(command).all() and np.abs(command).max() <= CURRENT_LIMIT
     calm = np.zeros(seen, np.float32)
-    for _ in range(8000 if signals == 6 else 12000):  # several times the 5 s until a road's level is trusted
+    for _ in range(
+        8000 if signals == 6 else 12000
+    ):  # several times the 5 s until a road's level is trusted
         calm[currents] = command = controller.act(calm)
     assert np.abs(command).max() < 0.5
 
@@ -384,28 +454,40 @@ def test_mpc_beats_passive_and_the_toolbox_horizons_do_not():
         "quarter-car-isd",
         "quarter-car-eq8",
         "quarter-car-active",
-        pytest.param("quarter-car-semiactive", marks=pytest.mark.slow),  # a kernel of its own is compiled
+        pytest.param(
+            "quarter-car-semiactive", marks=pytest.mark.slow
+        ),  # a kernel of its own is compiled
         "half-car-isd",
         "full-car-isd",
     ],
 )
 def test_no_baseline_is_worse_than_no_current(car):
     """On every kind of car, but for `mpc-paper`, whose failure is documented."""
-    names = OWN if "quarter" in car else [*baselines._AT_EACH_CORNER, *baselines.WHOLE_CAR]
+    names = (
+        OWN if "quarter" in car else [*baselines._AT_EACH_CORNER, *baselines.WHOLE_CAR]
+    )
     driven = {"isd-passive", *names} - {"passive", "mpc-paper"}
     found = score(sorted(driven), car, episodes=2, duration=4.0)
     costs = {row["policy"]: row["cost"]["value"] for row in found.policies}
-    assert {name: costs[name] for name in driven if costs[name] > costs["isd-passive"]} == {}
+    assert {
+        name: costs[name] for name in driven if costs[name] > costs["isd-passive"]
+    } == {}
 
 
 @pytest.mark.parametrize("damping", [0.0, 800.0])
 def test_passive_elements_of_the_strut_are_counted_once(damping):
     """The motor gives the force of the law less the force of the damper beside it; the main spring counts for neither."""
-    network = Network.load("quarter-car-active").with_parameters({"damper.damping": damping})
+    network = Network.load("quarter-car-active").with_parameters(
+        {"damper.damping": damping}
+    )
     skyhook = baselines.make("skyhook", network)
     acceleration, travel, rate = 0.2, 0.01, 0.3
-    current = skyhook._command(np.array([[acceleration], [travel], [rate], [travel], [rate], [0.0]]))
-    assert 400.0 * current == pytest.approx(skyhook.force(acceleration, rate) - damping * rate)
+    current = skyhook._command(
+        np.array([[acceleration], [travel], [rate], [travel], [rate], [0.0]])
+    )
+    assert 400.0 * current == pytest.approx(
+        skyhook.force(acceleration, rate) - damping * rate
+    )
 
 
 def test_a_stiffer_oil_spring_changes_no_controller():
@@ -414,7 +496,9 @@ def test_a_stiffer_oil_spring_changes_no_controller():
     for name in ("lqg", "mpc-paper", "mpc", "mpc-friction"):
         answers = []
         for factor in (10, 30, 100, 300, 1000):
-            controller = baselines.make(name, CAR.with_parameters({"oil.stiffness": 709e3 * factor}))
+            controller = baselines.make(
+                name, CAR.with_parameters({"oil.stiffness": 709e3 * factor})
+            )
             answers.append([controller.act(obs[0]) for obs in seen])
         assert np.std(answers, axis=0).mean() < 0.1, name  # A, of up to 5
 
@@ -429,13 +513,19 @@ def test_a_stiffer_oil_spring_changes_no_controller():
         (lambda: baselines.make("skyhook", model="force-rig"), "is no car"),
         *(
             (
-                partial(baselines.make, name, CAR.with_parameters({"tyre.stiffness": 192e-6})),
+                partial(
+                    baselines.make,
+                    name,
+                    CAR.with_parameters({"tyre.stiffness": 192e-6}),
+                ),
                 "no linear-quadratic",
             )
             for name in ("lqg", "mpc-paper", "mpc", "mpc-friction")
         ),
         (
-            partial(baselines.make, "mpc-paper", CAR.with_parameters({"body.mass": 345e6})),
+            partial(
+                baselines.make, "mpc-paper", CAR.with_parameters({"body.mass": 345e6})
+            ),
             "no linear-quadratic controller can be computed for network 'quarter-car-isd'",
         ),
     ],
@@ -458,7 +548,9 @@ def test_a_controller_travels_to_another_process(name):
     rows = np.random.default_rng(0).normal(size=(5, 6 + points)) * 0.01
     for c in (first, again):
         c.reset()
-    np.testing.assert_allclose([again.act(r) for r in rows], [first.act(r) for r in rows], atol=1e-3)
+    np.testing.assert_allclose(
+        [again.act(r) for r in rows], [first.act(r) for r in rows], atol=1e-3
+    )
 
 
 def test_a_damper_set_by_a_current_gives_the_wanted_force_within_its_limits():

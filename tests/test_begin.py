@@ -19,9 +19,20 @@ from isd_gym.records.loggers import Recording, Signal
 
 NETWORK = Network.load(CAR)
 STEP = 2.5e-3
-GROUNDED = [*STRUT, spring("wheel", "ground", 192000.0, "tyre"), friction("body", "wheel", 60.0, "seal")]
-DECAY = CAR | {"elements": GROUNDED, "inputs": [], "outputs": [CAR["outputs"][0], CAR["outputs"][2]]}
-BODY, WHEEL = {"displacement": 0.04, "velocity": -0.3}, {"displacement": -0.004, "velocity": 0.1}
+GROUNDED = [
+    *STRUT,
+    spring("wheel", "ground", 192000.0, "tyre"),
+    friction("body", "wheel", 60.0, "seal"),
+]
+DECAY = CAR | {
+    "elements": GROUNDED,
+    "inputs": [],
+    "outputs": [CAR["outputs"][0], CAR["outputs"][2]],
+}
+BODY, WHEEL = (
+    {"displacement": 0.04, "velocity": -0.3},
+    {"displacement": -0.004, "velocity": 0.1},
+)
 AT_FIRST = {"body": BODY, "wheel": WHEEL}
 
 
@@ -40,7 +51,9 @@ def error(said, table):
 def test_a_record_that_begins_in_mid_motion_is_followed_from_its_first_sample(moving):
     begun = initial_state(moving, NETWORK)
     rest = error(simulate(NETWORK, moving.time, moving.columns), moving)
-    fitted = error(simulate(NETWORK, begun.time, begun.inputs, initial=begun.state), moving)
+    fitted = error(
+        simulate(NETWORK, begun.time, begun.inputs, initial=begun.state), moving
+    )
     assert rest > 1.0
     assert fitted < 0.03  # the sensors' noise is 2 %
 
@@ -51,7 +64,9 @@ def test_a_free_decay_is_fitted_to_one_sensor():
     time = STEP * np.arange(1200)
     start = state_of(network, AT_FIRST, {}, STEP)
     said = simulate(network, time, {}, initial=start)["body_acceleration"]
-    noisy = said + 0.01 * said.std() * np.random.default_rng(0).standard_normal(len(said))
+    noisy = said + 0.01 * said.std() * np.random.default_rng(0).standard_normal(
+        len(said)
+    )
     begun = initial_state(Table(time, {"body_acceleration": noisy}, "decay"), network)
     found = motions_at(network, begun.state, {}, STEP)
     for node, motion in AT_FIRST.items():
@@ -62,13 +77,19 @@ def test_a_free_decay_is_fitted_to_one_sensor():
 def test_loggers_with_rates_and_clocks_of_their_own_are_fitted_on_their_grid(moving):
     late = 0.012
     logged = {c.name: c.si for c in NETWORK.outputs if c.name != "wheel_acceleration"}
-    signals = {n: Signal(moving.time + late, moving[n], si, "box", n) for n, si in logged.items()}
+    signals = {
+        n: Signal(moving.time + late, moving[n], si, "box", n)
+        for n, si in logged.items()
+    }
     signals["road"] = Signal(moving.time, moving["road"], "m", "laser", "road")
     begun = initial_state(Recording("run", signals), NETWORK)
     (lag,) = begun.lags
     assert lag.value == pytest.approx(late, abs=5e-4)
     said = simulate(NETWORK, begun.time, begun.inputs, initial=begun.state)
-    truth = {n: np.interp(begun.time, moving.time, moving[n]) for n in ("body_acceleration", "travel")}
+    truth = {
+        n: np.interp(begun.time, moving.time, moving[n])
+        for n in ("body_acceleration", "travel")
+    }
     assert max(np.std((said[n] - y)[:800]) / np.std(y) for n, y in truth.items()) < 0.04
 
 
@@ -77,13 +98,24 @@ def files(tmp_path, moving):
     (tmp_path / "car.json").write_text(json.dumps(CAR))
     columns = {n: moving[n] for n in ("road", "travel")}
     write_table(tmp_path / "drive.csv", Table(moving.time, columns, "drive"))
-    write_table(tmp_path / "road.csv", Table(moving.time, {"road": moving["road"]}, "road"))
+    write_table(
+        tmp_path / "road.csv", Table(moving.time, {"road": moving["road"]}, "road")
+    )
     return tmp_path
 
 
 def simulated(folder, data, *more):
     out = folder / "out.csv"
-    words = ["simulate", folder / "car.json", folder / data, "--out", out, "--initial", "fit", *more]
+    words = [
+        "simulate",
+        folder / "car.json",
+        folder / data,
+        "--out",
+        out,
+        "--initial",
+        "fit",
+        *more,
+    ]
     return CliRunner().invoke(app, list(map(str, words))), out
 
 

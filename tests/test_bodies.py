@@ -14,7 +14,14 @@ from rigs import reference
 import isd_gym.physics.simulate
 from isd_gym import simulate
 from isd_gym.physics._kernel.layout import GENERAL
-from isd_gym.physics.network import Network, assemble, builtin_networks, cut, rejoin, transfer
+from isd_gym.physics.network import (
+    Network,
+    assemble,
+    builtin_networks,
+    cut,
+    rejoin,
+    transfer,
+)
 
 FREQUENCY = np.geomspace(0.1, 40.0, 60)
 SIGNALS = ("suspension_travel", "tyre_force", "device_travel", "body_acceleration")
@@ -22,7 +29,11 @@ SIGNALS = ("suspension_travel", "tyre_force", "device_travel", "body_acceleratio
 
 def uneven(seed, samples=4001, step=1e-3):
     """Height [m] of a rough road, white in velocity."""
-    return 0.08 * np.sqrt(step) * np.cumsum(np.random.default_rng(seed).standard_normal(samples))
+    return (
+        0.08
+        * np.sqrt(step)
+        * np.cumsum(np.random.default_rng(seed).standard_normal(samples))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +41,10 @@ def drive():
     """Time, roads under front and rear axle, and two currents."""
     t = np.arange(4001) * 1e-3
     roads = {"time": t, "road_front": uneven(1), "road_rear": uneven(2)}
-    return roads | {"current_front": 4.0 * np.sin(8.1 * t), "current_rear": 3.0 * np.sin(13.2 * t + 1.0)}
+    return roads | {
+        "current_front": 4.0 * np.sin(8.1 * t),
+        "current_rear": 3.0 * np.sin(13.2 * t + 1.0),
+    }
 
 
 def inputs(drive, *sides):
@@ -43,15 +57,21 @@ def largest(a, b):
 
 
 @pytest.mark.parametrize("end", ["front", "rear"])
-def test_with_a_pitch_inertia_of_m_a_b_each_corner_is_a_quarter_car(drive, end, monkeypatch):
+def test_with_a_pitch_inertia_of_m_a_b_each_corner_is_a_quarter_car(
+    drive, end, monkeypatch
+):
     """Friction sticks and slips, end stops are hit; both cars law by law, and each on its own way through a step."""
     own = {"road": drive[f"road_{end}"], "current": drive[f"current_{end}"]}
     half = simulate(decoupled_half_car(), drive["time"], inputs(drive))
     quarter = simulate("quarter-car-isd", drive["time"], own)
     for name in SIGNALS:
-        assert np.std(half[f"{name}_{end}"]) == pytest.approx(np.std(quarter[name]), rel=1e-3)
+        assert np.std(half[f"{name}_{end}"]) == pytest.approx(
+            np.std(quarter[name]), rel=1e-3
+        )
     numbers = isd_gym.physics.simulate._law_numbers
-    monkeypatch.setattr(isd_gym.physics.simulate, "_law_numbers", lambda *a: (GENERAL, *numbers(*a)[1:]))
+    monkeypatch.setattr(
+        isd_gym.physics.simulate, "_law_numbers", lambda *a: (GENERAL, *numbers(*a)[1:])
+    )
     half = simulate(decoupled_half_car(), drive["time"], inputs(drive))
     quarter = simulate("quarter-car-isd", drive["time"], own)
     assert np.abs(quarter["device_travel"]).max() > 0.02465  # the end stop acts
@@ -73,13 +93,17 @@ def test_the_kernel_agrees_with_an_integrator_that_shares_nothing_with_it(name, 
         allowed = 5e-3 if "device" in channel else 1e-3
         assert np.std(fine[channel] - values) < allowed * np.std(values), channel
         if "device" not in channel:
-            assert np.std(shipped[channel]) == pytest.approx(np.std(values), rel=1e-3), channel
+            assert np.std(shipped[channel]) == pytest.approx(
+                np.std(values), rel=1e-3
+            ), channel
 
 
 @pytest.mark.parametrize("name", builtin_networks())
 def test_a_network_is_written_as_it_was_read(name):
     network = Network.load(name)
-    text = (resources.files("isd_gym.physics") / "networks" / f"{name}.json").read_text()
+    text = (
+        resources.files("isd_gym.physics") / "networks" / f"{name}.json"
+    ).read_text()
     assert json.dumps(network.to_dict()) == json.dumps(json.loads(text))
     assert network.dumps() == text or not network.bodies
     again = Network.from_dict(json.loads(network.dumps()))
@@ -88,9 +112,17 @@ def test_a_network_is_written_as_it_was_read(name):
 
 def test_numbers_of_a_body_are_parameters():
     half = Network.load("half-car-isd")
-    assert half.parameters["body.mass"] == 690.0 and half.parameters["body.inertia.pitch"] == 1222.0
-    assert half.unit_of("body.mass") == "kg" and half.unit_of("body.inertia.pitch") == "kg m^2"
-    heavy = half.with_parameters({"body.mass": 800.0, "body.inertia.pitch": 1500.0, "wheel_rear.mass": 50.0})
+    assert (
+        half.parameters["body.mass"] == 690.0
+        and half.parameters["body.inertia.pitch"] == 1222.0
+    )
+    assert (
+        half.unit_of("body.mass") == "kg"
+        and half.unit_of("body.inertia.pitch") == "kg m^2"
+    )
+    heavy = half.with_parameters(
+        {"body.mass": 800.0, "body.inertia.pitch": 1500.0, "wheel_rear.mass": 50.0}
+    )
     built = half.to_dict()
     built["bodies"]["body"] |= {"mass": 800.0, "inertia": {"pitch": 1500.0}}
     built["masses"]["wheel_rear"] = 50.0
@@ -108,32 +140,52 @@ def test_a_body_without_inertia_does_not_turn(drive):
     assert "body.pitch" not in stiff.nodes
     road = {"road_front": drive["road_front"], "road_rear": drive["road_front"]}
     got = simulate(stiff, drive["time"], road)
-    quarter = simulate("quarter-car-passive", drive["time"], {"road": drive["road_front"]})
+    quarter = simulate(
+        "quarter-car-passive", drive["time"], {"road": drive["road_front"]}
+    )
     assert largest(got["body_acceleration_rear"], quarter["body_acceleration"]) < 1e-9
-    uneven_road = simulate(stiff, drive["time"], inputs(drive) | road | {"road_rear": drive["road_rear"]})
-    assert np.array_equal(uneven_road["body_acceleration_front"], uneven_road["body_acceleration_rear"])
+    uneven_road = simulate(
+        stiff, drive["time"], inputs(drive) | road | {"road_rear": drive["road_rear"]}
+    )
+    assert np.array_equal(
+        uneven_road["body_acceleration_front"], uneven_road["body_acceleration_rear"]
+    )
 
 
 def test_a_half_car_is_cut_at_one_wheel_and_at_both(drive):
     """What one wheel's sensor tells replaces its tyre and road; the other road stays until that wheel is cut, too."""
     data = Network.load("half-car-isd").to_dict()
-    hubs = (builders.channel(f"hub_{end}", "displacement", f"wheel_{end}") for end in ("front", "rear"))
+    hubs = (
+        builders.channel(f"hub_{end}", "displacement", f"wheel_{end}")
+        for end in ("front", "rear")
+    )
     data["outputs"] += hubs
     whole = Network.from_dict(data)
     got = simulate(whole, drive["time"], inputs(drive))
     one = cut(whole, "wheel_front")
-    assert one.moved_nodes == ("wheel_front", "road_rear") and one.bodies == whole.bodies
-    assert "body.inertia.pitch" in one.uncertainty and "tyre_front.stiffness" not in one.uncertainty
+    assert (
+        one.moved_nodes == ("wheel_front", "road_rear") and one.bodies == whole.bodies
+    )
+    assert (
+        "body.inertia.pitch" in one.uncertainty
+        and "tyre_front.stiffness" not in one.uncertainty
+    )
     both = cut(one, "wheel_rear")
     assert both.moved_nodes == ("wheel_rear", "wheel_front")
     measured = inputs(drive) | {name: got[name] for name in ("hub_front", "hub_rear")}
     for part in (one, both):
         out = simulate(part, drive["time"], measured)
         assert {"pitch_acceleration", "driver_acceleration"} <= set(out)
-        for name in ("pitch_acceleration", "suspension_travel_rear", "device_travel_front"):
+        for name in (
+            "pitch_acceleration",
+            "suspension_travel_rear",
+            "device_travel_front",
+        ):
             assert np.std(out[name] - got[name]) < 0.01 * np.std(got[name])
     heavy = one.with_parameters({"body.inertia.pitch": 1300.0})
-    assert rejoin(whole, heavy).parameters == whole.parameters | {"body.inertia.pitch": 1300.0}
+    assert rejoin(whole, heavy).parameters == whole.parameters | {
+        "body.inertia.pitch": 1300.0
+    }
     refused("cut: 'body_front' is part of body 'body'", cut, whole, "body_front")
 
 
@@ -149,7 +201,10 @@ def _change(data, path, value):
 
 
 ABOUT = builders.channel("pitch", "acceleration", body="body", axis="pitch")
-ENDS = [builders.channel(n, "displacement", n) for n in ("body_front", "body_rear", "driver")]
+ENDS = [
+    builders.channel(n, "displacement", n)
+    for n in ("body_front", "body_rear", "driver")
+]
 BAD = [
     ("bodies.body.mass", None, r"body 'body': 'mass' is missing"),
     ("bodies.body.mass", 0.0, r"body 'body': the mass must be a positive number of kg"),
@@ -195,7 +250,10 @@ def test_roads_told_by_their_velocity_need_one_another(quantity):
     unit = {"velocity": "m/s", "acceleration": "m/s^2"}[quantity]
     for c in data["inputs"]:
         c |= {"quantity": quantity, "unit": unit}
-    refused("says nothing of its distance from 'road_rear'", lambda: assemble(Network.from_dict(data)))
+    refused(
+        "says nothing of its distance from 'road_rear'",
+        lambda: assemble(Network.from_dict(data)),
+    )
 
 
 def test_a_body_is_seen_from_the_frame_of_its_only_road():
@@ -214,5 +272,8 @@ def test_a_body_is_seen_from_the_frame_of_its_only_road():
     data["inputs"][0] |= {"quantity": "acceleration", "unit": "m/s^2"}
     told = Network.from_dict(data)
     s = 2j * np.pi * FREQUENCY[:, None]
-    a, b = transfer(known, FREQUENCY)[:, :, 0], transfer(told, FREQUENCY)[:, :, 0] * s * s
+    a, b = (
+        transfer(known, FREQUENCY)[:, :, 0],
+        transfer(told, FREQUENCY)[:, :, 0] * s * s,
+    )
     assert np.abs(a - b).max() < 1e-9 * np.abs(a).max()

@@ -11,7 +11,12 @@ from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
-from isd_gym.physics.prediction import Weights, prediction_model, preview_regulator, regulator
+from isd_gym.physics.prediction import (
+    Weights,
+    prediction_model,
+    preview_regulator,
+    regulator,
+)
 from isd_gym.physics.road import road
 
 CAR, PAPER, COST = Network.load("quarter-car-isd"), road("paper"), StageCost()
@@ -19,7 +24,9 @@ CAR, PAPER, COST = Network.load("quarter-car-isd"), road("paper"), StageCost()
 
 def _linear():
     model = CAR.to_dict()
-    model["elements"] = [e for e in model["elements"] if e["name"] not in ("seal", "end_stop")]
+    model["elements"] = [
+        e for e in model["elements"] if e["name"] not in ("seal", "end_stop")
+    ]
     model["uncertainty"] = {}
     return Network.from_dict(model)
 
@@ -56,7 +63,8 @@ def test_preview_regulator_without_points_is_the_regulator_and_with_them_it_gain
 
 
 @pytest.mark.parametrize(
-    ("travel", "tyre", "acceleration"), [(-0.17, -0.006, -0.131), (0.0, 0.0, -0.171), (-0.10, 0.024, -0.186)]
+    ("travel", "tyre", "acceleration"),
+    [(-0.17, -0.006, -0.131), (0.0, 0.0, -0.171), (-0.10, 0.024, -0.186)],
 )
 def test_best_acceleration_is_design_s(travel, tyre, acceleration):
     best = bounds.best_acceleration(travel, tyre)
@@ -77,7 +85,9 @@ def test_reference_is_the_closed_form_of_the_passive_car():
 
 def test_motor_without_effort_comes_near_the_bound_and_never_below():
     free = bounds.lq_bound()
-    assert free.triple == pytest.approx(bounds.lq_bound("quarter-car-eq8").triple, rel=1e-9)  # of any device
+    assert free.triple == pytest.approx(
+        bounds.lq_bound("quarter-car-eq8").triple, rel=1e-9
+    )  # of any device
     costs = []
     for effort in (1e-2, 1e-6, 1e-10):
         p = bounds.lq_bound(effort=effort)
@@ -97,7 +107,10 @@ def test_the_ceiling_is_above_every_causal_controller():
     # proven is farther away than what is searched
     assert -0.6 < found.proven.mean() / found.passive - 1 < found.change < -0.24
     idle = drive(passive(CAR), CAR, episodes=4).cost(COST).mean()
-    for name in ("mpc-friction", "lqr-full"):  # the full state is no knowledge of the road
+    for name in (
+        "mpc-friction",
+        "lqr-full",
+    ):  # the full state is no knowledge of the road
         own = drive(find(name, CAR), CAR, episodes=4).cost(COST).mean()
         assert own / idle - 1 > found.change
 
@@ -107,7 +120,10 @@ def test_a_score_quotes_no_ceiling_of_few_roads(monkeypatch):
     stored = module._stored("ceiling.json")
 
     def few(name):
-        return {key: {"seeds": dict(list(one["seeds"].items())[:3])} for key, one in stored.items()}
+        return {
+            key: {"seeds": dict(list(one["seeds"].items())[:3])}
+            for key, one in stored.items()
+        }
 
     assert known("quarter-car-isd")["roads"] == 8
     monkeypatch.setattr(module, "_stored", few)
@@ -117,7 +133,9 @@ def test_a_score_quotes_no_ceiling_of_few_roads(monkeypatch):
 def test_the_clairvoyant_optimum_is_that_of_the_score():
     found = reachable("quarter-car-isd")
     assert found["value"].shape == (32,) and np.all(found["lower"] < found["value"])
-    cost = COST(found["body_acceleration"], found["suspension_travel"])  # the cost belongs to the triple
+    cost = COST(
+        found["body_acceleration"], found["suspension_travel"]
+    )  # the cost belongs to the triple
     np.testing.assert_allclose(cost, found["value"], rtol=1e-4)
     assert (
         reachable("quarter-car-isd", seed=900_000) is None

@@ -33,8 +33,13 @@ def policy_of(network, head=None, seed=0, hidden=8):
     rng, plant = np.random.default_rng(seed), Network.load(network)
     car = vehicle(plant)
     sizes = [memory(network).width(len(car.measured)), hidden, len(car.driven)]
-    layers = [(rng.normal(size=(b, a)) / a, 0.1 * rng.normal(size=b)) for a, b in pairwise(sizes)]
-    return Policy(layers, memory=memory(network), head=head or Head("increment"), network=plant)
+    layers = [
+        (rng.normal(size=(b, a)) / a, 0.1 * rng.normal(size=b))
+        for a, b in pairwise(sizes)
+    ]
+    return Policy(
+        layers, memory=memory(network), head=head or Head("increment"), network=plant
+    )
 
 
 @both
@@ -61,7 +66,9 @@ def test_a_policy_of_another_car_is_one_line(tmp_path):
         (quarter, "half-car-isd", "1 current; 'half-car-isd' has 2"),
     ):
         plant = Network.load(network)
-        assert "choose a policy" in refused(says, open_policy, name, plant, StageCost(), STEP, {})
+        assert "choose a policy" in refused(
+            says, open_policy, name, plant, StageCost(), STEP, {}
+        )
     other = {"memory": memory("half-car-isd"), "network": Network.load("full-car-isd")}
     refused("outputs", Policy, policy_of("half-car-isd").weights, **other)
 

@@ -21,12 +21,18 @@ ON = {"episodes": 4, "duration": 0.5}
 @pytest.fixture(scope="module")
 def card():
     held = score(["passive", "isd-passive", "skyhook"], **ON).to_dict()
-    return cards.make("ISDSuspension-v0", [cards.track(held, "brief", "isd-gym score ...")], "2026-01-01")
+    return cards.make(
+        "ISDSuspension-v0",
+        [cards.track(held, "brief", "isd-gym score ...")],
+        "2026-01-01",
+    )
 
 
 def _script():
     """The script that writes the page's tables."""
-    spec = importlib.util.spec_from_file_location("table", Path(__file__).parents[1] / "docs" / "table.py")
+    spec = importlib.util.spec_from_file_location(
+        "table", Path(__file__).parents[1] / "docs" / "table.py"
+    )
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     return script
@@ -35,21 +41,35 @@ def _script():
 def test_a_submitted_score_is_paired_as_if_all_had_driven_together(card):
     theirs = json.loads(json.dumps(score(["add"], **ON).to_dict()))
     rows = cards.ranking(card, "brief", [theirs])
-    assert [r["cost"]["value"] for r in rows] == sorted(r["cost"]["value"] for r in rows)
+    assert [r["cost"]["value"] for r in rows] == sorted(
+        r["cost"]["value"] for r in rows
+    )
     (own,) = (r for r in rows if r["submitted"])
     together = score(["passive", "skyhook", "add"], **ON)
     expected = {r["policy"]: r for r in together.policies}["add"]["cost"]
-    for key in ("value", "change", "low", "high"):  # the episodes of a score have nine digits
+    for key in (
+        "value",
+        "change",
+        "low",
+        "high",
+    ):  # the episodes of a score have nine digits
         assert own["cost"][key] == pytest.approx(expected[key], rel=1e-7, abs=1e-8)
-    ratio = np.mean(together.raw["add"]["cost"]) / np.mean(together.raw["skyhook"]["cost"]) - 1
+    ratio = (
+        np.mean(together.raw["add"]["cost"]) / np.mean(together.raw["skyhook"]["cost"])
+        - 1
+    )
     assert own["against"]["skyhook"]["change"] == pytest.approx(ratio, rel=1e-6)
-    assert "passive" in own["against"] and "| 1 | `" in _script().table(card, "brief", [theirs])
+    assert "passive" in own["against"] and "| 1 | `" in _script().table(
+        card, "brief", [theirs]
+    )
 
 
 def test_a_reference_driven_again_is_the_reference(card):
     again = score(["skyhook"], **ON).to_dict()
     for elsewhere in (1.0, 1.0 + 1e-9):  # another machine rounds otherwise
-        again["raw"]["skyhook"]["cost"] = [elsewhere * j for j in again["raw"]["skyhook"]["cost"]]
+        again["raw"]["skyhook"]["cost"] = [
+            elsewhere * j for j in again["raw"]["skyhook"]["cost"]
+        ]
         assert not any(r["submitted"] for r in cards.ranking(card, "brief", [again]))
 
 
@@ -58,12 +78,21 @@ def test_a_reference_driven_again_is_the_reference(card):
     [
         (lambda s: s.update(seed=1), "on no track .* another seed"),
         (lambda s: s.update(road="C"), "another road"),
-        (lambda s: s["policies"][0].update(preview={"value": 0.1, "unit": "s"}), "another preview"),
+        (
+            lambda s: s["policies"][0].update(preview={"value": 0.1, "unit": "s"}),
+            "another preview",
+        ),
         (lambda s: s.update(sensors={"noise": 1.0}), "another sensors"),
-        (lambda s: s["roads"][2].__setitem__(3, s["roads"][2][3] + 1e-4), "roads are not those"),
+        (
+            lambda s: s["roads"][2].__setitem__(3, s["roads"][2][3] + 1e-4),
+            "roads are not those",
+        ),
         (lambda s: s.pop("roads"), "which roads"),
         (lambda s: s.pop("raw"), "no single episodes"),
-        (lambda s: s["raw"]["add"]["cost"].__setitem__(0, float("nan")), "4 finite numbers"),
+        (
+            lambda s: s["raw"]["add"]["cost"].__setitem__(0, float("nan")),
+            "4 finite numbers",
+        ),
         (lambda s: s["raw"]["add"]["cost"].pop(), "4 finite numbers"),
     ],
 )
@@ -76,9 +105,15 @@ def test_a_score_on_other_roads_or_without_episodes_is_refused(card, change, why
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda s: s["policies"][0]["cost"].pop("unit"), r"policies\[0\].cost: 'unit' is a required"),
+        (
+            lambda s: s["policies"][0]["cost"].pop("unit"),
+            r"policies\[0\].cost: 'unit' is a required",
+        ),
         (lambda s: s.pop("speed"), "has no 'speed'"),
-        (lambda s: s["raw"]["add"].update(cost=[1e300] * 3), r"raw.add.cost\[\d\]: 1e\+300 is greater than"),
+        (
+            lambda s: s["raw"]["add"].update(cost=[1e300] * 3),
+            r"raw.add.cost\[\d\]: 1e\+300 is greater than",
+        ),
     ],
 )
 def test_a_garbled_score_is_one_line(change, says, tmp_path):
@@ -121,30 +156,50 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path):
 
     on = ["--episodes", "3", "--duration", "0.5"]
     go("score", "passive", "skyhook", *on, "--json", tmp_path / "brief.json")
-    assert "1 track in" in go("card", tmp_path / "brief.json", "--write", tmp_path / "card.json")
-    assert "add against skyhook" in go("score", "add", *on, "--against", tmp_path / "card.json")
+    assert "1 track in" in go(
+        "card", tmp_path / "brief.json", "--write", tmp_path / "card.json"
+    )
+    assert "add against skyhook" in go(
+        "score", "add", *on, "--against", tmp_path / "card.json"
+    )
 
     def driven(*args, **kwargs):
         raise AssertionError("driven before it was refused")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isd_gym.benchmark.scoring.drive", driven)
-        for other in (["--duration", "0.6"], ["--seed", "1"], ["--road", "C"], ["--sensors", "noise=1"]):
+        for other in (
+            ["--duration", "0.6"],
+            ["--seed", "1"],
+            ["--road", "C"],
+            ["--sensors", "noise=1"],
+        ):
             done = run("score", "add", *on, *other, "--against", tmp_path / "card.json")
             assert_one_line(done, f"another {other[0][2:]}")
-    assert "brief: change" in (shown := go("card", "--card", tmp_path / "card.json")) and "skyhook" in shown
+    assert (
+        "brief: change" in (shown := go("card", "--card", tmp_path / "card.json"))
+        and "skyhook" in shown
+    )
 
 
 def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(card, capsys):
     brief, card = card, cards.load("ISDSuspension-v0")
-    rows = cards.ranking(card, "preview-0.1", (), lambda s: known("quarter-car-isd", preview=s))
+    rows = cards.ranking(
+        card, "preview-0.1", (), lambda s: known("quarter-car-isd", preview=s)
+    )
     rows = {row["policy"]: row for row in rows}
     for policy, preview in (("passive", 0.0), ("mpc-friction-preview", 0.1)):
-        least = rows["passive"]["cost"]["value"] * (1.0 + known("quarter-car-isd", preview=preview)["change"])
-        assert rows[policy]["regret"] == pytest.approx(rows[policy]["cost"]["value"] - least, rel=1e-9)
+        least = rows["passive"]["cost"]["value"] * (
+            1.0 + known("quarter-car-isd", preview=preview)["change"]
+        )
+        assert rows[policy]["regret"] == pytest.approx(
+            rows[policy]["cost"]["value"] - least, rel=1e-9
+        )
     print_track(card, "preview-0.1")
     assert f" {rows['mpc-friction-preview']['regret']:.4f} " in capsys.readouterr().out
-    print_track(brief, "brief")  # half a second of road is no sample for a mean over roads
+    print_track(
+        brief, "brief"
+    )  # half a second of road is no sample for a mean over roads
     assert "regret" not in capsys.readouterr().out.lower()
 
 
@@ -165,10 +220,14 @@ def test_the_reward_threshold_is_the_best_classical_controller(name):
 
     card = cards.load(name)
     threshold = tracks.reward_threshold(card)
-    assert threshold == REWARD_THRESHOLDS[name] == registry[name].reward_threshold, "run benchmarks/tracks.py"
+    assert threshold == REWARD_THRESHOLDS[name] == registry[name].reward_threshold, (
+        "run benchmarks/tracks.py"
+    )
     rows = cards.ranking(card, "standard")
     returns = {row["policy"]: -EPISODE_STEPS * row["cost"]["value"] for row in rows}
-    best = max(total for policy, total in returns.items() if policy not in tracks.LEARNED)
+    best = max(
+        total for policy, total in returns.items() if policy not in tracks.LEARNED
+    )
     assert threshold <= best < threshold + 5
     assert max(returns["passive"], returns["skyhook"], returns["mpc"]) < threshold
 
@@ -176,19 +235,29 @@ def test_the_reward_threshold_is_the_best_classical_controller(name):
 def test_the_card_of_a_score_is_the_card_of_its_car(tmp_path):
     files = {}
     for network in ("quarter-car-isd", "half-car-isd"):
-        held = score(["passive", "skyhook"], network, episodes=2, duration=0.3).to_dict()
+        held = score(
+            ["passive", "skyhook"], network, episodes=2, duration=0.3
+        ).to_dict()
         files[network] = tmp_path / f"{network}.json"
-        held["command"] = f"isd-gym score passive skyhook --network {network} --json {files[network]}"
+        held["command"] = (
+            f"isd-gym score passive skyhook --network {network} --json {files[network]}"
+        )
         files[network].write_text(json.dumps(held))
 
     half = files["half-car-isd"]
     assert run("card", half, "--write", tmp_path / "card.json").returncode == 0
     card = cards.load(tmp_path / "card.json")
     assert card["environment"] == "ISDHalfCar-v0"
-    assert card["tracks"][0]["command"] == "isd-gym score passive skyhook --network half-car-isd"
+    assert (
+        card["tracks"][0]["command"]
+        == "isd-gym score passive skyhook --network half-car-isd"
+    )
     assert run("card", half, "--card", tmp_path / "card.json").returncode == 0
     assert_one_line(run("card", half), "no track of ISDHalfCar-v0")
-    assert_one_line(run("card", *files.values(), "--write", tmp_path / "both.json"), "different cars")
+    assert_one_line(
+        run("card", *files.values(), "--write", tmp_path / "both.json"),
+        "different cars",
+    )
     assert not (tmp_path / "both.json").exists()
 
 

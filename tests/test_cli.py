@@ -58,11 +58,20 @@ def test_score_ends_with_what_puts_it_in_place(tmp_path):
     data = json.loads((tmp_path / "s.json").read_text())
     known = {"clairvoyant", "clairvoyant_point", "causal_bound", "ceiling_0"}
     assert known <= set(data["references"])
-    best = float(re.search(r"acceleration (\S+) % at best", data["references"]["causal_bound"])[1])
+    best = float(
+        re.search(r"acceleration (\S+) % at best", data["references"]["causal_bound"])[
+            1
+        ]
+    )
     own = data["policies"][1]["body_acceleration_rms"]
     assert best < 100 * own["low"]  # nobody beats a bound
-    point = data["references"]["clairvoyant_point"]  # least cost, so less of what it is made of
-    assert -0.6 < point["body_acceleration_change"] < -0.2 and -0.6 < point["suspension_travel_change"] < -0.1
+    point = data["references"][
+        "clairvoyant_point"
+    ]  # least cost, so less of what it is made of
+    assert (
+        -0.6 < point["body_acceleration_change"] < -0.2
+        and -0.6 < point["suspension_travel_change"] < -0.1
+    )
     assert "{" not in text
     row = next(r for r in data["policies"] if r["policy"] == "lqg")
     assert 0 < row["share_of_reachable_gain"] < row["share_of_causal_gain"] < 1
@@ -71,16 +80,33 @@ def test_score_ends_with_what_puts_it_in_place(tmp_path):
 def test_a_short_score_says_nothing_of_bounds(tmp_path):
     """Two roads of 4 s, where a policy may beat what the LQ bound has for the mean over roads."""
     done = run(
-        "score", "passive", "lqg", "--episodes", 2, "--duration", 4, "--full", "--json", tmp_path / "s.json"
+        "score",
+        "passive",
+        "lqg",
+        "--episodes",
+        2,
+        "--duration",
+        4,
+        "--full",
+        "--json",
+        tmp_path / "s.json",
     )
     text = " ".join(done.stdout.split())
-    bounds = "at best|The paper's|ceiling is searched|Clairvoyant|of the gain|of the causal"
+    bounds = (
+        "at best|The paper's|ceiling is searched|Clairvoyant|of the gain|of the causal"
+    )
     assert not re.search(bounds, text)
     data = json.loads((tmp_path / "s.json").read_text())
     assert set(data["references"]) == {"left_out"}
-    assert data["references"]["left_out"] in text and "2 x 4 s is too small a sample" in text
+    assert (
+        data["references"]["left_out"] in text
+        and "2 x 4 s is too small a sample" in text
+    )
     for row in data["policies"]:
-        assert row["share_of_reachable_gain"] is None and row["share_of_causal_gain"] is None
+        assert (
+            row["share_of_reachable_gain"] is None
+            and row["share_of_causal_gain"] is None
+        )
 
 
 def test_simulate_takes_other_names_and_writes_over_no_record(tmp_path):
@@ -89,12 +115,22 @@ def test_simulate_takes_other_names_and_writes_over_no_record(tmp_path):
     (tmp_path / "d.csv").write_text("time,stroke\n" + "\n".join(rows))
     before = (tmp_path / "d.csv").read_bytes()
     refused = run("simulate", "force-rig", "d.csv", "--out", "./d.csv", cwd=tmp_path)
-    assert refused.returncode == 2 and "it is an input file; give another name" in refused.stderr
+    assert (
+        refused.returncode == 2
+        and "it is an input file; give another name" in refused.stderr
+    )
     lost = run("simulate", "force-rig", "d.csv", "--out", "o.csv", cwd=tmp_path)
     assert lost.returncode == 2 and "--rename COLUMN=displacement" in lost.stderr
     named = ("--rename", "stroke=displacement", "--unit", "displacement=mm")
-    assert run("simulate", "force-rig", "d.csv", "--out", "o.csv", *named, cwd=tmp_path).returncode == 0
-    assert 100 < read_table(tmp_path / "o.csv")["force"].max() < 1000  # N, of 5 mm and not of 5 m
+    assert (
+        run(
+            "simulate", "force-rig", "d.csv", "--out", "o.csv", *named, cwd=tmp_path
+        ).returncode
+        == 0
+    )
+    assert (
+        100 < read_table(tmp_path / "o.csv")["force"].max() < 1000
+    )  # N, of 5 mm and not of 5 m
     assert (tmp_path / "d.csv").read_bytes() == before
 
 
@@ -105,7 +141,10 @@ def test_what_is_piped_has_80_columns(word):
     assert max(map(len, done.stdout.splitlines())) <= 80
     if word == "--help":  # the list of commands is not cut
         assert "..." not in done.stdout.split("Drive and score:")[1]
-        assert " ".join(done.stdout.split()).count("with the conventional passive car.") == 1
+        assert (
+            " ".join(done.stdout.split()).count("with the conventional passive car.")
+            == 1
+        )
 
 
 @pytest.mark.parametrize("width", [48, 80, 106, 200])
@@ -154,12 +193,21 @@ def test_networks_lists_the_element_types():
         (["score", "mpcc"], "did you mean 'mpc'?"),
         (["score", "passive", "--raod", "C"], "--raod"),
         (["score", "passive", "--json", "there"], "it is a folder"),
-        (["simulate", "quarter-car-isd", "d.csv", "--out", "o.csv", "--step", "0"], "--step"),
+        (
+            ["simulate", "quarter-car-isd", "d.csv", "--out", "o.csv", "--step", "0"],
+            "--step",
+        ),
         (["show", "mpc", "--seconds", "nan", "--out", "a.mp4"], "seconds"),
-        (["reproduce", "--out", "r", "--json", "no/such/x.json"], "no folder 'no/such'"),
+        (
+            ["reproduce", "--out", "r", "--json", "no/such/x.json"],
+            "no folder 'no/such'",
+        ),
         (["train", "dqn", "--out", "r"], "not 'dqn'"),
         (["score", "passive", "--network", "force-rig"], "'force-rig' is no car"),
-        (["score", "passive", "--network", "quater-car-isd"], "did you mean 'quarter-car-isd'?"),
+        (
+            ["score", "passive", "--network", "quater-car-isd"],
+            "did you mean 'quarter-car-isd'?",
+        ),
         (["networks", "there"], "cannot read model 'there': it is a folder"),
         (["sweep", "robust", "--out", "r", "--shard", "9/8"], "shard 9/8"),
         (["show", "mpc", "--against"], "(see isd-gym show --help)"),
@@ -181,7 +229,10 @@ def test_a_slip_of_the_pen_is_one_line_and_leaves_nothing(args, message, tmp_pat
         (["--out", "taken"], "notes.txt"),
         (["--json", "no/such/x.json"], "no folder"),
         (["--model", "nowhere.json"], "nowhere"),
-        (["--unit", "acceleration=g"], "--unit: the model has no channel 'acceleration'"),
+        (
+            ["--unit", "acceleration=g"],
+            "--unit: the model has no channel 'acceleration'",
+        ),
         (["--unit", "rod=m"], "did you mean 'road'?"),
         (["--rename", "a=body_acc"], "--rename: the model has no channel 'body_acc'"),
         (["./d.csv"], "d.csv: is named twice"),
@@ -193,7 +244,9 @@ def test_a_diagnosis_is_not_begun_on_a_mistake(more, message, tmp_path):
     car = Network.load("quarter-car-isd")
     names = ["time", *(c.name for c in (*car.inputs, *car.outputs))]
     rows = np.outer(0.01 * np.arange(5), np.ones(len(names)))
-    np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header=",".join(names), comments="")
+    np.savetxt(
+        tmp_path / "d.csv", rows, delimiter=",", header=",".join(names), comments=""
+    )
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "notes.txt").write_text("mine")
     words = ["diagnose", "d.csv", "--model", "quarter-car-isd", "--out", "found"]
@@ -204,7 +257,12 @@ def test_a_diagnosis_is_not_begun_on_a_mistake(more, message, tmp_path):
 @pytest.mark.parametrize(
     ("missing", "args", "extra"),
     [
-        pytest.param("pygame", ["show", "passive", "--out", "a.mp4"], "render", marks=pytest.mark.slow),
+        pytest.param(
+            "pygame",
+            ["show", "passive", "--out", "a.mp4"],
+            "render",
+            marks=pytest.mark.slow,
+        ),
         ("torch", ["train", "ppo", "--out", "run"], "agents"),
     ],
 )
@@ -241,7 +299,9 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-@pytest.mark.parametrize("then", ["raise RuntimeError('no compiled object yet')", "time.sleep(20)"])
+@pytest.mark.parametrize(
+    "then", ["raise RuntimeError('no compiled object yet')", "time.sleep(20)"]
+)
 def test_ctrl_c_in_a_callback_that_swallows_it(then):
     """As in a callback of the compiler: it goes on, or fails with an error of its own."""
     code = (
@@ -270,12 +330,22 @@ def test_the_answer_into_a_pipe_a_full_disk_or_a_link(tmp_path):
     for command, code, error in (
         (f"{told} link.json", 0, ""),
         (f"{told} /dev/stdout | cat > piped", 0, ""),
-        (f"{told} /dev/full", 2, "isd-gym: cannot write '/dev/full' (No space left on device)"),
-        (f"{program} networks force-rig > /dev/full", 1, "isd-gym: No space left on device"),
+        (
+            f"{told} /dev/full",
+            2,
+            "isd-gym: cannot write '/dev/full' (No space left on device)",
+        ),
+        (
+            f"{program} networks force-rig > /dev/full",
+            1,
+            "isd-gym: No space left on device",
+        ),
         (f"{program} networks quarter-car-isd | true; exit ${{PIPESTATUS[0]}}", 1, ""),
     ):
         shell = ["bash", "-c", command]
-        done = subprocess.run(shell, capture_output=True, text=True, check=False, cwd=tmp_path)
+        done = subprocess.run(
+            shell, capture_output=True, text=True, check=False, cwd=tmp_path
+        )
         assert done.stderr.strip() == error
         # a quick program is done before its reader goes
         assert done.returncode == code or "| true" in command

@@ -29,12 +29,24 @@ HEAVY = CAR.with_parameters({"body.mass": 400.0})
         ({"road": "paper+bump"}, {"tables", "lq_bound", "ceiling"}),
         ({"episodes": 31}, {"tables", "lq_bound", "ceiling"}),
         ({"duration": 19.0}, {"tables", "lq_bound", "ceiling"}),
-        ({"randomize": {"body.mass": (0.8, 1.3)}}, {"tables", "lq_bound", "ceiling", "clairvoyant"}),
-        ({"reference": "isd-passive"}, {"tables", "lq_bound", "ceiling", "clairvoyant"}),
+        (
+            {"randomize": {"body.mass": (0.8, 1.3)}},
+            {"tables", "lq_bound", "ceiling", "clairvoyant"},
+        ),
+        (
+            {"reference": "isd-passive"},
+            {"tables", "lq_bound", "ceiling", "clairvoyant"},
+        ),
     ],
 )
 def test_every_condition_counts(change, left_out):
-    usual = {"network": CAR, "road": "paper", "speed": 20.0, "episodes": 32, "duration": 20.0}
+    usual = {
+        "network": CAR,
+        "road": "paper",
+        "speed": 20.0,
+        "episodes": 32,
+        "duration": 20.0,
+    }
     found = comparable(**usual | change)
     assert {name for name, reason in vars(found).items() if reason} == left_out
     assert (found.left_out is None) == (not left_out)
@@ -48,14 +60,30 @@ def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):
         return asked.append(options) or np.zeros((3, 2))
 
     monkeypatch.setattr(beside, "lq_front", front)
-    result = score([find("isd-passive", CAR)], CAR, reference=passive(CAR), episodes=2, duration=1.0)
+    result = score(
+        [find("isd-passive", CAR)],
+        CAR,
+        reference=passive(CAR),
+        episodes=2,
+        duration=1.0,
+    )
     assert beside.fronts(result) == [] and not asked
     chart = page.trade_off(page.Shown(result))
-    assert "paper" not in chart.caption and "bound" not in chart.caption.replace("boundary", "")
+    assert "paper" not in chart.caption and "bound" not in chart.caption.replace(
+        "boundary", ""
+    )
     html = page.score_report(result, tmp_path / "page").read_text(encoding="utf-8")
-    assert "Left out: Tables 7 and 8 of the paper, the LQ bound and the causal ceiling" in html
+    assert (
+        "Left out: Tables 7 and 8 of the paper, the LQ bound and the causal ceiling"
+        in html
+    )
 
     result.comparable = Comparable()
     assert len(beside.fronts(result)) == 2
-    assert asked[0]["network"] is CAR and asked[0]["road"].name == "paper"  # the plant itself, not its name
-    assert "Two points are the results of the paper." in page.trade_off(page.Shown(result)).caption
+    assert (
+        asked[0]["network"] is CAR and asked[0]["road"].name == "paper"
+    )  # the plant itself, not its name
+    assert (
+        "Two points are the results of the paper."
+        in page.trade_off(page.Shown(result)).caption
+    )

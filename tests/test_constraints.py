@@ -22,18 +22,45 @@ def drawn(rng):
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
     def points(name, count, axes):
-        return {f"{name}{i}": {axis: float(rng.normal()) for axis in axes} for i in range(count)}
+        return {
+            f"{name}{i}": {axis: float(rng.normal()) for axis in axes}
+            for i in range(count)
+        }
 
-    car = {"mass": between(10, 1000), "inertia": {"pitch": between(10, 1000), "roll": between(5, 500)}}
-    seat = {"mass": between(5, 50), "inertia": {"pitch": between(1, 10)}, "points": points("s", 2, "x")}
+    car = {
+        "mass": between(10, 1000),
+        "inertia": {"pitch": between(10, 1000), "roll": between(5, 500)},
+    }
+    seat = {
+        "mass": between(5, 50),
+        "inertia": {"pitch": between(1, 10)},
+        "points": points("s", 2, "x"),
+    }
     bodies = {"car": car | {"points": points("p", 4, "xy")}, "seat": seat}
     masses = {f"m{i}": between(5, 100) for i in range(2)}
-    lines = ["car", "p0", "p1", "p2", "p3", "seat", "s0", "s1", *masses, "road", "base", "ground"]
+    lines = [
+        "car",
+        "p0",
+        "p1",
+        "p2",
+        "p3",
+        "seat",
+        "s0",
+        "s1",
+        *masses,
+        "road",
+        "base",
+        "ground",
+    ]
     elements = []
 
     def add(kind, a, b):
         key, low, high = LINEAR[kind]
-        elements.append(builders.element(f"e{len(elements)}", kind, a, b, **{key: between(low, high)}))
+        elements.append(
+            builders.element(
+                f"e{len(elements)}", kind, a, b, **{key: between(low, high)}
+            )
+        )
 
     for node in ("p0", "p1", "p2", "s0", "s1", *masses):  # something holds every motion
         add("linear_stiffness", node, str(rng.choice(["road", "base", "ground"])))
@@ -57,15 +84,34 @@ def drawn(rng):
         if rng.random() < 0.5:
             first, second, ratio = second, first, 1.0 / ratio
             unit = "/".join(unit.split("/")[::-1])
-        listed.append({"name": f"l{k}", "between": [first, second], "ratio": ratio, "unit": unit})
+        listed.append(
+            {"name": f"l{k}", "between": [first, second], "ratio": ratio, "unit": unit}
+        )
     seen = [*lines[:-3], "arm"]
-    roll, pushed = {"body": "car", "axis": "roll"}, rng.choice(["p1", "m0", "car", "arm"])
+    roll, pushed = (
+        {"body": "car", "axis": "roll"},
+        rng.choice(["p1", "m0", "car", "arm"]),
+    )
     moved = ["road displacement road", "base displacement base", f"push force {pushed}"]
     places = [f"{n}_place displacement {n}" for n in seen]
-    outputs = [*places, channel("roll", "angle", **roll), "turn angle fast", "cell force road"]
-    parts = {"inertias": {"shaft": between(0.1, 5.0)}, "bodies": bodies, "levers": listed}
+    outputs = [
+        *places,
+        channel("roll", "angle", **roll),
+        "turn angle fast",
+        "cell force road",
+    ]
+    parts = {
+        "inertias": {"shaft": between(0.1, 5.0)},
+        "bodies": bodies,
+        "levers": listed,
+    }
     return builders.model(
-        "", elements, [*moved, channel("gust", "torque", **roll)], outputs, masses=masses, **parts
+        "",
+        elements,
+        [*moved, channel("gust", "torque", **roll)],
+        outputs,
+        masses=masses,
+        **parts,
     )
 
 
@@ -75,13 +121,17 @@ def with_multipliers(model, w):
     inertia = dict(model["masses"] | model["inertias"])
     ties = []
     for name, body in model["bodies"].items():
-        inertia |= {name: body["mass"]} | {f"{name}.{axis}": value for axis, value in body["inertia"].items()}
+        inertia |= {name: body["mass"]} | {
+            f"{name}.{axis}": value for axis, value in body["inertia"].items()
+        }
         for point, at in body["points"].items():
             arms = {f"{name}.pitch": at.get("x", 0.0)}
             if "roll" in body["inertia"]:
                 arms[f"{name}.roll"] = -at.get("y", 0.0)
             ties.append({point: 1.0, name: -1.0} | arms)
-    ties += [{v["between"][0]: 1.0, v["between"][1]: -v["ratio"]} for v in model["levers"]]
+    ties += [
+        {v["between"][0]: 1.0, v["between"][1]: -v["ratio"]} for v in model["levers"]
+    ]
     names += [n for n in inertia if n not in names]
     names += [n for tie in ties for n in tie if n not in names]
     index = {n: i for i, n in enumerate(dict.fromkeys(names))}
@@ -101,7 +151,9 @@ def with_multipliers(model, w):
     for k, tie in enumerate(ties):
         for node, factor in tie.items():
             J[k, index[node]] = factor
-    J[-2, index["road"]] = J[-1, index["base"]] = 1.0  # what is moved is where it is told to be
+    J[-2, index["road"]] = J[-1, index["base"]] = (
+        1.0  # what is moved is where it is told to be
+    )
     whole = np.block([[stiffness, J.T], [J, np.zeros((len(J), len(J)))]])
     right = np.zeros((len(whole), 4), complex)
     right[len(whole) - 2, 0] = right[len(whole) - 1, 1] = 1.0
@@ -117,5 +169,9 @@ def test_elimination_agrees_with_multipliers(seed):
     model = drawn(np.random.default_rng(seed))
     size = np.array([1.0, 1.0, 1e4, 1e4])  # inputs of like effect: 1 m, 10 kN, 10 kN m
     got = transfer(Network.from_dict(model), FREQUENCY) * size
-    wanted = np.array([with_multipliers(model, 2 * np.pi * f) for f in FREQUENCY]) * size
-    assert np.all(np.abs(got - wanted).max(axis=(0, 2)) < 1e-8 * np.abs(wanted).max(axis=(0, 2)))
+    wanted = (
+        np.array([with_multipliers(model, 2 * np.pi * f) for f in FREQUENCY]) * size
+    )
+    assert np.all(
+        np.abs(got - wanted).max(axis=(0, 2)) < 1e-8 * np.abs(wanted).max(axis=(0, 2))
+    )

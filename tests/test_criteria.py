@@ -35,10 +35,21 @@ def failed(found, evidence=GOOD):
 
 def test_a_law_of_every_set_of_the_band_is_named():
     assert decide(NAMED, GOOD).verdict == "missing_effect" and not failed(NAMED)
-    assert decide(OPEN, GOOD).verdict == "ambiguous" and failed(OPEN) == ["distinguishable"]
-    part = answer(row(0.5), row(0.2, COULOMB), row(0.050, COULOMB, CUBIC), row(0.052, COULOMB, DRAG))
-    assert decide(part, GOOD).verdict == "missing_effect" and failed(part) == ["distinguishable"]
-    assert decide(NONE, GOOD).verdict == "unknown_effect" and failed(NONE) == ["adequate"]
+    assert decide(OPEN, GOOD).verdict == "ambiguous" and failed(OPEN) == [
+        "distinguishable"
+    ]
+    part = answer(
+        row(0.5),
+        row(0.2, COULOMB),
+        row(0.050, COULOMB, CUBIC),
+        row(0.052, COULOMB, DRAG),
+    )
+    assert decide(part, GOOD).verdict == "missing_effect" and failed(part) == [
+        "distinguishable"
+    ]
+    assert decide(NONE, GOOD).verdict == "unknown_effect" and failed(NONE) == [
+        "adequate"
+    ]
     assert decide(answer(row(0.3)), GOOD).gates == ()
 
 
@@ -46,9 +57,13 @@ def test_a_law_of_every_set_of_the_band_is_named():
     ("refit", "after", "share"),
     [(0.8, 0.2, 0.9375), (30.0, 1.03, None), (30.0, 0.2, None), (1.2, 1.8, -1.25)],
 )
-def test_a_share_of_the_gap_is_not_stated_where_a_constant_errs_less(refit, after, share):
+def test_a_share_of_the_gap_is_not_stated_where_a_constant_errs_less(
+    refit, after, share
+):
     rows = {"refit": refit, "after": after, "noise_floor": 0.0}
-    assert closed({k: np.array([v]) for k, v in rows.items()}) == (share and pytest.approx(share))
+    assert closed({k: np.array([v]) for k, v in rows.items()}) == (
+        share and pytest.approx(share)
+    )
 
 
 @pytest.mark.parametrize(
@@ -61,22 +76,31 @@ def test_a_name_that_leaves_a_part_is_less_probable(explained, law, kind):
     assert stated == pytest.approx({"law": law, "kind": kind})
 
 
-@pytest.mark.parametrize("change", [{"test_explained": 0.8}, {"after": (0.12,)}, {"support": 0.001}])
+@pytest.mark.parametrize(
+    "change", [{"test_explained": 0.8}, {"after": (0.12,)}, {"support": 0.001}]
+)
 def test_a_law_that_the_test_records_or_few_samples_show_is_less_probable(change):
     doubtful = replace(GOOD, **change)
     assert share_mistaken("law", doubtful) > share_mistaken("law", GOOD)
     assert share_mistaken("kind", doubtful) == share_mistaken("kind", GOOD)
 
 
-@pytest.mark.parametrize(("gap", "verdict"), [(0.08, "no_discrepancy"), (0.12, "unknown_effect")])
+@pytest.mark.parametrize(
+    ("gap", "verdict"), [(0.08, "no_discrepancy"), (0.12, "unknown_effect")]
+)
 def test_a_wide_gap_of_the_training_records_is_no_agreement(gap, verdict):
     """A cart erred by 18 % while it was fitted, and by 3 % on held-out records, in which it moved little."""
-    quiet = replace(GOOD, before=(0.03,), refit=(0.03,), after=(0.025,), training_refit=(gap,))
+    quiet = replace(
+        GOOD, before=(0.03,), refit=(0.03,), after=(0.025,), training_refit=(gap,)
+    )
     assert decide(answer(row(0.03)), quiet).verdict == verdict
 
 
 def test_agreement_needs_a_noise_that_is_known_or_a_small_error():
-    nothing, quiet = answer(row(0.02)), replace(GOOD, before=(0.021,), refit=(0.02,), training_refit=(0.02,))
+    nothing, quiet = (
+        answer(row(0.02)),
+        replace(GOOD, before=(0.021,), refit=(0.02,), training_refit=(0.02,)),
+    )
     assert decide(nothing, quiet).verdict == "no_discrepancy"
     assert decide(nothing, replace(quiet, before=(0.2,))).verdict == "parameters_only"
     # 99.7 % of the signal left and called noise, of which nothing is known beforehand
@@ -86,11 +110,20 @@ def test_agreement_needs_a_noise_that_is_known_or_a_small_error():
 
 @pytest.mark.parametrize(
     ("refit", "envelope", "verdict"),
-    [(0.051, 0.01, "parameters_only"), (0.071, 0.01, "unknown_effect"), (0.071, 0.06, "parameters_only")],
+    [
+        (0.051, 0.01, "parameters_only"),
+        (0.071, 0.01, "unknown_effect"),
+        (0.071, 0.06, "parameters_only"),
+    ],
 )
 def test_what_noise_or_small_effects_may_hide_is_no_finding(refit, envelope, verdict):
     clean = replace(
-        GOOD, before=(0.16,), refit=(refit,), noise=(0.041,), envelope=(envelope,), training_refit=(0.06,)
+        GOOD,
+        before=(0.16,),
+        refit=(refit,),
+        noise=(0.041,),
+        envelope=(envelope,),
+        training_refit=(0.06,),
     )
     assert decide(answer(row(refit)), clean).verdict == verdict
 
@@ -104,8 +137,12 @@ def test_criteria_are_arguments_and_say_why_they_are():
 
 
 def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition():
-    wave = TYPES["cogging_force"](name="wave", where=("mass", "base"), amplitude=1.0, pitch=2.0, phase=0.0)
-    rare = np.concatenate([np.random.default_rng(0).uniform(-1.0, 1.0, 1000), [-2.0, 2.0]])
+    wave = TYPES["cogging_force"](
+        name="wave", where=("mass", "base"), amplitude=1.0, pitch=2.0, phase=0.0
+    )
+    rare = np.concatenate(
+        [np.random.default_rng(0).uniform(-1.0, 1.0, 1000), [-2.0, 2.0]]
+    )
     often = np.linspace(-2.0, 2.0, 1000)
     assert not repeats(wave, Motion(rare, 0 * rare, 0 * rare))  # two periods end to end
     assert repeats(wave, Motion(often, 0 * often, 0 * often))
@@ -114,13 +151,16 @@ def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition():
 def test_a_table_that_explains_the_validation_records_alone_is_not_confirmed():
     confirmed = removed_share(np.array([0.4]), np.array([0.39]), np.array([0.01]))
     assert confirmed == pytest.approx((0.4**2 - 0.39**2) / (0.4**2 - 0.01**2))
-    assert [g.name for g in table_gates(0.96, 0.49, 8.0, confirmed) if not g.passed] == ["confirmed"]
+    assert [
+        g.name for g in table_gates(0.96, 0.49, 8.0, confirmed) if not g.passed
+    ] == ["confirmed"]
 
 
 def completes(refit, law, table=None):
     """Whether a law completes a model, by errors on validation and on test records."""
     rows = [
-        replace(row(v, *members), test=np.array([t])) for (v, t), members in ((refit, ()), (law, (COULOMB,)))
+        replace(row(v, *members), test=np.array([t]))
+        for (v, t), members in ((refit, ()), (law, (COULOMB,)))
     ]
     found = SimpleNamespace(refit=rows[0], foremost=rows[1])
     builder = SimpleNamespace(answer=found, search=SimpleNamespace(criteria=CRITERIA))
@@ -137,7 +177,9 @@ def completes(refit, law, table=None):
         ((0.4, 0.3), (0.2, 0.299), False),
     ],
 )
-def test_a_law_completes_a_model_that_it_improves_on_validation_and_on_test_records(refit, law, told):
+def test_a_law_completes_a_model_that_it_improves_on_validation_and_on_test_records(
+    refit, law, told
+):
     assert completes(refit, law) == told
 
 

@@ -33,7 +33,9 @@ def car(seed=0, seconds=12.0, snr_db=32.0, step=STEP):
     saturated current in a zero-order hold, which the gate must leave alone."""
     rng = np.random.default_rng(seed)
     ms, mu, k, c, kt = 345.0, 45.0, 22000.0, 1500.0, 192000.0
-    a = np.array([[0, 1, 0, 0], [-k, -c, k, c], [0, 0, 0, 1], [k, c, -k - kt, -c]], float)
+    a = np.array(
+        [[0, 1, 0, 0], [-k, -c, k, c], [0, 0, 0, 1], [k, c, -k - kt, -c]], float
+    )
     a[1] /= ms
     a[3] /= mu
     b = np.array([[0], [0], [0], [kt / mu]])
@@ -43,10 +45,16 @@ def car(seed=0, seconds=12.0, snr_db=32.0, step=STEP):
     road = signal.lfilter([1], [1, -np.exp(-0.3 * step)], white)
     road = signal.sosfiltfilt(signal.butter(2, 40 * 2 * step, output="sos"), road)
     _, y, _ = signal.lsim((a, b, measured, np.array([[0], [0], [-kt]])), road, time)
-    y = y + np.column_stack([ar1(rng, len(time), 0.4) for _ in range(3)]) * y.std(0) * 10 ** (-snr_db / 20)
+    y = y + np.column_stack([ar1(rng, len(time), 0.4) for _ in range(3)]) * y.std(
+        0
+    ) * 10 ** (-snr_db / 20)
     hold = round(0.006 / step)
-    current = np.clip(3 * ar1(rng, len(time) // hold + 1, 0.97), -5, 5).repeat(hold)[: len(time)]
-    columns = dict(zip(("road", "current", *OUTPUTS), (road, current, *y.T), strict=True))
+    current = np.clip(3 * ar1(rng, len(time) // hold + 1, 0.97), -5, 5).repeat(hold)[
+        : len(time)
+    ]
+    columns = dict(
+        zip(("road", "current", *OUTPUTS), (road, current, *y.T), strict=True)
+    )
     return Table(time, columns, "car", {"tyre": "N"})
 
 
@@ -91,17 +99,30 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path, suffix):
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.floats(allow_nan=False, width=64), min_size=1, max_size=30),
-    st.sampled_from([(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), (" ", ".")]),
+    st.sampled_from(
+        [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), (" ", ".")]
+    ),
     st.sampled_from(["plain", "brackets", "row"]),
     st.sampled_from(["", "\ufeff", "# bench 4\nproject;x\n"]),
 )
-def test_any_dialect_of_csv_gives_the_same_numbers(tmp_path_factory, values, dialect, units, preamble):
+def test_any_dialect_of_csv_gives_the_same_numbers(
+    tmp_path_factory, values, dialect, units, preamble
+):
     delimiter, decimal = dialect
-    head = {"plain": ["time", "f"], "brackets": ["time[s]", "f[kN]"], "row": ["time", "f"]}[units]
+    head = {
+        "plain": ["time", "f"],
+        "brackets": ["time[s]", "f[kN]"],
+        "row": ["time", "f"],
+    }[units]
     rows = [head] + ([["s", "kN"]] if units == "row" else [])
-    rows += [[repr(x).replace(".", decimal) for x in (0.001 * i, v)] for i, v in enumerate(values)]
+    rows += [
+        [repr(x).replace(".", decimal) for x in (0.001 * i, v)]
+        for i, v in enumerate(values)
+    ]
     path = tmp_path_factory.mktemp("csv") / "x.csv"
-    path.write_text(preamble + "\n".join(delimiter.join(r) for r in rows), encoding="utf-8")
+    path.write_text(
+        preamble + "\n".join(delimiter.join(r) for r in rows), encoding="utf-8"
+    )
     table = read_table(path, expected={"f": "kN"}, units={"f": "kN"})
     assert np.array_equal(table["f"], values)
     if units != "plain":
@@ -113,7 +134,11 @@ def test_channels_are_renamed_and_converted(tmp_path):
     rows = "0;1,5;2,5;1;start\n2;-3;0;-0,5;\n4;0;1;0;end\n"
     path.write_text("Time [ms];Weg (mm);Kraft [kN];a [g];remark\n" + rows)
     names = {"Time": "time", "Weg": "travel", "Kraft": "force", "a": "acceleration"}
-    table = read_table(path, rename=names, expected={"travel": "m", "force": "N", "acceleration": "m/s^2"})
+    table = read_table(
+        path,
+        rename=names,
+        expected={"travel": "m", "force": "N", "acceleration": "m/s^2"},
+    )
     assert table.time == pytest.approx([0, 0.002, 0.004])
     assert table["travel"] == pytest.approx([0.0015, -0.003, 0])
     assert table["force"] == pytest.approx([2500, 0, 1000])
@@ -121,9 +146,15 @@ def test_channels_are_renamed_and_converted(tmp_path):
     assert table.units == {"travel": "m", "force": "N", "acceleration": "m/s^2"}
     assert "remark" not in read_table(path, rename={"Time": "time"}).columns
     # the model's own unit may be another than SI, and what the user says goes before what the file says
-    assert read_table(path, rename={"Weg": "x"}, expected={"x": "mm"})["x"] == pytest.approx([1.5, -3, 0])
-    assert read_table(path, units={"Weg": "cm"}, expected={"Weg": "m"})["Weg"][1] == pytest.approx(-0.03)
-    short = check(read_table(path, rename={"Weg": "x"}), inputs={}, outputs={"x": "displacement"})
+    assert read_table(path, rename={"Weg": "x"}, expected={"x": "mm"})[
+        "x"
+    ] == pytest.approx([1.5, -3, 0])
+    assert read_table(path, units={"Weg": "cm"}, expected={"Weg": "m"})["Weg"][
+        1
+    ] == pytest.approx(-0.03)
+    short = check(
+        read_table(path, rename={"Weg": "x"}), inputs={}, outputs={"x": "displacement"}
+    )
     assert short[0].level == "error"
 
 
@@ -135,13 +166,28 @@ BAD_FILES = {
         "line 1 has 2 fields, no header row names them: name the columns with --columns NAME,NAME",
     ),
     "words.csv": ("time,travel\na,b\n", "no columns of numbers"),
-    "ragged.csv": ("time,travel\n0,1\n1,2,3\n2,3\n", "line 3 has 3 fields, the header has 2"),
-    "text.csv": ("time,travel\n0,1\n1,oops\n2,3\n", "line 3, column 'travel': 'oops' is not a number"),
+    "ragged.csv": (
+        "time,travel\n0,1\n1,2,3\n2,3\n",
+        "line 3 has 3 fields, the header has 2",
+    ),
+    "text.csv": (
+        "time,travel\n0,1\n1,oops\n2,3\n",
+        "line 3, column 'travel': 'oops' is not a number",
+    ),
     "twice.csv": ("time,travel,travel\n0,1,1\n1,2,2\n", "names 'travel' twice"),
-    "lacking.csv": ("time,travl\n0,1\n1,2\n", "no column 'travel'; did you mean 'travl'"),
+    "lacking.csv": (
+        "time,travl\n0,1\n1,2\n",
+        "no column 'travel'; did you mean 'travl'",
+    ),
     "timeless.csv": ("index,travel\n0,1\n1,2\n", "no column 'time'"),
-    "weight.csv": ("time,travel [kg]\n0,1\n1,2\n", "column 'travel': unknown unit 'kg'"),
-    "wrong.csv": ("time,travel [N]\n0,1\n1,2\n", "column 'travel': unit 'N' cannot be converted to 'm'"),
+    "weight.csv": (
+        "time,travel [kg]\n0,1\n1,2\n",
+        "column 'travel': unknown unit 'kg'",
+    ),
+    "wrong.csv": (
+        "time,travel [N]\n0,1\n1,2\n",
+        "column 'travel': unit 'N' cannot be converted to 'm'",
+    ),
     "broken.parquet": (b"PAR1 and no more", "cannot be read"),
     "broken.mat": (b"MATLAB no more" * 20, "cannot be read|not a MATLAB file"),
     "broken.mf4": (b"MDF     4.10    " * 8, "is not an MDF file"),
@@ -162,10 +208,22 @@ HEADERS = {
     "a row of units": ["time,force,travel", "s,kN,mm"],
     "units beside gaps": ["time,force,travel,state", "s,kN,mm,-"],
     "names that are units": ["t,A,V", "s,kN,mm"],
-    "numbered channels below": ["time,force,travel", "Channel 1,Channel 2,Channel 3", "s,kN,mm"],
+    "numbered channels below": [
+        "time,force,travel",
+        "Channel 1,Channel 2,Channel 3",
+        "s,kN,mm",
+    ],
     "numbered channels above": ["CH1,CH2,CH3", "time [s],force [kN],travel [mm]"],
-    "descriptions below": ["Time,force,travel", "since the start,load cell,string pot", "[s],[kN],[mm]"],
-    "descriptions at the end": ["time,force,travel", "s,kN,mm", "clock,load cell A,string pot"],
+    "descriptions below": [
+        "Time,force,travel",
+        "since the start,load cell,string pot",
+        "[s],[kN],[mm]",
+    ],
+    "descriptions at the end": [
+        "time,force,travel",
+        "s,kN,mm",
+        "clock,load cell A,string pot",
+    ],
     "a preamble as wide": ["bench 4,rig B,", "time,force,travel", "s,kN,mm"],
     "seconds by another name": ["time,force,travel", "sec,kN,mm"],
     "units of which half are known": ["time,force,travel,x", "s,kN,mm,degC"],
@@ -178,16 +236,24 @@ HEADERS = {
 def test_a_second_header_row_is_no_unit_and_no_name(tmp_path, how):
     head = HEADERS[how]
     width = head[0].count(",") + 1
-    rows = [",".join(["0.5", "1.5", "-2", "7"][:width]), ",".join(["1.0", "2.5", "3", "7"][:width])]
+    rows = [
+        ",".join(["0.5", "1.5", "-2", "7"][:width]),
+        ",".join(["1.0", "2.5", "3", "7"][:width]),
+    ]
     path = tmp_path / "x.csv"
     path.write_text("\n".join([*head, *rows]) + "\n")
-    names = {"names that are units": ["t", "A", "V"], "without a name of time": ["x1", "x2", "x3"]}.get(
-        how, ["Time" if how == "descriptions below" else "time", "force", "travel"]
-    )
+    names = {
+        "names that are units": ["t", "A", "V"],
+        "without a name of time": ["x1", "x2", "x3"],
+    }.get(how, ["Time" if how == "descriptions below" else "time", "force", "travel"])
     columns = read_columns(path)
     assert list(columns.values)[:3] == names
     assert [columns.units.get(n) for n in names[1:]] == ["kN", "mm"]
-    assert [list(columns.values[n]) for n in names] == [[0.5, 1.0], [1.5, 2.5], [-2.0, 3.0]]
+    assert [list(columns.values[n]) for n in names] == [
+        [0.5, 1.0],
+        [1.5, 2.5],
+        [-2.0, 3.0],
+    ]
 
 
 def test_a_first_row_with_gaps_belongs_to_the_numbers(tmp_path):
@@ -198,7 +264,9 @@ def test_a_first_row_with_gaps_belongs_to_the_numbers(tmp_path):
 @pytest.mark.parametrize("form", ["brackets", "row", "parquet"])
 def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path, form):
     path = tmp_path / ("x.parquet" if form == "parquet" else "x.csv")
-    first, second = ("Force [V]", "Force [N]") if form == "row" else ("Force (V)", "Force (N)")
+    first, second = (
+        ("Force [V]", "Force [N]") if form == "row" else ("Force (V)", "Force (N)")
+    )
     if form == "parquet":
         pyarrow = pytest.importorskip("pyarrow")
         from pyarrow import parquet
@@ -217,7 +285,10 @@ def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path, form):
     load = read_table(path, rename={"Force": "load"}, expected={"load": "N"})
     assert list(load["load"]) == [10, 20]
     # each by its whole name
-    assert list(read_table(path, rename={first: "u"}, expected={"u": "V"})["u"]) == [1, 2]
+    assert list(read_table(path, rename={first: "u"}, expected={"u": "V"})["u"]) == [
+        1,
+        2,
+    ]
     assert list(read_table(path, rename={second: "load"})["load"]) == [10, 20]
     words = r"called 'Force': .* and .*; choose one with --rename COLUMN=CHANNEL"
     refused(words, read_table, path, expected={"Force": "m"})
@@ -231,18 +302,33 @@ def test_the_rate_of_rounded_stamps_comes_from_the_whole_span(rate, begin):
     time = np.round(begin + 0.0003 + np.arange(count) / rate, 3)
     rounded = Table(time, {n: x[:count] for n, x in table.columns.items()})
     assert 1 / rounded.step == pytest.approx(rate, rel=2e-6)
-    assert np.abs(rounded.uniform().time - (begin + 0.0003 + np.arange(count) / rate)).max() < 1e-4
+    assert (
+        np.abs(
+            rounded.uniform().time - (begin + 0.0003 + np.arange(count) / rate)
+        ).max()
+        < 1e-4
+    )
     if begin == 0:  # what the stamps' unit says of absolute ones is for the reader
-        assert not [f for f in judged(rounded) if f.channel == "time" and f.level != "note"]
+        assert not [
+            f for f in judged(rounded) if f.channel == "time" and f.level != "note"
+        ]
 
 
 @pytest.mark.parametrize("turn", [360.0, 2 * np.pi, 1.0], ids=["deg", "rad", "rev"])
 @pytest.mark.parametrize("centred", [True, False])
 @pytest.mark.parametrize(
-    "motion", [lambda t: 5 * t + 0.3 * np.sin(9 * t), lambda t: 0.7 * np.sin(2 * t), lambda t: -3 * t]
+    "motion",
+    [
+        lambda t: 5 * t + 0.3 * np.sin(9 * t),
+        lambda t: 0.7 * np.sin(2 * t),
+        lambda t: -3 * t,
+    ],
 )
 def test_an_angle_that_begins_anew_each_turn_goes_on(turn, centred, motion):
-    x = turn * (motion(STEP * np.arange(5000)) + 1e-3 * np.random.default_rng(0).standard_normal(5000))
+    x = turn * (
+        motion(STEP * np.arange(5000))
+        + 1e-3 * np.random.default_rng(0).standard_normal(5000)
+    )
     low = -0.5 * turn if centred else 0.0
     found, wraps = unwrapped((x - low) % turn + low, turn)
     assert wraps > 2 and np.ptp(found - x) < 1e-9 * turn
@@ -259,7 +345,11 @@ def test_spikes_and_small_swings_are_no_wraps():
 
 def test_an_angle_of_many_turns_is_no_outlier():
     time = STEP * np.arange(30000)
-    x = 400 * time + 0.5 * np.sin(9 * time) + 0.01 * np.random.default_rng(0).standard_normal(30000)
+    x = (
+        400 * time
+        + 0.5 * np.sin(9 * time)
+        + 0.01 * np.random.default_rng(0).standard_normal(30000)
+    )
     found = check(Table(time, {"angle": x}), inputs={}, outputs={"angle": "angle"})
     assert serious(found) == []
 
@@ -270,7 +360,9 @@ def test_missing_files_folders_and_renames_are_told(tmp_path):
     (tmp_path / "a.csv").mkdir()
     refused("is a folder", read_table, tmp_path / "a.csv")
     write_table(tmp_path / "b.csv", car(seconds=1))
-    with pytest.raises(InputError, match="no column 'trvel' to rename; did you mean 'travel'"):
+    with pytest.raises(
+        InputError, match="no column 'trvel' to rename; did you mean 'travel'"
+    ):
         read_table(tmp_path / "b.csv", rename={"trvel": "x"})
     refused("no folder", write_table, tmp_path / "none" / "b.csv", car(seconds=1))
     refused("cannot write suffix", write_table, tmp_path / "b.xlsx", car(seconds=1))
@@ -281,7 +373,9 @@ def test_missing_files_folders_and_renames_are_told(tmp_path):
 
 def test_empty_cells_are_missing_samples(tmp_path):
     (tmp_path / "x.csv").write_text("time,a\n0,1\n1,\n2,NaN\n3,4\n")
-    assert np.array_equal(read_table(tmp_path / "x.csv")["a"], [1, np.nan, np.nan, 4], equal_nan=True)
+    assert np.array_equal(
+        read_table(tmp_path / "x.csv")["a"], [1, np.nan, np.nan, 4], equal_nan=True
+    )
 
 
 def test_mat_structs_are_read_and_objects_refused(tmp_path):
@@ -300,18 +394,31 @@ def test_mat_structs_are_read_and_objects_refused(tmp_path):
 
 def test_mdf_rasters_units_and_formulas(tmp_path):
     asammdf = pytest.importorskip("asammdf")
-    path, fast, slow = tmp_path / "x.mf4", np.arange(200) * 0.001, np.arange(100) * 0.002
+    path, fast, slow = (
+        tmp_path / "x.mf4",
+        np.arange(200) * 0.001,
+        np.arange(100) * 0.002,
+    )
     with asammdf.MDF(version="4.10") as mdf:
         mdf.append([asammdf.Signal(fast * 1e3, fast, name="x", unit="mm")])
         mdf.append([asammdf.Signal(2 * slow, slow, name="f", unit="kN")])
         mdf.append([asammdf.Signal(2 * slow, slow, name="g", unit="N")])
         mdf.append([asammdf.Signal(2 * slow, slow, name="g", unit="N")])
         formula = {"formula": "X1*2+1"}
-        mdf.append([asammdf.Signal(slow, slow, name="algebra", unit="N", conversion=formula)])
+        mdf.append(
+            [asammdf.Signal(slow, slow, name="algebra", unit="N", conversion=formula)]
+        )
         mdf.save(path)
     assert read_table(path, expected={"x": "m"})["x"] == pytest.approx(fast)
-    refused("different rasters of 200, 100 samples", read_table, path, expected={"x": "m", "f": "N"})
-    assert read_table(path, expected={"f": "N", "g": "N"})["f"] == pytest.approx(2000 * slow)
+    refused(
+        "different rasters of 200, 100 samples",
+        read_table,
+        path,
+        expected={"x": "m", "f": "N"},
+    )
+    assert read_table(path, expected={"f": "N", "g": "N"})["f"] == pytest.approx(
+        2000 * slow
+    )
     for name in ("algebra", "y"):
         refused(f"no channel '{name}'", read_table, path, expected={name: "N"})
 
@@ -324,13 +431,17 @@ def test_clean_records_pass_at_any_usual_noise_and_rate(seed):
     assert serious(judged(car(step=step, seconds=2400 * step))) == []
 
 
-@pytest.mark.parametrize(("levels", "snr_db"), [(200, 26.0), (2000, 50.0), (200, 300.0), (20000, 300.0)])
+@pytest.mark.parametrize(
+    ("levels", "snr_db"), [(200, 26.0), (2000, 50.0), (200, 300.0), (20000, 300.0)]
+)
 def test_encoders_and_rounded_files_pass(levels, snr_db):
     table = car(snr_db=snr_db)
     grid = {n: np.ptp(table[n]) / levels for n in table.columns}
     coarse = {n: np.round(table[n] / grid[n]) * grid[n] for n in table.columns}
     assert serious(judged(replaced(table, **coarse))) == []
-    rounded = {n: np.array([float(f"{v:.5g}") for v in table[n]]) for n in table.columns}
+    rounded = {
+        n: np.array([float(f"{v:.5g}") for v in table[n]]) for n in table.columns
+    }
     assert serious(judged(replaced(table, **rounded))) == []
 
 
@@ -342,7 +453,11 @@ def test_friction_rests_and_rig_tests_pass():
         0.01 * np.sin(2 * np.pi * np.repeat([2.0, 4, 6, 8, 10], 1250) * time),
         0.01 * signal.sawtooth(2 * np.pi * 0.3 * time, 0.5),
         0.01 * signal.chirp(time, 0.1, 12, 10),
-        np.where((time > 3) & (time < 3.2), 0.025 * (1 - np.cos(2 * np.pi * (time - 3) / 0.2)), 0),
+        np.where(
+            (time > 3) & (time < 3.2),
+            0.025 * (1 - np.cos(2 * np.pi * (time - 3) / 0.2)),
+            0,
+        ),
         np.zeros_like(time),
     ):
         speed = np.gradient(command, STEP)
@@ -350,7 +465,9 @@ def test_friction_rests_and_rig_tests_pass():
         force += 15 * ar1(rng, len(time), 0.5) + 500 * np.exp(-time) * np.cos(12 * time)
         table = Table(time, {"x": command, "force": force})
         found = check(table, inputs={"x": "displacement"}, outputs={"force": "force"})
-        idle = ["warning: no input changes (x): the outputs are compared with free motion"]
+        idle = [
+            "warning: no input changes (x): the outputs are compared with free motion"
+        ]
         assert serious(found) == ([] if command.any() else idle)
     decay = Table(time, {"x": 0.02 * np.exp(-time) * np.cos(12 * time)})
     assert check(decay, inputs={}, outputs={"x": "displacement"}) == []
@@ -364,7 +481,9 @@ def put(x, at, value):
 
 
 def places(x):
-    return np.random.default_rng(5).choice(np.arange(100, len(x) - 100, 60), 8, replace=False)
+    return np.random.default_rng(5).choice(
+        np.arange(100, len(x) - 100, 60), 8, replace=False
+    )
 
 
 def clipped(x):
@@ -400,7 +519,11 @@ def test_a_spoilt_channel_is_found_and_named(channel, how, seed):
         pytest.skip("400 kN are heavy, not impossible")
     table = car(seed, snr_db=[26.0, 36.0][seed])
     change, level, message = SPOILT[how]
-    found = [f for f in judged(replaced(table, **{channel: change(table[channel])})) if f.level != "note"]
+    found = [
+        f
+        for f in judged(replaced(table, **{channel: change(table[channel])}))
+        if f.level != "note"
+    ]
     assert {f.channel for f in found} == {channel}
     assert found[0].level == level
     assert re.search(message, found[0].message)
@@ -421,7 +544,9 @@ def stroke(zero):
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_speed_at_rest_is_not_clipped(zero, alone):
     time, speed = STEP * np.arange(2000), stroke(zero)
-    force = 100 * np.gradient(speed + 0.0) + 0.1 * np.random.default_rng(1).standard_normal(2000)
+    force = 100 * np.gradient(speed + 0.0) + 0.1 * np.random.default_rng(
+        1
+    ).standard_normal(2000)
     outputs = {} if alone else {"force": "force"}
     table = Table(time, {"speed": speed} | ({} if alone else {"force": force}))
     assert serious(check(table, inputs={"speed": "velocity"}, outputs=outputs)) == []
@@ -433,7 +558,14 @@ def test_a_coarse_encoder_is_not_clipped_where_the_motion_turns():
     t = 1e-3 * np.arange(4000)
     swing = 0.1 * np.exp(-0.1 * t) * np.cos(1.8 * t - 2.7)
     seen = (0.003 * np.floor(swing / 0.003 + 0.5)).reshape(-1, 10).mean(axis=1)
-    assert serious(check(Table(t[::10], {"angle": seen}), inputs={}, outputs={"angle": "angle"})) == []
+    assert (
+        serious(
+            check(
+                Table(t[::10], {"angle": seen}), inputs={}, outputs={"angle": "angle"}
+            )
+        )
+        == []
+    )
 
 
 def test_a_speed_of_one_direction_alone_is_told():
@@ -453,9 +585,16 @@ def test_short_equal_runs_do_not_refuse_a_record():
     table = car(snr_db=40, seconds=1.2)
     for channel in OUTPUTS:
         x = np.array(table[channel])
-        quiet = int(np.argmin(np.convolve(np.abs(np.diff(x)), np.ones(9), "valid")[20:-20])) + 20
+        quiet = (
+            int(np.argmin(np.convolve(np.abs(np.diff(x)), np.ones(9), "valid")[20:-20]))
+            + 20
+        )
         x[quiet : quiet + 9] = x[quiet]
-        assert [f.level for f in judged(replaced(table, **{channel: x})) if f.level == "error"] == []
+        assert [
+            f.level
+            for f in judged(replaced(table, **{channel: x}))
+            if f.level == "error"
+        ] == []
 
 
 def test_quantisation_coarser_than_the_noise_of_the_moment_passes():
@@ -463,14 +602,19 @@ def test_quantisation_coarser_than_the_noise_of_the_moment_passes():
     time = STEP * np.arange(6000)
     x = 0.02 * np.sin(9 * time) * np.maximum(np.sin(2 * time), 0) ** 2
     noise = 5e-4 * np.abs(np.gradient(x, STEP)) / 0.18
-    x = np.round((x + noise * np.random.default_rng(0).standard_normal(6000)) / 2e-5) * 2e-5
+    x = (
+        np.round((x + noise * np.random.default_rng(0).standard_normal(6000)) / 2e-5)
+        * 2e-5
+    )
     found = check(Table(time, {"x": x}), inputs={}, outputs={"x": "displacement"})
     assert "error" not in {f.level for f in found}
 
 
 @pytest.mark.parametrize("channel", OUTPUTS)
 @pytest.mark.parametrize("snr_db", [30.0, 300.0])
-def test_a_sensor_that_freezes_for_half_the_record_while_others_move_is_an_error(channel, snr_db):
+def test_a_sensor_that_freezes_for_half_the_record_while_others_move_is_an_error(
+    channel, snr_db
+):
     table = car(snr_db=snr_db)
     x = np.array(table[channel])
     first = int(np.argmax(np.abs(np.diff(x))[2000:2500])) + 2000
@@ -479,23 +623,37 @@ def test_a_sensor_that_freezes_for_half_the_record_while_others_move_is_an_error
     told = [f for f in found if f.check == "held"]
     assert {f.channel for f in told} == {channel} and "frozen" in told[0].message
     # a force or an acceleration without any noise may be constant by itself
-    assert told[0].level == ("error" if snr_db < 100 or channel == "travel" else "warning")
+    assert told[0].level == (
+        "error" if snr_db < 100 or channel == "travel" else "warning"
+    )
 
 
 def test_a_channel_that_rests_with_all_others_is_not_frozen():
     """Noise that dies with the motion: everything stands in the second half of the record."""
     table = car(snr_db=30)
-    stopped = {n: np.r_[table[n][:3000], np.full(3000, table[n][3000])] for n in table.columns}
-    assert [f for f in judged(replaced(table, **stopped)) if f.check == "held" and f.level != "note"] == []
+    stopped = {
+        n: np.r_[table[n][:3000], np.full(3000, table[n][3000])] for n in table.columns
+    }
+    assert [
+        f
+        for f in judged(replaced(table, **stopped))
+        if f.check == "held" and f.level != "note"
+    ] == []
 
 
-@pytest.mark.parametrize(("share", "level"), [(1 / 6000, None), (0.01, "warning"), (0.2, "error")])
+@pytest.mark.parametrize(
+    ("share", "level"), [(1 / 6000, None), (0.01, "warning"), (0.2, "error")]
+)
 def test_clipping_counts_by_the_power_that_it_holds(share, level):
     table = car(snr_db=40)
     for channel in OUTPUTS:
         x = table[channel] - np.mean(table[channel])
         clipped = np.minimum(x, np.sort(x)[-max(1, round(share * len(x)))])
-        found = [f for f in judged(replaced(table, **{channel: clipped})) if f.level != "note"]
+        found = [
+            f
+            for f in judged(replaced(table, **{channel: clipped}))
+            if f.level != "note"
+        ]
         assert [f.level for f in found] == ([level] if level else [])
 
 
@@ -526,7 +684,10 @@ def jittered(time, share):
 
 
 TIMES = {
-    "repeats": (lambda t: put(t, 500, t[499]), r"repeats after t = 0.998 s \(1 times\)"),
+    "repeats": (
+        lambda t: put(t, 500, t[499]),
+        r"repeats after t = 0.998 s \(1 times\)",
+    ),
     "backwards": (lambda t: np.r_[t[:900], t[:-900]], "runs backwards"),
     "gap": (
         lambda t: np.r_[t[:700], t[700:] + 0.5],
@@ -552,7 +713,9 @@ def test_a_bad_time_base_is_an_error(how):
 
 def test_small_jitter_and_rounded_stamps_pass_and_become_uniform():
     table = car()
-    measured = Table(np.round(table.time * 1.000004, 9), table.columns)  # the 0.002000008 s of a real drive
+    measured = Table(
+        np.round(table.time * 1.000004, 9), table.columns
+    )  # the 0.002000008 s of a real drive
     assert judged(measured) == []
     for time in (jittered(table.time, 0.05), np.float32(table.time)):
         noted = Table(time, table.columns)
@@ -571,23 +734,52 @@ def test_records_without_content_are_refused():
     assert {f.channel for f in found if f.level == "error"} == set(OUTPUTS)
     flat = {n: np.full(len(table), 1.0) for n in ("road", "current")}
     found = judged(replaced(table, **flat))
-    assert {(f.level, f.channel) for f in found} >= {("note", "road"), ("note", "current")}
+    assert {(f.level, f.channel) for f in found} >= {
+        ("note", "road"),
+        ("note", "current"),
+    }
     assert "warning: no input changes (road, current)" in serious(found)[0]
-    assert serious(judged(replaced(table, current=flat["current"]))) == []  # a motor that is not used
+    assert (
+        serious(judged(replaced(table, current=flat["current"]))) == []
+    )  # a motor that is not used
 
 
 def test_units_and_swaps_that_cannot_be_are_told():
     table = car()
-    swapped = judged(replaced(table, acceleration=table["tyre"], tyre=table["acceleration"]))
-    assert swapped[0].channel == "acceleration" and "columns swapped" in swapped[0].message
-    swapped = judged(replaced(table, acceleration=table["travel"], travel=50 * table["acceleration"]))
+    swapped = judged(
+        replaced(table, acceleration=table["tyre"], tyre=table["acceleration"])
+    )
+    assert (
+        swapped[0].channel == "acceleration" and "columns swapped" in swapped[0].message
+    )
+    swapped = judged(
+        replaced(table, acceleration=table["travel"], travel=50 * table["acceleration"])
+    )
     assert swapped[0].channel == "travel" and swapped[0].level == "error"
-    assert "gravity" in judged(replaced(table, acceleration=table["acceleration"] + 9.81))[0].message
-    assert "wrong unit" in judged(replaced(table, travel=table["travel"] * 1e-6))[0].message
-    in_mm = Table(table.time, table.columns | {"travel": 1e3 * table["travel"]}, units={"travel": "mm"})
+    assert (
+        "gravity"
+        in judged(replaced(table, acceleration=table["acceleration"] + 9.81))[0].message
+    )
+    assert (
+        "wrong unit"
+        in judged(replaced(table, travel=table["travel"] * 1e-6))[0].message
+    )
+    in_mm = Table(
+        table.time,
+        table.columns | {"travel": 1e3 * table["travel"]},
+        units={"travel": "mm"},
+    )
     assert judged(in_mm) == []
-    refused("unknown quantity 'weight'", check, table, inputs={}, outputs={"tyre": "weight"})
-    refused("no column 'tire'; did you mean 'tyre'", check, table, inputs={}, outputs={"tire": "force"})
+    refused(
+        "unknown quantity 'weight'", check, table, inputs={}, outputs={"tyre": "weight"}
+    )
+    refused(
+        "no column 'tire'; did you mean 'tyre'",
+        check,
+        table,
+        inputs={},
+        outputs={"tire": "force"},
+    )
 
 
 def test_lost_and_repeated_samples_are_seen_though_time_runs_on():
@@ -595,15 +787,23 @@ def test_lost_and_repeated_samples_are_seen_though_time_runs_on():
     n = len(table)
 
     def rows(index):
-        return Table(STEP * np.arange(len(index)), {k: x[index] for k, x in table.columns.items()})
+        return Table(
+            STEP * np.arange(len(index)),
+            {k: x[index] for k, x in table.columns.items()},
+        )
 
     lost = judged(rows(np.r_[:2000, 2300:n]))
     assert lost[0].level == "error" and "samples lost" in lost[0].message
     assert lost[0].where[0][0] == pytest.approx(1999 * STEP)
     twice = judged(rows(np.r_[:2000, 1500:n]))
-    assert any("500 samples, first at t = 4 s, repeat those 1 s earlier" in f.message for f in twice)
+    assert any(
+        "500 samples, first at t = 4 s, repeat those 1 s earlier" in f.message
+        for f in twice
+    )
     doubled = judged(rows(np.sort(np.r_[:n, 500:5500:50])))
-    assert any("100 samples, first at" in f.message and f.level == "error" for f in doubled)
+    assert any(
+        "100 samples, first at" in f.message and f.level == "error" for f in doubled
+    )
     same = judged(replaced(table, tyre=table["acceleration"]))
     told = [(f.level, f.channel, f.message) for f in same]
     assert ("error", "tyre", "is the same column as 'acceleration'") in told

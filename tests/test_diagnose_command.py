@@ -31,7 +31,9 @@ jsonschema = pytest.importorskip("jsonschema")
 
 RATE = 100.0
 KNOWN = {"spring.stiffness": 0.1, "damper.damping": 0.1}
-OWN = oscillator("travel displacement mass", "felt acceleration mass", uncertainty=KNOWN)
+OWN = oscillator(
+    "travel displacement mass", "felt acceleration mass", uncertainty=KNOWN
+)
 PLACE = frozenset({"mass", "ground"})
 
 
@@ -56,11 +58,18 @@ def record(truth, seed, push=wide, *, seconds=8.0, noise=0.01, settled=0.0, hidd
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds + settled, 1.0 / RATE)
     force = push(t, rng)
-    other = hidden * np.sin(2 * np.pi * 4.1 * t + rng.uniform(0, 6)) * np.sign(np.sin(1.7 * t))
+    other = (
+        hidden
+        * np.sin(2 * np.pi * 4.1 * t + rng.uniform(0, 6))
+        * np.sign(np.sin(1.7 * t))
+    )
     out = {"push": force, **simulate(truth, t, {"push": force + other})}
     keep = t >= settled
     out = {n: x[keep] for n, x in out.items()}
-    noisy = {n: x + (n != "push") * noise * x.std() * rng.standard_normal(len(x)) for n, x in out.items()}
+    noisy = {
+        n: x + (n != "push") * noise * x.std() * rng.standard_normal(len(x))
+        for n, x in out.items()
+    }
     return Table(t[keep] - t[keep][0], noisy, f"r{seed}")
 
 
@@ -83,7 +92,9 @@ class Outcome:
 
 def diagnosed(out, *words):
     """Run the command; every file in its folder is opened again and checked."""
-    done = CliRunner().invoke(cli.app, ["diagnose", *map(str, words), "--out", str(out)])
+    done = CliRunner().invoke(
+        cli.app, ["diagnose", *map(str, words), "--out", str(out)]
+    )
     assert done.exit_code == 0, (done.output, done.exception)
     document = json.loads((out / "diagnosis.json").read_text())
     outcome = Outcome(out, document, done.output)
@@ -106,7 +117,9 @@ def check_folder(o):
             assert len(read_table(file).time) > 100
     assert {"gap.svg", "time.svg"} <= {f.name for f in o.folder.iterdir()}
     for g in d["gates"]:
-        compared = {"<": "__lt__", "<=": "__le__", ">": "__gt__", ">=": "__ge__"}[g["relation"]]
+        compared = {"<": "__lt__", "<=": "__le__", ">": "__gt__", ">=": "__ge__"}[
+            g["relation"]
+        ]
         assert g["passed"] == getattr(float(g["value"]), compared)(float(g["limit"]))
     t = np.arange(0, 1, 0.01)
     inputs = {c.name: 0.01 * np.sin(9 * t) for c in o.model.inputs}
@@ -116,13 +129,19 @@ def check_folder(o):
 def restrict(patch, *known):
     """Let the library have these effects alone."""
     whole = Hypothesis.stands
-    patch.setattr(Hypothesis, "stands", lambda self, network: self.effect in known and whole(self, network))
+    patch.setattr(
+        Hypothesis,
+        "stands",
+        lambda self, network: self.effect in known and whole(self, network),
+    )
 
 
 @pytest.fixture
 def library(monkeypatch):
     """Few effects: the way is that of the whole library, in a tenth of its time."""
-    restrict(monkeypatch, "coulomb_friction", "quadratic_damping", "inertance", "sensor_gain")
+    restrict(
+        monkeypatch, "coulomb_friction", "quadratic_damping", "inertance", "sensor_gain"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -134,11 +153,17 @@ def files(tmp_path_factory):
     hard = {"type": "cubic_stiffness", "stiffness": 4e6}
     rigs = {
         "clean": (OWN, {}),
-        "stiffer": (OWN.with_parameters({"spring.stiffness": 2250.0, "damper.damping": 34.0}), {}),
+        "stiffer": (
+            OWN.with_parameters({"spring.stiffness": 2250.0, "damper.damping": 34.0}),
+            {},
+        ),
         "friction": (with_odd(type="coulomb_friction", level=12.0), {}),
         "hard": (with_odd(**hard), {}),
         "hum": (OWN, {"hidden": 25.0}),
-        "sine": (with_odd(type="inertance", inertance=1.0), {"push": sine, "settled": 4.0, "noise": 0.02}),
+        "sine": (
+            with_odd(type="inertance", inertance=1.0),
+            {"push": sine, "settled": 4.0, "noise": 0.02},
+        ),
     }
     for name, (truth, how) in rigs.items():
         for seed in (1, 2):
@@ -155,21 +180,29 @@ def run(files, tmp_path, name, *, validate=True, model="model.json"):
 def test_no_discrepancy(files, library, tmp_path):
     o = run(files, tmp_path, "clean")
     assert o.document["verdict"] == "no_discrepancy" and o.document["effects"] == []
-    assert o.document["summary"].startswith("The model agrees with the measurements; no effect is missing (")
+    assert o.document["summary"].startswith(
+        "The model agrees with the measurements; no effect is missing ("
+    )
     assert o.document["reason"] == "immaterial"
 
 
 @pytest.mark.slow
 def test_parameters_only_from_a_single_record(files, library, tmp_path):
-    o = diagnosed(tmp_path / "out", files / "stiffer1.csv", "--model", files / "model.json")
+    o = diagnosed(
+        tmp_path / "out", files / "stiffer1.csv", "--model", files / "model.json"
+    )
     assert o.document["verdict"] == "parameters_only"
     assert o.model.parameters["spring.stiffness"] == pytest.approx(2250.0, rel=0.01)
     assert "spring.stiffness from 2000 to 22" in o.document["summary"]
     assert any("last third" in note for note in o.document["notes"])
-    assert re.search(r"Record “stiffer1” \(fitted up to \d[\d.]* s, then held out\)", o.page.text)
+    assert re.search(
+        r"Record “stiffer1” \(fitted up to \d[\d.]* s, then held out\)", o.page.text
+    )
 
 
-@pytest.mark.parametrize("validate", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "validate", [True, pytest.param(False, marks=pytest.mark.slow)]
+)
 def test_missing_effect(files, library, tmp_path, validate):
     o = run(files, tmp_path, "friction", validate=validate)
     assert o.document["verdict"] == "missing_effect"
@@ -177,12 +210,18 @@ def test_missing_effect(files, library, tmp_path, validate):
     assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == PLACE
     (odd,) = [e for e in o.model.elements if e.type == "coulomb_friction"]
     assert o.model.parameters[f"{odd.name}.level"] == pytest.approx(12.0, rel=0.1)
-    assert 0 < o.model.uncertainty[f"{odd.name}.level"] < 0.1  # the posterior goes with the model
+    assert (
+        0 < o.model.uncertainty[f"{odd.name}.level"] < 0.1
+    )  # the posterior goes with the model
     assert o.document["best_candidate"] is None and (o.folder / "law.svg").exists()
     assert all(g["passed"] for g in o.document["gates"])
-    refit, after = (o.document["gap"]["held_out"][k]["travel"] for k in ("refit", "after"))
+    refit, after = (
+        o.document["gap"]["held_out"][k]["travel"] for k in ("refit", "after")
+    )
     assert after < 0.2 * refit
-    assert "Record “friction2” (held out)" in o.page.text  # also where nobody set it aside
+    assert (
+        "Record “friction2” (held out)" in o.page.text
+    )  # also where nobody set it aside
 
 
 @pytest.mark.slow
@@ -202,18 +241,32 @@ def test_a_stage_whose_time_is_over_ends_and_the_summary_says_what_was_not_tried
     whole = getattr(owner, called)
 
     def late(*given, **options):
-        now[0] = 0.88 * 4.0  # the search and the comparison of its candidates have had their time
+        now[0] = (
+            0.88 * 4.0
+        )  # the search and the comparison of its candidates have had their time
         return whole(*given, **options)
 
     monkeypatch.setattr(owner, called, late)
-    words = (files / "friction1.csv", "--validate", files / "friction2.csv", "--model", files / "model.json")
+    words = (
+        files / "friction1.csv",
+        "--validate",
+        files / "friction2.csv",
+        "--model",
+        files / "model.json",
+    )
     o = diagnosed(tmp_path / "out", *words, "--max-seconds", 5)
     d = o.document
     assert d["verdict"] == verdict
     if left_out:
         assert d["not_tried"][0].startswith(left_out)
-        assert f"The time limit of 5 s ended the diagnosis early. Not tried: {left_out}" in d["summary"]
-        assert "the search for it is not finished" in d["summary"] and "No known effect" not in d["summary"]
+        assert (
+            f"The time limit of 5 s ended the diagnosis early. Not tried: {left_out}"
+            in d["summary"]
+        )
+        assert (
+            "the search for it is not finished" in d["summary"]
+            and "No known effect" not in d["summary"]
+        )
         assert "the time limit ended the search" in o.page.text
     else:
         assert not d["not_tried"] and "time limit" not in d["summary"]
@@ -221,8 +274,14 @@ def test_a_stage_whose_time_is_over_ends_and_the_summary_says_what_was_not_tried
 
 def test_no_time_for_the_refit_is_one_line(files, monkeypatch):
     monkeypatch.setattr(TimeLimit, "seconds", property(lambda self: 1e9))
-    with pytest.raises(InputError, match=r"the time limit of 5 s is over before .* raise --max-seconds"):
-        diagnose([files / "friction1.csv"], files / "model.json", settings=SearchSettings(max_seconds=5.0))
+    with pytest.raises(
+        InputError, match=r"the time limit of 5 s is over before .* raise --max-seconds"
+    ):
+        diagnose(
+            [files / "friction1.csv"],
+            files / "model.json",
+            settings=SearchSettings(max_seconds=5.0),
+        )
 
 
 def test_a_long_record_is_thinned_with_a_note():
@@ -234,10 +293,14 @@ def test_a_long_record_is_thinned_with_a_note():
     assert len(thin) == thin.samples == 83_334 and thin.step == pytest.approx(3e-3)
     assert np.abs(thin.inputs["push"][100:-100] - slow[::3][100:-100]).max() < 1e-3
     (note,) = notes
-    assert note.startswith("long: 250000 samples are more than the motion needs: every 3th sample")
+    assert note.startswith(
+        "long: 250000 samples are more than the motion needs: every 3th sample"
+    )
     assert thin_long_record(thin, OWN, notes) is thin and len(notes) == 1
     fast = replace(record, measured=np.random.default_rng(0).standard_normal((n, 1)))
-    assert thin_long_record(fast, OWN, notes) is fast  # what looks like noise to the eye may be the motion
+    assert (
+        thin_long_record(fast, OWN, notes) is fast
+    )  # what looks like noise to the eye may be the motion
 
 
 @pytest.mark.slow
@@ -249,11 +312,16 @@ def test_unknown_effect_with_its_table(files, library, tmp_path):
     assert d["tabulated"] is not None and set(d["tabulated"]["between"]) == PLACE
     assert o.model.element(d["tabulated"]["element"]).type == "tabulated_force"
     assert "Force between mass and ground, as a table over travel" in o.page.text
-    assert "the completed model; use it as" in o.page.text and (o.folder / "law.svg").exists()
+    assert (
+        "the completed model; use it as" in o.page.text
+        and (o.folder / "law.svg").exists()
+    )
     assert d["best_table"]["explained"] == d["tabulated"]["explained"] >= 0.5
     axis = np.array(d["tabulated"]["elongation"])
     true, inside = 4e6 * axis**3, np.abs(axis) < 0.6 * np.abs(axis).max()
-    assert np.abs(d["tabulated"]["force"] - true)[inside].max() < 0.2 * np.abs(true).max()
+    assert (
+        np.abs(d["tabulated"]["force"] - true)[inside].max() < 0.2 * np.abs(true).max()
+    )
     assert f"removes {100 * d['tabulated']['explained']:.0f} %" in d["summary"]
     rejected = d["best_candidate"]
     failed = [g["gate"] for g in d["gates"] if not g["passed"]]
@@ -277,9 +345,17 @@ def test_ambiguous_with_the_test_that_would_decide(files, tmp_path, monkeypatch)
     o = run(files, tmp_path, "sine", model="stiff.json")
     d = o.document
     assert d["verdict"] == "ambiguous", d["summary"]
-    assert {tuple(a["effects"]) for a in d["alternatives"]} == {("inertance",), ("series_compliance",)}
-    assert [g["gate"] for g in d["best_candidate"]["failed_gates"]] == ["distinguishable"]
-    assert "do not decide between 2 candidates: " in d["summary"] or "or inertance" in d["summary"]
+    assert {tuple(a["effects"]) for a in d["alternatives"]} == {
+        ("inertance",),
+        ("series_compliance",),
+    }
+    assert [g["gate"] for g in d["best_candidate"]["failed_gates"]] == [
+        "distinguishable"
+    ]
+    assert (
+        "do not decide between 2 candidates: " in d["summary"]
+        or "or inertance" in d["summary"]
+    )
     assert "inertance between mass and ground" in d["summary"]
     assert {e.type for e in o.model.elements} & {"inertance", "series_compliance"}
     assert "Likeliest law, not certain: " in o.model.description
@@ -293,17 +369,37 @@ def test_ambiguous_with_the_test_that_would_decide(files, tmp_path, monkeypatch)
 @pytest.mark.slow
 def test_a_car_cut_at_its_wheel(library, tmp_path):
     """Its records do not hold the road."""
-    car = Network.load(QUARTER_CAR | {"uncertainty": {"body.mass": 0.03, "damper.damping": 0.1}})
+    car = Network.load(
+        QUARTER_CAR | {"uncertainty": {"body.mass": 0.03, "damper.damping": 0.1}}
+    )
     car.save(tmp_path / "car.json")
     drives = [tmp_path / f"drive{seed}.csv" for seed in (1, 2)]
     for seed, file in enumerate(drives, 1):
-        time, columns = drive_quarter_car(4e-3, 8.0, seed, car.with_element(friction("body", "wheel", 150.0)))
-        write_table(file, Table(time, {n: x for n, x in columns.items() if n != "road"}, f"drive{seed}"))
-    words = [drives[0], "--validate", drives[1], "--model", tmp_path / "car.json", "--cut", "wheel"]
+        time, columns = drive_quarter_car(
+            4e-3, 8.0, seed, car.with_element(friction("body", "wheel", 150.0))
+        )
+        write_table(
+            file,
+            Table(
+                time, {n: x for n, x in columns.items() if n != "road"}, f"drive{seed}"
+            ),
+        )
+    words = [
+        drives[0],
+        "--validate",
+        drives[1],
+        "--model",
+        tmp_path / "car.json",
+        "--cut",
+        "wheel",
+    ]
     o = diagnosed(tmp_path / "out", *words)
     assert o.document["verdict"] == "missing_effect", o.document["summary"]
     (effect,) = o.document["effects"]
-    assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == {"body", "wheel"}
+    assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == {
+        "body",
+        "wheel",
+    }
     assert effect["parameters"]["level"]["value"] == pytest.approx(150.0, rel=0.1)
     assert "tyre" in {e.name for e in o.model.elements}
     assert "coulomb_friction" in {e.type for e in o.model.elements}

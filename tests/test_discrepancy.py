@@ -20,7 +20,12 @@ from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import states_along
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
-from isd_gym.diagnosis._planning.excitation import Limits, Rig, make_excitation, make_record
+from isd_gym.diagnosis._planning.excitation import (
+    Limits,
+    Rig,
+    make_excitation,
+    make_record,
+)
 from isd_gym.diagnosis._records.splitting import LEAD_IN, split_records
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._selection.held_out_table import row_of
@@ -40,7 +45,9 @@ def run(kind, seed, settings=None):
     with np.errstate(over="ignore"):  # a size that is tried on the way to the right one
         case = families.make_case(kind, seed) if "." in kind else make_case(kind, seed)
     records = [table(x, "record") for x in (case.estimation, case.validation) if x]
-    return diagnose(records[:1], case.model, validate=records[1:], settings=settings), case
+    return diagnose(
+        records[:1], case.model, validate=records[1:], settings=settings
+    ), case
 
 
 #: rigs on which one rule of the search decides: effects, places and values
@@ -73,13 +80,19 @@ def test_what_is_hidden_is_named(kind, seed, answer, values):
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins():
     def resonator(stiffness):
         parts = {"mass": 1.0, "stiffness": stiffness, "damping": 0.006}
-        return builders.oscillator("x displacement mass", uncertainty={"spring.stiffness": 0.1}, **parts)
+        return builders.oscillator(
+            "x displacement mass", uncertainty={"spring.stiffness": 0.1}, **parts
+        )
 
-    push = 0.1 * np.convolve(np.random.default_rng(0).standard_normal(6000), np.ones(5) / 5, mode="same")
+    push = 0.1 * np.convolve(
+        np.random.default_rng(0).standard_normal(6000), np.ones(5) / 5, mode="same"
+    )
     record = builders.recorded(resonator(1.0), 0.1, {"push": push})
     owner = resonator(1.12)
     problem, structure = Problem(owner, [record], ["fit"]), base_structure(owner)
-    fitter = Fitter(problem, weighting.white_weights(0.01 * record.measured.std(axis=0)))
+    fitter = Fitter(
+        problem, weighting.white_weights(0.01 * record.measured.std(axis=0))
+    )
     lost = fitter.fit(structure, iterations=20)
     there = shooting.fit_segments(problem, structure, structure.start, fitter)
     assert there is not None and shooting.is_lightly_damped(owner)
@@ -90,9 +103,13 @@ def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins():
     assert not shooting.is_lightly_damped(Network.load("quarter-car-isd"))
 
 
-@pytest.mark.parametrize(("stated", "share"), [({"damper.damping": 1.0}, 1e-4), ({"mass.mass": 1.0}, 1 / 8)])
+@pytest.mark.parametrize(
+    ("stated", "share"), [({"damper.damping": 1.0}, 1e-4), ({"mass.mass": 1.0}, 1 / 8)]
+)
 def test_a_damping_of_which_only_the_order_is_known_may_vanish(stated, share):
-    (free,) = base_structure(builders.oscillator("x displacement mass", uncertainty=stated)).free
+    (free,) = base_structure(
+        builders.oscillator("x displacement mass", uncertainty=stated)
+    ).free
     assert free.back(free.low - free.mean) == approx(share)
 
 
@@ -113,7 +130,14 @@ def test_quadratic_drag_is_found_in_a_thrown_body():
         weight = element("weight", "constant_force", "body", "ground", force=1.96)
         known = {"weight.force": 0.01, "drag.damping": 1.0}
         seen = channel("acceleration", "acceleration", "body", noise=0.022)
-        return builders.network("thrown", [weight, drag], [], [seen], masses={"body": 0.2}, uncertainty=known)
+        return builders.network(
+            "thrown",
+            [weight, drag],
+            [],
+            [seen],
+            masses={"body": 0.2},
+            uncertainty=known,
+        )
 
     true = thrown(element("drag", "quadratic_damping", "body", "ground", damping=0.009))
     rng, runs = np.random.default_rng(1), []
@@ -123,7 +147,9 @@ def test_quadratic_drag_is_found_in_a_thrown_body():
         noise = 0.08 * lfilter(np.full(12, 1 / 12), [1.0], slow) + 0.022 * fast
         y = builders.recorded(true, 5e-3, {}, n, [0.0, speed]).measured[:, 0] + noise
         runs.append(Table(5e-3 * np.arange(n), {"acceleration": y}, f"{speed} m/s"))
-    d = diagnose(runs[:5], thrown(damper("body", "ground", 0.03, "drag")), validate=runs[5:])
+    d = diagnose(
+        runs[:5], thrown(damper("body", "ground", 0.03, "drag")), validate=runs[5:]
+    )
     assert named(d) == {("quadratic_damping", frozenset({"body", "ground"}))}
 
 
@@ -156,7 +182,13 @@ def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was():
     whole = problem.simulate([net], 0, rest[:, None], like=net)[:, :, 0]
     (state,) = states_along(problem, structure, structure.start, {0: rest}, [1000])[0]
     piece = problem.simulate([net], 1, state[:, None], like=net)[:, :, 0]
-    assert np.max(np.sqrt(np.mean((piece - whole[1000:2000]) ** 2, axis=0)) / whole.std(axis=0)) < 0.01
+    assert (
+        np.max(
+            np.sqrt(np.mean((piece - whole[1000:2000]) ** 2, axis=0))
+            / whole.std(axis=0)
+        )
+        < 0.01
+    )
 
 
 def test_what_a_filter_had_to_guess_is_not_compared():
@@ -168,7 +200,9 @@ def test_what_a_filter_had_to_guess_is_not_compared():
     taps = np.hanning(101) / np.hanning(101).sum()
     force = 95.0 * a + 1293.0 * v + 709e3 * x
     seen = low_pass(force[:, None], taps)[100:-100:5]
-    record = Record("rig", step, {name: x}, seen, {name: (v, a)}, taps=taps, thin=5, margin=20)
+    record = Record(
+        "rig", step, {name: x}, seen, {name: (v, a)}, taps=taps, thin=5, margin=20
+    )
     problem = Problem(net, [record, record.part(50, 200, "rig")], ["fit", "fit"])
     y, part = (problem.simulate([net], i, None)[:, 0, 0] for i in (0, 1))
     assert len(y) == len(seen)
@@ -179,11 +213,15 @@ def test_what_a_filter_had_to_guess_is_not_compared():
 def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before():
     rig = Network.load("force-rig-eq6").without_element("seal")
     where = (rig.moved_nodes[0], "ground")
-    white_filters = add(base_structure(rig), Hypothesis("coulomb_friction", where), {"level": 300.0})
+    white_filters = add(
+        base_structure(rig), Hypothesis("coulomb_friction", where), {"level": 300.0}
+    )
     curve = {"level": 300.0, "static_level": 500.0, "stribeck_velocity": 0.1}
     both = add(white_filters, Hypothesis("stribeck_friction", where), curve)
     assert [h.effect for h in both.hypotheses] == ["stribeck_friction"]
-    assert [both.network.element(name).type for name in both.names] == ["stribeck_friction"]
+    assert [both.network.element(name).type for name in both.names] == [
+        "stribeck_friction"
+    ]
 
 
 def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends():
@@ -209,15 +247,20 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
 def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side():
     # a spring with play beside a damper without play: both elements used to stand behind the play
     net = Network.load(families.make_case("shaken.play", 305).model)
-    k, c, m = (net.parameters[p] for p in ("spring.stiffness", "damper.damping", "mass.mass"))
+    k, c, m = (
+        net.parameters[p] for p in ("spring.stiffness", "damper.damping", "mass.mass")
+    )
     series = {h.label: h for h in hypotheses(net) if h.kind.series}
-    assert set(series) == {
-        "series_compliance at mass-base",
-        "series_compliance at mass-base (of damper)",  # of the spring it would be a softer spring
-        "backlash at mass-base",
-        "backlash at mass-base (of spring)",
-        "backlash at mass-base (of damper)",
-    }
+    assert (
+        set(series)
+        == {
+            "series_compliance at mass-base",
+            "series_compliance at mass-base (of damper)",  # of the spring it would be a softer spring
+            "backlash at mass-base",
+            "backlash at mass-base (of spring)",
+            "backlash at mass-base (of damper)",
+        }
+    )
     gap = 0.02
     faces = {"gap": gap, "stiffness": 1e4 * k}
     built = add(base_structure(net), series["backlash at mass-base (of spring)"], faces)
@@ -233,15 +276,21 @@ def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side():
         spring = k * math.copysign(max(abs(d) - 0.5 * gap, 0.0), d)
         return [y[1], -(spring + c * v) / m]
 
-    exact = solve_ivp(rate, (0.0, 3.0), [0.0, 0.0], t_eval=time, rtol=1e-8, atol=1e-10, max_step=0.002).y[0]
+    exact = solve_ivp(
+        rate, (0.0, 3.0), [0.0, 0.0], t_eval=time, rtol=1e-8, atol=1e-10, max_step=0.002
+    ).y[0]
     assert np.std(seen - exact) < 0.01 * np.std(exact)
 
 
 def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples():
     # along lines every sample of the base was a knock: an inertance came out with twice the acceleration, and a compliance beside it
     parts = {"beside": [element("b", "inertance", "mass", "base", inertance=6.0)]}
-    net = builders.oscillator("a acceleration mass", base="base", mass=20.0, damping=40.0, **parts)
-    time = np.arange(0.0, 25.0, 0.016)  # what it began with has died out by the thousandth sample
+    net = builders.oscillator(
+        "a acceleration mass", base="base", mass=20.0, damping=40.0, **parts
+    )
+    time = np.arange(
+        0.0, 25.0, 0.016
+    )  # what it began with has died out by the thousandth sample
     w = 2.0 * math.pi * 4.5
     base = 1e-4 * np.sin(w * time)
     for every, bound in ((4, 0.05), (16, 0.03)):
@@ -274,8 +323,16 @@ def test_noise_of_a_moved_node_does_not_rule_its_acceleration():
 
 def test_a_rig_that_moves_by_micrometres_may_have_a_stiff_cubic():
     for stiffness in (4.4e15, -1e20):
-        TYPES["cubic_stiffness"](name="x", where=("mass", "ground"), stiffness=stiffness)
-    refused("stiffness", TYPES["cubic_stiffness"], name="x", where=("mass", "ground"), stiffness=1e30)
+        TYPES["cubic_stiffness"](
+            name="x", where=("mass", "ground"), stiffness=stiffness
+        )
+    refused(
+        "stiffness",
+        TYPES["cubic_stiffness"],
+        name="x",
+        where=("mass", "ground"),
+        stiffness=1e30,
+    )
 
 
 def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit():
@@ -296,7 +353,9 @@ def test_the_owner_says_what_the_noise_of_an_output_is():
     assert Network.load(net.to_dict()) == net
     t = 2e-3 * np.arange(2000)
     x = 0.01 * np.sin(12.0 * t)
-    record = Record("rig", 2e-3, {net.inputs[0].name: x}, 500.0 * np.sign(np.cos(12.0 * t))[:, None])
+    record = Record(
+        "rig", 2e-3, {net.inputs[0].name: x}, 500.0 * np.sign(np.cos(12.0 * t))[:, None]
+    )
     evaluator = HeldOutEvaluator(Problem(net, [record, record], ["fit", "choose"]))
     noise = evaluator.noise_estimates[0]
     assert noise.source == "owner" and noise.deviation == 12.5
@@ -364,7 +423,9 @@ def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out():
     assert since(runs[:1], runs[1:]) == (inf, -inf, -inf)
     (cut,) = since(runs[:1], [])  # the last third of the only record
     assert cut == pytest.approx(10.0, abs=1.0)
-    assert split_records(runs[:1], [], [], 0.1)[0][0].time[-1] == pytest.approx(cut - 0.005)
+    assert split_records(runs[:1], [], [], 0.1)[0][0].time[-1] == pytest.approx(
+        cut - 0.005
+    )
 
 
 def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by():
@@ -378,23 +439,40 @@ def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by():
 @pytest.mark.parametrize("thin", [1, 2])
 def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin):
     model = Network.load("force-rig")
-    moved, first = model.inputs[0].name, model.outputs[0].between or (model.outputs[0].at, "ground")
-    net = model.with_element(element("rubs", "hysteresis", *[*first], level=300.0, stiffness=1e6))
+    moved, first = (
+        model.inputs[0].name,
+        model.outputs[0].between or (model.outputs[0].at, "ground"),
+    )
+    net = model.with_element(
+        element("rubs", "hysteresis", *[*first], level=300.0, stiffness=1e6)
+    )
     t = 2e-3 * np.arange(6000)
     x = 0.01 * np.sin(9.0 * t)
     still = Record("drive", 2e-3, {moved: x}, np.zeros((len(t), 1)))
     said = Problem(net, [still], ["fit"]).simulate([net], 0)[:, :, 0]
-    drive = Record("drive", 2e-3, {moved: x}, said).part(1200, len(t), "drive")  # begins in mid-loop
+    drive = Record("drive", 2e-3, {moved: x}, said).part(
+        1200, len(t), "drive"
+    )  # begins in mid-loop
     off = []
     for lead in (0.0, LEAD_IN * drive.pace):
         pieces, roles = split_records([drive], [drive], [], 0.1 * drive.pace, lead)
         pieces = [thinned(r, thin, ()) for r in pieces] if thin > 1 else pieces
         problem = Problem(net, pieces, roles)
-        errors = [problem.simulate([net], i)[:, :, 0] - r.measured for i, r in enumerate(pieces)]
+        errors = [
+            problem.simulate([net], i)[:, :, 0] - r.measured
+            for i, r in enumerate(pieces)
+        ]
         off.append(max(float(np.sqrt(np.mean(e[: len(e) // 2] ** 2))) for e in errors))
-        assert all(b.follows(a) for a, b in zip(pieces[1:], pieces[2:], strict=False)) or thin > 1
-        np.testing.assert_allclose(pieces[-1].time, t[-len(pieces[-1]) * thin :: thin][: len(pieces[-1])])
-    assert off[0] > 50.0 and off[1] < (1.0 if thin == 1 else 3.0)  # N; a thinner one is another step's
+        assert (
+            all(b.follows(a) for a, b in zip(pieces[1:], pieces[2:], strict=False))
+            or thin > 1
+        )
+        np.testing.assert_allclose(
+            pieces[-1].time, t[-len(pieces[-1]) * thin :: thin][: len(pieces[-1])]
+        )
+    assert off[0] > 50.0 and off[1] < (
+        1.0 if thin == 1 else 3.0
+    )  # N; a thinner one is another step's
 
 
 def test_what_rests_again_and_again_and_goes_on_from_there_is_not_frozen():

@@ -10,7 +10,12 @@ from program import refused
 
 from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
-from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure, free_of
+from isd_gym.diagnosis._estimation.structure import (
+    Hypothesis,
+    add,
+    base_structure,
+    free_of,
+)
 from isd_gym.diagnosis._planning.excitation import infer_rig
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.env._environment import ISDSuspensionEnv
@@ -22,22 +27,28 @@ from isd_gym.records.data import Table
 
 
 def library():
-    return {k: cls for k, cls in el.TYPES.items() if cls.__module__.startswith("isd_gym.physics.elements")}
+    return {
+        k: cls
+        for k, cls in el.TYPES.items()
+        if cls.__module__.startswith("isd_gym.physics.elements")
+    }
 
 
 def test_every_class_of_the_library_tells_kind_source_units_and_a_test_that_could_refute_it():
     places = {"sensor": "channel", "drive": "element"}
     for kind, cls in library().items():
         assert "mechanism" in vars(cls), kind  # declared, not inherited
-        assert cls.place == places.get(cls.mechanism, "between") or kind == "motor", kind
+        assert cls.place == places.get(cls.mechanism, "between") or kind == "motor", (
+            kind
+        )
         assert cls.equation and cls.source and cls.signature, kind
         parameters = {f.name: f.metadata for f in el.parameter_fields(cls)}
         for name, about in parameters.items():
             assert about["range"][0] < about["range"][1] and about["unit"], (kind, name)
         assert bool(cls.test) == (kind != "motor")
-        assert {field for _, field, _, _ in string.Formatter().parse(cls.test) if field} <= set(parameters), (
-            kind
-        )
+        assert {
+            field for _, field, _, _ in string.Formatter().parse(cls.test) if field
+        } <= set(parameters), kind
     assert {cls.mechanism for cls in library().values()} == set(el.MECHANISMS)
 
 
@@ -70,8 +81,15 @@ COMMAND = np.array([0.0, 0.3, -0.3, 1.0, -1.0, 2.5, -2.5, 0.0])
 
 
 def test_a_thrust_may_be_the_square_of_the_current():
-    square = {"type": "quadratic_thrust", "element": "drive", "reference": 2.0, "form": "square"}
-    assert effective_current(with_effects(square), "drive", COMMAND, 0.01) == pytest.approx(COMMAND**2 / 2.0)
+    square = {
+        "type": "quadratic_thrust",
+        "element": "drive",
+        "reference": 2.0,
+        "form": "square",
+    }
+    assert effective_current(
+        with_effects(square), "drive", COMMAND, 0.01
+    ) == pytest.approx(COMMAND**2 / 2.0)
 
 
 def test_a_drives_effects_act_in_the_order_of_the_signal_whatever_the_order_in_the_file():
@@ -97,7 +115,9 @@ def test_a_drive_effect_of_a_users_own_acts_too():
     el.register(Halved)
     try:
         net = with_effects({"type": "test_halved", "element": "drive"})
-        assert np.array_equal(effective_current(net, "drive", COMMAND, 0.01), 0.5 * COMMAND)
+        assert np.array_equal(
+            effective_current(net, "drive", COMMAND, 0.01), 0.5 * COMMAND
+        )
     finally:
         el.TYPES.pop("test_halved")
 
@@ -116,7 +136,9 @@ def test_a_sensor_may_be_late_or_lead():
     assert np.abs(seen - np.sin(7 * (time + 0.02))).max() < 49 * 0.02**2
     short = el.SensorDelay("x", ("y",), delay=-0.3).apply(signal[:5], 0.1)
     assert short.shape == (5,) and np.isfinite(short).all()
-    assert np.isfinite(el.SensorDelay("x", ("y",), delay=-9.0).apply(signal[:5], 0.1)).all()
+    assert np.isfinite(
+        el.SensorDelay("x", ("y",), delay=-9.0).apply(signal[:5], 0.1)
+    ).all()
 
 
 @pytest.mark.parametrize(
@@ -143,27 +165,38 @@ def test_faults_stay_within_what_is_plausible(effect, where, values, limits):
 
 def test_a_parameter_without_a_plausible_range_keeps_its_wide_prior():
     (free,) = free_of(el.CoulombFriction("x", ("a", "b"), level=3.0), 0)
-    assert free.back(free.low) == pytest.approx(3e-4) and free.back(free.high) == pytest.approx(3e4)
+    assert free.back(free.low) == pytest.approx(3e-4) and free.back(
+        free.high
+    ) == pytest.approx(3e4)
 
 
 def test_a_search_proposes_no_value_that_the_element_refuses():
-    law = el.TYPES["stribeck_friction"]("x", ("a", "b"), level=2.0, static_level=3.0, stribeck_velocity=1e5)
+    law = el.TYPES["stribeck_friction"](
+        "x", ("a", "b"), level=2.0, static_level=3.0, stribeck_velocity=1e5
+    )
     for free in free_of(law, 0):
         replace(law, **{free.path.partition(".")[2]: free.back(free.high)})
 
 
 def setting(where, samples, **options):
-    return el.Setting(with_effects(), where, None, 1.0, float(np.std(samples)), 0.05, options, samples)
+    return el.Setting(
+        with_effects(), where, None, 1.0, float(np.std(samples)), 0.05, options, samples
+    )
 
 
 def test_drive_laws_are_not_tried_where_every_command_has_one_size():
     bang = np.sign(np.sin(np.arange(500) * 0.1)) * 1.5
     rich = 1.5 * np.sin(np.arange(500) * 0.1)
-    for kind, options in ((el.DriveDeadZone, {}), (el.QuadraticThrust, {"form": "signed"})):
+    for kind, options in (
+        (el.DriveDeadZone, {}),
+        (el.QuadraticThrust, {"form": "signed"}),
+    ):
         assert not kind.starts(setting(("drive",), bang, **options))
         assert kind.starts(setting(("drive",), rich, **options))
     # a command of one sign cannot tell the square from the signed square
-    assert not el.QuadraticThrust.starts(setting(("drive",), np.abs(rich), form="square"))
+    assert not el.QuadraticThrust.starts(
+        setting(("drive",), np.abs(rich), form="square")
+    )
     assert el.QuadraticThrust.starts(setting(("drive",), np.abs(rich), form="signed"))
     # the start is the square that comes nearest to proportion
     (_, start, _) = el.QuadraticThrust.starts(setting(("drive",), rich, form="signed"))
@@ -189,10 +222,14 @@ def test_sensor_laws_are_tried_where_the_samples_show_their_trace():
 
 def test_laws_of_a_sensor_need_a_zero_that_is_known():
     net = with_effects()
-    assert el.SensorMagnitude.stands(net, ("speed",)) and el.SensorDeadZone.stands(net, ("speed",))
+    assert el.SensorMagnitude.stands(net, ("speed",)) and el.SensorDeadZone.stands(
+        net, ("speed",)
+    )
     outputs = [{**MOTOR["outputs"][0], "offset": "free"}]
     free = Network.load({**MOTOR, "outputs": outputs})
-    assert not el.SensorMagnitude.stands(free, ("speed",)) and not el.SensorDeadZone.stands(free, ("speed",))
+    assert not el.SensorMagnitude.stands(
+        free, ("speed",)
+    ) and not el.SensorDeadZone.stands(free, ("speed",))
 
 
 def cogging(**values):
@@ -204,12 +241,22 @@ def test_cogging_of_a_turn_has_a_whole_number_of_periods():
     near = 2 * np.pi / 14.2
     whole = cogging(pitch=near, phase=0.3, turn="whole").curve(angle)
     assert whole == pytest.approx(2.0 * np.sin(14 * angle + 0.3))
-    assert cogging(pitch=near, phase=0.3).curve(angle) == pytest.approx(2.0 * np.sin(14.2 * angle + 0.3))
+    assert cogging(pitch=near, phase=0.3).curve(angle) == pytest.approx(
+        2.0 * np.sin(14.2 * angle + 0.3)
+    )
     # a pitch of more than a turn is a turn
-    assert cogging(pitch=50.0, turn="whole").curve(angle) == pytest.approx(2.0 * np.sin(angle))
-    assert el.CoggingForce.held({"turn": "whole"}) == ("pitch",) and not el.CoggingForce.held({"turn": "any"})
+    assert cogging(pitch=50.0, turn="whole").curve(angle) == pytest.approx(
+        2.0 * np.sin(angle)
+    )
+    assert el.CoggingForce.held({"turn": "whole"}) == (
+        "pitch",
+    ) and not el.CoggingForce.held({"turn": "any"})
     turning = Hypothesis("cogging_force", ("cart", "ground"), (("turn", "whole"),))
-    built = add(base_structure(with_effects()), turning, {"amplitude": 1.0, "pitch": 0.5, "phase": 0.0})
+    built = add(
+        base_structure(with_effects()),
+        turning,
+        {"amplitude": 1.0, "pitch": 0.5, "phase": 0.0},
+    )
     pitch = next(f for f in built.free if f.path == "cogging_force.pitch")
     assert pitch.low == pitch.mean == pitch.high == np.log(0.5)  # reported, not moved
 
@@ -221,7 +268,9 @@ def test_pitches_that_are_tried():
 
     def pitches_of(d, turn, *pitches):
         place, motion = ("cart", "ground"), el.Motion(d, v, v)
-        at = el.Setting(with_effects(), place, motion, 1.0, options={"turn": turn}, pitches=pitches)
+        at = el.Setting(
+            with_effects(), place, motion, 1.0, options={"turn": turn}, pitches=pitches
+        )
         return np.array([s.values["pitch"] for s in el.CoggingForce.starts(at)])
 
     pitches = pitches_of(d, "any", 1e-4)
@@ -235,15 +284,24 @@ def test_pitches_that_are_tried():
 
 def test_whole_turns_are_tried_where_the_nodes_turn():
     bearing = damper("arm", "ground", 3.0)
-    arm = network("arm", [bearing], [], ["speed angular_velocity arm"], inertias={"arm": 0.1})
-    assert el.CoggingForce.variants(arm, ("arm", "ground")) == [{"turn": "any"}, {"turn": "whole"}]
-    assert el.CoggingForce.variants(with_effects(), ("cart", "ground")) == [{"turn": "any"}]
+    arm = network(
+        "arm", [bearing], [], ["speed angular_velocity arm"], inertias={"arm": 0.1}
+    )
+    assert el.CoggingForce.variants(arm, ("arm", "ground")) == [
+        {"turn": "any"},
+        {"turn": "whole"},
+    ]
+    assert el.CoggingForce.variants(with_effects(), ("cart", "ground")) == [
+        {"turn": "any"}
+    ]
 
 
 def test_a_degressive_damper_takes_the_place_of_the_linear_one():
     net = with_effects()
     assert el.DegressiveDamping.stands(net, ("cart", "ground"))
-    assert not el.DegressiveDamping.stands(net.without_element("guide"), ("cart", "ground"))
+    assert not el.DegressiveDamping.stands(
+        net.without_element("guide"), ("cart", "ground")
+    )
     guess = Network.load({**MOTOR, "uncertainty": {"guide.damping": 1.0}})
     assert not el.DegressiveDamping.stands(guess, ("cart", "ground"))
     v = 0.4 * np.sin(np.arange(2000) * 0.01)
@@ -252,36 +310,79 @@ def test_a_degressive_damper_takes_the_place_of_the_linear_one():
         law = el.DegressiveDamping("x", ("cart", "ground"), **start.values)
         # the force of the damper that it replaces
         assert el.rms(law.curve(v)) == pytest.approx(3.0 * el.rms(v))
-        linear = el.DegressiveDamping.special("linear_damping", start.values, at.motion)["damping"]
-        level = el.DegressiveDamping.special("coulomb_friction", start.values, at.motion)["level"]
+        linear = el.DegressiveDamping.special(
+            "linear_damping", start.values, at.motion
+        )["damping"]
+        level = el.DegressiveDamping.special(
+            "coulomb_friction", start.values, at.motion
+        )["level"]
         assert linear * el.rms(v) == pytest.approx(level)
         assert level == pytest.approx(law.curve(np.array([el.rms(v)]))[0])
-    built = add(base_structure(net), Hypothesis("degressive_damping", ("cart", "ground")), start.values)
+    built = add(
+        base_structure(net),
+        Hypothesis("degressive_damping", ("cart", "ground")),
+        start.values,
+    )
     # a knee far below the typical rate would be dry friction with round corners
     (knee,) = (f for f in built.free if f.path == "degressive_damping.knee")
     assert knee.back(knee.low) == pytest.approx(el.rms(v))
     assert knee.back(knee.high) == pytest.approx(9 * el.rms(v))
     assert "guide" not in {e.name for e in built.network.elements}
     # the only element of a rig may be replaced, too, and a force cell then reads what stands there
-    parts, force = [damper("rod", "ground", 3.0, "guide")], channel("force", "force", element="guide")
-    alone = network("", parts, ["stroke displacement rod"], [force], uncertainty={"guide.damping": 0.1})
-    built = add(base_structure(alone), Hypothesis("degressive_damping", ("rod", "ground")), start.values)
+    parts, force = (
+        [damper("rod", "ground", 3.0, "guide")],
+        channel("force", "force", element="guide"),
+    )
+    alone = network(
+        "",
+        parts,
+        ["stroke displacement rod"],
+        [force],
+        uncertainty={"guide.damping": 0.1},
+    )
+    built = add(
+        base_structure(alone),
+        Hypothesis("degressive_damping", ("rod", "ground")),
+        start.values,
+    )
     assert [e.name for e in built.network.elements] == ["degressive_damping"]
     assert built.network.outputs[0].elements == ("degressive_damping",)
-    assert [f.path for f in built.free] == ["degressive_damping.damping", "degressive_damping.knee"]
+    assert [f.path for f in built.free] == [
+        "degressive_damping.damping",
+        "degressive_damping.knee",
+    ]
 
 
 OIL = channel("oil", "temperature", unit="degC")
 
 
 def logged(*effects, inputs=(OIL,)):
-    more = ({"name": f"x{k}", "between": ["cart", "ground"], **e} for k, e in enumerate(effects))
-    return cart(GUIDE, *more, inputs=["push force cart", *inputs], uncertainty={"guide.damping": 0.3})
+    more = (
+        {"name": f"x{k}", "between": ["cart", "ground"], **e}
+        for k, e in enumerate(effects)
+    )
+    return cart(
+        GUIDE,
+        *more,
+        inputs=["push force cart", *inputs],
+        uncertainty={"guide.damping": 0.3},
+    )
 
 
-THINS = {"type": "scheduled_damping", "channel": "oil", "slope": -0.05, "reference": 20.0}
+THINS = {
+    "type": "scheduled_damping",
+    "channel": "oil",
+    "slope": -0.05,
+    "reference": 20.0,
+}
 UNTOLD = {k: v for k, v in THINS.items() if k != "channel"}
-RUBS = {"type": "scheduled_friction", "channel": "oil", "level": 2.0, "slope": -0.03, "reference": 20.0}
+RUBS = {
+    "type": "scheduled_friction",
+    "channel": "oil",
+    "level": 2.0,
+    "slope": -0.03,
+    "reference": 20.0,
+}
 
 
 def test_a_logged_channel_beside_a_current_and_a_record_without_it_is_the_same_to_the_last_bit():
@@ -297,7 +398,11 @@ def test_a_logged_channel_beside_a_current_and_a_record_without_it_is_the_same_t
         model = {**model, "elements": [*MOTOR["elements"], thins]}
         cold = simulate(model, time, {"current": current, "oil": 0.0 * time})["speed"]
         damped = {**MOTOR["elements"][1], "damping": 3.0 + 0.05 * 20.0}
-        exact = simulate({**MOTOR, "elements": [MOTOR["elements"][0], damped]}, time, {"current": current})
+        exact = simulate(
+            {**MOTOR, "elements": [MOTOR["elements"][0], damped]},
+            time,
+            {"current": current},
+        )
         assert np.abs(cold - exact["speed"]).max() < 1e-4 * np.abs(cold).max()
 
 
@@ -306,13 +411,19 @@ def test_the_linear_model_has_the_damping_at_the_reference():
     assert space.inputs == ("push", "oil")
     # the speed per newton at 0.5 Hz is that of the mass and the damper of 3 N s/m; the temperature alone moves nothing
     answer = space.response(np.array([0.5]))[0, 0]
-    assert answer[0] == pytest.approx(1 / (2j * np.pi * 0.5 * 2.0 + 3.0)) and answer[1] == 0
+    assert (
+        answer[0] == pytest.approx(1 / (2j * np.pi * 0.5 * 2.0 + 3.0))
+        and answer[1] == 0
+    )
 
 
 def test_a_logged_channel_in_a_model_file():
     net = Network.load(logged(THINS, RUBS))
     assert Network.from_dict(net.to_dict()) == net
-    assert net.unit_of("x0.slope") == "N s/m per degC" and net.unit_of("x0.reference") == "degC"
+    assert (
+        net.unit_of("x0.slope") == "N s/m per degC"
+        and net.unit_of("x0.reference") == "degC"
+    )
     assert net.inputs[1].spoken == "temperature"
     assert convert(2.0, "bar", "kPa") == pytest.approx(200.0)
 
@@ -326,10 +437,16 @@ def test_a_logged_channel_in_a_model_file():
         ),
         (logged(UNTOLD), "must name an input that acts on no node"),
         (logged(THINS, inputs=()), "there is none\\); add one, such as"),
-        (logged({**THINS, "channel": "push"}), "must name an input that acts on no node"),
+        (
+            logged({**THINS, "channel": "push"}),
+            "must name an input that acts on no node",
+        ),
         (logged(inputs=[OIL | {"at": "cart"}]), "'oil': a temperature acts on no node"),
         (logged(inputs=[OIL | {"unit": "bar"}]), "unit 'bar' cannot be converted"),
-        ({**logged(), "outputs": [OIL | {"name": "t", "at": "cart"}]}, "a temperature cannot be an output"),
+        (
+            {**logged(), "outputs": [OIL | {"name": "t", "at": "cart"}]},
+            "a temperature cannot be an output",
+        ),
     ],
 )
 def test_bad_use_of_a_logged_channel_is_one_line(model, says):
@@ -339,7 +456,9 @@ def test_bad_use_of_a_logged_channel_is_one_line(model, says):
 def test_a_channel_that_was_not_logged_is_one_line_that_says_what_helps():
     time = np.arange(0, 10, 0.01)
     table = Table(time, {"push": np.sin(time), "speed": np.cos(time)}, "run.csv")
-    with pytest.raises(InputError, match=r"oil.*leave the input and the elements that read it out"):
+    with pytest.raises(
+        InputError, match=r"oil.*leave the input and the elements that read it out"
+    ):
         read_record(table, Network.load(logged(THINS)), [])
 
 
@@ -370,7 +489,14 @@ def test_laws_of_a_logged_channel_are_tried_where_it_changes():
     motion = el.Motion(v, v, v)
 
     def starts(kind, samples):
-        at = el.Setting(net, ("cart", "ground"), motion, 10.0, options={"channel": "oil"}, samples=samples)
+        at = el.Setting(
+            net,
+            ("cart", "ground"),
+            motion,
+            10.0,
+            options={"channel": "oil"},
+            samples=samples,
+        )
         return kind.starts(at)
 
     warming = 20.0 + 0.01 * np.arange(3000)

@@ -70,7 +70,9 @@ def test_time_limit_truncates_and_nothing_terminates():
     env.reset(seed=0)
     rng = np.random.default_rng(0)
     for k in range(4000):
-        _, _, terminated, truncated, _ = env.step(rng.choice([-5.0, 5.0], 1).astype(np.float32))
+        _, _, terminated, truncated, _ = env.step(
+            rng.choice([-5.0, 5.0], 1).astype(np.float32)
+        )
         assert not terminated
         assert truncated == (k == 3999)
 
@@ -80,9 +82,13 @@ def test_reward_is_minus_the_stage_cost_of_section_4_2():
     env.reset(seed=0)
     for _ in range(100):
         obs, reward, _, _, info = env.step(np.full(1, 2.0, np.float32))
-        by_hand = 0.6 * (float(obs[0]) / 0.8306) ** 2 + 0.3 * (float(obs[1]) / 7.6e-3) ** 2
+        by_hand = (
+            0.6 * (float(obs[0]) / 0.8306) ** 2 + 0.3 * (float(obs[1]) / 7.6e-3) ** 2
+        )
         assert reward == pytest.approx(-by_hand, rel=1e-5)
-        assert reward == pytest.approx(-sum(v for k, v in info.items() if k.startswith("cost_")))
+        assert reward == pytest.approx(
+            -sum(v for k, v in info.items() if k.startswith("cost_"))
+        )
 
 
 def test_autoreset_as_gymnasium_has_it():
@@ -93,11 +99,17 @@ def test_autoreset_as_gymnasium_has_it():
     # after a truncated step one more that resets, without a reward, then five of the new episode
     assert [k for k, step in enumerate(steps) if step[3].all()] == [4, 10]
     assert [k for k, step in enumerate(steps) if not step[1].any()] == [5, 11]
-    env = gym.make_vec("ISDSuspension-v0", 3, max_episode_steps=5, autoreset_mode="same_step")
+    env = gym.make_vec(
+        "ISDSuspension-v0", 3, max_episode_steps=5, autoreset_mode="same_step"
+    )
     env.reset(seed=0)
     for _ in range(5):
         obs, *_, info = env.step(np.ones((3, 1), np.float32))
-    assert not obs.any() and info["_final_obs"].all() and info["final_obs"][0][5] == pytest.approx(1.0)
+    assert (
+        not obs.any()
+        and info["_final_obs"].all()
+        and info["final_obs"][0][5] == pytest.approx(1.0)
+    )
 
 
 @pytest.mark.parametrize(
@@ -124,17 +136,28 @@ def test_the_length_of_an_episode_is_told(options, steps):
 def test_pictures_without_pygame_are_refused_as_gymnasium_does(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     for make in (gym.make, gym.make_vec):
-        with pytest.raises(gym.error.DependencyNotInstalled, match="pygame-ce: pip install"):
+        with pytest.raises(
+            gym.error.DependencyNotInstalled, match="pygame-ce: pip install"
+        ):
             make("ISDSuspension-v0", render_mode="rgb_array")
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"network": "quarter-car-passive"}, "no motor.*quarter-car-isd.*allow_passive=True"),
-        ({"randomize": {"body.mass": (300, 400)}}, r"'body.mass' has factors on 345.*give \(0.87, 1.16\)"),
+        (
+            {"network": "quarter-car-passive"},
+            "no motor.*quarter-car-isd.*allow_passive=True",
+        ),
+        (
+            {"randomize": {"body.mass": (300, 400)}},
+            r"'body.mass' has factors on 345.*give \(0.87, 1.16\)",
+        ),
         ({"randomize": {"body.mass": (0.01, 1.0)}}, "0.1 to 10"),
-        ({"network": misspelt("body", "bdoy")}, "masses: no element is at 'bdoy'; did you mean 'body'"),
+        (
+            {"network": misspelt("body", "bdoy")},
+            "masses: no element is at 'bdoy'; did you mean 'body'",
+        ),
     ],
 )
 def test_options_without_sense_are_refused(options, words):
@@ -171,10 +194,25 @@ def test_model_file_with_found_effects_runs_as_env(tmp_path):
     net = Network.load("quarter-car-isd")
     for extra in (
         friction("body", "wheel", 80.0),
-        {"name": "lag", "type": "actuator_lag", "element": "motor", "time_constant": 0.01},
+        {
+            "name": "lag",
+            "type": "actuator_lag",
+            "element": "motor",
+            "time_constant": 0.01,
+        },
         {"name": "late", "type": "actuator_delay", "element": "motor", "delay": 0.007},
-        {"name": "soft", "type": "thrust_saturation", "element": "motor", "current": 4.0},
-        {"name": "gain", "type": "sensor_gain", "channel": "body_acceleration", "gain": 1.5},
+        {
+            "name": "soft",
+            "type": "thrust_saturation",
+            "element": "motor",
+            "current": 4.0,
+        },
+        {
+            "name": "gain",
+            "type": "sensor_gain",
+            "channel": "body_acceleration",
+            "gain": 1.5,
+        },
     ):
         net = net.with_element(extra)
     net.save(tmp_path / "model.json")
@@ -200,7 +238,11 @@ def test_a_car_that_diverges_is_terminated_with_finite_numbers():
     for _ in range(4000):
         obs, reward, terminated, truncated, info = car.step(np.zeros(1, np.float32))
         many, rewards, ended, _, infos = cars.step(np.zeros((3, 1), np.float32))
-        assert np.isfinite(obs).all() and np.isfinite(reward) and np.isfinite(list(info.values())).all()
+        assert (
+            np.isfinite(obs).all()
+            and np.isfinite(reward)
+            and np.isfinite(list(info.values())).all()
+        )
         assert all(np.isfinite(x).all() for x in (many, rewards, infos["tyre_load"]))
         assert obs in car.observation_space
         assert ended[0] == terminated and rewards[0] == reward

@@ -17,13 +17,19 @@ pytestmark = pytest.mark.tools
     "kind, parameters",
     [
         ("coulomb_friction", {"level": 4.0}),
-        ("stribeck_friction", {"level": 3.0, "static_level": 6.0, "stribeck_velocity": 0.03}),
+        (
+            "stribeck_friction",
+            {"level": 3.0, "static_level": 6.0, "stribeck_velocity": 0.03},
+        ),
         ("quadratic_damping", {"damping": 60.0}),
         ("asymmetric_damping", {"extension": 0.0, "compression": 20.0}),
         ("cubic_stiffness", {"stiffness": 2e6}),
         ("gas_spring", {"force": 8.0, "length": 0.08, "exponent": 1.3}),
         ("bump_stop", {"clearance": 0.006, "stiffness": 4000.0, "side": "compression"}),
-        ("hysteresis", {"level": 5.0, "stiffness": 3000.0, "exponent": 1.0, "shape": 0.5}),
+        (
+            "hysteresis",
+            {"level": 5.0, "stiffness": 3000.0, "exponent": 1.0, "shape": 0.5},
+        ),
         ("cogging_force", {"amplitude": 3.0, "pitch": 0.011, "phase": 0.4}),
         ("inertance", {"inertance": 0.7}),
     ],
@@ -37,10 +43,15 @@ def test_every_law_moves_a_mass_as_the_other_integrator_says(kind, parameters):
     T = 0.002
     t = np.arange(1001) * T
     w = np.array([9.0, 17.0, 26.0])
-    x, v, a = (0.004 * np.sum(w**p * np.sin(np.outer(t, w) + p * np.pi / 2), axis=1) for p in (0, 1, 2))
+    x, v, a = (
+        0.004 * np.sum(w**p * np.sin(np.outer(t, w) + p * np.pi / 2), axis=1)
+        for p in (0, 1, 2)
+    )
     ran = integrate(rig, {"base": Signal(x, v, a)}, len(t), T, speed=0.1)
     other = simulate(rig, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})["x"]
-    plain = simulate(without, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})["x"]
+    plain = simulate(without, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})[
+        "x"
+    ]
     error = np.sqrt(np.mean((ran.position["mass"] - other) ** 2))
     assert error < 0.002 * np.std(other)
     assert np.sqrt(np.mean((plain - other) ** 2)) > 20 * error  # the law is felt
@@ -59,7 +70,9 @@ def test_what_is_hidden_is_there_and_cannot_be_had_by_moving_parameters(kind):
             assert case.family == "spin"
             continue
         assert list(table) == ["time", *channels]
-        assert all(300 <= len(c) <= 20000 and np.isfinite(c).all() for c in table.values())
+        assert all(
+            300 <= len(c) <= 20000 and np.isfinite(c).all() for c in table.values()
+        )
     believed = {e["name"] for e in case.model["elements"]}
     assert not [n for n in believed if n.startswith(("hidden", "nuisance"))]
     if kind.endswith("none"):
@@ -81,7 +94,10 @@ def test_seeds_decide_everything():
 def gaps(model, case):
     record = case.estimation
     y = simulate(model, record["time"], record, step=2e-5)
-    return {k: float(np.sqrt(np.mean((y[k] - record[k]) ** 2)) / np.std(record[k])) for k in y}
+    return {
+        k: float(np.sqrt(np.mean((y[k] - record[k]) ** 2)) / np.std(record[k]))
+        for k in y
+    }
 
 
 @pytest.mark.parametrize("kind", hidden.ALL_KINDS)
@@ -90,7 +106,10 @@ def test_every_kind_makes_records(kind):
     channels = [c["name"] for c in case.model["inputs"] + case.model["outputs"]]
     for table in (case.estimation, case.validation):
         assert list(table) == ["time", *channels]
-        assert all(len(column) == 501 and np.isfinite(column).all() for column in table.values())
+        assert all(
+            len(column) == 501 and np.isfinite(column).all()
+            for column in table.values()
+        )
         np.testing.assert_allclose(np.diff(table["time"]), 2e-3)
     assert set(case.model["uncertainty"].values()) == {case.spread}
     clean = kind.split("_")[-1] == "none" or kind.startswith("none")
@@ -101,10 +120,19 @@ def test_every_kind_makes_records(kind):
 
 @pytest.mark.parametrize(
     "kind",
-    ["friction_strut", "current_lag", "sensor_delay_acc", "rig_stribeck", "mass_cubic", "two_mass_inertance"],
+    [
+        "friction_strut",
+        "current_lag",
+        "sensor_delay_acc",
+        "rig_stribeck",
+        "mass_cubic",
+        "two_mass_inertance",
+    ],
 )
 def test_the_truth_explains_the_record_to_the_noise_and_the_owners_model_does_not(kind):
-    case = hidden.make_case(kind, 3, duration=6.0, snr_db=30.0, spread=0.02, moving=False)
+    case = hidden.make_case(
+        kind, 3, duration=6.0, snr_db=30.0, spread=0.02, moving=False
+    )
     floor = 10 ** (-30 / 20)
     explained, believed = gaps(case.truth["model"], case), gaps(case.model, case)
     # the owner's record of the current is late by up to one sample, which the device's travel feels
@@ -114,10 +142,17 @@ def test_the_truth_explains_the_record_to_the_noise_and_the_owners_model_does_no
 
 
 def test_a_force_cell_reads_what_stands_beside_its_element():
-    case = hidden.make_case("damping_tyre", 4, duration=3.0, snr_db=60.0, moving=False, nuisances=0)
+    case = hidden.make_case(
+        "damping_tyre", 4, duration=3.0, snr_db=60.0, moving=False, nuisances=0
+    )
     record, true = case.estimation, case.truth["model"]
     cell = {"name": "tyre_force", "quantity": "force", "element": ["tyre", "hidden_1"]}
-    both = simulate({**true, "outputs": [cell]}, record["time"], record, step=2e-5)["tyre_force"]
+    both = simulate({**true, "outputs": [cell]}, record["time"], record, step=2e-5)[
+        "tyre_force"
+    ]
     alone = simulate(true, record["time"], record, step=2e-5)["tyre_force"]
-    near, far = (np.std(record["tyre_force"] - y) / np.std(record["tyre_force"]) for y in (both, alone))
+    near, far = (
+        np.std(record["tyre_force"] - y) / np.std(record["tyre_force"])
+        for y in (both, alone)
+    )
     assert near < 0.04 < 0.08 < far

@@ -26,7 +26,9 @@ def cart(stiffness=0.0, *more):
         elements.append(builders.spring("cart", "ground", stiffness))
     seen = channel("position", "displacement", "cart", offset="free")
     known = {"cart.mass": 0.1, "guide.damping": 1.0}
-    return Network.load(builders.cart(*elements, outputs=[seen], mass=1.0, uncertainty=known))
+    return Network.load(
+        builders.cart(*elements, outputs=[seen], mass=1.0, uncertainty=known)
+    )
 
 
 def march(push, stiffness, seed):
@@ -38,7 +40,9 @@ def march(push, stiffness, seed):
     for k, u in enumerate(push):
         out[k] = x[0]
         x = A @ x + B[:, 0] * u
-    return out + 0.005 * out.std() * np.random.default_rng(seed).standard_normal(len(out))
+    return out + 0.005 * out.std() * np.random.default_rng(seed).standard_normal(
+        len(out)
+    )
 
 
 def controlled(law, stiffness=0.0, seed=0, friction=0.0):
@@ -47,7 +51,9 @@ def controlled(law, stiffness=0.0, seed=0, friction=0.0):
     Euler steps of a fiftieth of a sample; friction is projected, so that the cart can stick.
     """
     rng = np.random.default_rng(seed)
-    reference = lfilter([2e-5], np.poly([0.98, 0.98, 0.98]), rng.standard_normal(SAMPLES))
+    reference = lfilter(
+        [2e-5], np.poly([0.98, 0.98, 0.98]), rng.standard_normal(SAMPLES)
+    )
     push, seen = np.zeros(SAMPLES), np.zeros(SAMPLES)
     x, v, now, fine = 0.2, 0.0, 1.0, 50
     for k in range(SAMPLES):
@@ -74,15 +80,25 @@ def as_record(push, position, name="run"):
 #: inputs of open-loop tests
 KINDS = {
     "square": lambda t, rng: np.sign(np.sin(2 * np.pi * 1.0 * t + 0.1)),
-    "square between samples": lambda t, rng: np.sign(np.sin(2 * np.pi * 0.937 * t + 0.3)),
-    "pseudo-random binary": lambda t, rng: np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 25), 25),
-    "telegraph": lambda t, rng: np.sign(lfilter([1.0], [1.0, -0.95], rng.standard_normal(SAMPLES))),
+    "square between samples": lambda t, rng: np.sign(
+        np.sin(2 * np.pi * 0.937 * t + 0.3)
+    ),
+    "pseudo-random binary": lambda t, rng: np.repeat(
+        rng.choice([-1.0, 1.0], SAMPLES // 25), 25
+    ),
+    "telegraph": lambda t, rng: np.sign(
+        lfilter([1.0], [1.0, -0.95], rng.standard_normal(SAMPLES))
+    ),
     "square sweep": lambda t, rng: np.sign(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2))),
     "sine": lambda t, rng: np.round(np.sin(2 * np.pi * 0.937 * t), 6),
     "sweep": lambda t, rng: np.round(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)), 6),
     "white": lambda t, rng: rng.standard_normal(SAMPLES),
-    "coloured, measured": lambda t, rng: lfilter([0.1], [1.0, -0.9], rng.standard_normal(SAMPLES)),
-    "sines, measured": lambda t, rng: builders.sines(t, np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16)),
+    "coloured, measured": lambda t, rng: lfilter(
+        [0.1], [1.0, -0.9], rng.standard_normal(SAMPLES)
+    ),
+    "sines, measured": lambda t, rng: builders.sines(
+        t, np.arange(0.2, 2.2, 0.13), rng.uniform(0, 6, 16)
+    ),
     "step": lambda t, rng: np.where(t > 10.0, 1.0, 0.0),
 }
 
@@ -96,7 +112,9 @@ def test_an_open_loop_is_no_feedback(kind, stiffness):
         position = march(push, stiffness, seed)
         # the sensor of the input has noise, too: the output knows more of the true input
         if kind.endswith("measured"):
-            push = push + 0.02 * push.std() * np.random.default_rng(9).standard_normal(len(push))
+            push = push + 0.02 * push.std() * np.random.default_rng(9).standard_normal(
+                len(push)
+            )
         assert find_feedback([as_record(push, position)], cart(stiffness)) == ()
 
 
@@ -105,7 +123,10 @@ def test_an_open_loop_is_no_feedback(kind, stiffness):
 @pytest.mark.parametrize("stiffness", [0.0, 20.0])
 def test_feedback_is_found(law, stiffness):
     for seed in range(2):
-        runs = [as_record(*controlled(law, stiffness, 10 * seed + k), f"run {k}") for k in range(2)]
+        runs = [
+            as_record(*controlled(law, stiffness, 10 * seed + k), f"run {k}")
+            for k in range(2)
+        ]
         (found,) = find_feedback(runs, cart(stiffness))
         assert found.input == "push"
         assert found.outputs == ("position",)
@@ -117,7 +138,9 @@ def test_feedback_is_found(law, stiffness):
 def test_a_measured_motion_is_no_feedback():
     """The displacement of a shaken node is an input, not the answer of a controller."""
     slide = element("b", "inertance", "rod", "ground", inertance=3.0)
-    network = builders.network("slide", [slide], ["x displacement rod"], ["force force rod"])
+    network = builders.network(
+        "slide", [slide], ["x displacement rod"], ["force force rod"]
+    )
     rng = np.random.default_rng(1)
     force = lfilter([1.0], [1.0, -0.7], rng.standard_normal(SAMPLES))
     motion = lfilter([1.0], [1.0, -1.99, 0.991], force)
@@ -137,7 +160,10 @@ def test_a_spring_imitates_a_controller_and_friction_does_not():
 
     share, push, position, moved = imitated("bang-bang", "spring", cart(stiffness=4.0))
     assert np.corrcoef(push, np.sign(np.gradient(position, STEP)))[0, 1] ** 2 < 0.5
-    assert share == pytest.approx(np.corrcoef(push, moved)[0, 1] ** 2, abs=0.02) and share > 0.5
+    assert (
+        share == pytest.approx(np.corrcoef(push, moved)[0, 1] ** 2, abs=0.02)
+        and share > 0.5
+    )
     dry = element("dry", "coulomb_friction", "cart", "ground", level=0.3)
     share, push, position, _ = imitated("linear", "dry", cart(0.0, dry))
     rate = np.gradient(np.convolve(position, np.ones(9) / 9, "same"), STEP)
@@ -150,14 +176,24 @@ def test_friction_under_feedback_is_named_and_whole_records_are_not_compared():
 
     def run(seed):
         push, position = controlled("linear", seed=seed, friction=0.3)
-        return Table(np.arange(1500) * STEP, {"push": push[:1500], "position": position[:1500]}, f"run{seed}")
+        return Table(
+            np.arange(1500) * STEP,
+            {"push": push[:1500], "position": position[:1500]},
+            f"run{seed}",
+        )
 
     records = [run(0), run(1)], cart()
     d = diagnose(*records, validate=[run(2), run(3)])
     assert [e.effect for e in d.effects] == ["coulomb_friction"]
     assert d.effects[0].parameters["level"].value == pytest.approx(0.3, rel=0.1)
-    assert d.findings[0].laws[0].probability == pytest.approx(d.effects[0].confidence, abs=0.01)
-    d = diagnose(*records, validate=[run(2), run(3)], criteria=replace(CRITERIA, least_removed=0.0))
+    assert d.findings[0].laws[0].probability == pytest.approx(
+        d.effects[0].confidence, abs=0.01
+    )
+    d = diagnose(
+        *records,
+        validate=[run(2), run(3)],
+        criteria=replace(CRITERIA, least_removed=0.0),
+    )
     assert d.verdict == "unknown_effect"
     assert d.stretches is not None and d.stretches.reason == "feedback"
     assert "open loop" not in {g.name for g in d.gates}

@@ -37,7 +37,10 @@ def test_a_kind_that_two_places_share_is_certain_and_its_place_is_open():
     assert first.place == () and first.kind == "dry_friction" and not first.named
     assert first.kind_probability == pytest.approx(0.98 * (1 - MISTAKEN["kind"]))
     assert first.kind_probability >= CRITERIA.certain
-    assert {f.place: f.kind_probability < CRITERIA.certain for f in others} == {FRONT: True, REAR: True}
+    assert {f.place: f.kind_probability < CRITERIA.certain for f in others} == {
+        FRONT: True,
+        REAR: True,
+    }
     assert [law.effect for law in first.laws] == ["coulomb_friction"]
 
 
@@ -59,11 +62,23 @@ def test_statements_of_a_set_that_explains_a_part_or_was_not_needed_are_doubted(
     (sure,) = found(front)
     assert sure.place_probability == pytest.approx(1 - MISTAKEN["place"])
     (weak,) = found(front, explained=0.3)
-    assert weak.place_probability == weak.kind_probability == pytest.approx(1 - MISTAKEN["weak"])
+    assert (
+        weak.place_probability
+        == weak.kind_probability
+        == pytest.approx(1 - MISTAKEN["weak"])
+    )
     (partly,) = found(front, explained=0.6)
-    assert partly.place_probability == partly.kind_probability == pytest.approx(1 - MISTAKEN["partly"])
+    assert (
+        partly.place_probability
+        == partly.kind_probability
+        == pytest.approx(1 - MISTAKEN["partly"])
+    )
     (doubted,) = found(front, is_doubted=True)
-    assert doubted.kind_probability == doubted.laws[0].probability == pytest.approx(1 - MISTAKEN["extra"])
+    assert (
+        doubted.kind_probability
+        == doubted.laws[0].probability
+        == pytest.approx(1 - MISTAKEN["extra"])
+    )
     (table,) = found((1.0, [Statement(FRONT, "other", FREE_FORCE)]), explained=0.3)
     assert table.place_probability == pytest.approx(1 - MISTAKEN["kind"])
     assert table.kind_probability == pytest.approx(1 - MISTAKEN["free"])
@@ -72,16 +87,23 @@ def test_statements_of_a_set_that_explains_a_part_or_was_not_needed_are_doubted(
 def test_a_law_has_the_weight_of_the_sets_that_contain_it():
     further = Statement(FRONT, "viscous", "quadratic_damping")
     rival = Statement(FRONT, "dry_friction", "hysteresis")
-    both, beside = found((0.8, [friction(FRONT), further]), (0.1, [friction(FRONT)]), (0.1, [rival]))
+    both, beside = found(
+        (0.8, [friction(FRONT), further]), (0.1, [friction(FRONT)]), (0.1, [rival])
+    )
     said = {law.effect: law.probability for law in (*both.laws, *beside.laws)}
     expected = {"coulomb_friction": 0.9, "hysteresis": 0.1, "quadratic_damping": 0.8}
-    assert said == pytest.approx({k: v * (1 - MISTAKEN["law"]) for k, v in expected.items()})
+    assert said == pytest.approx(
+        {k: v * (1 - MISTAKEN["law"]) for k, v in expected.items()}
+    )
 
 
 def test_a_place_with_most_of_the_weight_is_not_open_however_doubtful_the_kind_is():
     front, rear = [friction(FRONT)], [friction(REAR)]
     findings = found((0.9, front), (0.1, rear), explained=0.6)
-    assert all(f.place for f in findings) and findings[0].kind_probability < CRITERIA.certain
+    assert (
+        all(f.place for f in findings)
+        and findings[0].kind_probability < CRITERIA.certain
+    )
 
 
 def test_a_kind_that_explains_a_part_is_told_as_probable():
@@ -89,19 +111,30 @@ def test_a_kind_that_explains_a_part_is_told_as_probable():
     for explained, told in ((0.99, "is missing"), (0.6, "is probably missing")):
         findings = [f.to_dict() for f in found((1.0, front), explained=explained)]
         text = summary_of(document(NONE, findings=findings))
-        assert f"Dry friction between body_front and wheel_front {told} (probability" in text
+        assert (
+            f"Dry friction between body_front and wheel_front {told} (probability"
+            in text
+        )
 
 
 def test_the_summary_says_that_the_place_is_open():
     front, rear = [friction(FRONT)], [friction(REAR)]
     findings = [f.to_dict() for f in found((0.55, front), (0.43, rear), (0.02, []))]
     text = summary_of(document(NONE, findings=findings))
-    assert "Dry friction is missing (probability 0.93), but the data do not determine its place:" in text
-    assert "between body_front and wheel_front (0.53) or between body_rear and wheel_rear (0.42)." in text
+    assert (
+        "Dry friction is missing (probability 0.93), but the data do not determine its place:"
+        in text
+    )
+    assert (
+        "between body_front and wheel_front (0.53) or between body_rear and wheel_rear (0.42)."
+        in text
+    )
     assert "Also possible" not in text
 
 
-@pytest.mark.parametrize(("beside", "words"), [(True, "Perhaps beside it"), (False, "Also possible")])
+@pytest.mark.parametrize(
+    ("beside", "words"), [(True, "Perhaps beside it"), (False, "Also possible")]
+)
 def test_a_kind_beside_a_certain_kind_is_told_from_one_in_its_place(beside, words):
     spring = Statement(FRONT, "elastic", "cubic_stiffness")
     further = [friction(FRONT), spring] if beside else [spring]
@@ -128,7 +161,9 @@ def test_the_frequencies_of_grades_are_those_of_the_first_looks():
         for level, bins in suites[suite]["reliability"].items():
             for b in bins:
                 stated["simulated", level, grade(b["low"])] += b["names"]
-                true["simulated", level, grade(b["low"])] += round(b["names"] * b["right"])
+                true["simulated", level, grade(b["low"])] += round(
+                    b["names"] * b["right"]
+                )
     for look in json.loads((folder / "first-looks.json").read_text(encoding="utf-8")):
         for rig in look["rigs"]:
             for level, statements in rig["stated"].items():
@@ -136,7 +171,19 @@ def test_the_frequencies_of_grades_are_those_of_the_first_looks():
                     stated["measured", level, grade(probability)] += 1
                     true["measured", level, grade(probability)] += is_true
     counted = {k: (stated[k], true[k]) for k in stated if stated[k]}
-    kept = {(r, x, g): n for r, by in OBSERVED.items() for x, of in by.items() for g, n in of.items() if n[0]}
+    kept = {
+        (r, x, g): n
+        for r, by in OBSERVED.items()
+        for x, of in by.items()
+        for g, n in of.items()
+        if n[0]
+    }
     assert kept == counted
-    assert observed("place", "certain") == "true: 248 of 264 on simulated rigs, 45 of 46 on measured rigs"
-    assert observed("law", "possible") == "true: 25 of 145 on simulated rigs, 21 of 58 on measured rigs"
+    assert (
+        observed("place", "certain")
+        == "true: 248 of 264 on simulated rigs, 45 of 46 on measured rigs"
+    )
+    assert (
+        observed("law", "possible")
+        == "true: 25 of 145 on simulated rigs, 21 of 58 on measured rigs"
+    )

@@ -4,7 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import element, fitted, friction, network, oscillator, recorded, sines, spring
+from builders import (
+    element,
+    fitted,
+    friction,
+    network,
+    oscillator,
+    recorded,
+    sines,
+    spring,
+)
 from scipy.optimize import lsq_linear
 
 from isd_gym._common.errors import InputError
@@ -24,8 +33,14 @@ STEP = 2e-3
 
 def shaken(stiffness=4000.0):
     known = {"spring.stiffness": 0.1, "damper.damping": 0.1}
-    parts = {"stiffness": stiffness, "damping": 12.0, "beside": [friction("mass", "base", 2.0)]}
-    return oscillator("mass displacement mass", mass=2.0, base="base", uncertainty=known, **parts)
+    parts = {
+        "stiffness": stiffness,
+        "damping": 12.0,
+        "beside": [friction("mass", "base", 2.0)],
+    }
+    return oscillator(
+        "mass displacement mass", mass=2.0, base="base", uncertainty=known, **parts
+    )
 
 
 def record(network, samples=2400, seed=3):
@@ -33,8 +48,12 @@ def record(network, samples=2400, seed=3):
     rng = np.random.default_rng(seed)
     t = np.arange(samples) * STEP
     f = np.array([2, 5, 9])
-    made = recorded(network, STEP, {"base": sines(t, f, rng.uniform(0, 6, 3), 0.004 / f)})
-    return replace(made, measured=made.measured + 1e-5 * rng.standard_normal((samples, 1)))
+    made = recorded(
+        network, STEP, {"base": sines(t, f, rng.uniform(0, 6, 3), 0.004 / f)}
+    )
+    return replace(
+        made, measured=made.measured + 1e-5 * rng.standard_normal((samples, 1))
+    )
 
 
 def test_records_side_by_side_say_what_each_says_alone():
@@ -47,21 +66,36 @@ def test_records_side_by_side_say_what_each_says_alone():
     together = problem.simulate_all(nets, range(5), begun, like=net)
     assert list(together) == list(range(5))
     for i in range(5):
-        np.testing.assert_array_equal(together[i], problem.simulate(nets, i, begun[i], like=net))
+        np.testing.assert_array_equal(
+            together[i], problem.simulate(nets, i, begun[i], like=net)
+        )
 
 
 def errors_of_decays(*starts):
     """Errors, as shares of the deviation, of a softening oscillator whose decays from these states are followed over forty periods."""
     soft = element("soft", "cubic_stiffness", "mass", "ground", stiffness=-16.6)
-    net = oscillator("mass displacement mass", mass=1.0, stiffness=72.7, damping=0.0124, beside=[soft])
+    net = oscillator(
+        "mass displacement mass",
+        mass=1.0,
+        stiffness=72.7,
+        damping=0.0124,
+        beside=[soft],
+    )
     rng, records = np.random.default_rng(0), []
     for state in starts:
         made = recorded(net, 1 / 21, {"push": np.zeros(629)}, initial=state)
-        records.append(replace(made, measured=made.measured + 0.002 * rng.standard_normal((629, 1))))
+        records.append(
+            replace(
+                made, measured=made.measured + 0.002 * rng.standard_normal((629, 1))
+            )
+        )
     problem, structure = Problem(net, records), base_structure(net)
     fitter = Fitter(problem, white_weights(np.array([0.002])))
     fit = fitter.follow(structure, structure.start, range(len(records)), iterations=12)
-    return [np.std(r.measured - fit.outputs[i]) / np.std(r.measured) for i, r in enumerate(records)]
+    return [
+        np.std(r.measured - fit.outputs[i]) / np.std(r.measured)
+        for i, r in enumerate(records)
+    ]
 
 
 def test_a_record_is_followed_whatever_records_stand_beside_it():
@@ -92,9 +126,14 @@ def test_of_many_records_each_finds_its_own_beginning():
     parts = [whole.part(k * 600, (k + 1) * 600, "run") for k in range(5)]
     problem = Problem(net, parts, ["fit"] * 5)
     structure = base_structure(net)
-    fit = Fitter(problem, white_weights(np.array([1e-5]))).follow(structure, structure.start, range(5))
+    fit = Fitter(problem, white_weights(np.array([1e-5]))).follow(
+        structure, structure.start, range(5)
+    )
     for i, part in enumerate(parts):
-        assert np.sqrt(np.mean((part.measured - fit.outputs[i]) ** 2)) < 0.02 * part.measured.std()
+        assert (
+            np.sqrt(np.mean((part.measured - fit.outputs[i]) ** 2))
+            < 0.02 * part.measured.std()
+        )
 
 
 def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion():
@@ -102,7 +141,9 @@ def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion():
     problem = Problem(net, [record(net)], ["fit"])
     few = problem.rough
     assert few is not problem
-    assert len(few.records[0]) == len(problem.records[0].measured[:: round(few.records[0].step / STEP)])
+    assert len(few.records[0]) == len(
+        problem.records[0].measured[:: round(few.records[0].step / STEP)]
+    )
     said = few.simulate([net], 0)[:, 0, 0]
     seen = few.records[0].measured[:, 0]
     assert np.sqrt(np.mean((said - seen) ** 2)) < 0.01 * seen.std()
@@ -113,7 +154,9 @@ def test_nothing_to_fit_is_a_fit_too():
     net = network("dyno", [gas], ["base displacement rod"], ["mass force rod"])
     t = np.arange(800) * STEP
     base = 0.01 * np.sin(9 * t)
-    problem = Problem(net, [Record("dyno", STEP, {"base": base}, 3e3 * base[:, None])], ["fit"])
+    problem = Problem(
+        net, [Record("dyno", STEP, {"base": base}, 3e3 * base[:, None])], ["fit"]
+    )
     assert fitted(problem, 1.0).cost == pytest.approx(0.0, abs=1e-9)
 
 
@@ -125,16 +168,26 @@ def test_every_place_of_a_law_is_simulated_beside_the_others():
     y = np.stack([simulate(net, time, inputs)[c.name] for c in net.outputs], axis=1)
     problem = Problem(net, [Record("run", 2.5e-3, inputs, y, {})], ["fit"])
     fit = fitted(problem, *y.std(axis=0), iterations=0)
-    tried = [h for h in hypotheses(net) if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")]
+    tried = [
+        h
+        for h in hypotheses(net)
+        if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")
+    ]
     starts = starts_of(problem, fit, motions(problem, fit), tried)
     built = [ways[0] for h, start in starts if (ways := built_ways(fit, h, start))]
     seen = {}
     for chunk, lanes in simulate_variants(problem, fit, [b.network for b in built]):
         seen |= zip(chunk, np.moveaxis(lanes[0], 2, 0), strict=True)
     assert len(seen) == len(built) > 10
-    places = {b.hypotheses[-1].where for b in built if b.hypotheses[-1].effect == "coulomb_friction"}
+    places = {
+        b.hypotheses[-1].where
+        for b in built
+        if b.hypotheses[-1].effect == "coulomb_friction"
+    }
     assert {("piston", "joint"), ("body", "wheel")} <= places
-    base = problem.simulate([fit.network], 0, fit.initial[0][:, None], like=fit.network)[:, :, 0]
+    base = problem.simulate(
+        [fit.network], 0, fit.initial[0][:, None], like=fit.network
+    )[:, :, 0]
     assert all(np.abs(y - base).max() > 0 for y in seen.values())
 
 
@@ -152,7 +205,9 @@ def test_one_that_breaks_down_takes_no_other_along(monkeypatch):
     monkeypatch.setattr(Problem, "simulate_all", breaks)
     networks = [shaken(3000.0 + 10 * k) for k in range(5)]
     networks.insert(2, bad)
-    done = sorted(k for chunk, _ in simulate_variants(problem, fit, networks) for k in chunk)
+    done = sorted(
+        k for chunk, _ in simulate_variants(problem, fit, networks) for k in chunk
+    )
     assert done == [0, 1, 3, 4, 5]
 
 

@@ -68,27 +68,39 @@ def stepped(network, **inputs):
     """Outputs of a `Running` network at the times of the samples, as a master would gather them."""
     running = Running(network)
     rows = [running.start({k: v[0] for k, v in inputs.items()})]
-    rows += [running.advance({k: v[i] for k, v in inputs.items()}, STEP) for i in range(len(T) - 1)]
+    rows += [
+        running.advance({k: v[i] for k, v in inputs.items()}, STEP)
+        for i in range(len(T) - 1)
+    ]
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
 @pytest.mark.parametrize("change", ["as it is", "drive and sensor", "half car"])
 def test_stepping_is_the_kernels_own_simulation(change):
     car = Network.load("half-car-isd" if change == "half car" else "quarter-car-isd")
-    roads, currents = ([c.name for c in car.inputs if c.name.startswith(n)] for n in ("road", "current"))
+    roads, currents = (
+        [c.name for c in car.inputs if c.name.startswith(n)]
+        for n in ("road", "current")
+    )
     if change == "drive and sensor":
         car = car.with_element(ActuatorLag("lag", ("motor",), time_constant=0.02))
         car = car.with_element(SensorGain("gain", ("tyre_force",), gain=1.25))
     driven = {name: CURRENT / (k + 1) for k, name in enumerate(currents)}
-    own = stepped(car, **driven, **{name: ROAD / (k + 1) for k, name in enumerate(roads)})
-    whole = simulate(car, T, driven | {name: LATE / (k + 1) for k, name in enumerate(roads)})
+    own = stepped(
+        car, **driven, **{name: ROAD / (k + 1) for k, name in enumerate(roads)}
+    )
+    whole = simulate(
+        car, T, driven | {name: LATE / (k + 1) for k, name in enumerate(roads)}
+    )
     for name, values in whole.items():
         assert np.abs(own[name] - values).max() < 1e-9 * np.abs(values).max(), name
 
 
 def test_a_shaken_base_is_followed_through_its_damper():
     """Where velocity and acceleration of what is moved matter, a cubic through the last samples stands for the spline."""
-    rig = oscillator("acc acceleration mass", mass=10.0, stiffness=4e3, damping=60.0, base="base")
+    rig = oscillator(
+        "acc acceleration mass", mass=10.0, stiffness=4e3, damping=60.0, base="base"
+    )
     own = stepped(rig, base=ROAD)["acc"]
     whole = simulate(rig, T, {"base": LATE})["acc"]
     assert np.sqrt(np.mean((own - whole)[20:] ** 2)) < 0.02 * whole.std()
@@ -100,7 +112,9 @@ def test_bad_inputs_are_one_line():
     refused("not finite", running.start, {"road": float("nan")})
 
 
-@pytest.mark.parametrize(("name", "says"), [("car.zip", r"\.fmu"), ("no/such/car.fmu", "no folder")])
+@pytest.mark.parametrize(
+    ("name", "says"), [("car.zip", r"\.fmu"), ("no/such/car.fmu", "no folder")]
+)
 def test_export_refuses_bad_input(tmp_path, monkeypatch, name, says):
     monkeypatch.chdir(tmp_path)
     refused(says, export_fmu, "quarter-car-isd", name)
@@ -113,31 +127,46 @@ def test_the_unit_validates_and_simulates_to_the_kernels_result(tmp_path):
     from fmpy.validation import validate_fmu
 
     out = tmp_path / "car.fmu"
-    model = replace(Network.load("quarter-car-isd"), description='odd "names" & <marks>')
+    model = replace(
+        Network.load("quarter-car-isd"), description='odd "names" & <marks>'
+    )
     (tmp_path / "model.json").write_text(json.dumps(model.to_dict()))
     program = typer.Typer()
     program.command()(command)
-    done = CliRunner().invoke(program, [str(tmp_path / "model.json"), "--fmu", str(out)])
+    done = CliRunner().invoke(
+        program, [str(tmp_path / "model.json"), "--fmu", str(out)]
+    )
     assert done.exit_code == 0, done.output
     assert validate_fmu(str(out)) == []
     described = fmpy.read_model_description(str(out))
     known = {v.name: v for v in described.modelVariables}
-    assert set(known) == {c.name for c in (*model.inputs, *model.outputs)} | set(model.parameters)
-    assert known["road"].causality == "input" and known["tyre_force"].causality == "output"
+    assert set(known) == {c.name for c in (*model.inputs, *model.outputs)} | set(
+        model.parameters
+    )
+    assert (
+        known["road"].causality == "input" and known["tyre_force"].causality == "output"
+    )
     for path, value in model.parameters.items():
-        assert known[path].causality == "parameter" and float(known[path].start) == value
+        assert (
+            known[path].causality == "parameter" and float(known[path].start) == value
+        )
         unit = model.unit_of(path)
         assert known[path].unit == (None if unit in ("", "-") else unit)
     given = np.array(
-        list(zip(T, ROAD, CURRENT, strict=True)), [("time", float), ("road", float), ("current", float)]
+        list(zip(T, ROAD, CURRENT, strict=True)),
+        [("time", float), ("road", float), ("current", float)],
     )
     light = {"body.mass": 300.0}
     result = simulated(
         out, stop_time=T[-1], step_size=STEP, output_interval=STEP, input=given, start_values=light,
         output=[c.name for c in model.outputs],
     )  # fmt: skip
-    whole = simulate(model.with_parameters(light), T, {"road": LATE, "current": CURRENT})
+    whole = simulate(
+        model.with_parameters(light), T, {"road": LATE, "current": CURRENT}
+    )
     n = min(len(T), len(result))
     assert n > 100
     for name, values in whole.items():
-        assert np.abs(result[name][:n] - values[:n]).max() < 1e-6 * np.abs(values).max(), name
+        assert (
+            np.abs(result[name][:n] - values[:n]).max() < 1e-6 * np.abs(values).max()
+        ), name

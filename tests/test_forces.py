@@ -8,7 +8,12 @@ from isd_gym._common.arrays import rms
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis._hypotheses.forces import PlaceForces, dissipated_work, lossy_share, place_forces
+from isd_gym.diagnosis._hypotheses.forces import (
+    PlaceForces,
+    dissipated_work,
+    lossy_share,
+    place_forces,
+)
 from isd_gym.diagnosis._hypotheses.law_matching import simulate_unmodelled_effects
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
@@ -19,14 +24,19 @@ STEP, BODY = 5e-3, 400.0
 def dropped(tyre=3e5, wheel=100.0, **more):
     strut = [spring("body", "wheel", 4e4), damper("body", "wheel", 500.0)]
     parts, seen = [*strut, spring("wheel", "ground", tyre, "tyre")], ["body", "wheel"]
-    outputs, masses = [f"{n} displacement {n}" for n in seen], {"body": BODY, "wheel": wheel}
+    outputs, masses = (
+        [f"{n} displacement {n}" for n in seen],
+        {"body": BODY, "wheel": wheel},
+    )
     return network("dropped", parts, [], outputs, masses=masses, **more)
 
 
 def forces_of(dropped, state, samples=600):
     """Typical forces of a free motion from `state`, and the motion (samples, outputs)."""
     problem = Problem(dropped, [recorded(dropped, STEP, {}, samples, state)], ["fit"])
-    fit = fitted(problem, 1e-6, 1e-6, initial={0: np.array(state)}, frozen=True, iterations=3)
+    fit = fitted(
+        problem, 1e-6, 1e-6, initial={0: np.array(state)}, frozen=True, iterations=3
+    )
     return place_forces(problem, fit), problem.records[0].measured
 
 
@@ -37,12 +47,16 @@ def test_the_force_of_a_free_pair_is_that_of_the_springs_and_does_not_follow_the
     force = 4e4 * rms(motion[:, 0] - motion[:, 1])
     assert soft.at(("body", "ground")) == pytest.approx(force, rel=0.1)
     # a tyre ten times as stiff carries the same load
-    assert stiff.at(("body", "ground")) == pytest.approx(soft.at(("body", "ground")), rel=0.3)
+    assert stiff.at(("body", "ground")) == pytest.approx(
+        soft.at(("body", "ground")), rel=0.3
+    )
     assert stiff.largest < 3 * soft.largest
 
 
 def test_a_force_between_two_masses_is_compared_with_the_smaller_of_their_forces():
-    forces = PlaceForces({"body": 300.0, "wheel": 900.0, "base": 5.0}, frozenset({"ground", "base"}))
+    forces = PlaceForces(
+        {"body": 300.0, "wheel": 900.0, "base": 5.0}, frozenset({"ground", "base"})
+    )
     assert forces.at(("body", "wheel")) == forces.at(("wheel", "body")) == 300.0
     assert forces.at(("wheel", "ground")) == forces.at(("base", "wheel")) == 900.0
     assert forces.at(("base", "ground")) == 5.0
@@ -51,19 +65,35 @@ def test_a_force_between_two_masses_is_compared_with_the_smaller_of_their_forces
 
 def test_an_input_force_counts_at_its_node():
     drag = damper("cart", "ground", 0.1, "drag")
-    cart = network("cart", [drag], ["push force cart"], ["speed velocity cart"], masses={"cart": 2.0})
+    cart = network(
+        "cart",
+        [drag],
+        ["push force cart"],
+        ["speed velocity cart"],
+        masses={"cart": 2.0},
+    )
     push = 10.0 * np.sin(2 * np.pi * 1.5 * STEP * np.arange(800))
     problem = Problem(cart, [recorded(cart, STEP, {"push": push})], ["fit"])
     fit = fitted(problem, 1e-6, frozen=True, iterations=3)
-    assert place_forces(problem, fit).at(("cart", "ground")) == pytest.approx(rms(push), rel=0.05)
+    assert place_forces(problem, fit).at(("cart", "ground")) == pytest.approx(
+        rms(push), rel=0.05
+    )
 
 
 def test_a_model_that_stands_still_takes_its_scale_from_the_measured_motion():
     swing = 0.01 * np.sin(2 * np.pi * 1.6 * STEP * np.arange(600))
-    problem = Problem(dropped(), [Record("free", STEP, {}, np.stack([swing, 0.1 * swing], 1))], ["fit"])
-    fit = fitted(problem, 1e-5, 1e-5, initial={0: np.zeros(4)}, frozen=True, iterations=0)
+    problem = Problem(
+        dropped(),
+        [Record("free", STEP, {}, np.stack([swing, 0.1 * swing], 1))],
+        ["fit"],
+    )
+    fit = fitted(
+        problem, 1e-5, 1e-5, initial={0: np.zeros(4)}, frozen=True, iterations=0
+    )
     inertia = BODY * rms(swing) * (2 * np.pi * 1.6) ** 2
-    assert place_forces(problem, fit).at(("body", "ground")) == pytest.approx(inertia, rel=0.3)
+    assert place_forces(problem, fit).at(("body", "ground")) == pytest.approx(
+        inertia, rel=0.3
+    )
 
 
 STIFFNESS = 250e3  # [N/m]; the mass is 1 kg, so that a period takes 12.6 ms
@@ -72,15 +102,22 @@ LEVEL = 0.8  # [N] of friction, beside 250 N of elastic force at the beginning
 
 def ring_down(damping, effect, values):
     """Return a ring-down from 1 mm with a law that the model lacks, simulated by that law."""
-    parts = [spring("beam", "ground", STIFFNESS, "bending"), damper("beam", "ground", damping, "loss")]
+    parts = [
+        spring("beam", "ground", STIFFNESS, "bending"),
+        damper("beam", "ground", damping, "loss"),
+    ]
     known = {"masses": {"beam": 1.0}, "uncertainty": {"loss.damping": 1.0}}
     beam = network("beam", parts, [], ["rate velocity beam"], **known)
     time = np.arange(0.0, 0.5, 2e-4)
     omega = np.sqrt(STIFFNESS)
     measured = -1e-3 * omega * np.exp(-0.5 * damping * time) * np.sin(omega * time)
     problem = Problem(beam, [Record("ring", 2e-4, {}, measured[:, None])])
-    structure = add(base_structure(beam), Hypothesis(effect, ("beam", "ground")), values)
-    fit = Fitter(problem, white_weights(np.array([0.01]))).follow(structure, structure.start, [0])
+    structure = add(
+        base_structure(beam), Hypothesis(effect, ("beam", "ground")), values
+    )
+    fit = Fitter(problem, white_weights(np.array([0.01]))).follow(
+        structure, structure.start, [0]
+    )
     return problem, fit
 
 
@@ -88,7 +125,9 @@ def test_the_elastic_part_of_a_force_does_no_work():
     phase = np.linspace(0.0, 6.0 * np.pi, 3001)
     motion = el.Motion(0.2 * np.sin(phase), 0.2 * np.cos(phase), -0.2 * np.sin(phase))
     force = 30.0 * motion.d + 5.0 * motion.d**3 + 2.0 * np.sign(motion.v) + 7.0
-    assert dissipated_work(force, motion) == pytest.approx(2.0 * 0.2 * 2.0 / np.pi, rel=1e-3)
+    assert dissipated_work(force, motion) == pytest.approx(
+        2.0 * 0.2 * 2.0 / np.pi, rel=1e-3
+    )
 
 
 def test_unmodelled_friction_is_small_beside_the_damping_where_damping_is_slight():

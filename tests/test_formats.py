@@ -41,11 +41,18 @@ def unread(path, *words):
 def tdms(path, groups):
     with nptdms.TdmsWriter(path) as writer:
         for group, name, values, properties in groups:
-            writer.write_segment([nptdms.ChannelObject(group, name, values, properties)])
+            writer.write_segment(
+                [nptdms.ChannelObject(group, name, values, properties)]
+            )
 
 
 def test_a_workbook_is_read_like_a_text_table(tmp_path):
-    rows = [["Test 7, bench 3"], [], ["time [ms]", "force (kN)"], *zip(1000 * TIME, FORCE, strict=True)]
+    rows = [
+        ["Test 7, bench 3"],
+        [],
+        ["time [ms]", "force (kN)"],
+        *zip(1000 * TIME, FORCE, strict=True),
+    ]
     excel(tmp_path / "a.xlsx", [list(r) for r in rows], before=["notes"])
     read = read_table(tmp_path / "a.xlsx", expected={"force": "N"})
     assert np.allclose(read.time, TIME) and np.allclose(read["force"], 1000 * FORCE)
@@ -104,14 +111,21 @@ def test_a_matlab_7_3_file_leads_to_no_other_file(tmp_path, monkeypatch):
 
     def outside(file):
         variable(file, "time", TIME[None])
-        file.create_dataset("x", shape=(200,), dtype=float, external=[(str(tmp_path / "secret"), 0, 1600)])
+        file.create_dataset(
+            "x",
+            shape=(200,),
+            dtype=float,
+            external=[(str(tmp_path / "secret"), 0, 1600)],
+        )
 
     def linked(file):
         variable(file, "time", TIME[None])
         file["x"] = h5py.ExternalLink(str(tmp_path / "a.mat"), "/time")
 
     def large(file):
-        file.create_dataset("x", shape=(10**9,), dtype=float, compression="gzip", chunks=(10**5,))
+        file.create_dataset(
+            "x", shape=(10**9,), dtype=float, compression="gzip", chunks=(10**5,)
+        )
 
     matlab(tmp_path / "a.mat", outside)
     unread(tmp_path / "a.mat", "lies in another file")
@@ -119,7 +133,9 @@ def test_a_matlab_7_3_file_leads_to_no_other_file(tmp_path, monkeypatch):
     refused("no column 'x'", read_table, tmp_path / "b.mat", expected={"x": "m"})
     matlab(tmp_path / "c.mat", large)
     unread(tmp_path / "c.mat", "the limit is 1")
-    (tmp_path / "d.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
+    (tmp_path / "d.mat").write_bytes(
+        b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400)
+    )
     unread(tmp_path / "d.mat", "cannot be read")
 
 
@@ -128,21 +144,37 @@ WAVE = {"wf_increment": 0.01, "wf_start_offset": 0.0}
 
 def test_channels_of_a_tdms_file_have_their_stamps_and_units(tmp_path):
     late = WAVE | {"wf_start_time": np.datetime64("2026-01-01T00:00:00.5")}
-    early = WAVE | {"wf_start_time": np.datetime64("2026-01-01T00:00:00.0"), "unit_string": "kN"}
-    tdms(tmp_path / "a.tdms", [("a", "force", FORCE, early), ("b", "travel", TIME, late)])
+    early = WAVE | {
+        "wf_start_time": np.datetime64("2026-01-01T00:00:00.0"),
+        "unit_string": "kN",
+    }
+    tdms(
+        tmp_path / "a.tdms", [("a", "force", FORCE, early), ("b", "travel", TIME, late)]
+    )
     first, second = read_rasters(tmp_path / "a.tdms")
     assert first.units["force"] == "kN" and np.allclose(first.values["time"], TIME)
     assert np.allclose(second.values["time"], TIME + 0.5)
-    assert np.allclose(read_table(tmp_path / "a.tdms", expected={"force": "N"})["force"], 1000 * FORCE)
+    assert np.allclose(
+        read_table(tmp_path / "a.tdms", expected={"force": "N"})["force"], 1000 * FORCE
+    )
     unread(tmp_path / "a.tdms", "different rasters")
     with pytest.raises(InputError, match="no channel 'frce'; did you mean 'force'"):
         read_table(tmp_path / "a.tdms", expected={"frce": "N"})
 
 
 def test_a_tdms_file_without_waveforms_is_a_table(tmp_path):
-    tdms(tmp_path / "a.tdms", [("log", "time", TIME, {}), ("log", "force", FORCE, {"unit_string": "kN"})])
-    assert np.allclose(read_table(tmp_path / "a.tdms", expected={"force": "N"})["force"], 1000 * FORCE)
-    network = Network.load(builders.cart(builders.spring("cart", "ground", 1.0), inputs=["force force cart"]))
+    tdms(
+        tmp_path / "a.tdms",
+        [("log", "time", TIME, {}), ("log", "force", FORCE, {"unit_string": "kN"})],
+    )
+    assert np.allclose(
+        read_table(tmp_path / "a.tdms", expected={"force": "N"})["force"], 1000 * FORCE
+    )
+    network = Network.load(
+        builders.cart(
+            builders.spring("cart", "ground", 1.0), inputs=["force force cart"]
+        )
+    )
     (record,) = records_of(tmp_path / "a.tdms", network, network.inputs)
     assert isinstance(record, Table) and np.allclose(record["force"], 1000 * FORCE)
 
@@ -164,7 +196,9 @@ def test_a_bad_tdms_file_is_one_line(tmp_path):
         (".parquet", "pyarrow", "io"), (".mf4", "asammdf", "io"),
     ],
 )  # fmt: skip
-def test_the_extra_of_a_missing_library_is_named(tmp_path, monkeypatch, suffix, module, extra):
+def test_the_extra_of_a_missing_library_is_named(
+    tmp_path, monkeypatch, suffix, module, extra
+):
     (tmp_path / f"a{suffix}").write_bytes(b"TDSm")
     for name in [m for m in sys.modules if m.split(".")[0] == module]:
         monkeypatch.delitem(sys.modules, name)

@@ -16,7 +16,11 @@ import isd_gym
 
 ROOT = Path(__file__).parents[1]
 #: source folder -> where an installation has it
-HOMES = {"isd_gym": Path("isd_gym"), "baselines": Path("isd_gym/baselines"), "agents": Path("isd_gym/agents")}
+HOMES = {
+    "isd_gym": Path("isd_gym"),
+    "baselines": Path("isd_gym/baselines"),
+    "agents": Path("isd_gym/agents"),
+}
 MAKE = "import gymnasium; print(gymnasium.make('isd_gym:ISDSuspension-v0').reset(seed=0)[0].shape)"
 IMPORT = "import isd_gym, gymnasium; print(len(gymnasium.make_vec('ISDSuspension-v0', 3).reset(seed=0)[0]))"
 LATE = "import gymnasium, isd_gym; print(len(gymnasium.make_vec('ISDSuspension-v0', 3).reset(seed=0)[0]))"
@@ -24,7 +28,11 @@ LATE = "import gymnasium, isd_gym; print(len(gymnasium.make_vec('ISDSuspension-v
 
 def python(code, place):
     """What `code` prints without any installation: no .pth file is read, the package comes from `place` alone."""
-    libraries = [p for p in sys.path if p.endswith("-packages") and not list(Path(p).glob("isd_gym-*"))]
+    libraries = [
+        p
+        for p in sys.path
+        if p.endswith("-packages") and not list(Path(p).glob("isd_gym-*"))
+    ]
     if not libraries:
         libraries = [str(Path(np.__file__).parents[1])]
     path = os.pathsep.join([str(place), *libraries])
@@ -42,7 +50,11 @@ def place(request, tmp_path_factory):
     base = tmp_path_factory.mktemp("found")
     files = {}
     for folder, home in HOMES.items():
-        own = (f for f in (ROOT / folder).rglob("*") if f.is_file() and "__pycache__" not in f.parts)
+        own = (
+            f
+            for f in (ROOT / folder).rglob("*")
+            if f.is_file() and "__pycache__" not in f.parts
+        )
         files |= {home / f.relative_to(ROOT / folder): f for f in own}
     if request.param == "zip":
         with zipfile.ZipFile(base / "isd.zip", "w") as archive:
@@ -58,15 +70,22 @@ def place(request, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("code", "answer"), [(MAKE, "(6,)"), (IMPORT, "3"), (LATE, "3")], ids=["make", "import", "late"]
+    ("code", "answer"),
+    [(MAKE, "(6,)"), (IMPORT, "3"), (LATE, "3")],
+    ids=["make", "import", "late"],
 )
 def test_found_without_an_installation(place, code, answer):
     assert python(code, place) == answer
 
 
 #: what Python does at its start, where the folder `start` lies beside the package
-START = f"import sys; sys.path.append({str(ROOT / 'start')!r}); " + (ROOT / "start/isd_gym.pth").read_text()
-FOUND = "import gymnasium; print(gymnasium.make('ISDSuspension-v0').reset(seed=0)[0].shape)"
+START = (
+    f"import sys; sys.path.append({str(ROOT / 'start')!r}); "
+    + (ROOT / "start/isd_gym.pth").read_text()
+)
+FOUND = (
+    "import gymnasium; print(gymnasium.make('ISDSuspension-v0').reset(seed=0)[0].shape)"
+)
 
 
 def test_found_from_the_start_of_python(place):
@@ -76,19 +95,38 @@ def test_found_from_the_start_of_python(place):
     assert python(code, place) == "True"
     assert python(loaded, place) == "{'isd_gym_start'}"
     assert python(f"exec({START!r}); {FOUND}", place) == "(6,)"
-    module, _, function = (ROOT / "start/isd_gym.start").read_text().strip().partition(":")
-    assert f"import {module}; {module}.{function}()" in START  # Python 3.15 does the same
+    module, _, function = (
+        (ROOT / "start/isd_gym.start").read_text().strip().partition(":")
+    )
+    assert (
+        f"import {module}; {module}.{function}()" in START
+    )  # Python 3.15 does the same
 
 
 def test_what_python_ran_at_its_start_outlives_the_package(tmp_path):
-    (tmp_path / "isd_gym" / "physics").mkdir(parents=True)  # caches of the compiler may be left
+    (tmp_path / "isd_gym" / "physics").mkdir(
+        parents=True
+    )  # caches of the compiler may be left
     code = f"exec({START!r}); import gymnasium; print('ISDSuspension-v0' in gymnasium.registry)"
     assert python(code, tmp_path) == "False"
 
 
 def test_importing_is_light():
-    heavy = ["numpy", "scipy", "numba", "gymnasium", "torch", "matplotlib", "pandas", "osqp", "typing", "re"]
-    code = f"import sys; import isd_gym; print([m for m in {heavy} if m in sys.modules])"
+    heavy = [
+        "numpy",
+        "scipy",
+        "numba",
+        "gymnasium",
+        "torch",
+        "matplotlib",
+        "pandas",
+        "osqp",
+        "typing",
+        "re",
+    ]
+    code = (
+        f"import sys; import isd_gym; print([m for m in {heavy} if m in sys.modules])"
+    )
     assert python(code, ROOT) == "[]"
 
 
@@ -113,7 +151,9 @@ def test_simulate_is_a_module_and_a_function():
     from isd_gym.physics.simulate import simulate
 
     assert isd_gym.physics.simulate is module and inspect.ismodule(module)
-    one, other = (f("force-rig", time, inputs)["force"] for f in (isd_gym.simulate, simulate))
+    one, other = (
+        f("force-rig", time, inputs)["force"] for f in (isd_gym.simulate, simulate)
+    )
     np.testing.assert_array_equal(one, other)
 
 
@@ -139,7 +179,12 @@ def test_other_packages_named_agents_and_baselines(tmp_path):
         "import agents, baselines\n"
         "print(agents.other, baselines.other, isd_gym.agents is agents, isd_gym.baselines is baselines)\n"
     )
-    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    path = os.pathsep.join(
+        [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
+    )
     done = program.python(code, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path})
     assert done.returncode == 0, done.stderr
-    assert "mpc" in done.stdout and done.stdout.splitlines()[-1] == "agents baselines False False"
+    assert (
+        "mpc" in done.stdout
+        and done.stdout.splitlines()[-1] == "agents baselines False False"
+    )

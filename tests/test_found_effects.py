@@ -23,8 +23,14 @@ def values(found):
 
 def rod(damping, known):
     """Return a rod that a rig moves against a damper, with a force cell."""
-    parts, moved, seen = [damper("rod", "ground", damping)], ["travel displacement rod"], ["force force rod"]
-    return builders.network("rod", parts, moved, seen, uncertainty={"damper.damping": known})
+    parts, moved, seen = (
+        [damper("rod", "ground", damping)],
+        ["travel displacement rod"],
+        ["force force rod"],
+    )
+    return builders.network(
+        "rod", parts, moved, seen, uncertainty={"damper.damping": known}
+    )
 
 
 PULLED = rod(200.0, 0.2)
@@ -39,11 +45,17 @@ def pulled(seed, amplitude=3.0, pitch=3.1e-3, seconds=20.0):
     d = 0.15 * np.sin(w * t + phase)
     v = 0.15 * w * np.cos(w * t + phase)
     force = 205.0 * v + amplitude * np.sin(2 * np.pi * d / pitch + 0.7)
-    return Table(t, {"travel": d, "force": force + 0.2 * rng.normal(size=len(t))}, f"pulled{seed}")
+    return Table(
+        t,
+        {"travel": d, "force": force + 0.2 * rng.normal(size=len(t))},
+        f"pulled{seed}",
+    )
 
 
 def as_problem(model, tables):
-    return Problem(model, [read_record(t, model, [], ()) for t in tables], ["fit"] * len(tables))
+    return Problem(
+        model, [read_record(t, model, [], ()) for t in tables], ["fit"] * len(tables)
+    )
 
 
 def test_the_spectrum_over_position_shows_the_pitch_of_more_than_sixty_periods():
@@ -56,7 +68,10 @@ def test_the_spectrum_over_position_shows_the_pitch_of_more_than_sixty_periods()
     # the line is at most an eighth of a period over the span away from the truth
     assert abs(span / first - span / 3.1e-3) <= 0.26
     # of fewer periods than are asked for nothing is said
-    assert all(p < span / 60 for p in spectral_pitches(problem, fit, ("rod", "ground"), motion, 60))
+    assert all(
+        p < span / 60
+        for p in spectral_pitches(problem, fit, ("rod", "ground"), motion, 60)
+    )
 
 
 def sines(rng, t, band=(0.3, 3.0), count=8):
@@ -76,7 +91,11 @@ def test_a_damper_that_gives_way_at_speed_is_named():
         x, v = sines(rng, t)
         x, v = 0.01 * x, 0.01 * v
         force = 2000.0 * v / (1 + np.abs(v) / 0.08)
-        return Table(t, {"travel": x, "force": force + 1.5 * rng.normal(size=len(t))}, f"damper{seed}")
+        return Table(
+            t,
+            {"travel": x, "force": force + 1.5 * rng.normal(size=len(t))},
+            f"damper{seed}",
+        )
 
     found = diagnose([record(1)], rod(900.0, 0.3), validate=[record(2)])
     assert named(found) == {("degressive_damping", frozenset({"ground", "rod"}))}
@@ -90,11 +109,17 @@ CART = builders.cart(
     damper("cart", "ground", 6.0, "guide"),
     BELT,
     inputs=[channel("current", "current", element="drive")],
-    uncertainty={"guide.damping": 0.2, "drive.thrust_constant": 0.1, "belt.stiffness": 0.1},
+    uncertainty={
+        "guide.damping": 0.2,
+        "drive.thrust_constant": 0.1,
+        "belt.stiffness": 0.1,
+    },
 )
 
 
-def driven(seed, law=lambda u: u, sense=lambda y: y, band=(0.2, 2.0), noise=2e-3, late=0):
+def driven(
+    seed, law=lambda u: u, sense=lambda y: y, band=(0.2, 2.0), noise=2e-3, late=0
+):
     """A cart on a belt whose drive makes `law` of the current and whose sensor makes `sense` of the speed, `late` samples late."""
     rng, t = np.random.default_rng(seed), np.arange(0, 30, 5e-3)
     u = sines(rng, t, band)[0]
@@ -103,7 +128,9 @@ def driven(seed, law=lambda u: u, sense=lambda y: y, band=(0.2, 2.0), noise=2e-3
     A = np.array([[0.0, 1.0], [-40.0 / 2.0, -6.3 / 2.0]])
     big = np.zeros((3, 3))
     big[:2, :2], big[1, 2] = A, -5.0 / 2.0
-    E = expm(big * 5e-3)  # the current is held over a step; the motor pulls its terminals together
+    E = expm(
+        big * 5e-3
+    )  # the current is held over a step; the motor pulls its terminals together
     x, speed = np.zeros(2), np.zeros(len(t))
     for k in range(len(t)):
         place[k], speed[k] = x
@@ -111,7 +138,11 @@ def driven(seed, law=lambda u: u, sense=lambda y: y, band=(0.2, 2.0), noise=2e-3
     inside = slice(20, len(t) - 20)
     y = sense(np.roll(speed, late)) + noise * rng.normal(size=len(t))
     place = place + 0.3 * noise * rng.normal(size=len(t))
-    return Table(t[inside], {"current": u[inside], "speed": y[inside], "place": place[inside]}, f"cart{seed}")
+    return Table(
+        t[inside],
+        {"current": u[inside], "speed": y[inside], "place": place[inside]},
+        f"cart{seed}",
+    )
 
 
 @pytest.mark.slow
@@ -124,9 +155,19 @@ def driven(seed, law=lambda u: u, sense=lambda y: y, band=(0.2, 2.0), noise=2e-3
             {"law": lambda u: u - np.clip(u, -0.4, 0.4)},
             ("threshold", 0.4),
         ),
-        ("quadratic_thrust", {"cart", "ground"}, {"law": lambda u: u * np.abs(u) / 1.5}, ("reference", 1.5)),
+        (
+            "quadratic_thrust",
+            {"cart", "ground"},
+            {"law": lambda u: u * np.abs(u) / 1.5},
+            ("reference", 1.5),
+        ),
         ("sensor_magnitude", {"speed"}, {"sense": np.abs}, None),
-        ("sensor_dead_zone", {"speed"}, {"sense": lambda y: y - np.clip(y, -0.05, 0.05)}, ("width", 0.05)),
+        (
+            "sensor_dead_zone",
+            {"speed"},
+            {"sense": lambda y: y - np.clip(y, -0.05, 0.05)},
+            ("width", 0.05),
+        ),
     ],
 )
 def test_a_law_of_the_drive_or_of_the_sensor_is_named(effect, place, how, expected):
@@ -142,7 +183,9 @@ def test_a_channel_that_lags_or_leads_is_named_with_its_delay(samples):
     # a second channel without a lag excludes the drive
     place = channel("place", "displacement", "cart")
     model = {**CART, "outputs": [*CART["outputs"], place]}
-    found = diagnose([driven(1, late=samples)], model, validate=[driven(2, late=samples)])
+    found = diagnose(
+        [driven(1, late=samples)], model, validate=[driven(2, late=samples)]
+    )
     assert named(found) == {("sensor_delay", frozenset({"speed"}))}
     assert values(found)["delay"] == pytest.approx(samples * 5e-3, rel=0.1)
 
@@ -159,12 +202,18 @@ def warmed(seed, kind):
     for k in range(len(t)):
         speed[k] = v
         for j in range(parts):
-            pushed = push[k] + (push[min(k + 1, len(t) - 1)] - push[k]) * (j + 0.5) / parts
+            pushed = (
+                push[k] + (push[min(k + 1, len(t) - 1)] - push[k]) * (j + 0.5) / parts
+            )
             free = v + h / 2.0 * (pushed - damping[k] * v - 40.0 * x)
-            v = free - np.clip(free, -h / 2.0 * level[k], h / 2.0 * level[k])  # friction holds, or slides
+            v = free - np.clip(
+                free, -h / 2.0 * level[k], h / 2.0 * level[k]
+            )  # friction holds, or slides
             x += h * v
     noisy = speed + 2e-3 * rng.normal(size=len(t))
-    return Table(t, {"push": push, "oil": np.round(oil, 1), "speed": noisy}, f"warm{seed}")
+    return Table(
+        t, {"push": push, "oil": np.round(oil, 1), "speed": noisy}, f"warm{seed}"
+    )
 
 
 OIL = channel("oil", "temperature", unit="degC")
@@ -174,18 +223,29 @@ WARM = builders.cart(GUIDE, BELT, inputs=["push force cart", OIL], uncertainty=K
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "slope"), [("damping", -0.12), ("friction", -0.05), ("nothing", None)])
-def test_a_law_that_falls_with_a_logged_temperature_is_named_with_its_slope(kind, slope):
+@pytest.mark.parametrize(
+    ("kind", "slope"), [("damping", -0.12), ("friction", -0.05), ("nothing", None)]
+)
+def test_a_law_that_falls_with_a_logged_temperature_is_named_with_its_slope(
+    kind, slope
+):
     found = diagnose([warmed(1, kind)], WARM, validate=[warmed(2, kind)])
-    assert named(found) == ({(f"scheduled_{kind}", frozenset({"cart", "ground"}))} if slope else set())
-    assert values(found).get("slope") == (pytest.approx(slope, rel=0.2) if slope else None)
+    assert named(found) == (
+        {(f"scheduled_{kind}", frozenset({"cart", "ground"}))} if slope else set()
+    )
+    assert values(found).get("slope") == (
+        pytest.approx(slope, rel=0.2) if slope else None
+    )
     assert slope or found.verdict in ("no_discrepancy", "parameters_only")
 
 
 INERTIA, TORQUE, DAMPING = 0.00333, 0.2139, 2e-4  # [kg m^2], [N m], [N m s/rad]
 ARM = builders.network(
     "arm",
-    [spring("arm", "ground", TORQUE, "gravity"), damper("arm", "ground", DAMPING, "bearing")],
+    [
+        spring("arm", "ground", TORQUE, "gravity"),
+        damper("arm", "ground", DAMPING, "bearing"),
+    ],
     outputs=["angle angle arm", "rate angular_velocity arm"],
     inertias={"arm": INERTIA},
     uncertainty={"gravity.stiffness": 0.05, "bearing.damping": 1.0},
@@ -202,11 +262,17 @@ def swings(count, seconds=9.0, step=0.01):
         angle, rate = state
         return [rate, (-TORQUE * np.sin(angle) - DAMPING * rate) / INERTIA]
 
-    angle, rate = solve_ivp(motion, (0.0, time[-1]), start, t_eval=time, rtol=1e-9, atol=1e-11).y
+    angle, rate = solve_ivp(
+        motion, (0.0, time[-1]), start, t_eval=time, rtol=1e-9, atol=1e-11
+    ).y
     rng = np.random.default_rng(0)
-    angle, rate = (y + s * rng.standard_normal(y.size) for y, s in ((angle, 1e-4), (rate, 5e-3)))
+    angle, rate = (
+        y + s * rng.standard_normal(y.size) for y, s in ((angle, 1e-4), (rate, 5e-3))
+    )
     parts = [slice(k * size, (k + 1) * size) for k in range(count)]
-    return [Table(time[:size], {"angle": angle[part], "rate": rate[part]}) for part in parts]
+    return [
+        Table(time[:size], {"angle": angle[part], "rate": rate[part]}) for part in parts
+    ]
 
 
 @pytest.mark.slow
@@ -216,7 +282,9 @@ def test_the_sine_of_gravity_is_named_where_the_refit_softens_the_spring():
     found = diagnose(records[:4], ARM, validate=records[4:])
     assert found.gap["refit"]["angle"] > 2.0 * found.gap["before"]["angle"]
     assert [e.effect for e in found.effects] == ["gravity_sine"]
-    assert found.effects[0].parameters["torque"].value == pytest.approx(TORQUE, rel=1e-3)
+    assert found.effects[0].parameters["torque"].value == pytest.approx(
+        TORQUE, rel=1e-3
+    )
     assert found.gap["after"]["angle"] < 0.001
 
 
@@ -230,7 +298,9 @@ def test_the_completed_model_drives_the_car_better_than_the_owners(monkeypatch):
     assert named(found) == {("coulomb_friction", frozenset({"joint", "piston"}))}
     level = found.effects[0].parameters["level"]
     assert level.value == pytest.approx(500.0, rel=0.03)
-    assert found.gap["after"]["device_travel"] < 0.05 < found.gap["refit"]["device_travel"]
+    assert (
+        found.gap["after"]["device_travel"] < 0.05 < found.gap["refit"]["device_travel"]
+    )
     cost = {row["policy"]: row["cost"] for row in result.to_dict()["policies"]}
     assert cost["mpc, new model"]["high"] < cost["mpc, old model"]["low"]
     assert cost["mpc, new model"]["change"] < -0.2

@@ -14,26 +14,43 @@ from isd_gym._commands import app
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import Quantity
 from isd_gym.diagnosis._selection.uncertainty import with_posterior
-from isd_gym.diagnosis.simulation._prediction_errors import prediction_errors, removed_share
+from isd_gym.diagnosis.simulation._prediction_errors import (
+    prediction_errors,
+    removed_share,
+)
 from isd_gym.env._environment import ISDSuspensionEnv
 from isd_gym.physics._batch import posterior_ranges, ranges
 from isd_gym.physics.network import Network
 from isd_gym.records.data import Table, write_table
 
-RIG = oscillator(channel("travel", "displacement", "mass", unit="mm", offset="record"), name="rig")
+RIG = oscillator(
+    channel("travel", "displacement", "mass", unit="mm", offset="record"), name="rig"
+)
 TIME = np.arange(2000) / 200.0
-PUSH = 40.0 * np.sin(2 * np.pi * 2.1 * TIME) + 20.0 * np.sin(2 * np.pi * 3.7 * TIME + 1.0)
+PUSH = 40.0 * np.sin(2 * np.pi * 2.1 * TIME) + 20.0 * np.sin(
+    2 * np.pi * 3.7 * TIME + 1.0
+)
 
 
 @pytest.fixture
 def files(tmp_path):
     RIG.save(tmp_path / "rig.json")
-    replace(RIG.with_parameters({"damper.damping": 60.0}), name="other").save(tmp_path / "other.json")
+    replace(RIG.with_parameters({"damper.damping": 60.0}), name="other").save(
+        tmp_path / "other.json"
+    )
     travel = simulate(RIG, TIME, {"push": PUSH})["travel"]
     noise = 0.05 * np.random.default_rng(0).standard_normal(len(TIME))
-    for name, first, offset in (("a", 0, 0.0), ("b", 700, 3.0)):  # the second starts in mid-motion
-        columns = {"push": PUSH[first:], "travel": travel[first:] + noise[first:] + offset}
-        write_table(tmp_path / f"{name}.csv", Table(TIME[first:] - TIME[first], columns, name))
+    for name, first, offset in (
+        ("a", 0, 0.0),
+        ("b", 700, 3.0),
+    ):  # the second starts in mid-motion
+        columns = {
+            "push": PUSH[first:],
+            "travel": travel[first:] + noise[first:] + offset,
+        }
+        write_table(
+            tmp_path / f"{name}.csv", Table(TIME[first:] - TIME[first], columns, name)
+        )
     return tmp_path
 
 
@@ -43,9 +60,16 @@ def invoke(*words):
 
 def test_the_error_of_the_true_model_is_the_noise_and_that_of_another_one_is_not(files):
     records = [files / "a.csv", files / "b.csv"]
-    own, other = (prediction_errors(records, files / m).rows for m in ("rig.json", "other.json"))
-    assert [(r.record, r.channel) for r in own] == [(n, "travel") for n in ("a", "b", "all records")]
-    assert all(r.rms == pytest.approx(0.05, rel=0.1) and r.nrmse < 0.02 and r.unit == "mm" for r in own)
+    own, other = (
+        prediction_errors(records, files / m).rows for m in ("rig.json", "other.json")
+    )
+    assert [(r.record, r.channel) for r in own] == [
+        (n, "travel") for n in ("a", "b", "all records")
+    ]
+    assert all(
+        r.rms == pytest.approx(0.05, rel=0.1) and r.nrmse < 0.02 and r.unit == "mm"
+        for r in own
+    )
     assert all(r.nrmse > 0.15 for r in other)
     refused("no outputs", prediction_errors, records, replace(RIG, outputs=()))
 
@@ -58,19 +82,34 @@ def test_the_true_model_of_a_long_stiffening_decay_errs_by_noise(tmp_path):
     time = np.arange(1100) / 5000.0
     velocity = simulate(rig, time, {}, initial=np.array([-2.8e-4, 0.16]))["velocity"]
     noise = 1e-3 * np.random.default_rng(3).standard_normal(len(time))
-    write_table(tmp_path / "decay.csv", Table(time, {"velocity": velocity + noise}, "decay"))
+    write_table(
+        tmp_path / "decay.csv", Table(time, {"velocity": velocity + noise}, "decay")
+    )
     (row,) = prediction_errors([tmp_path / "decay.csv"], rig).rows
     assert row.rms == pytest.approx(1e-3, rel=0.1)
 
 
 def test_the_command_prints_the_table_and_writes_it(files):
     made = files / "errors.json"
-    words = [files / "rig.json", files / "a.csv", files / "b.csv", "--compare", "--json", made]
+    words = [
+        files / "rig.json",
+        files / "a.csv",
+        files / "b.csv",
+        "--compare",
+        "--json",
+        made,
+    ]
     done = invoke("simulate", *words)
     assert done.exit_code == 0, done.output
-    assert "all records" in done.output and "RMS error" in done.output and "own parameters" in done.output
+    assert (
+        "all records" in done.output
+        and "RMS error" in done.output
+        and "own parameters" in done.output
+    )
     rows = json.loads(made.read_text())["errors"]
-    assert len(rows) == 3 and all(r["rms"] == pytest.approx(0.05, rel=0.1) for r in rows)
+    assert len(rows) == 3 and all(
+        r["rms"] == pytest.approx(0.05, rel=0.1) for r in rows
+    )
 
 
 @pytest.mark.parametrize(
@@ -79,7 +118,10 @@ def test_the_command_prints_the_table_and_writes_it(files):
         (["a.csv"], "--out FILE is missing"),
         (["a.csv", "b.csv", "--out", "o.csv"], "one DATA with --out"),
         (["a.csv", "--compare", "--out", "o.csv"], "leave out --out"),
-        (["a.csv", "--compare", "--initial", "mass=0.1"], "leave out --out and --initial"),
+        (
+            ["a.csv", "--compare", "--initial", "mass=0.1"],
+            "leave out --out and --initial",
+        ),
         (["a.csv", "a.csv", "--compare"], "named twice"),
         (["push.csv", "--compare"], "no column 'travel'"),
     ],
@@ -91,16 +133,24 @@ def test_other_wishes_are_one_line(files, monkeypatch, words, told):
     assert isinstance(done.exception, InputError) and told in str(done.exception)
 
 
-def test_the_share_that_transfers_is_one_for_the_true_model_and_negative_for_a_worse_one(files):
+def test_the_share_that_transfers_is_one_for_the_true_model_and_negative_for_a_worse_one(
+    files,
+):
     records = [files / "a.csv", files / "b.csv"]
-    true, other = (prediction_errors(records, files / m) for m in ("rig.json", "other.json"))
+    true, other = (
+        prediction_errors(records, files / m) for m in ("rig.json", "other.json")
+    )
     assert removed_share(true, other)["travel"] == pytest.approx(1.0, abs=0.02)
-    assert removed_share(other, true)["travel"] is None  # the other model errs by no more than noise
+    assert (
+        removed_share(other, true)["travel"] is None
+    )  # the other model errs by no more than noise
     RIG.with_parameters({"damper.damping": 90.0}).save(files / "worse.json")
     worse = prediction_errors(records, files / "worse.json")
     assert removed_share(worse, other)["travel"] < -0.5
     half = removed_share(other, worse)["travel"]
-    expected = 1.0 - (other.rows[-1].rms ** 2 - 0.05**2) / (worse.rows[-1].rms ** 2 - 0.05**2)
+    expected = 1.0 - (other.rows[-1].rms ** 2 - 0.05**2) / (
+        worse.rows[-1].rms ** 2 - 0.05**2
+    )
     assert half == pytest.approx(expected, abs=0.02)
 
 
@@ -110,18 +160,32 @@ def test_the_command_reports_the_transfer_of_a_model_to_another_rig(files):
     done = invoke("simulate", files / "rig.json", files / "a.csv", *words)
     assert done.exit_code == 0, done.output
     told = " ".join(done.output.split())
-    assert "removes 100 % of the squared error of 'other' beyond noise in travel" in told
+    assert (
+        "removes 100 % of the squared error of 'other' beyond noise in travel" in told
+    )
     document = json.loads(made.read_text())
     assert document["against"]["errors"][0]["nrmse"] > 0.15
     assert document["removed"]["travel"] == pytest.approx(1.0, abs=0.02)
-    again = ["simulate", files / "other.json", files / "a.csv", "--compare", "--against", files / "rig.json"]
-    assert "'rig' errs by no more than noise in travel" in " ".join(invoke(*again).output.split())
+    again = [
+        "simulate",
+        files / "other.json",
+        files / "a.csv",
+        "--compare",
+        "--against",
+        files / "rig.json",
+    ]
+    assert "'rig' errs by no more than noise in travel" in " ".join(
+        invoke(*again).output.split()
+    )
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["a.csv", "--out", "o.csv", "--against", "other.json"], "--against goes with --compare"),
+        (
+            ["a.csv", "--out", "o.csv", "--against", "other.json"],
+            "--against goes with --compare",
+        ),
         (["a.csv", "--compare", "--against", "far.json"], "the same outputs"),
     ],
 )
@@ -135,12 +199,17 @@ def test_models_that_cannot_be_compared_are_one_line(files, monkeypatch, words, 
 
 def test_the_intervals_of_a_fit_become_uncertainties():
     quantities = {
-        "spring.stiffness": Quantity(2000.0, 2000.0 / 1.1**1.96, 2000.0 * 1.1**1.96, "N/m"),
+        "spring.stiffness": Quantity(
+            2000.0, 2000.0 / 1.1**1.96, 2000.0 * 1.1**1.96, "N/m"
+        ),
         "damper.damping": Quantity(30.0, 30.0, float("inf"), "N s/m"),
         "gone.level": Quantity(1.0, 0.5, 2.0, "N"),
     }
     found = with_posterior(replace(RIG, uncertainty={"mass.mass": 0.2}), quantities)
-    assert found.uncertainty == {"mass.mass": 0.2, "spring.stiffness": pytest.approx(0.1, abs=1e-3)}
+    assert found.uncertainty == {
+        "mass.mass": 0.2,
+        "spring.stiffness": pytest.approx(0.1, abs=1e-3),
+    }
 
 
 @pytest.fixture
@@ -148,7 +217,9 @@ def found(tmp_path):
     car = Network.load("quarter-car-isd").with_parameters({"body.mass": 350.0})
     folder = tmp_path / "found"
     folder.mkdir()
-    replace(car, uncertainty={"body.mass": 0.02, "seal.level": 0.1}).save(folder / "model.json")
+    replace(car, uncertainty={"body.mass": 0.02, "seal.level": 0.1}).save(
+        folder / "model.json"
+    )
     return folder
 
 
@@ -164,10 +235,15 @@ def test_the_environment_draws_the_rig_that_was_measured(found):
 
 def test_further_ranges_stand_beside_those_of_the_folder(found):
     car = Network.load(found / "model.json")
-    given = ranges(car, {"found": str(found), "speed": (10, 20), "body.mass": (0.5, 2.0)})
+    given = ranges(
+        car, {"found": str(found), "speed": (10, 20), "body.mass": (0.5, 2.0)}
+    )
     assert given["speed"] == (10.0, 20.0) and given["body.mass"] == (0.5, 2.0)
     assert given["seal.level"] == pytest.approx((1.1**-1.96, 1.1**1.96))
-    assert posterior_ranges(car, found / "model.json").keys() == {"body.mass", "seal.level"}
+    assert posterior_ranges(car, found / "model.json").keys() == {
+        "body.mass",
+        "seal.level",
+    }
 
 
 def test_another_car_and_a_model_without_uncertainty_are_one_line(found, tmp_path):

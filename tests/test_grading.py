@@ -13,9 +13,25 @@ GROUND = ["mass", "ground"]
 def said(verdict, *effects, confidence=0.999, **more):
     shared = {"confidence": confidence, "parameters": {}}
     places = ({("channel" if isinstance(p, str) else "between"): p} for _, p in effects)
-    names = [{"effect": e} | p | shared for (e, _), p in zip(effects, places, strict=True)]
-    d = {"verdict": verdict, "effects": names, "alternatives": [], "parameters": {}, "gap": {"closed": None}}
-    return {"suite": "s", "name": "n", "family": "f", "kind": "k", "seconds": 1.0, "diagnosis": d, **more}
+    names = [
+        {"effect": e} | p | shared for (e, _), p in zip(effects, places, strict=True)
+    ]
+    d = {
+        "verdict": verdict,
+        "effects": names,
+        "alternatives": [],
+        "parameters": {},
+        "gap": {"closed": None},
+    }
+    return {
+        "suite": "s",
+        "name": "n",
+        "family": "f",
+        "kind": "k",
+        "seconds": 1.0,
+        "diagnosis": d,
+        **more,
+    }
 
 
 FRICTION = [["coulomb_friction", GROUND]]
@@ -47,8 +63,13 @@ def test_what_is_right_wrong_and_missed(answer, row, grade):
 
 
 def test_a_nuisance_that_is_really_there_may_be_named_but_not_instead():
-    truth = {"hidden": [], "nuisances": [{"type": "cubic_stiffness", "between": GROUND, "stiffness": 1.0}]}
-    both = said("missing_effect", ("coulomb_friction", GROUND), ("cubic_stiffness", GROUND))
+    truth = {
+        "hidden": [],
+        "nuisances": [{"type": "cubic_stiffness", "between": GROUND, "stiffness": 1.0}],
+    }
+    both = said(
+        "missing_effect", ("coulomb_friction", GROUND), ("cubic_stiffness", GROUND)
+    )
     only = said("missing_effect", ("cubic_stiffness", GROUND))
     assert grading.graded({**both, "answer": FRICTION, "truth": truth}) == "right"
     assert grading.graded({**both, "answer": FRICTION, "truth": {}}) == "wrong"
@@ -57,9 +78,16 @@ def test_a_nuisance_that_is_really_there_may_be_named_but_not_instead():
 
 def test_stated_confidence_is_held_against_what_was_right():
     places = [GROUND] * 8 + [["x", "y"]] * 2
-    rows = [said("m", ("coulomb_friction", p), confidence=0.93, answer=FRICTION) for p in places]
+    rows = [
+        said("m", ("coulomb_friction", p), confidence=0.93, answer=FRICTION)
+        for p in places
+    ]
     (curve,) = grading.reliability(rows)
-    assert (curve["names"], curve["right"], curve["stated"]) == (10, 0.8, pytest.approx(0.93))
+    assert (curve["names"], curve["right"], curve["stated"]) == (
+        10,
+        0.8,
+        pytest.approx(0.93),
+    )
     assert (curve["least"], curve["most"]) == pytest.approx((0.490, 0.943), abs=0.001)
 
 
@@ -90,5 +118,7 @@ def test_cases_are_items_of_the_engine(tmp_path, monkeypatch, capsys):
     rows = diagnose.run_all(cases, tmp_path / "out", 1, 0.1)
     assert looked == ["rig_000", "rig_001", "rig_002", "rig_002"]
     assert "2 of 3 are there already" in capsys.readouterr().out
-    assert [grading.graded(r) for r in rows] == ["right", "missed", "right"] and rows[1]["timed_out"]
+    assert [grading.graded(r) for r in rows] == ["right", "missed", "right"] and rows[
+        1
+    ]["timed_out"]
     assert sorted(r["name"] for r in diagnose.read([tmp_path / "out"])) == sorted(truth)

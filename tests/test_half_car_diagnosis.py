@@ -23,7 +23,12 @@ def waves(time, late=0.0):
     """A road of three sines [m] with its exact derivatives; `late` [s] for the rear axle."""
     w = np.array([5.0, 11.0, 23.0])
     angle = np.outer(time - late, w)
-    return Signal(*(0.004 * np.sum(w**p * np.sin(angle + p * np.pi / 2), axis=1) for p in (0, 1, 2)))
+    return Signal(
+        *(
+            0.004 * np.sum(w**p * np.sin(angle + p * np.pi / 2), axis=1)
+            for p in (0, 1, 2)
+        )
+    )
 
 
 def car(seed=1):
@@ -35,7 +40,11 @@ def ran(rig, model, interval, span=2.0):
     time = np.arange(round(span / interval) + 1) * interval
     road = {"road_front": waves(time), "road_rear": waves(time, 0.13)}
     free = integrate(model, road, len(time), interval, speed=0.1)
-    return time, road, outputs(replace(rig, size=len(time), interval=interval), model, free)
+    return (
+        time,
+        road,
+        outputs(replace(rig, size=len(time), interval=interval), model, free),
+    )
 
 
 def worst(a, b):
@@ -48,7 +57,9 @@ def test_the_half_car_of_the_suite_is_that_of_the_kernel():
     left = []
     for interval in (1e-3, 5e-4, 2.5e-4):
         time, road, own = ran(rig, rig.model, interval)
-        left.append(worst(own, simulate(rig.model, time, {k: s.value for k, s in road.items()})))
+        left.append(
+            worst(own, simulate(rig.model, time, {k: s.value for k, s in road.items()}))
+        )
     assert left[2] < 1.5e-5
     np.testing.assert_allclose(np.divide(left[:-1], left[1:]), 4.0, rtol=0.05)
 
@@ -61,7 +72,10 @@ def test_forces_are_looked_for_at_the_corners_and_between_body_and_ground():
     found = {frozenset(p) for p in pairs(half())}
     assert {frozenset(p) for p in (FRONT, REAR)} <= found
     assert {frozenset(("body", "ground")), frozenset(("body.pitch", "ground"))} <= found
-    assert not {frozenset(("body", "wheel_front")), frozenset(("body", "body.pitch"))} & found
+    assert (
+        not {frozenset(("body", "wheel_front")), frozenset(("body", "body.pitch"))}
+        & found
+    )
 
 
 def test_springs_under_both_ends_hold_a_body_still_and_under_one_do_not():
@@ -73,8 +87,14 @@ def test_springs_under_both_ends_hold_a_body_still_and_under_one_do_not():
 def test_the_scale_of_force_is_the_inertia_of_what_the_sensor_sits_on():
     net, time = half(), np.arange(400) * 5e-3
     roads = {"road_front": waves(time).value, "road_rear": waves(time, 0.13).value}
-    net = replace(net, outputs=(*net.outputs, net.probe("hop", "acceleration", at="wheel_rear")))
-    body = {"body_acceleration_front": 690.0, "body_acceleration": 690.0, "pitch_acceleration": 0.0}
+    net = replace(
+        net, outputs=(*net.outputs, net.probe("hop", "acceleration", at="wheel_rear"))
+    )
+    body = {
+        "body_acceleration_front": 690.0,
+        "body_acceleration": 690.0,
+        "pitch_acceleration": 0.0,
+    }
     for name, inertia in (body | {"hop": 45.0}).items():
         seen = replace(net, outputs=tuple(c for c in net.outputs if c.name == name))
         y = np.sin(20.0 * time)[:, None]
@@ -89,5 +109,8 @@ def test_what_is_hidden_at_one_axle_is_named_there(kind):
         case = families.make_case(f"half_car.{kind}", 1)
     held = [table(case.validation, "validation")]
     d = diagnose([table(case.estimation, "estimation")], case.model, validate=held)
-    answer = {(e, frozenset([place] if isinstance(place, str) else place)) for e, place in case.answer}
+    answer = {
+        (e, frozenset([place] if isinstance(place, str) else place))
+        for e, place in case.answer
+    }
     assert named(d) == answer

@@ -31,9 +31,13 @@ both = pytest.mark.parametrize("name", CARS)
 def test_gymnasium_check_env(name, observation):
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
-        check_env(gym.make(name, observation=observation).unwrapped, skip_render_check=True)
+        check_env(
+            gym.make(name, observation=observation).unwrapped, skip_render_check=True
+        )
     # the action is a current in ampere by contract
-    assert all("range=[-1, 1]" in str(w.message) for w in seen), [str(w.message) for w in seen]
+    assert all("range=[-1, 1]" in str(w.message) for w in seen), [
+        str(w.message) for w in seen
+    ]
 
 
 @pytest.mark.parametrize("name", ["ISDSuspension-v0", *CARS])
@@ -41,7 +45,9 @@ def test_stable_baselines_check_env(name):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        checker.check_env(gym.wrappers.RescaleAction(gym.make(name), np.float32(-1), np.float32(1)))
+        checker.check_env(
+            gym.wrappers.RescaleAction(gym.make(name), np.float32(-1), np.float32(1))
+        )
 
 
 @both
@@ -52,12 +58,22 @@ def test_spaces_follow_from_the_network(name):
     signals = [signal.name for signal in env.task.measured]
     motions = ["body_acceleration", "pitch_acceleration", "roll_acceleration"]
     assert signals[: 1 + turns] == motions[: 1 + turns]
-    each = ["suspension_travel", "suspension_travel_rate", "device_travel", "device_travel_rate"]
+    each = [
+        "suspension_travel",
+        "suspension_travel_rate",
+        "device_travel",
+        "device_travel_rate",
+    ]
     expected = [f"{signal}_{corner}" for corner in CORNERS[name] for signal in each]
     expected += [f"current_{corner}" for corner in CORNERS[name]]
     assert signals[1 + turns :] == expected
-    assert env.observation_space.shape == (1 + turns + 5 * corners,) and len(env.task.labels) == len(signals)
-    costs, loads = env.task.vehicle.costs, [f"tyre_load_{corner}" for corner in CORNERS[name]]
+    assert env.observation_space.shape == (1 + turns + 5 * corners,) and len(
+        env.task.labels
+    ) == len(signals)
+    costs, loads = (
+        env.task.vehicle.costs,
+        [f"tyre_load_{corner}" for corner in CORNERS[name]],
+    )
     keys = {"speed", "cost", *costs, *loads, "exceeds_acceleration", "exceeds_travel"}
     assert set(env.reset(seed=0)[1]) == keys
     _, reward, _, _, info = env.step(np.ones(corners, np.float32))
@@ -65,9 +81,13 @@ def test_spaces_follow_from_the_network(name):
     assert reward == pytest.approx(-sum(info[k] for k in costs), rel=1e-12)
     wide = gym.make(name, observation="full").unwrapped
     # position and velocity of the body's motions, and of wheel, piston and joint at each corner
-    assert wide.observation_space.shape[0] - len(signals) == 2 * (1 + turns + 3 * corners)
+    assert wide.observation_space.shape[0] - len(signals) == 2 * (
+        1 + turns + 3 * corners
+    )
     ahead = gym.make(name, observation="preview", preview=0.1).unwrapped
-    assert ahead.observation_space.shape[0] - len(signals) == 20 * (2 if corners == 4 else 1)
+    assert ahead.observation_space.shape[0] - len(signals) == 20 * (
+        2 if corners == 4 else 1
+    )
 
 
 @pytest.mark.parametrize("name", MOTORS)
@@ -97,13 +117,17 @@ def without(net, *names):
 
 def hung_up(net, node):
     """The elements at a node of the body are tied to the ground instead."""
-    places = (tuple("ground" if n == node else n for n in e.where) for e in net.elements)
+    places = (
+        tuple("ground" if n == node else n for n in e.where) for e in net.elements
+    )
     tied = tuple(replace(e, where=p) for e, p in zip(net.elements, places, strict=True))
     return replace(net, elements=tied, outputs=(), uncertainty={})
 
 
 HALF = Network.load("half-car-isd")
-TWIN = element("twin", "motor", "piston_front", "joint_front", thrust_constant=60.0, ratio=1.0)
+TWIN = element(
+    "twin", "motor", "piston_front", "joint_front", thrust_constant=60.0, ratio=1.0
+)
 ONE_CURRENT = tuple(c for c in HALF.inputs if c.name != "current_rear")
 NO_CARS = {
     "does not carry the body": hung_up(HALF, "body_front"),
@@ -175,7 +199,10 @@ def test_env_i_of_a_batch_is_the_single_env_of_its_seed(network, options):
 )
 def test_threads_change_nothing(name, spread):
     """Groups of cars shared by one, two and three threads: observations, rewards and info to the last bit."""
-    fleets = [ISDSuspensionVectorEnv(43, name, road="E", randomize=spread, threads=n) for n in (1, 2, 3)]
+    fleets = [
+        ISDSuspensionVectorEnv(43, name, road="E", randomize=spread, threads=n)
+        for n in (1, 2, 3)
+    ]
     for cars in fleets:
         cars.reset(seed=5)
     rng = np.random.default_rng(2)
@@ -192,7 +219,9 @@ def test_threads_change_nothing(name, spread):
 
 def test_reset_mask_forgets_the_road_that_lies_behind():
     """A car that starts again has even road under its rear wheel, its neighbours go on."""
-    env = ISDSuspensionVectorEnv(3, "half-car-isd", autoreset_mode="disabled", road="bump", speed=20.0)
+    env = ISDSuspensionVectorEnv(
+        3, "half-car-isd", autoreset_mode="disabled", road="bump", speed=20.0
+    )
     env.reset(seed=0)
     for _ in range(210):  # the front wheel is over the bump, the rear one is not yet
         env.step(np.zeros((3, 2)))
@@ -241,8 +270,12 @@ def test_preview_is_what_the_wheels_meet_later(name):
     heights = np.array(heights)  # the corners of the first axle come first
     late = round(2.7 / 20.0 / 5e-3)
     for k in range(60):
-        np.testing.assert_allclose(views[k], heights[k + 1 : k + 21, :tracks].T, atol=1e-6)
-        np.testing.assert_allclose(views[k], heights[k + 1 + late : k + 21 + late, -tracks:].T, atol=1e-6)
+        np.testing.assert_allclose(
+            views[k], heights[k + 1 : k + 21, :tracks].T, atol=1e-6
+        )
+        np.testing.assert_allclose(
+            views[k], heights[k + 1 + late : k + 21 + late, -tracks:].T, atol=1e-6
+        )
     if tracks == 2:
         assert np.abs(heights[:, 0] - heights[:, 1]).max() > 1e-3
 
@@ -257,23 +290,42 @@ def stationary_rms(name):
     late = np.exp(-2j * np.pi * f[:, None, None] * np.array(car.wheels.behind) / 20.0)
     response = space.response(f)[:, :, columns] * late
     ground, track = paper_road(), np.array(car.wheels.track)
-    left, right = response[:, :, track == 0].sum(axis=2), response[:, :, track == 1].sum(axis=2)
+    left, right = (
+        response[:, :, track == 0].sum(axis=2),
+        response[:, :, track == 1].sum(axis=2),
+    )
     power = np.abs(left) ** 2 + np.abs(right) ** 2
     if car.wheels.tracks == 2:
         x = 2 * np.pi * f / 20.0 * car.wheels.width  # coherence of an isotropic surface
         power += 2 * (x * k1(x))[:, None] * np.real(left * right.conj())
     power *= ground.psd(f / 20.0)[:, None] / 20.0
-    return dict(zip([c.name for c in car.channels], np.sqrt(trapezoid(power, f, axis=0)), strict=True))
+    return dict(
+        zip(
+            [c.name for c in car.channels],
+            np.sqrt(trapezoid(power, f, axis=0)),
+            strict=True,
+        )
+    )
 
 
-@pytest.mark.parametrize(("name", "cost"), [("half-car-passive", HALF_CAR), ("full-car-passive", FULL_CAR)])
+@pytest.mark.parametrize(
+    ("name", "cost"), [("half-car-passive", HALF_CAR), ("full-car-passive", FULL_CAR)]
+)
 def test_references_are_the_rms_of_the_passive_car(name, cost):
-    rms, corners = stationary_rms(name), [c.name for c in vehicle(Network.load(name)).corners]
-    assert cost.acceleration_reference == pytest.approx(rms["body_acceleration"], rel=1e-3)
+    rms, corners = (
+        stationary_rms(name),
+        [c.name for c in vehicle(Network.load(name)).corners],
+    )
+    assert cost.acceleration_reference == pytest.approx(
+        rms["body_acceleration"], rel=1e-3
+    )
     assert cost.pitch_reference == pytest.approx(rms["pitch_acceleration"], rel=1e-3)
     if len(corners) == 4:
         assert cost.roll_reference == pytest.approx(rms["roll_acceleration"], rel=1e-3)
-    for kind, own in (("suspension_travel", cost.travel_reference), ("tyre_load", cost.tyre_load_reference)):
+    for kind, own in (
+        ("suspension_travel", cost.travel_reference),
+        ("tyre_load", cost.tyre_load_reference),
+    ):
         assert own == pytest.approx([rms[f"{kind}_{c}"] for c in corners], rel=1e-3)
     motions = cost.acceleration + cost.pitch + cost.roll
     assert motions == pytest.approx(0.6) and cost.travel == 0.3
@@ -286,12 +338,21 @@ def test_reward_is_the_stage_cost_of_the_signals():
     env.reset(seed=0)
     for _ in range(100):
         obs, reward, _, _, info = env.step(np.array([2.0, -4.0], np.float32))
-    signals = [*obs[[0, 1, 2, 6]], info["tyre_load_front"], info["tyre_load_rear"], *obs[[10, 11]]]
-    by_hand = np.dot(cost.factors(("pitch",), 2, 2), np.square(np.array(signals, float)))
+    signals = [
+        *obs[[0, 1, 2, 6]],
+        info["tyre_load_front"],
+        info["tyre_load_rear"],
+        *obs[[10, 11]],
+    ]
+    by_hand = np.dot(
+        cost.factors(("pitch",), 2, 2), np.square(np.array(signals, float))
+    )
     assert reward == pytest.approx(-by_hand, rel=1e-5)
     a, p = 0.3 * (obs[0] / 0.5903) ** 2, 0.3 * (obs[1] / 0.4431) ** 2
     travel = 0.15 * (obs[2] / 7.059e-3) ** 2 + 0.15 * (obs[6] / 7.250e-3) ** 2
-    assert (info["cost_acceleration"], info["cost_pitch"]) == pytest.approx((a, p), rel=1e-5)
+    assert (info["cost_acceleration"], info["cost_pitch"]) == pytest.approx(
+        (a, p), rel=1e-5
+    )
     assert info["cost_travel"] == pytest.approx(travel, rel=1e-5)
     assert info["cost_current"] == pytest.approx(0.05 * (4.0 + 16.0) / 25.0)
 
@@ -324,7 +385,9 @@ def test_full_observation_is_above_the_road():
     """Behind a step of the road all displacements come to rest at zero above its new height."""
     x = np.array([0.0, 1.0, 2.0, 200.0])
     step = Road("step", abscissa=x, profile=np.array([0.0, 0.0, 0.05, 0.05]))
-    net = without(HALF, "seal_front", "seal_rear")  # friction would hold the devices away from their rest
+    net = without(
+        HALF, "seal_front", "seal_rear"
+    )  # friction would hold the devices away from their rest
     env = ISDSuspensionEnv(net, road=step, observation="full", speed=20.0)
     env.reset(seed=0)
     for _ in range(2000):

@@ -11,8 +11,19 @@ CARS, STEPS = 4, 12
 MODES = ["next_step", "same_step", "disabled"]
 OPTIONS = {
     "plain": {},
-    "drawn": {"randomize": {"body.mass": (0.8, 1.2), "speed": (15.0, 30.0), "road": ["A", "B"]}},
-    "remembered": {"observation": "history", "reward": "relative", "action": "increment", "hold": 2},
+    "drawn": {
+        "randomize": {
+            "body.mass": (0.8, 1.2),
+            "speed": (15.0, 30.0),
+            "road": ["A", "B"],
+        }
+    },
+    "remembered": {
+        "observation": "history",
+        "reward": "relative",
+        "action": "increment",
+        "hold": 2,
+    },
     "noisy": {"sensors": {"noise": 1.0}, "observation": "preview"},
 }
 
@@ -51,7 +62,9 @@ def listed(value):
         return list(value) if value.dtype == object else value
     if isinstance(value, Mapping):
         return {key: listed(part) for key, part in value.items()}
-    return [listed(part) for part in value] if isinstance(value, list | tuple) else value
+    return (
+        [listed(part) for part in value] if isinstance(value, list | tuple) else value
+    )
 
 
 def actions(k):
@@ -62,7 +75,10 @@ def actions(k):
 @pytest.mark.parametrize("mode", MODES)
 def test_of_a_batch(mode, options):
     one, other = (
-        gym.make_vec(NAME, CARS, autoreset_mode=mode, max_episode_steps=5, **OPTIONS[options]) for _ in "12"
+        gym.make_vec(
+            NAME, CARS, autoreset_mode=mode, max_episode_steps=5, **OPTIONS[options]
+        )
+        for _ in "12"
     )
     calls = [lambda env: env.reset(seed=0)]
     calls += [lambda env, k=k: env.step(actions(k)) for k in range(STEPS)]
@@ -112,7 +128,10 @@ def test_the_helper_takes_the_arguments_of_stable_baselines3():
     twin.seed(5)
     np.testing.assert_array_equal(cars.reset(), twin.reset())
     assert cars.num_envs == 3 and cars.env.max_episode_steps == 100
-    ids = {env.env.spec.id for env in (make_vec_env(n_envs=2), make_vec_env(2), BatchedVecEnv(count=2))}
+    ids = {
+        env.env.spec.id
+        for env in (make_vec_env(n_envs=2), make_vec_env(2), BatchedVecEnv(count=2))
+    }
     assert len(ids) == 1
 
 

@@ -20,8 +20,21 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from builders import channel, damper, spring
-from isd_gym.agents._archives import array, convert, read_normalize, read_pickle, read_torch
-from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy, read_safetensors
+from isd_gym.agents._archives import (
+    array,
+    convert,
+    read_normalize,
+    read_pickle,
+    read_torch,
+)
+from isd_gym.agents.policy import (
+    JSON_NAME,
+    SHIPPED,
+    WEIGHTS_NAME,
+    Head,
+    Policy,
+    read_safetensors,
+)
 from program import assert_one_line, python, refused, run
 
 from isd_gym._common.errors import InputError, plain, shown
@@ -47,7 +60,10 @@ from isd_gym.records.data import _isolated as isolated
         ("score passive --speed inf", "--speed must be a finite number"),
         ("score passive --episodes 1 --duration 1e12", "GB of memory"),
         ("score passive --duration 0.01 --episodes 1000000000000", "GB of memory"),
-        ("score passive --duration 0.01 --episodes 99999999999999999999", "GB of memory"),
+        (
+            "score passive --duration 0.01 --episodes 99999999999999999999",
+            "GB of memory",
+        ),
         ("show passive --seconds 1e12", "--seconds: a drive"),
     ],
 )
@@ -64,17 +80,34 @@ def test_a_name_in_markdown_is_text_in_one_cell():
     """Neither HTML nor Markdown sees markup; the entities decode to the name."""
     for code in (False, True):
         text = markdown(HOSTILE, code=code)
-        assert not set("<>|`*[]#") & set(text.replace("&#", "")) and html.unescape(text) == HOSTILE
-    assert markdown("mpc-friction_2", code=True) == "`mpc-friction_2`" and markdown("speed 10") == "speed 10"
-    assert html.unescape(markdown("_a_ b_c")) == "_a_ b_c" and "_a" not in markdown("_a_ b_c")
+        assert (
+            not set("<>|`*[]#") & set(text.replace("&#", ""))
+            and html.unescape(text) == HOSTILE
+        )
+    assert (
+        markdown("mpc-friction_2", code=True) == "`mpc-friction_2`"
+        and markdown("speed 10") == "speed 10"
+    )
+    assert html.unescape(markdown("_a_ b_c")) == "_a_ b_c" and "_a" not in markdown(
+        "_a_ b_c"
+    )
 
 
 def test_a_name_of_a_condition_leaves_the_table_of_a_sweep_whole(tmp_path):
-    grid = {"policies": ["isd-passive"], "episodes": 1, "duration": 0.1, "conditions": [{"name": HOSTILE}]}
+    grid = {
+        "policies": ["isd-passive"],
+        "episodes": 1,
+        "duration": 0.1,
+        "conditions": [{"name": HOSTILE}],
+    }
     sweep(Grid.from_dict(grid), tmp_path / "out")
     text = (tmp_path / "out" / "sweep.md").read_text()
     rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert len(rows) == 3 and {row.count("|") for row in rows} == {3} and "<script" not in text
+    assert (
+        len(rows) == 3
+        and {row.count("|") for row in rows} == {3}
+        and "<script" not in text
+    )
 
 
 def test_names_are_shown_in_one_line_that_steers_nothing():
@@ -82,21 +115,36 @@ def test_names_are_shown_in_one_line_that_steers_nothing():
     assert shown("a\nisd-gym: all fine") == r"'a\nisd-gym: all fine'"
     assert shown("\x1b[31mred\u202e\ud800\u2028") == r"'\x1b[31mred\u202e\ud800\u2028'"
     assert len(shown("x" * 10_000)) < 100
-    assert shown(10**400) == "a whole number of 401 digits" and shown({"a": 1}) == "an object"
+    assert (
+        shown(10**400) == "a whole number of 401 digits"
+        and shown({"a": 1}) == "an object"
+    )
     assert str(InputError("first\nsecond\r\x1b[2J")) == r"first\nsecond\r\x1b[2J"
     assert len(str(InputError("x" * 100_000))) <= 1200
     assert plain("ok") == "ok"
 
 
 @pytest.mark.parametrize(
-    "name", ["x" * 5000, "x" * 300 + ".csv", "x" * 300 + ".zip", "a\0b", "~" * 300 + "/policy.json"]
+    "name",
+    [
+        "x" * 5000,
+        "x" * 300 + ".csv",
+        "x" * 300 + ".zip",
+        "a\0b",
+        "~" * 300 + "/policy.json",
+    ],
 )
 def test_a_name_that_no_file_can_have_is_one_line(name, tmp_path):
     for use in (Network.load, Policy.load, read_table, road, Grid.load, register_file):
         refused("", use, name)
     refused("", find, name, Network.load("quarter-car-isd"))
     for write in (claim_folder, whole_folder):
-        refused("", lambda write=write: write(tmp_path / name, "page", "mark", ("mark",)).__enter__())
+        refused(
+            "",
+            lambda write=write: write(
+                tmp_path / name, "page", "mark", ("mark",)
+            ).__enter__(),
+        )
     refused("", whole(tmp_path / name).__enter__)
 
 
@@ -106,13 +154,34 @@ def test_a_folder_of_a_sweep_may_hold_anything(tmp_path):
     merged, _ = sweep(grid, tmp_path / "out")
     items = sorted((tmp_path / "out" / "items").iterdir())
     good = json.loads(items[0].read_text())
-    strange = [{}, [], None, good["result"] | {"measures": {}}, good["result"] | {"fallbacks": "many"}]
-    strange.append(good["result"] | {"measures": {key: [1e300] * 2 for key in good["result"]["measures"]}})
-    for name, value in (("tyre_load_rms", -1.2e15), ("current_rms", 10**40), ("cost", 1e300), ("cost", True)):
-        strange.append(good["result"] | {"measures": good["result"]["measures"] | {name: [value]}})
-    for text in [*(json.dumps(good | {"result": result}) for result in strange), "[" * 100_000]:
+    strange = [
+        {},
+        [],
+        None,
+        good["result"] | {"measures": {}},
+        good["result"] | {"fallbacks": "many"},
+    ]
+    strange.append(
+        good["result"]
+        | {"measures": {key: [1e300] * 2 for key in good["result"]["measures"]}}
+    )
+    for name, value in (
+        ("tyre_load_rms", -1.2e15),
+        ("current_rms", 10**40),
+        ("cost", 1e300),
+        ("cost", True),
+    ):
+        strange.append(
+            good["result"] | {"measures": good["result"]["measures"] | {name: [value]}}
+        )
+    for text in [
+        *(json.dumps(good | {"result": result}) for result in strange),
+        "[" * 100_000,
+    ]:
         items[0].write_text(text)
-        assert len(stored(grid.all_items(), tmp_path / "out" / "items")) == len(items) - 1
+        assert (
+            len(stored(grid.all_items(), tmp_path / "out" / "items")) == len(items) - 1
+        )
     assert sweep(grid, tmp_path / "out")[0] == merged
     (tmp_path / "dear").write_text("dear")
     items[0].unlink()
@@ -155,7 +224,14 @@ def torch_file(state):
     out = b"\x80\x02}("
     for name, (size, stride, offset) in state.items():
         out += text(name) + b"ctorch._utils\n_rebuild_tensor_v2\n("
-        out += b"(" + text("storage") + b"ctorch\nFloatStorage\n" + text("0") + text("cpu") + whole_number(24)
+        out += (
+            b"("
+            + text("storage")
+            + b"ctorch\nFloatStorage\n"
+            + text("0")
+            + text("cpu")
+            + whole_number(24)
+        )
         out += b"tQ" + whole_number(offset) + tuple_of(size) + tuple_of(stride)
         out += b"\x89ccollections\nOrderedDict\n)RtR"
     numbers = np.arange(24, dtype="<f4").tobytes()
@@ -226,9 +302,15 @@ HOSTILE_MEANS = {
 
 @pytest.mark.parametrize("how", HOSTILE_MEANS)
 def test_no_array_is_made_of_a_pickle_s_own_constructors(how, tmp_path):
-    if how == "a dtype's state":  # its flags say "objects inside": passed over, the numbers are numbers
-        mean, _, _ = read_normalize(normalize_file(tmp_path / "n.pkl", HOSTILE_MEANS[how]))
-        assert mean.dtype == np.float64 and (mean == np.frombuffer(b"\x41" * 8)[0]).all()
+    if (
+        how == "a dtype's state"
+    ):  # its flags say "objects inside": passed over, the numbers are numbers
+        mean, _, _ = read_normalize(
+            normalize_file(tmp_path / "n.pkl", HOSTILE_MEANS[how])
+        )
+        assert (
+            mean.dtype == np.float64 and (mean == np.frombuffer(b"\x41" * 8)[0]).all()
+        )
         return
     path = normalize_file(tmp_path / "n.pkl", HOSTILE_MEANS[how])
     refused("is not a saved VecNormalize", read_normalize, path)
@@ -236,10 +318,18 @@ def test_no_array_is_made_of_a_pickle_s_own_constructors(how, tmp_path):
 
 def test_arrays_that_numpy_pickles_are_read_in_every_protocol():
     table = np.arange(6.0).reshape(2, 3)
-    values = [table, np.asfortranarray(table), np.float64(2.5), np.zeros(0), np.arange(3)]
+    values = [
+        table,
+        np.asfortranarray(table),
+        np.float64(2.5),
+        np.zeros(0),
+        np.arange(3),
+    ]
     for protocol in range(3, 6):
         for value in values:
-            np.testing.assert_array_equal(array(read_pickle(pickle.dumps(value, protocol))), value)
+            np.testing.assert_array_equal(
+                array(read_pickle(pickle.dumps(value, protocol))), value
+            )
 
 
 @pytest.mark.parametrize(
@@ -288,9 +378,15 @@ BOX = {":type:": "Box"}
     [
         ({"observation_space": BOX | {"_shape": 5}}, "shape 5"),
         ({"observation_space": 5}, "not a Box"),
-        ({"action_space": BOX | {"_shape": [1], "high": "much"}}, "bound of its actions is 'much'"),
+        (
+            {"action_space": BOX | {"_shape": [1], "high": "much"}},
+            "bound of its actions is 'much'",
+        ),
         ({"action_space": BOX | {"_shape": [10**400]}}, "digits"),
-        ({"policy_kwargs": {"activation_fn": "\x1b[31m"}}, r"activation '\\x1b\[31m' is not supported"),
+        (
+            {"policy_kwargs": {"activation_fn": "\x1b[31m"}},
+            r"activation '\\x1b\[31m' is not supported",
+        ),
     ],
 )
 def test_an_archive_s_description_may_be_anything(change, says, tmp_path):
@@ -300,8 +396,16 @@ def test_an_archive_s_description_may_be_anything(change, says, tmp_path):
 def test_broken_archives_are_one_line(tmp_path):
     path = tmp_path / "m.zip"
     assert convert(archive(path)).act(np.zeros(6)) == 5.0
-    refused("'action_net.bias' is missing", convert, archive(path, parts={"action_net.bias": None}))
-    refused("does not fit", convert, archive(path, parts={"action_net.weight": ((4,), (1,), 0)}))
+    refused(
+        "'action_net.bias' is missing",
+        convert,
+        archive(path, parts={"action_net.bias": None}),
+    )
+    refused(
+        "does not fit",
+        convert,
+        archive(path, parts={"action_net.weight": ((4,), (1,), 0)}),
+    )
     path.write_bytes(zipped({"data": "[1]", "policy.pth": b""}))
     refused("its data is a list", convert, path)
     path.write_bytes(zipped({"data": "[" * 100_000, "policy.pth": b""}))
@@ -373,18 +477,33 @@ def test_a_policy_folder_with_a_strange_value_is_one_line(path, value, says, tmp
 
 def test_a_policy_commands_no_more_than_the_limits_and_always_a_number():
     rng = np.random.default_rng(0)
-    first, inner = 1e11 * rng.standard_normal((64, 6)), 1e12 * np.sign(rng.standard_normal((64, 64)))
+    first, inner = (
+        1e11 * rng.standard_normal((64, 6)),
+        1e12 * np.sign(rng.standard_normal((64, 64))),
+    )
     weights = [first, *[inner] * 7, rng.standard_normal((1, 64))]
     big = [(np.clip(w, -1e12, 1e12), np.zeros(len(w))) for w in weights]
     for mode in ("target", "increment"):
         policy = Policy(big, activation="relu", head=Head(mode=mode))
         for _ in range(20):
-            current = policy.act(10.0 ** rng.uniform(-3, 30, 6) * rng.choice([-1, 1], 6))
+            current = policy.act(
+                10.0 ** rng.uniform(-3, 30, 6) * rng.choice([-1, 1], 6)
+            )
             assert np.isfinite(current) and abs(current) <= 5.0
-    for wrong in (dict(limit=np.nan), dict(limit=6.0), dict(slew=50.0), dict(keep=2.0), dict(gain=np.inf)):
+    for wrong in (
+        dict(limit=np.nan),
+        dict(limit=6.0),
+        dict(slew=50.0),
+        dict(keep=2.0),
+        dict(gain=np.inf),
+    ):
         refused("", Head, **wrong)
     ones = [(np.ones((1, 6)), np.zeros(1))]
-    for wrong in (dict(clip=np.nan), dict(mean=np.full(6, np.nan)), dict(scale=np.zeros(6))):
+    for wrong in (
+        dict(clip=np.nan),
+        dict(mean=np.full(6, np.nan)),
+        dict(scale=np.zeros(6)),
+    ):
         refused("", Policy, ones, **wrong)
     refused("larger", Policy, [(np.full((1, 6), 1e300), np.zeros(1))])
 
@@ -399,12 +518,19 @@ def test_a_policy_commands_no_more_than_the_limits_and_always_a_number():
         {"a": {"dtype": "F32", "shape": [2], "data_offsets": [0, 10**400]}},
         {"a": 5},
         [1],
-        {str(i): {"dtype": "F32", "shape": [], "data_offsets": [0, 4]} for i in range(1000)},
+        {
+            str(i): {"dtype": "F32", "shape": [], "data_offsets": [0, 4]}
+            for i in range(1000)
+        },
     ],
 )
 def test_a_header_of_weights_may_be_anything(header):
     text = json.dumps(header).encode()
-    refused("safetensors|digits", read_safetensors, struct.pack("<Q", len(text)) + text + bytes(8))
+    refused(
+        "safetensors|digits",
+        read_safetensors,
+        struct.pack("<Q", len(text)) + text + bytes(8),
+    )
     refused("safetensors", read_safetensors, struct.pack("<Q", 2**63) + text)
 
 
@@ -432,13 +558,22 @@ def output(**change):
         (output(quantity=["force"]), "unknown quantity a list"),
         (output(quantity={"a": 1}), "unknown quantity an object"),
         (output(unit=["m"]), "unknown unit a list"),
-        (element(stiffness=10**400), "must be finite, not a whole number of 401 digits"),
+        (
+            element(stiffness=10**400),
+            "must be finite, not a whole number of 401 digits",
+        ),
         (element(stiffness=1e308), r"stiffness must be at most 1e\+12 N/m"),
         (element(between=["body", ["wheel"]]), "two node names"),
-        (element(between=["body", "a\nisd-gym: all fine"]), r"'a\\nisd-gym: all fine' cannot be a name"),
+        (
+            element(between=["body", "a\nisd-gym: all fine"]),
+            r"'a\\nisd-gym: all fine' cannot be a name",
+        ),
         (element(name="\x1b[31m"), r"'\\x1b\[31m' cannot be a name"),
         (element(name="x" * 10_000), "cannot be a name"),
-        (output(name="=1+1|cmd"), "'=1.1.cmd' cannot begin with =: a spreadsheet takes it as a formula"),
+        (
+            output(name="=1+1|cmd"),
+            "'=1.1.cmd' cannot begin with =: a spreadsheet takes it as a formula",
+        ),
         (output(name="@SUM(A1)"), "cannot begin with @"),
         (model(masses={"body": 10**400}), "positive number of kg"),
         (model(masses={"body": 1e300}), "1e-09 to 1e"),
@@ -458,13 +593,37 @@ def test_a_model_may_hold_anything(data, says):
 def test_every_number_of_every_element_has_a_hard_limit():
     for kind, cls in el.TYPES.items():
         where = ("a", "b") if cls.place == "between" else ("a",)
-        lowest = {f.name: f.metadata["range"][0] for f in fields(cls) if "unit" in f.metadata}
-        usual = {name: max(low, 1e-3) if np.isfinite(low) else 1.0 for name, low in lowest.items()}
-        table = {"elongation": [0.0, 1.0], "force": [0.0, 1.0]} if kind == "tabulated_force" else {}
+        lowest = {
+            f.name: f.metadata["range"][0] for f in fields(cls) if "unit" in f.metadata
+        }
+        usual = {
+            name: max(low, 1e-3) if np.isfinite(low) else 1.0
+            for name, low in lowest.items()
+        }
+        table = (
+            {"elongation": [0.0, 1.0], "force": [0.0, 1.0]}
+            if kind == "tabulated_force"
+            else {}
+        )
         cls(name="x", where=where, **usual, **table)
         for name in usual:
-            for value in (1.5e33, -1e308, float("nan"), 10**400, "1", True, None, [1.0]):
-                refused(f"{name} must be", cls, name="x", where=where, **{**usual, **table, name: value})
+            for value in (
+                1.5e33,
+                -1e308,
+                float("nan"),
+                10**400,
+                "1",
+                True,
+                None,
+                [1.0],
+            ):
+                refused(
+                    f"{name} must be",
+                    cls,
+                    name="x",
+                    where=where,
+                    **{**usual, **table, name: value},
+                )
         assert kind
 
 
@@ -489,9 +648,15 @@ def test_large_networks_answer_or_are_refused_within_seconds():
         (b"\xef\xbb\xbf" + json.dumps(model()).encode(), None),
         (b"[" * 100_000, "levels|not JSON"),
         (b'{"schema": ' + b"[" * 500 + b"]" * 500 + b"}", "levels"),
-        (b'{"schema": "isd-model/1", "elements": [' + b"9" * 5000 + b"]}", "5000 digits"),
+        (
+            b'{"schema": "isd-model/1", "elements": [' + b"9" * 5000 + b"]}",
+            "5000 digits",
+        ),
         (b'{"schema": NaN}', "NaN is no number"),
-        (b'{"schema": "isd-model/1", "masses": {"body": 1.0, "body": 345.0}}', "key 'body' twice"),
+        (
+            b'{"schema": "isd-model/1", "masses": {"body": 1.0, "body": 345.0}}',
+            "key 'body' twice",
+        ),
         (b'{"elements": [{"name": "a"}], "elements": []}', "key 'elements' twice"),
         (b'{"schema": 1e999}', "too large"),
         (b'{"schema": "\\ud800"}', "no Unicode text"),
@@ -572,8 +737,12 @@ with files.whole_folder(where, "thing", "thing.json", ("thing.json",)) as place:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9")
-@pytest.mark.parametrize(("when", "text"), [("within", "old"), ("fallback", "old"), ("after", "new")])
-def test_a_kill_at_any_moment_loses_no_folder_and_leaves_nothing_for_long(when, text, tmp_path):
+@pytest.mark.parametrize(
+    ("when", "text"), [("within", "old"), ("fallback", "old"), ("after", "new")]
+)
+def test_a_kill_at_any_moment_loses_no_folder_and_leaves_nothing_for_long(
+    when, text, tmp_path
+):
     write_thing(tmp_path / "a", "old")
     assert python(KILLED, tmp_path / "a", when).returncode == -9
     write_thing(tmp_path / "b")  # the next write in that place clears up
@@ -582,7 +751,10 @@ def test_a_kill_at_any_moment_loses_no_folder_and_leaves_nothing_for_long(when, 
 
 
 def test_the_workshop_of_a_living_process_is_not_cleared(tmp_path):
-    with whole_folder(tmp_path / "a", *PLACE) as place, whole(tmp_path / "x.json") as file:
+    with (
+        whole_folder(tmp_path / "a", *PLACE) as place,
+        whole(tmp_path / "x.json") as file,
+    ):
         write_thing(tmp_path / "b")
         (place / "thing.json").write_text("still here")
         file.write_text("here too")
@@ -601,7 +773,9 @@ def table(tmp_path, suffix, n=100):
 OTHER = f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); import isd_gym.records._formats.mat as m; "
 
 
-def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, monkeypatch):
+def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(
+    tmp_path, monkeypatch
+):
     path = table(tmp_path, ".mat")
     isolated._stop()  # a helper that has read many files ends with the next one
     read_table(path)
@@ -631,11 +805,21 @@ def test_what_would_unpack_to_too_much_is_not_unpacked(tmp_path, monkeypatch):
     import pyarrow
 
     same = pyarrow.array(np.zeros(4_000_000))
-    parquet.write_table(pyarrow.table({"time": same, "x": same}), tmp_path / "b.parquet", compression="zstd")
-    refused("would take .* GB, the limit is 0.02 .*ISD_GYM_READ_LIMIT_GB", read_table, tmp_path / "b.parquet")
+    parquet.write_table(
+        pyarrow.table({"time": same, "x": same}),
+        tmp_path / "b.parquet",
+        compression="zstd",
+    )
+    refused(
+        "would take .* GB, the limit is 0.02 .*ISD_GYM_READ_LIMIT_GB",
+        read_table,
+        tmp_path / "b.parquet",
+    )
     head = b"MATLAB 5.0".ljust(124) + b"\x00\x01IM"
     packed = zlib.compress(struct.pack("<II", 14, 2**29) + bytes(60_000_000), 9)
-    (tmp_path / "b.mat").write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    (tmp_path / "b.mat").write_bytes(
+        head + struct.pack("<II", 15, len(packed)) + packed
+    )
     refused("the limit is 0.02", read_table, tmp_path / "b.mat")
     (tmp_path / "b.csv").write_text("time,x\n" + "0,1\n" * 1_000_000)
     refused("the limit is 0.02", read_table, tmp_path / "b.csv")
@@ -652,7 +836,13 @@ def test_what_would_unpack_to_too_much_is_not_unpacked(tmp_path, monkeypatch):
         ("time,x\n0,1\n1," + "9" * 200_000 + "\n", "line 3 has 200002 characters"),
         ("time," + "x" * 200_000 + "\n0,1\n1,2\n", "line 1 has"),
         ('time,x\n0,"' + "a" * 131_060 + "\n", "."),
-        (",".join(f"c{i}" for i in range(20_000)) + "\n" + ",".join("1" * 20_000) + "\n", "20000 columns"),
+        (
+            ",".join(f"c{i}" for i in range(20_000))
+            + "\n"
+            + ",".join("1" * 20_000)
+            + "\n",
+            "20000 columns",
+        ),
         ("time,x\x1b[31m\n0,1\n", r"it has: time, x\\x1b\[31m"),
         ("time,x\n0,1\n1,\x1b]0;owned\x07\n", r"'\\x1b\]0;owned\\x07' is not a number"),
         ("\0", "not a text table"),
@@ -723,11 +913,17 @@ def test_a_record_whose_time_is_no_time_does_not_hang():
 
 
 def test_what_is_not_finite_is_not_written(tmp_path):
-    runaway = builders.element("a", "cubic_stiffness", "body", "ground", stiffness=-1e15)
-    network = Network.load("quarter-car-isd").with_element(spring("body", "ground", 1.0, "c"))
+    runaway = builders.element(
+        "a", "cubic_stiffness", "body", "ground", stiffness=-1e15
+    )
+    network = Network.load("quarter-car-isd").with_element(
+        spring("body", "ground", 1.0, "c")
+    )
     network.with_element(runaway).save(tmp_path / "m.json")
     t = np.arange(2000) * 1e-3
-    write_table(tmp_path / "d.csv", Table(t, {"road": 100 * np.sin(20 * t), "current": 0 * t}))
+    write_table(
+        tmp_path / "d.csv", Table(t, {"road": 100 * np.sin(20 * t), "current": 0 * t})
+    )
     done = run("simulate", "m.json", "d.csv", "--out", "o.csv", cwd=tmp_path)
     assert_one_line(done, "fails at t = ")
     assert not (tmp_path / "o.csv").exists()
@@ -746,9 +942,16 @@ def spoilt_text(rng, text):
         elif change == 2:
             out[at:at] = out[at : at + length]
         else:
-            out[at:at] = [b"1e400", b"-1", b"null", b"[]", b"\x00", b"NaN", b'"ground"', b","][
-                int(rng.integers(8))
-            ]
+            out[at:at] = [
+                b"1e400",
+                b"-1",
+                b"null",
+                b"[]",
+                b"\x00",
+                b"NaN",
+                b'"ground"',
+                b",",
+            ][int(rng.integers(8))]
     return bytes(out)
 
 
@@ -758,7 +961,10 @@ def rows_of_a_table():
 
 
 SPOILABLE = {
-    "model.json": (lambda: json.dumps(Network.load("quarter-car-isd").to_dict()), linearise),
+    "model.json": (
+        lambda: json.dumps(Network.load("quarter-car-isd").to_dict()),
+        linearise,
+    ),
     "table.csv": (rows_of_a_table, read_table),
 }
 

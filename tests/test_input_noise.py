@@ -6,7 +6,10 @@ import pytest
 from builders import channel, damper, element, spring
 
 from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis._estimation.exchanged_roles import prefer_direct_problem, swap_roles
+from isd_gym.diagnosis._estimation.exchanged_roles import (
+    prefer_direct_problem,
+    swap_roles,
+)
 from isd_gym.diagnosis._estimation.noise import floors_of, propagate_input_noise
 from isd_gym.diagnosis._records.filtering import estimate_white_noise, find_noise_band
 from isd_gym.diagnosis._selection.settings import SearchSettings
@@ -20,11 +23,19 @@ LIMITS = SearchSettings().input_noise, SearchSettings().swapped_error
 
 def rig(stiffness=STIFFNESS):
     """A carriage whose measured motion is the input, with the force at it as output."""
-    ground, known = ("carriage", "ground"), {"inertia.inertance": 0.1, "guide.damping": 0.5}
-    elements = [element("inertia", "inertance", *ground, inertance=MASS), damper(*ground, DAMPING, "guide")]
+    ground, known = (
+        ("carriage", "ground"),
+        {"inertia.inertance": 0.1, "guide.damping": 0.5},
+    )
+    elements = [
+        element("inertia", "inertance", *ground, inertance=MASS),
+        damper(*ground, DAMPING, "guide"),
+    ]
     elements += [spring(*ground, stiffness)] if stiffness else []
     position = channel("position", "displacement", "carriage", unit="mm")
-    return builders.network("carriage", elements, [position], ["force force carriage"], uncertainty=known)
+    return builders.network(
+        "carriage", elements, [position], ["force force carriage"], uncertainty=known
+    )
 
 
 def moved(seed, friction=0.0):
@@ -69,8 +80,14 @@ def test_the_noise_of_the_encoder_is_seen_in_the_computed_force(encoder, frictio
     """Reference: the force computed from the noisy motion, minus that computed from the motion itself."""
     network = rig()
     clean = [moved(k, friction) for k in range(2)]
-    problem = Problem(network, [as_record(*c, encoder, k) for k, c in enumerate(clean)], ["fit", "fit"])
-    bare = Problem(network, [as_record(*c, 0.0, k) for k, c in enumerate(clean)], ["fit", "fit"])
+    problem = Problem(
+        network,
+        [as_record(*c, encoder, k) for k, c in enumerate(clean)],
+        ["fit", "fit"],
+    )
+    bare = Problem(
+        network, [as_record(*c, 0.0, k) for k, c in enumerate(clean)], ["fit", "fit"]
+    )
     noisy, true = (p.simulate_all([network], [0, 1]) for p in (problem, bare))
     expected = np.std(np.concatenate([noisy[i] - true[i] for i in (0, 1)]))
     assert expected > 2 * 0.02  # it rules over the noise of the cell
@@ -109,8 +126,12 @@ def test_swapped_roles_are_the_same_carriage():
     """The force that the first model computes for a motion drives the second model along this motion."""
     network = rig()
     swapped = swap_roles(network, network.inputs[0], network.outputs[0])
-    assert [(c.name, c.quantity, c.unit) for c in swapped.inputs] == [("force", "force", "N")]
-    assert [(c.name, c.quantity, c.unit) for c in swapped.outputs] == [("position", "displacement", "mm")]
+    assert [(c.name, c.quantity, c.unit) for c in swapped.inputs] == [
+        ("force", "force", "N")
+    ]
+    assert [(c.name, c.quantity, c.unit) for c in swapped.outputs] == [
+        ("position", "displacement", "mm")
+    ]
     x, force = pushed(0)
     record = Record("run", STEP, {"force": force}, 1e3 * x[:, None])
     seen = Problem(swapped, [record], ["fit"]).simulate([swapped], 0)[:, 0, 0]
@@ -123,7 +144,9 @@ def test_the_direct_problem_is_preferred_where_noise_rules_the_inverse_one():
     assert found is not None
     turned, network, note = found
     assert [c.name for c in network.inputs] == ["force"]
-    assert turned[0].measured[:, 0] == pytest.approx(1e3 * records[0].inputs["position"])
+    assert turned[0].measured[:, 0] == pytest.approx(
+        1e3 * records[0].inputs["position"]
+    )
     assert turned[2].inputs["force"] == pytest.approx(records[2].measured[:, 0])
     assert note.startswith("force is taken as input and position as output: noise of position, differentiated twice, would be ")  # fmt: skip
     quiet = [as_record(*pushed(k), 1e-7, k) for k in range(3)]
@@ -132,14 +155,18 @@ def test_the_direct_problem_is_preferred_where_noise_rules_the_inverse_one():
 
 def as_table(r):
     columns = {"position": 1e3 * r.inputs["position"], "force": r.measured[:, 0]}
-    return Table(STEP * np.arange(len(r)), columns, r.name, {"position": "mm", "force": "N"})
+    return Table(
+        STEP * np.arange(len(r)), columns, r.name, {"position": "mm", "force": "N"}
+    )
 
 
 def constant_speed(speed, seed, friction):
     """(position, force) at a constant speed: the force balances friction and says nothing about the motion."""
     t = np.arange(SAMPLES // 6) * STEP
     ripple = 0.3 * np.random.default_rng(seed).standard_normal(len(t))
-    return speed * t, SOFT * speed * t + DAMPING * speed + friction * np.sign(speed) + ripple
+    return speed * t, SOFT * speed * t + DAMPING * speed + friction * np.sign(
+        speed
+    ) + ripple
 
 
 SOFT = 20.0  # [N/m]
@@ -148,8 +175,13 @@ SPEEDS = (0.02, -0.05, 0.1, -0.2, 0.15, -0.1, 0.05, -0.15)
 
 def test_a_motion_that_the_force_does_not_determine_is_no_direct_problem():
     """Constant speeds: a straight line follows the motion better than any model with a force can."""
-    records = [as_record(*constant_speed(v, k, 2.0), 3e-4, k) for k, v in enumerate(SPEEDS)]
-    assert propagate_input_noise(Problem(rig(SOFT), records, ["fit"] * len(records)))[0] > 1.0
+    records = [
+        as_record(*constant_speed(v, k, 2.0), 3e-4, k) for k, v in enumerate(SPEEDS)
+    ]
+    assert (
+        propagate_input_noise(Problem(rig(SOFT), records, ["fit"] * len(records)))[0]
+        > 1.0
+    )
     assert prefer_direct_problem(records, rig(SOFT), 5, *LIMITS) is None
 
 

@@ -24,7 +24,12 @@ from isd_gym.records.loggers.record_reading import records_of, road_of
 from isd_gym.records.schemas import load
 from isd_gym.view.report.inspection import page
 
-NAMES = {"road": "base", "body_acceleration": "az_body", "wheel_acceleration": "az_wheel", "travel": "stroke"}
+NAMES = {
+    "road": "base",
+    "body_acceleration": "az_body",
+    "wheel_acceleration": "az_wheel",
+    "travel": "stroke",
+}
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +39,23 @@ def run():
 
 def written(path, head, *columns):
     """A text table at `path`; a head of '' writes numbers alone."""
-    np.savetxt(path, np.column_stack(columns), delimiter=",", header=head, comments="", fmt="%.12g")
+    np.savetxt(
+        path,
+        np.column_stack(columns),
+        delimiter=",",
+        header=head,
+        comments="",
+        fmt="%.12g",
+    )
     if not head:
         path.write_text(path.read_text().lstrip("\n"))
     return path
 
 
 def valid(path):
-    pytest.importorskip("jsonschema").validate(json.loads(path.read_text()), load("isd-map/1"))
+    pytest.importorskip("jsonschema").validate(
+        json.loads(path.read_text()), load("isd-map/1")
+    )
     return path
 
 
@@ -50,29 +64,52 @@ def found(tmp_path, run, names, units=None, suffix=".csv", factors=None):
     time, columns = run
     factors = factors or {}
     data = {n: columns[c] * factors.get(c, 1.0) for c, n in names.items()}
-    head = ",".join(["time", *(f"{n} [{units[c]}]" if units else n for c, n in names.items())])
+    head = ",".join(
+        ["time", *(f"{n} [{units[c]}]" if units else n for c, n in names.items())]
+    )
     file = tmp_path / f"rec{suffix}"
     if suffix == ".csv":
         written(file, head, time, *data.values())
     else:
-        write_table(file, Table(time, data, units={n: units[c] for c, n in names.items()} if units else {}))
+        write_table(
+            file,
+            Table(
+                time,
+                data,
+                units={n: units[c] for c, n in names.items()} if units else {},
+            ),
+        )
     return file, inspect([file], Network.load(CAR))
 
 
 def chosen(made):
-    return {name: pick.facts.name for name, (pick, _) in made.suggestion.channels.items()}
+    return {
+        name: pick.facts.name for name, (pick, _) in made.suggestion.channels.items()
+    }
 
 
 def test_names_that_say_nothing_are_told_by_physics_alone(tmp_path, run):
-    names = {"travel": "ch3", "road": "ch1", "wheel_acceleration": "ch4", "body_acceleration": "ch2"}
-    units = {"travel": "mm", "road": "mm", "wheel_acceleration": "g", "body_acceleration": "g"}
+    names = {
+        "travel": "ch3",
+        "road": "ch1",
+        "wheel_acceleration": "ch4",
+        "body_acceleration": "ch2",
+    }
+    units = {
+        "travel": "mm",
+        "road": "mm",
+        "wheel_acceleration": "g",
+        "body_acceleration": "g",
+    }
     factors = {n: 1 / 9.80665 if units[n] == "g" else 1e3 for n in names}
     _, made = found(tmp_path, run, names, units, factors=factors)
     assert chosen(made) == names
     assert all(sure > 0.9 for _, sure in made.suggestion.channels.values())
 
 
-def test_a_column_without_a_unit_keeps_the_channel_s_and_another_is_asked_for(tmp_path, run):
+def test_a_column_without_a_unit_keeps_the_channel_s_and_another_is_asked_for(
+    tmp_path, run
+):
     file, made = found(tmp_path, run, NAMES, factors={"travel": -1e3})
     pick, _ = made.suggestion.channels["travel"]
     assert (pick.facts.name, pick.unit, pick.sign) == ("stroke", "m", -1)
@@ -84,16 +121,29 @@ def test_a_column_without_a_unit_keeps_the_channel_s_and_another_is_asked_for(tm
 
 
 ANGLE = {"name": "phi", "quantity": "angle", "at": "arm", "unit": "deg"}
-PENDULUM = model("pendulum", [damper("arm", "ground", 0.01)], [], [ANGLE], inertias={"arm": 0.01})
+PENDULUM = model(
+    "pendulum", [damper("arm", "ground", 0.01)], [], [ANGLE], inertias={"arm": 0.01}
+)
 
 
 @pytest.mark.parametrize(
-    ("column", "unit"), [("phi", "deg"), ("winkel", "deg"), ("enc_arm_rad", "rad"), ("Winkel mrad", "mrad")]
+    ("column", "unit"),
+    [
+        ("phi", "deg"),
+        ("winkel", "deg"),
+        ("enc_arm_rad", "rad"),
+        ("Winkel mrad", "mrad"),
+    ],
 )
 def test_the_unit_is_that_of_the_model_or_of_the_column_s_name(tmp_path, column, unit):
     """A swing of 100 is plausible in deg, and in mrad too: nothing is guessed from the size."""
     time = 0.01 * np.arange(600)
-    file = written(tmp_path / "rec.csv", f"time,{column}", time, 100 * np.exp(-0.2 * time) * np.cos(6 * time))
+    file = written(
+        tmp_path / "rec.csv",
+        f"time,{column}",
+        time,
+        100 * np.exp(-0.2 * time) * np.cos(6 * time),
+    )
     made = inspect([file], Network.load(PENDULUM))
     assert made.map("pendulum.json").channels["phi"].unit == unit
 
@@ -111,13 +161,19 @@ def test_a_sign_that_the_physics_leaves_open_is_not_turned(tmp_path, run):
 def test_an_input_whose_outputs_are_all_turned_is_asked_for(tmp_path, run):
     _, made = found(tmp_path, run, NAMES, factors={"road": -1.0})
     assert {pick.sign for pick, _ in made.suggestion.channels.values()} == {1}
-    assert made.suggestion.remarks == ["all outputs follow the model turned round: --sign road=-1?"]
+    assert made.suggestion.remarks == [
+        "all outputs follow the model turned round: --sign road=-1?"
+    ]
 
 
 @pytest.mark.parametrize("cell", ["OVERLOAD", "\u22120.5"])
-def test_a_text_among_the_numbers_is_told_and_the_column_stays(tmp_path, run, program, cell):
+def test_a_text_among_the_numbers_is_told_and_the_column_stays(
+    tmp_path, run, program, cell
+):
     time, columns = run
-    file = written(tmp_path / "rec.csv", ",".join(["time", *columns]), time, *columns.values())
+    file = written(
+        tmp_path / "rec.csv", ",".join(["time", *columns]), time, *columns.values()
+    )
     rows = file.read_text().splitlines()
     at = 1 + list(columns).index("travel")
     cells = rows[200].split(",")
@@ -131,10 +187,19 @@ def test_a_text_among_the_numbers_is_told_and_the_column_stays(tmp_path, run, pr
     save_map(made.map("car.json"), tmp_path / "map.json")
     by = ChannelMap.load(tmp_path / "map.json")
     network = Network.load(CAR)
-    refused(f"column 'travel', line 201: '{cell}' is", runs, file, network, network.outputs, by=by)
+    refused(
+        f"column 'travel', line 201: '{cell}' is",
+        runs,
+        file,
+        network,
+        network.outputs,
+        by=by,
+    )
 
 
-def test_a_column_of_an_input_s_own_name_is_in_the_input_s_unit_whatever_the_model_lacks(tmp_path):
+def test_a_column_of_an_input_s_own_name_is_in_the_input_s_unit_whatever_the_model_lacks(
+    tmp_path,
+):
     rig = Network.load("quarter-car-isd")
     rng = np.random.default_rng(1)
     time = 2.5e-3 * np.arange(2400)
@@ -148,7 +213,9 @@ def test_a_column_of_an_input_s_own_name_is_in_the_input_s_unit_whatever_the_mod
 
 def test_two_columns_that_could_be_it_are_not_called_sure(tmp_path, run):
     time, columns = run
-    twin = columns["travel"] + 1e-5 * np.random.default_rng(1).standard_normal(len(time))
+    twin = columns["travel"] + 1e-5 * np.random.default_rng(1).standard_normal(
+        len(time)
+    )
     file = tmp_path / "rec.csv"
     more = {"travel_2": twin, "travel": twin[::-1], "travel_1": columns["travel"]}
     write_table(file, Table(time, columns | more))
@@ -176,24 +243,45 @@ def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, 
 def test_a_map_leads_a_score_to_the_road_that_a_logger_measured(tmp_path, run):
     """Signed, in mm, in a column of its own name: the profile over the time of the drive, from zero on."""
     time, columns = run
-    write_table(tmp_path / "rec.csv", Table(time + 3.0, {"Laser": -1e3 * columns["road"]}))
+    write_table(
+        tmp_path / "rec.csv", Table(time + 3.0, {"Laser": -1e3 * columns["road"]})
+    )
     by = ChannelMap({"road": Column("Laser", unit="mm", sign=-1)})
     ground = road_of(tmp_path / "rec.csv", Network.load(CAR), by)
     assert ground.over_time and ground.abscissa[0] == 0.0
     np.testing.assert_allclose(ground.profile, columns["road"], rtol=0, atol=1e-12)
     in_metres = ChannelMap({"road": Column("Laser")})
-    refused("is the height in mm", road_of, tmp_path / "rec.csv", Network.load(CAR), in_metres)
+    refused(
+        "is the height in mm",
+        road_of,
+        tmp_path / "rec.csv",
+        Network.load(CAR),
+        in_metres,
+    )
 
 
 def test_of_two_loggers_the_file_with_the_road_is_enough(tmp_path, run):
     """The second logger's stamps have a name of their own; the first logger's file has no road."""
     time, columns = run
-    write_table(tmp_path / "body.csv", Table(time, {"az": columns["body_acceleration"]}))
-    lines = (f"{t:.9g},{1e3 * z:.12g}" for t, z in zip(time, columns["road"], strict=True))
+    write_table(
+        tmp_path / "body.csv", Table(time, {"az": columns["body_acceleration"]})
+    )
+    lines = (
+        f"{t:.9g},{1e3 * z:.12g}" for t, z in zip(time, columns["road"], strict=True)
+    )
     (tmp_path / "wheel.csv").write_text("Zeit,Laser\n" + "\n".join(lines) + "\n")
-    told = {"road": Column("Laser", logger=2, unit="mm"), "body_acceleration": Column("az")}
-    by = ChannelMap(told, (Logger("body.csv", "time"), Logger("wheel.csv", "Zeit")), source="map.json")
-    both = road_of(f"{tmp_path / 'body.csv'}+{tmp_path / 'wheel.csv'}", Network.load(CAR), by)
+    told = {
+        "road": Column("Laser", logger=2, unit="mm"),
+        "body_acceleration": Column("az"),
+    }
+    by = ChannelMap(
+        told,
+        (Logger("body.csv", "time"), Logger("wheel.csv", "Zeit")),
+        source="map.json",
+    )
+    both = road_of(
+        f"{tmp_path / 'body.csv'}+{tmp_path / 'wheel.csv'}", Network.load(CAR), by
+    )
     ground = road_of(tmp_path / "wheel.csv", Network.load(CAR), by)
     np.testing.assert_allclose(ground.profile, columns["road"], rtol=0, atol=1e-9)
     np.testing.assert_allclose(both.profile, ground.profile, rtol=0, atol=1e-9)
@@ -219,7 +307,9 @@ def test_a_rate_that_is_too_slow_is_told(tmp_path):
     time = 0.1 * np.arange(600)
     file = tmp_path / "rec.csv"
     write_table(file, Table(time, {"x": np.sin(2 * np.pi * 3.7 * time)}))
-    assert "too slow for the motion" in " ".join(" ".join(lines(inspect([file]))).split())
+    assert "too slow for the motion" in " ".join(
+        " ".join(lines(inspect([file]))).split()
+    )
 
 
 def test_the_terminal_holds_80_columns_and_the_page_fetches_nothing(tmp_path, run):
@@ -234,16 +324,24 @@ def test_the_command_writes_its_page_and_over_no_record(tmp_path, program):
     file = tmp_path / "rec.csv"
     write_table(file, Table(0.01 * np.arange(400), {"x": np.sin(0.1 * np.arange(400))}))
     before = file.read_bytes()
-    done = CliRunner().invoke(program, ["inspect", str(file), "--html", str(tmp_path / "page.html")])
+    done = CliRunner().invoke(
+        program, ["inspect", str(file), "--html", str(tmp_path / "page.html")]
+    )
     assert done.exit_code == 0, done.output
     assert "<svg" in (tmp_path / "page.html").read_text()
     done = CliRunner().invoke(program, ["inspect", str(file), "--html", str(file)])
-    assert isinstance(done.exception, InputError) and "it is an input file" in str(done.exception)
+    assert isinstance(done.exception, InputError) and "it is an input file" in str(
+        done.exception
+    )
     assert file.read_bytes() == before
 
 
 def raster(time, **columns):
-    return Raster("rec.csv", np.asarray(time, float), {k: np.asarray(v, float) for k, v in columns.items()})
+    return Raster(
+        "rec.csv",
+        np.asarray(time, float),
+        {k: np.asarray(v, float) for k, v in columns.items()},
+    )
 
 
 def test_gaps_split_a_record_and_say_where():
@@ -251,7 +349,9 @@ def test_gaps_split_a_record_and_say_where():
     notes = []
     pieces = mended(raster(time, x=np.sin(time)), notes)
     assert [len(p) for p in pieces] == [500, 400]
-    assert "split at 2 gaps (3.01 s at 4.99 s" in notes[0] and "1 of 3 pieces" in notes[0]
+    assert (
+        "split at 2 gaps (3.01 s at 4.99 s" in notes[0] and "1 of 3 pieces" in notes[0]
+    )
 
 
 def test_samples_that_are_there_twice_are_taken_once():
@@ -295,7 +395,9 @@ def message_of(program, *words):
 
 def simulated(program, folder, model, *more, data="rec.csv"):
     data = "+".join(f"{folder / name}" for name in data.split("+"))
-    message = message_of(program, "simulate", folder / model, data, *more, "--out", folder / "o.csv")
+    message = message_of(
+        program, "simulate", folder / model, data, *more, "--out", folder / "o.csv"
+    )
     assert not (folder / "o.csv").exists()
     return message
 
@@ -306,11 +408,18 @@ def test_a_map_drives_a_simulation(tmp_path, run, program):
     (tmp_path / "car.json").write_text(json.dumps(CAR))
     by = {"schema": "isd-map/1", "channels": {"road": {"column": "base", "unit": "mm"}}}
     (tmp_path / "map.json").write_text(json.dumps(by))
-    words = [tmp_path / "car.json", tmp_path / "rec.csv", "--map", tmp_path / "map.json"]
+    words = [
+        tmp_path / "car.json",
+        tmp_path / "rec.csv",
+        "--map",
+        tmp_path / "map.json",
+    ]
     said(program, "simulate", *words, "--out", tmp_path / "out.csv")
     seen = np.loadtxt(tmp_path / "out.csv", delimiter=",", skiprows=1)
     truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")
-    np.testing.assert_allclose(seen[:, 1], truth["body_acceleration"], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        seen[:, 1], truth["body_acceleration"], rtol=1e-6, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -320,9 +429,15 @@ def test_a_map_drives_a_simulation(tmp_path, run, program):
             {"channels": {"road": {"column": "bse"}}},
             "no column 'bse', which .* for road; did you mean 'base'",
         ),
-        ({"channels": {"raod": {"column": "base"}}}, "no channel 'raod'; did you mean 'road'"),
+        (
+            {"channels": {"raod": {"column": "base"}}},
+            "no channel 'raod'; did you mean 'road'",
+        ),
         ({"channels": {"travel": {"column": "base"}}}, "no column for the input road"),
-        ({"channels": {"road": {"column": "base", "unit": "furlong"}}}, "unknown unit 'furlong'"),
+        (
+            {"channels": {"road": {"column": "base", "unit": "furlong"}}},
+            "unknown unit 'furlong'",
+        ),
         (
             {"channels": {"road": {"column": "base", "sign": 2}}},
             r"json: channels.road.sign: 2 is not one of \[1",
@@ -332,17 +447,27 @@ def test_a_map_drives_a_simulation(tmp_path, run, program):
         ({"chanels": {}}, "'chanels' was unexpected"),
     ],
 )
-def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, program, change, words):
+def test_a_wrong_map_is_one_line_and_nothing_is_written(
+    tmp_path, run, program, change, words
+):
     time, columns = run
     write_table(tmp_path / "rec.csv", Table(time, {"base": columns["road"]}))
     (tmp_path / "car.json").write_text(json.dumps(CAR))
     good = {"schema": "isd-map/1", "channels": {"road": {"column": "base"}}}
     (tmp_path / "map.json").write_text(json.dumps(good | change))
-    assert re.search(words, simulated(program, tmp_path, "car.json", "--map", tmp_path / "map.json"))
+    assert re.search(
+        words, simulated(program, tmp_path, "car.json", "--map", tmp_path / "map.json")
+    )
 
 
 BASE = channel("base", "displacement", "base", unit="mm")
-SWING = model("swing", [spring("mass", "base", 800.0)], [BASE], ["x displacement mass"], masses={"mass": 2.0})
+SWING = model(
+    "swing",
+    [spring("mass", "base", 800.0)],
+    [BASE],
+    ["x displacement mass"],
+    masses={"mass": 2.0},
+)
 
 
 @pytest.mark.parametrize("as_file", [False, True])
@@ -350,12 +475,20 @@ def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
     time = 0.01 * np.arange(200)
     write_table(tmp_path / "rec.csv", Table(time, {"base": np.full(200, 3.0)}))
     (tmp_path / "swing.json").write_text(json.dumps(SWING))
-    (tmp_path / "start.json").write_text(json.dumps({"mass": {"displacement": 0.01, "velocity": 0.1}}))
-    words = [tmp_path / "start.json"] if as_file else ["mass=0.01", "--initial", "mass.velocity=0.1"]
+    (tmp_path / "start.json").write_text(
+        json.dumps({"mass": {"displacement": 0.01, "velocity": 0.1}})
+    )
+    words = (
+        [tmp_path / "start.json"]
+        if as_file
+        else ["mass=0.01", "--initial", "mass.velocity=0.1"]
+    )
     words = [tmp_path / "swing.json", tmp_path / "rec.csv", "--initial", *words]
     said(program, "simulate", *words, "--out", tmp_path / "o.csv")
     seen = np.loadtxt(tmp_path / "o.csv", delimiter=",", skiprows=1)[:, 1]
-    truth = 0.003 + 0.007 * np.cos(20 * time) + 0.1 / 20 * np.sin(20 * time)  # about the base, at 20 rad/s
+    truth = (
+        0.003 + 0.007 * np.cos(20 * time) + 0.1 / 20 * np.sin(20 * time)
+    )  # about the base, at 20 rad/s
     np.testing.assert_allclose(seen, truth, atol=1e-9)
 
 
@@ -370,7 +503,9 @@ def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
     ],
 )
 def test_a_wrong_start_is_one_line(tmp_path, program, word, words):
-    write_table(tmp_path / "rec.csv", Table(0.01 * np.arange(200), {"base": np.zeros(200)}))
+    write_table(
+        tmp_path / "rec.csv", Table(0.01 * np.arange(200), {"base": np.zeros(200)})
+    )
     (tmp_path / "swing.json").write_text(json.dumps(SWING))
     assert words in simulated(program, tmp_path, "swing.json", "--initial", word)
 
@@ -384,26 +519,38 @@ def said(program, *words):
     return done.output
 
 
-def test_a_file_without_a_header_is_read_by_the_names_that_are_told(tmp_path, run, program):
+def test_a_file_without_a_header_is_read_by_the_names_that_are_told(
+    tmp_path, run, program
+):
     time, columns = run
     file = written(tmp_path / "bare.csv", "", time, *columns.values())
     (tmp_path / "car.json").write_text(json.dumps(CAR))
     car, out = tmp_path / "car.json", tmp_path / "out.csv"
     for words in (["inspect", file], ["simulate", car, file, "--out", out]):
         assert "--columns NAME,NAME,..." in message_of(program, *words)
-    assert "names 2 columns, line 1 has 5" in message_of(program, "inspect", file, "--columns", "time,x")
-    assert "name 2 of 2 is empty" in message_of(program, "inspect", file, "--columns", "time,")
-    assert "names 'time' twice" in message_of(program, "inspect", file, "--columns", "time,time")
+    assert "names 2 columns, line 1 has 5" in message_of(
+        program, "inspect", file, "--columns", "time,x"
+    )
+    assert "name 2 of 2 is empty" in message_of(
+        program, "inspect", file, "--columns", "time,"
+    )
+    assert "names 'time' twice" in message_of(
+        program, "inspect", file, "--columns", "time,time"
+    )
     names = ",".join(["time", *columns]).replace("travel", "travel [m]")
     asked = ["--columns", names, "--model", car, "--out", tmp_path / "map.json"]
     text = said(program, "inspect", file, *asked)
     assert "5 fields" not in text and "  travel " in text
     valid(tmp_path / "map.json")
-    truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")["travel"]
+    truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")[
+        "travel"
+    ]
     # the map remembers the names
     for more in (["--columns", names], ["--map", tmp_path / "map.json"]):
         said(program, "simulate", car, file, "--out", out, *more)
-        np.testing.assert_allclose(np.loadtxt(out, delimiter=",", skiprows=1)[:, 3], truth, atol=1e-6)
+        np.testing.assert_allclose(
+            np.loadtxt(out, delimiter=",", skiprows=1)[:, 3], truth, atol=1e-6
+        )
 
 
 BEARING = damper("wheel", "ground", 0.02, "bearing")
@@ -412,20 +559,32 @@ TURNING = model("spin", [BEARING], [], ["angle angle wheel"], inertias={"wheel":
 
 @pytest.mark.parametrize("unit", ["deg", "rad"])
 @pytest.mark.parametrize("low", [0.0, -0.5])
-def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(tmp_path, program, unit, low):
+def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(
+    tmp_path, program, unit, low
+):
     time = 0.002 * np.arange(4000)
     turn = {"deg": 360.0, "rad": 2 * np.pi}[unit]
-    turns = 30 * (1 - np.exp(-0.1 * time)) + 1e-4 * np.random.default_rng(0).standard_normal(4000)
-    head, angle = f"time,angle [{unit}],total [{unit}]", turn * ((turns - low) % 1 + low)
+    turns = 30 * (1 - np.exp(-0.1 * time)) + 1e-4 * np.random.default_rng(
+        0
+    ).standard_normal(4000)
+    head, angle = (
+        f"time,angle [{unit}],total [{unit}]",
+        turn * ((turns - low) % 1 + low),
+    )
     file = written(tmp_path / "rec.csv", head, time, angle, turn * turns)
     text = said(program, "inspect", file)
     assert "angle: an angle that begins anew each turn" in text
     assert "total:" not in text  # that one goes on by itself
     network = Network.load(TURNING)
-    for path in (file, f"{file}+{written(tmp_path / 'more.csv', 'time,other', time, time)}"):
+    for path in (
+        file,
+        f"{file}+{written(tmp_path / 'more.csv', 'time,other', time, time)}",
+    ):
         (record,) = records_of(path, network, network.outputs)
         angle = record.signals["angle"].values
-        np.testing.assert_allclose(np.diff(angle), 2 * np.pi * np.diff(turns), atol=1e-4)
+        np.testing.assert_allclose(
+            np.diff(angle), 2 * np.pi * np.diff(turns), atol=1e-4
+        )
         assert any("an angle that begins anew each turn" in n for n in record.notes)
         assert read_record(record, network, []).measured.shape == (4000, 1)
 

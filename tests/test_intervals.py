@@ -45,9 +45,13 @@ def test_an_added_damping_is_stated_with_the_damper_beside_it():
     element = structure.network.element(name)
     spread = np.array([0.1, 0.2 * damping, 0.3 * damping])
     matrix = np.outer(spread, spread) * (1.5 * np.eye(3) - 0.5)
-    found = sums_with_dampers(structure.network, structure, structure.start, element, matrix)
+    found = sums_with_dampers(
+        structure.network, structure, structure.start, element, matrix
+    )
     total = found[f"{name}.extension"]
-    assert [total.value, found[f"{name}.compression"].value] == pytest.approx([damping + 2, damping - 1])
+    assert [total.value, found[f"{name}.compression"].value] == pytest.approx(
+        [damping + 2, damping - 1]
+    )
     deviation = damping * np.sqrt(0.1**2 + 0.2**2 - 0.1 * 0.2)
     assert total.high - total.value == pytest.approx(1.96 * deviation, rel=1e-3)
 
@@ -63,7 +67,9 @@ def test_steps_of_differences_make_up_the_covariance_whatever_the_units():
     correlation = 0.3 * np.eye(len(deviation)) + 0.7
     wanted = correlation * np.outer(deviation, deviation)
     steps = deviations(structure, structure.start, wanted)
-    assert steps.T @ steps / np.outer(deviation, deviation) == pytest.approx(correlation, rel=1e-6)
+    assert steps.T @ steps / np.outer(deviation, deviation) == pytest.approx(
+        correlation, rel=1e-6
+    )
 
 
 def _smooth(rng, time, highest, size):
@@ -85,13 +91,17 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
         a = np.array([[0.0, 1.0], [-k / m, -c / m]])
         h = step / fine
         update = np.linalg.inv(np.eye(2) - 0.5 * h * a)
-        for i in range(len(t)):  # trapezoidal rule at a fortieth of the sampling interval
+        for i in range(
+            len(t)
+        ):  # trapezoidal rule at a fortieth of the sampling interval
             x.append(state[0])
             force = np.array([0.0, 0.5 * (push[i] + push[min(i + 1, len(t) - 1)]) / m])
             state = update @ (state + 0.5 * h * a @ state + h * force)
         travel = np.array(x)[::fine]
         travel = travel + 0.003 * travel.std() * rng.standard_normal(len(travel))
-        tables.append(Table(t[::fine], {"push": push[::fine], "travel": travel}, f"run{run}"))
+        tables.append(
+            Table(t[::fine], {"push": push[::fine], "travel": travel}, f"run{run}")
+        )
     known = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 1.0}
     rig = oscillator("travel displacement mass", uncertainty=known)
     found = diagnose(tables, rig, settings=SearchSettings(depth=0, jobs=1)).parameters
@@ -105,15 +115,29 @@ def test_straight_lines_between_the_samples_of_a_smooth_force_do_not_bias_mass_a
 @pytest.mark.slow
 def test_a_factor_that_all_parameters_share_keeps_its_stated_uncertainty():
     """The motion of a shaken mass depends on ratios of mass, stiffness, damping and friction alone."""
-    spread = {"mass.mass": 0.1, "spring.stiffness": 0.1, "damper.damping": 0.3, "rub.level": 0.3}
-    parts = {"mass": 2.0, "stiffness": 800.0, "damping": 8.0, "beside": [friction("mass", "ground", 0.8)]}
-    model = oscillator("position displacement mass", base="moved", uncertainty=spread, **parts)
+    spread = {
+        "mass.mass": 0.1,
+        "spring.stiffness": 0.1,
+        "damper.damping": 0.3,
+        "rub.level": 0.3,
+    }
+    parts = {
+        "mass": 2.0,
+        "stiffness": 800.0,
+        "damping": 8.0,
+        "beside": [friction("mass", "ground", 0.8)],
+    }
+    model = oscillator(
+        "position displacement mass", base="moved", uncertainty=spread, **parts
+    )
     t, rng, tables = np.arange(3000) * 5e-3, np.random.default_rng(1), []
     for run in range(2):
         base = _smooth(np.random.default_rng(run), t, 5.0, 0.003)
         y = simulate(model.to_dict(), t, {"moved": base})["position"]
         y = y + 0.003 * y.std() * rng.standard_normal(len(y))
-        tables.append(Table(time=t, columns={"moved": base, "position": y}, source=f"run{run}"))
+        tables.append(
+            Table(time=t, columns={"moved": base, "position": y}, source=f"run{run}")
+        )
     found = diagnose(tables, model, settings=SearchSettings(depth=0, jobs=1)).parameters
     # precisions of the statements on the common factor add up
     known = sum(s**-2 for s in spread.values()) ** -0.5

@@ -28,7 +28,11 @@ def axis(between=("ground", "carriage"), *more, **changes):
         [channel("current", "current", element="motor")],
         [channel("position", "displacement", "carriage", unit="mm")],
         masses={"carriage": MASS},
-        uncertainty={"carriage.mass": 0.1, "bearing.damping": 0.3, "motor.thrust_constant": 0.05},
+        uncertainty={
+            "carriage.mass": 0.1,
+            "bearing.damping": 0.3,
+            "motor.thrust_constant": 0.05,
+        },
     )
     return Network.load(model | changes)
 
@@ -42,10 +46,16 @@ def test_the_computed_force_is_that_of_the_drive(between):
     position = simulate(network, t, {"current": current})["position"]  # [mm]
     inverse = invert(network)
     assert inverse is not None
-    turned = inverse.records([Record("run", STEP, {"current": current}, position[:, None])])
-    seen = Problem(inverse.network, turned, ["fit"]).simulate([inverse.network], 0)[:, 0, 0]
+    turned = inverse.records(
+        [Record("run", STEP, {"current": current}, position[:, None])]
+    )
+    seen = Problem(inverse.network, turned, ["fit"]).simulate([inverse.network], 0)[
+        :, 0, 0
+    ]
     assert np.abs(seen - turned[0].measured[:, 0]).max() < 0.02 * THRUST * 0.5
-    assert np.abs(turned[0].measured[:, 0]).max() == pytest.approx(THRUST * np.abs(current).max())
+    assert np.abs(turned[0].measured[:, 0]).max() == pytest.approx(
+        THRUST * np.abs(current).max()
+    )
 
 
 LAG = {"name": "lag", "type": "actuator_lag", "element": "motor", "time_constant": 0.01}
@@ -78,7 +88,12 @@ def test_the_completed_model_has_the_drive_as_input():
     assert restored.masses == {"carriage": 4.4}
     assert [e.name for e in restored.elements] == ["bearing", "motor", "cogging_force"]
     assert (restored.inputs, restored.outputs) == (network.inputs, network.outputs)
-    fault = {"name": "fault", "type": "sensor_gain", "channel": "motor_force", "gain": 1.1}
+    fault = {
+        "name": "fault",
+        "type": "sensor_gain",
+        "channel": "motor_force",
+        "gain": 1.1,
+    }
     assert inverse.restore(inverse.network.with_element(fault)) is None
 
 
@@ -90,22 +105,35 @@ def servo(seed, samples=10_000):
     x = v = 0.0
     out = np.empty((samples, 2))
     for k in range(samples):
-        wanted = min(1.0, k * STEP) * float(np.sum(sizes * np.sin(2 * math.pi * times * k * STEP + phases)))
+        wanted = min(1.0, k * STEP) * float(
+            np.sum(sizes * np.sin(2 * math.pi * times * k * STEP + phases))
+        )
         seen = 5e-6 * round(x / 5e-6)  # encoder of 5 um
         current = float(np.clip(150.0 * (wanted - seen) - 3.0 * v, -8.0, 8.0))
         out[k] = current, 1e3 * seen
         for _ in range(10):
-            force = THRUST * current - DAMPING * v - COGGING * math.sin(2 * math.pi * x / PITCH)
+            force = (
+                THRUST * current
+                - DAMPING * v
+                - COGGING * math.sin(2 * math.pi * x / PITCH)
+            )
             v += 0.1 * STEP * force / MASS
             x += 0.1 * STEP * v
     columns = {"current": out[:, 0], "position": out[:, 1]}
-    return Table(np.arange(samples) * STEP, columns, f"run {seed}", units={"position": "mm"})
+    return Table(
+        np.arange(samples) * STEP, columns, f"run {seed}", units={"position": "mm"}
+    )
 
 
 @pytest.mark.slow
 def test_cogging_of_an_axis_in_a_closed_loop_is_named():
     """The simulated motion drifts away; the force that the measured motion needs shows the pitch."""
-    found = diagnose([servo(1), servo(2)], axis(), validate=[servo(3)], settings=SearchSettings(jobs=1))
+    found = diagnose(
+        [servo(1), servo(2)],
+        axis(),
+        validate=[servo(3)],
+        settings=SearchSettings(jobs=1),
+    )
     assert found.verdict == "missing_effect", found.summary
     (effect,) = found.effects
     assert effect.effect == "cogging_force"

@@ -69,7 +69,9 @@ def test_linear_network_is_exact():
     _, y, _ = lsim((space.A, space.B, space.C, space.D), road, time)
     ours = simulate(net, time, {"road": road})
     for j, name in enumerate(ours):
-        np.testing.assert_allclose(ours[name], y[:, j], rtol=1e-7, atol=1e-9 * np.abs(y[:, j]).max())
+        np.testing.assert_allclose(
+            ours[name], y[:, j], rtol=1e-7, atol=1e-9 * np.abs(y[:, j]).max()
+        )
 
 
 def test_long_run_on_the_papers_road_is_the_analytic_value():
@@ -103,7 +105,10 @@ def test_coulomb_decay_loses_4f_over_k_each_cycle():
     period = 2 * np.pi * np.sqrt(m / k)
     time = np.arange(0, 4.25 * period, STEP)
     x = simulate(net, time, {}, initial=np.array([0.05, 0.0]))["x"]
-    peaks = [x[int(i * period / STEP) - 5 : int(i * period / STEP) + 6].max() for i in range(1, 5)]
+    peaks = [
+        x[int(i * period / STEP) - 5 : int(i * period / STEP) + 6].max()
+        for i in range(1, 5)
+    ]
     np.testing.assert_allclose(peaks, 0.05 - 4 * f / k * np.arange(1, 5), rtol=2e-3)
     still = simulate(net, time, {}, initial=np.array([0.0019, 0.0]))["x"]
     np.testing.assert_array_equal(still, still[0])  # k x < f: it stays for ever
@@ -116,10 +121,14 @@ def test_energy_balance():
     command = currents(time, 5.0)
     extra = [Channel(f"F_{e.name}", "force", "N", element=e.name) for e in net.elements]
     pairs = {e.name: e.between for e in net.elements}
-    extra += [Channel(f"d_{n}", "displacement", "m", between=p) for n, p in pairs.items()]
+    extra += [
+        Channel(f"d_{n}", "displacement", "m", between=p) for n, p in pairs.items()
+    ]
     extra += [Channel(f"v_{m}", "velocity", "m/s", at=m) for m in net.masses]
     extra.append(Channel("v_device", "velocity", "m/s", between=("piston", "joint")))
-    out = simulate(net, time, {"road": road, "current": command}, step=2e-4, extra=extra)
+    out = simulate(
+        net, time, {"road": road, "current": command}, step=2e-4, extra=extra
+    )
 
     def work(name):  # on the element, by its terminals
         f, d = out[f"F_{name}"], out[f"d_{name}"]
@@ -132,17 +141,33 @@ def test_energy_balance():
     kinetic = sum(0.5 * m * out[f"v_{n}"][-1] ** 2 for n, m in net.masses.items())
     kinetic += 0.5 * 95.0 * out["v_device"][-1] ** 2
     p = net.parameters
-    elastic = sum(0.5 * p[f"{n}.stiffness"] * out[f"d_{n}"][-1] ** 2 for n in ("main_spring", "tyre", "oil"))
+    elastic = sum(
+        0.5 * p[f"{n}.stiffness"] * out[f"d_{n}"][-1] ** 2
+        for n in ("main_spring", "tyre", "oil")
+    )
     spent = sum(work(n) for n in ("leak", "seal", "damper", "end_stop"))
     assert all(work(n) > 0 for n in ("leak", "seal", "damper"))
     scale = abs(by_road) + abs(by_motor)
-    assert by_road + by_motor == pytest.approx(kinetic + elastic + spent, abs=1e-3 * scale)
+    assert by_road + by_motor == pytest.approx(
+        kinetic + elastic + spent, abs=1e-3 * scale
+    )
 
 
 def test_simulate_refuses_bad_input():
     time = np.arange(100) * STEP
-    lost, still = {"road": np.full(100, np.nan), "current": 0 * time}, {"road": 0 * time, "current": 0 * time}
+    lost, still = (
+        {"road": np.full(100, np.nan), "current": 0 * time},
+        {"road": 0 * time, "current": 0 * time},
+    )
     uneven = np.sort(np.random.default_rng(0).random(100))
-    refused("input 'current' is missing", simulate, "quarter-car-isd", time, {"road": 0 * time})
-    refused("'road' must hold 100 finite samples", simulate, "quarter-car-isd", time, lost)
+    refused(
+        "input 'current' is missing",
+        simulate,
+        "quarter-car-isd",
+        time,
+        {"road": 0 * time},
+    )
+    refused(
+        "'road' must hold 100 finite samples", simulate, "quarter-car-isd", time, lost
+    )
     refused("uniformly sampled", simulate, "quarter-car-isd", uneven, still)

@@ -54,7 +54,9 @@ def in_series():
     held = [spring("mass", "ground", 2e4), damper("mass", "ground", 80.0)]
     parts = [*held, play, friction("mass", "middle", 20.0), rod]
     seen = ["a acceleration mass", channel("force", "force", element="rod")]
-    return network("in series", parts, ["road displacement road"], seen, masses={"mass": 50.0})
+    return network(
+        "in series", parts, ["road displacement road"], seen, masses={"mass": 50.0}
+    )
 
 
 def drives(steps):
@@ -63,17 +65,24 @@ def drives(steps):
     size = np.linspace(0.0, 6.0, LANES)
     road = np.cumsum(rng.standard_normal((steps, LANES)), axis=0) * 6.3e-4 * size
     time = np.arange(steps)[:, None] * STEP
-    return {"road": road, "current": 5.0 * np.sin(9.0 * time + np.arange(LANES)) * (size > 2.0)}
+    return {
+        "road": road,
+        "current": 5.0 * np.sin(9.0 * time + np.arange(LANES)) * (size > 2.0),
+    }
 
 
 @pytest.mark.parametrize("case", [*LAWS, "in series"])
 def test_a_lane_is_the_car_alone_with_any_matrices(case):
     net = in_series() if case == "in series" else car(LAWS[case])
-    inputs = {k: v for k, v in drives(1501).items() if k in [c.name for c in net.inputs]}
+    inputs = {
+        k: v for k, v in drives(1501).items() if k in [c.name for c in net.inputs]
+    }
     shared = Plant(net, STEP, lanes=LANES).run(inputs, samples=1501)
     own = Plant([net] * LANES, STEP).run(inputs, samples=1501)
     assert np.isfinite(shared).all()
-    assert np.ptp(shared[-1], axis=1).all()  # the lanes differ: equality below is no accident
+    assert np.ptp(
+        shared[-1], axis=1
+    ).all()  # the lanes differ: equality below is no accident
     np.testing.assert_array_equal(shared, own)
     single = Plant(net, STEP)
     for l in range(LANES):
@@ -83,14 +92,19 @@ def test_a_lane_is_the_car_alone_with_any_matrices(case):
 
 def test_a_car_clear_of_its_stop_does_not_feel_its_neighbour_on_it():
     """Blocks in which some cars touch their stop and some do not, beside blocks in which none or all do."""
-    net, device = Network.load("quarter-car-isd"), Channel("device", "displacement", "m", between=DEVICE)
+    net, device = (
+        Network.load("quarter-car-isd"),
+        Channel("device", "displacement", "m", between=DEVICE),
+    )
     inputs = drives(2001)
     together = Plant(net, STEP, lanes=LANES, extra=[device]).run(inputs, samples=2001)
     clear = np.abs(together[:, -1]).max(axis=0) < net.parameters["end_stop.clearance"]
     assert clear.any() and not clear.all()
     for half in (np.flatnonzero(clear), np.flatnonzero(~clear)):
         part = {k: v[:, half] for k, v in inputs.items()}
-        apart = Plant(net, STEP, lanes=len(half), extra=[device]).run(part, samples=2001)
+        apart = Plant(net, STEP, lanes=len(half), extra=[device]).run(
+            part, samples=2001
+        )
         np.testing.assert_array_equal(together[:, :, half], apart)
 
 
@@ -98,10 +112,20 @@ def test_a_car_clear_of_its_stop_does_not_feel_its_neighbour_on_it():
 def test_parameters_of_their_own_are_networks_of_their_own(other):
     """Lanes that differ in parameters of laws alone, or of the linear part too, each against its network alone."""
     net = car(LAWS["Stribeck"])
-    steps = {"seal.level": 60.0, "end_stop.clearance": -3e-3, "law_0.static_level": 10.0, **other}
+    steps = {
+        "seal.level": 60.0,
+        "end_stop.clearance": -3e-3,
+        "law_0.static_level": 10.0,
+        **other,
+    }
     start = net.parameters
-    nets = [net.with_parameters({k: start[k] + i * v for k, v in steps.items()}) for i in range(LANES)]
+    nets = [
+        net.with_parameters({k: start[k] + i * v for k, v in steps.items()})
+        for i in range(LANES)
+    ]
     inputs = {k: v[:, 5] for k, v in drives(1501).items()}
     together = Plant(nets, STEP).run(inputs, samples=1501)
     for l, one in enumerate(nets):
-        np.testing.assert_array_equal(together[:, :, l], Plant(one, STEP).run(inputs, samples=1501)[:, :, 0])
+        np.testing.assert_array_equal(
+            together[:, :, l], Plant(one, STEP).run(inputs, samples=1501)[:, :, 0]
+        )

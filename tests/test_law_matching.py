@@ -28,9 +28,15 @@ def stage(effect="", place=PLACE, **values):
     t = np.arange(3000) * STEP
     f = np.array([2, 5, 9])
     base = sines(t, f, rng.uniform(0, 6, 3), 0.004 / f)
-    true = network.with_element(el.TYPES[effect]("true", place, **values)) if effect else network
+    true = (
+        network.with_element(el.TYPES[effect]("true", place, **values))
+        if effect
+        else network
+    )
     seen = simulate(true, t, {"base": base}, interpolation="auto")["mass"]
-    record = Record("run", STEP, {"base": base}, (seen + rng.normal(0, NOISE, len(t)))[:, None])
+    record = Record(
+        "run", STEP, {"base": base}, (seen + rng.normal(0, NOISE, len(t)))[:, None]
+    )
     problem = Problem(network, [record])
     return problem, fitted(problem, NOISE)
 
@@ -47,8 +53,11 @@ def test_the_measured_motion_is_nearer_to_the_truth_than_the_simulated_motion():
 def test_a_force_that_repeats_is_read_from_one_period():
     h, d = Hypothesis("cogging_force", PLACE), np.linspace(-0.03, 0.05, 999)
     ways = [
-        (replace(h, where=w), {"amplitude": 10.0, "pitch": 0.02, "phase": 0.5}) for w in (PLACE, PLACE[::-1])
+        (replace(h, where=w), {"amplitude": 10.0, "pitch": 0.02, "phase": 0.5})
+        for w in (PLACE, PLACE[::-1])
     ]
     forces = law_forces(rig(), PLACE, el.Motion(d, 0 * d, 0 * d), STEP, ways)
     angle = 2 * np.pi * d / 0.02
-    assert forces == pytest.approx(10 * np.sin(np.array([angle + 0.5, angle - 0.5]).T), abs=0.01)
+    assert forces == pytest.approx(
+        10 * np.sin(np.array([angle + 0.5, angle - 0.5]).T), abs=0.01
+    )

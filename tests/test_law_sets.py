@@ -56,12 +56,22 @@ def test_sets_of_other_kinds_within_the_width_leave_the_kind_open():
         ["quadratic_damping"],
     ]
     assert found.certain == (False,)
-    assert sum(found.weights) == pytest.approx(1.0) and found.weights[0] > found.weights[1]
+    assert (
+        sum(found.weights) == pytest.approx(1.0) and found.weights[0] > found.weights[1]
+    )
 
 
 def test_a_member_of_every_set_of_the_band_is_certain():
-    found = answer(row(0.5), row(0.2, COULOMB), row(0.050, COULOMB, CUBIC), row(0.052, COULOMB, DRAG))
-    assert effects(found) == ["coulomb_friction", "cubic_stiffness"] and found.certain == (True, False)
+    found = answer(
+        row(0.5),
+        row(0.2, COULOMB),
+        row(0.050, COULOMB, CUBIC),
+        row(0.052, COULOMB, DRAG),
+    )
+    assert effects(found) == [
+        "coulomb_friction",
+        "cubic_stiffness",
+    ] and found.certain == (True, False)
 
 
 def test_a_rival_with_more_parameters_must_predict_better():
@@ -72,18 +82,33 @@ def test_a_rival_with_more_parameters_must_predict_better():
 
 def test_each_of_several_laws_must_remove_its_share():
     """Three laws that together leave half of the power are a curve fit."""
-    assert not answer(row(0.26), row(0.22, COULOMB), row(0.17, COULOMB, CUBIC, DRAG)).band
-    assert len(answer(row(0.26), row(0.22, COULOMB), row(0.06, COULOMB, CUBIC, DRAG)).simplest.members) == 3
+    assert not answer(
+        row(0.26), row(0.22, COULOMB), row(0.17, COULOMB, CUBIC, DRAG)
+    ).band
+    assert (
+        len(
+            answer(
+                row(0.26), row(0.22, COULOMB), row(0.06, COULOMB, CUBIC, DRAG)
+            ).simplest.members
+        )
+        == 3
+    )
 
 
 def test_a_second_law_must_lower_the_error_by_more_than_the_width():
-    found = answer(row(0.5), row(0.050, COULOMB), row(0.045, COULOMB, CUBIC, parameters=4))
+    found = answer(
+        row(0.5), row(0.050, COULOMB), row(0.045, COULOMB, CUBIC, parameters=4)
+    )
     assert effects(found) == ["coulomb_friction"]
 
 
 def test_a_sensor_is_blamed_where_every_force_leaves_far_more():
-    assert effects(answer(row(0.3), row(0.05, COULOMB), row(0.03, GAIN))) == ["coulomb_friction"]
-    assert effects(answer(row(0.3), row(0.25, COULOMB), row(0.03, GAIN))) == ["sensor_gain"]
+    assert effects(answer(row(0.3), row(0.05, COULOMB), row(0.03, GAIN))) == [
+        "coulomb_friction"
+    ]
+    assert effects(answer(row(0.3), row(0.25, COULOMB), row(0.03, GAIN))) == [
+        "sensor_gain"
+    ]
 
 
 def test_contradictions_and_two_laws_of_a_kind_at_one_place_are_no_answer():

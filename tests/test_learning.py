@@ -24,7 +24,11 @@ def made(name="ISDSuspension-v0", **options):
 def driven(env, actions):
     """Observations, rewards and infos of a drive."""
     out = [env.step(a) for a in actions]
-    return np.array([o[0] for o in out]), np.array([o[1] for o in out]), [o[4] for o in out]
+    return (
+        np.array([o[0] for o in out]),
+        np.array([o[1] for o in out]),
+        [o[4] for o in out],
+    )
 
 
 @pytest.mark.parametrize("name", ["ISDSuspension-v0", "ISDHalfCar-v0", "ISDFullCar-v0"])
@@ -44,7 +48,9 @@ def test_a_held_increment_is_a_ramp_of_the_current_over_its_control_steps(name):
         assert (reward, -info["cost"]) == pytest.approx((mean, mean), rel=1e-12)
         travel = np.mean([step[4]["cost_travel"] for step in steps])
         assert info["cost_travel"] == pytest.approx(travel, rel=1e-12)
-        assert info["exceeds_acceleration"] == max(step[4]["exceeds_acceleration"] for step in steps)
+        assert info["exceeds_acceleration"] == max(
+            step[4]["exceeds_acceleration"] for step in steps
+        )
 
 
 @pytest.mark.parametrize("name", ["ISDSuspension-v0", "ISDFullCar-v0"])
@@ -55,7 +61,10 @@ def test_a_history_is_scaled_signals_their_changes_and_velocities(name):
     scale, change = (np.array([SCALES[kind][i] for kind in kinds]) for i in (0, 1))
     n, motions = len(kinds), 1 + len(plain.task.vehicle.axes)
     late = len(own.task.history.late)
-    assert not first.any() and first.shape == (3 * n + 3 * motions + late,) == own.observation_space.shape
+    assert (
+        not first.any()
+        and first.shape == (3 * n + 3 * motions + late,) == own.observation_space.shape
+    )
     assert len(own.task.labels) == len(first)
     rng, velocity, step = np.random.default_rng(0), np.zeros((motions, 3)), np.zeros(n)
     taus, shares = np.array([0.3, 1.0, 3.0]), np.array([0.042, 0.07, 0.091])
@@ -66,14 +75,22 @@ def test_a_history_is_scaled_signals_their_changes_and_velocities(name):
         step = (seen - last) / change
         velocity += 5e-3 * (seen[:motions, None] - velocity / taus)
         velocities = velocity / (shares * scale[:motions, None])
-        expected = np.concatenate([seen / scale, step, step - last_step, velocities.ravel()])
-        np.testing.assert_allclose(obs[: len(expected)], np.clip(expected, -10, 10), rtol=2e-3, atol=2e-3)
+        expected = np.concatenate(
+            [seen / scale, step, step - last_step, velocities.ravel()]
+        )
+        np.testing.assert_allclose(
+            obs[: len(expected)], np.clip(expected, -10, 10), rtol=2e-3, atol=2e-3
+        )
     assert own.observation_space.contains(obs)
 
 
-@pytest.mark.parametrize(("name", "corners"), [("ISDHalfCar-v0", 1), ("ISDFullCar-v0", 2)])
+@pytest.mark.parametrize(
+    ("name", "corners"), [("ISDHalfCar-v0", 1), ("ISDFullCar-v0", 2)]
+)
 @pytest.mark.parametrize("speed", [20.0, 14.0])
-def test_a_history_repeats_the_front_corners_before_the_rear_wheels_arrive(name, corners, speed):
+def test_a_history_repeats_the_front_corners_before_the_rear_wheels_arrive(
+    name, corners, speed
+):
     """A number of 30 ms before the arrival is that of the front wheel, wheelbase / speed - 30 ms ago."""
     own = made(name, observation="history", speed=speed)
     own.reset(seed=3)
@@ -83,7 +100,9 @@ def test_a_history_repeats_the_front_corners_before_the_rear_wheels_arrive(name,
     history, labels = own.task.history, own.task.labels
     motions = 1 + len(own.task.vehicle.axes)
     assert len(history.late) == (2 * motions + 3 * corners) * len(LEADS)
-    for i, (column, distance, lead) in enumerate(history.late, len(labels) - len(history.late)):
+    for i, (column, distance, lead) in enumerate(
+        history.late, len(labels) - len(history.late)
+    ):
         assert distance == pytest.approx(2.7)
         ago = round((2.7 / speed - lead) / 5e-3)
         assert seen[-1][i] == seen[-1 - ago][column]
@@ -103,17 +122,31 @@ def test_a_reference_leaves_the_order_of_policies_unchanged():
             env.reset(seed=11)
             returns[reward, k] = driven(env, actions)[1].sum()
     plain = returns["cost", 0] - returns["cost", 1]
-    assert returns["relative", 0] - returns["relative", 1] == pytest.approx(RELATIVE_SCALE * plain, rel=1e-9)
+    assert returns["relative", 0] - returns["relative", 1] == pytest.approx(
+        RELATIVE_SCALE * plain, rel=1e-9
+    )
     env.reset(seed=11)
-    assert not driven(env, np.zeros((200, 1)))[1].any()  # the reference is the car without current
+    assert not driven(env, np.zeros((200, 1)))[
+        1
+    ].any()  # the reference is the car without current
 
 
 def test_a_group_shares_a_road_and_its_rewards_have_no_sum():
     relative = {"reward": "relative", "reward_scale": 1.0, "hold": 2}
     env = gymnasium.make_vec(
-        "ISDHalfCarLearning-v0", 6, cars_per_road=3, road="C+bump", duration=0.4, **relative
+        "ISDHalfCarLearning-v0",
+        6,
+        cars_per_road=3,
+        road="C+bump",
+        duration=0.4,
+        **relative,
     )
-    single = made("ISDHalfCarLearning-v0", road="C+bump", duration=0.4, **relative | {"reward": "cost"})
+    single = made(
+        "ISDHalfCarLearning-v0",
+        road="C+bump",
+        duration=0.4,
+        **relative | {"reward": "cost"},
+    )
     env.reset(seed=5), single.reset(seed=6)
     rng = np.random.default_rng(0)
     for k in range(90):  # over two ends of episodes
@@ -140,7 +173,9 @@ def test_per_level_weighs_a_rough_road_as_the_paper_s():
     assert told[1][-1] == pytest.approx(-told[2][-1]["cost"] * 1e-4 / 4e-4, rel=1e-9)
 
 
-@pytest.mark.parametrize("options", [{}, {"reward": "relative", "hold": 2}, {"per_level": True, "road": "C"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"reward": "relative", "hold": 2}, {"per_level": True, "road": "C"}]
+)
 def test_a_scale_of_the_reward_changes_the_reward_alone(options):
     plain, scaled = made(**options), made(reward_scale=30, **options)
     plain.reset(seed=4), scaled.reset(seed=4)
@@ -153,12 +188,18 @@ def test_a_scale_of_the_reward_changes_the_reward_alone(options):
     batch.reset(seed=2)  # the last car has seed 4
     rewards = batch.step(np.full((3, 1), actions[0]).astype(np.float32))[1]
     assert rewards[2] == pytest.approx(many[1][0], rel=1e-6)
-    refused("reward_scale must be a number from 1e-06 to 1e\\+06, not 0", made, reward_scale=0)
+    refused(
+        "reward_scale must be a number from 1e-06 to 1e\\+06, not 0",
+        made,
+        reward_scale=0,
+    )
 
 
 @pytest.mark.parametrize("control_step", [1e-3, 5e-3, 20e-3])
 @pytest.mark.parametrize("hold", [1, 4])
-def test_neither_the_control_step_nor_a_hold_changes_actuator_and_episode(control_step, hold):
+def test_neither_the_control_step_nor_a_hold_changes_actuator_and_episode(
+    control_step, hold
+):
     env = made(control_step=control_step, hold=hold, duration=2.0)
     env.reset(seed=0)
     decision, steps, over, reached = control_step * hold, 0, False, 0.0
@@ -170,7 +211,9 @@ def test_neither_the_control_step_nor_a_hold_changes_actuator_and_episode(contro
     assert 0.05 - 1e-9 <= reached < 0.05 + decision  # 5 A at 100 A/s
     if (control_step, hold) == (5e-3, 1):
         env.reset(seed=0)
-        assert [float(env.step([5.0])[0][5]) for _ in range(11)] == [min(0.5 * k, 5.0) for k in range(1, 12)]
+        assert [float(env.step([5.0])[0][5]) for _ in range(11)] == [
+            min(0.5 * k, 5.0) for k in range(1, 12)
+        ]
 
 
 SPREAD = {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "bump"]}
@@ -182,7 +225,10 @@ SPREAD = {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "bump"]}
         ("ISDSuspension-v0", {}),
         ("ISDSuspensionLearning-v0", {}),
         ("ISDFullCar-v0", {"observation": "preview", "road": "B+pothole"}),
-        ("ISDSuspension-v0", {"randomize": SPREAD, "sensors": {"noise": 1.0, "delay": 2}}),
+        (
+            "ISDSuspension-v0",
+            {"randomize": SPREAD, "sensors": {"noise": 1.0, "delay": 2}},
+        ),
         ("ISDHalfCarLearning-v0", {"per_level": True, "road": "C"}),
     ],
 )
@@ -203,7 +249,9 @@ def test_an_episode_branches_from_a_state_to_the_last_bit(name, options):
     np.testing.assert_array_equal(seen, again[0])
     np.testing.assert_array_equal(rewards, again[1])
     assert infos == again[2]
-    np.testing.assert_array_equal(following, other.reset()[0])  # and so do the next roads
+    np.testing.assert_array_equal(
+        following, other.reset()[0]
+    )  # and so do the next roads
     many = gymnasium.make_vec(name, 11, **options).unwrapped
     many.reset(seed=50)
     for _ in range(31):  # another place in the rings of the road
@@ -232,8 +280,13 @@ def test_a_state_of_another_car_is_refused():
 
 
 def test_no_seed_reaches_a_scoring_road():
-    drawn = {int(scoring_generator(i).integers(0, 2**64, dtype=np.uint64)) for i in range(64)}
-    reached = {int(seeding.np_random(s)[0].integers(0, 2**64, dtype=np.uint64)) for s in range(20_000)}
+    drawn = {
+        int(scoring_generator(i).integers(0, 2**64, dtype=np.uint64)) for i in range(64)
+    }
+    reached = {
+        int(seeding.np_random(s)[0].integers(0, 2**64, dtype=np.uint64))
+        for s in range(20_000)
+    }
     assert len(drawn) == 64 and not drawn & reached
     one, many = made(), gymnasium.make_vec("ISDSuspension-v0", 4)
     one.reset(options={"scoring_road": 3}), many.reset(options={"scoring_road": 0})
@@ -243,14 +296,19 @@ def test_no_seed_reaches_a_scoring_road():
     np.testing.assert_array_equal(alone, together[3])
     heights = Road("paper", roughness=1e-4).heights(0.1, rng=generators(None, 3, 1)[0])
     assert one.task.batch.road_heights[0, 0] == heights[-1]
-    refused("scoring_road must be a whole number", one.reset, options={"scoring_road": -1})
+    refused(
+        "scoring_road must be a whole number", one.reset, options={"scoring_road": -1}
+    )
     refused("not 'scoring'", one.reset, options={"scoring": 1})
     refused("not 'mask'", many.reset, options={"mask": 1})
 
 
 def test_info_tells_the_drawn_parameters_and_exceeded_limits():
     ranges = {"body.mass": (0.8, 1.2), "road": ["A", "H"]}
-    many, one = gymnasium.make_vec("ISDSuspension-v0", 6, randomize=ranges), made(randomize=ranges)
+    many, one = (
+        gymnasium.make_vec("ISDSuspension-v0", 6, randomize=ranges),
+        made(randomize=ranges),
+    )
     info, single = many.reset(seed=0)[1], one.reset(seed=4)[1]
     assert set(info["road"]) == {"A", "H"} and info["_body.mass"].all()
     assert single["body.mass"] == info["body.mass"][4] == pytest.approx(345.0, rel=0.2)
@@ -258,12 +316,17 @@ def test_info_tells_the_drawn_parameters_and_exceeded_limits():
     for _ in range(400):
         *_, info = many.step(np.zeros((6, 1), np.float32))
         own = one.step([0.0])[4]
-        assert own["exceeds_travel"] == info["exceeds_travel"][4] and own["road"] == info["road"][4]
+        assert (
+            own["exceeds_travel"] == info["exceeds_travel"][4]
+            and own["road"] == info["road"][4]
+        )
         beyond += info["exceeds_acceleration"]
     out = many.unwrapped.task.batch.out
     assert ((np.abs(out[0]) > 5.0) == info["exceeds_acceleration"]).all()
     assert ((np.abs(out[1]) > 0.08) == info["exceeds_travel"]).all()
-    assert (beyond[info["road"] == "H"] > 0).all() and not beyond[info["road"] == "A"].any()
+    assert (beyond[info["road"] == "H"] > 0).all() and not beyond[
+        info["road"] == "A"
+    ].any()
 
 
 WRONG = [
@@ -295,8 +358,14 @@ WRONG = [
     ({"render_mode": "ascii"}, "render_mode .*must be"),
     ({"network": "half-car-isd", "cost": {"roll": 0.1}}, "does not roll"),
     ({"network": "half-car-isd", "cost": {"yaw": 0.1}}, "no 'yaw'"),
-    ({"network": "half-car-isd", "cost": {"travel_reference": (1e-3,) * 3}}, "3 values for 2 corners"),
-    ({"network": "half-car-isd", "cost": {"travel_reference": (1e-3, 0.0)}}, "must be from 1e-12"),
+    (
+        {"network": "half-car-isd", "cost": {"travel_reference": (1e-3,) * 3}},
+        "3 values for 2 corners",
+    ),
+    (
+        {"network": "half-car-isd", "cost": {"travel_reference": (1e-3, 0.0)}},
+        "must be from 1e-12",
+    ),
 ]
 
 
@@ -355,6 +424,8 @@ def test_a_batch_refuses_a_second_thread_and_half_a_start():
         thread = threading.Thread(target=step)
         thread.start()
         thread.join()
-    assert found == ["another thread is using this vector environment: one thread at a time may call it"]
+    assert found == [
+        "another thread is using this vector environment: one thread at a time may call it"
+    ]
     env.step(np.zeros((4, 1)))
     pickle.loads(pickle.dumps(env)).step(np.zeros((4, 1)))

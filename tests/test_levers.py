@@ -32,8 +32,18 @@ MOTION = ["place displacement mass", "shock acceleration mass"]
 def rack(mass=2.0, inertia=0.003, ratio=0.012):
     """An inerter as built: rod and pinion, a flywheel on the shaft."""
     pinion = lever("pinion", "mass", "shaft", ratio, "m/rad")
-    more = {"inertias": {"shaft": inertia}, "uncertainty": {"pinion.ratio": 0.01, "shaft.inertia": 0.1}}
-    return model({"mass": mass}, [SPRING], [PUSH], [*MOTION, "turn angle shaft"], [pinion], **more)
+    more = {
+        "inertias": {"shaft": inertia},
+        "uncertainty": {"pinion.ratio": 0.01, "shaft.inertia": 0.1},
+    }
+    return model(
+        {"mass": mass},
+        [SPRING],
+        [PUSH],
+        [*MOTION, "turn angle shaft"],
+        [pinion],
+        **more,
+    )
 
 
 def test_a_flywheel_on_a_rack_is_a_mass_of_its_inertia_over_the_ratio_squared():
@@ -41,7 +51,9 @@ def test_a_flywheel_on_a_rack_is_a_mass_of_its_inertia_over_the_ratio_squared():
     heavy = model({"mass": 2.0 + 0.003 / 0.012**2}, [SPRING], [PUSH], MOTION)
     a, b = transfer(built, FREQUENCY), transfer(heavy, FREQUENCY)
     assert np.abs(a[:, :2] / b - 1.0).max() < 1e-9
-    assert np.abs(0.012 * a[:, 2] / a[:, 0] - 1.0).max() < 1e-9  # x_rod = ratio times angle
+    assert (
+        np.abs(0.012 * a[:, 2] / a[:, 0] - 1.0).max() < 1e-9
+    )  # x_rod = ratio times angle
     assert "shaft" in built.rotating and "mass" not in built.rotating
     assert built.unit_of("pinion.ratio") == "m/rad"
 
@@ -52,20 +64,30 @@ def test_the_kernel_agrees_with_another_integrator_on_an_inerter_as_built():
     data["elements"].append(friction("shaft", "ground", 6.0))
     t = np.arange(0.0, 2.0, 1e-3)
     push = {"push": 900.0 * np.sin(6.0 * t) + 300.0 * np.sin(17.0 * t)}
-    got, wanted = simulate(data, t, push, step=2.5e-4), reference.simulate(data, t, push)
-    for name in ("place", "turn"):  # the acceleration jumps where the sliding reverses, within a sample
+    got, wanted = (
+        simulate(data, t, push, step=2.5e-4),
+        reference.simulate(data, t, push),
+    )
+    for name in (
+        "place",
+        "turn",
+    ):  # the acceleration jumps where the sliding reverses, within a sample
         assert np.std(got[name] - wanted[name]) < 1e-3 * np.std(wanted[name])
 
 
 def test_a_lever_is_kept_by_file_copy_and_parameters():
     network = rack()
     assert Network.from_dict(json.loads(network.dumps())) == network
-    assert network.to_dict()["levers"] == [lever("pinion", "mass", "shaft", 0.012, "m/rad")]
+    assert network.to_dict()["levers"] == [
+        lever("pinion", "mass", "shaft", 0.012, "m/rad")
+    ]
     longer = network.with_parameters({"pinion.ratio": 0.02})
     assert longer.levers[0].ratio == 0.02 and network.levers[0].ratio == 0.012
     built = network.to_dict()
     built["levers"][0]["ratio"] = 0.02
-    assert np.array_equal(assemble(longer).rate, assemble(Network.from_dict(built)).rate)
+    assert np.array_equal(
+        assemble(longer).rate, assemble(Network.from_dict(built)).rate
+    )
     assert network.free_name("pinion") == "pinion_2"
     refused("other than zero", network.with_parameters, {"pinion.ratio": 0.0})
 
@@ -74,7 +96,10 @@ def test_a_cut_keeps_the_levers_on_its_side():
     strut = [spring("body", "wheel", 22e3), damper("arm_end", "wheel_end", 1500.0)]
     parts = [*strut, spring("wheel", "patch", 192e3, "tyre")]
     seen = ["acc acceleration body", "hub displacement wheel"]
-    levers = [lever("arm", "arm_end", "body", 0.8), lever("hub", "wheel_end", "wheel", 0.8)]
+    levers = [
+        lever("arm", "arm_end", "body", 0.8),
+        lever("hub", "wheel_end", "wheel", 0.8),
+    ]
     levers.append(lever("belt", "patch", "road", 1.0))
     known = {"arm.ratio": 0.02, "belt.ratio": 0.02, "body.mass": 0.05}
     masses, road = {"body": 345.0, "wheel": 45.0}, ["road displacement road"]
@@ -108,12 +133,21 @@ BAD = [
     (_with(_bare(ratio=1.0)), r"lever 'x': 'unit' is missing"),
     (_with(_bare(unit="m/m")), r"lever 'x': 'ratio' is missing"),
     (_with(_bare(between=["mass"], ratio=1.0, unit="m/m")), r"two node names"),
-    (_with(lever("x", "mass", "b", 1.0, "mm/rad")), r"lever 'x': unit 'mm/rad' is not that of a ratio"),
-    (_with(lever("x", "mass", "b", 0.0)), r"lever 'x': the ratio must be a number other than zero"),
+    (
+        _with(lever("x", "mass", "b", 1.0, "mm/rad")),
+        r"lever 'x': unit 'mm/rad' is not that of a ratio",
+    ),
+    (
+        _with(lever("x", "mass", "b", 0.0)),
+        r"lever 'x': the ratio must be a number other than zero",
+    ),
     (_with(lever("x", "mass", "b", "two")), r"lever 'x': the ratio must be a number"),
     (_with(lever("x", "mass", "ground", 1.0)), r"lever 'x': the ground does not move"),
     (_with(lever("x", "mass", "mass", 1.0)), r"lever 'x': it couples 'mass' to itself"),
-    (_with(lever("x", "mass", "b", 1.0) | {"play": 1.0}), r"lever 'x': unknown key 'play'"),
+    (
+        _with(lever("x", "mass", "b", 1.0) | {"play": 1.0}),
+        r"lever 'x': unknown key 'play'",
+    ),
     (_with(lever("spring", "mass", "b", 1.0)), r"two elements are called 'spring'"),
     (_with(levers={}), r"levers must be a list"),
     # a loop, and a contradiction
@@ -149,4 +183,7 @@ def test_a_lever_needs_the_displacement_of_what_it_couples(quantity):
     unit = {"velocity": "m/s", "acceleration": "m/s^2"}[quantity]
     data["inputs"] = [channel("drive", quantity, "base", unit=unit)]
     data["elements"][0]["between"] = ["mass", "base"]
-    refused("lever 'pinion' needs the displacement", lambda: assemble(Network.from_dict(data)))
+    refused(
+        "lever 'pinion' needs the displacement",
+        lambda: assemble(Network.from_dict(data)),
+    )

@@ -26,7 +26,9 @@ def cars(**options):
 
 
 def currents(steps, count=CARS, seed=0):
-    return np.random.default_rng(seed).uniform(-5, 5, (steps, count, 1)).astype(np.float32)
+    return (
+        np.random.default_rng(seed).uniform(-5, 5, (steps, count, 1)).astype(np.float32)
+    )
 
 
 def returns(steps=STEPS):
@@ -60,7 +62,9 @@ def test_wrappers_of_one_car():
 def test_wrappers_of_many_cars():
     env = vector.RecordEpisodeStatistics(cars())
     env = vector.ClipAction(vector.RescaleAction(env, -1.0, 1.0))
-    env = vector.DictInfoToList(vector.NormalizeReward(vector.NormalizeObservation(env)))
+    env = vector.DictInfoToList(
+        vector.NormalizeReward(vector.NormalizeObservation(env))
+    )
     obs, info = env.reset(seed=0)
     assert obs.shape == (CARS, 6) and [set(i) for i in info] == [KEYS] * CARS
     for a in currents(STEPS):
@@ -79,7 +83,9 @@ def test_reset_and_step_tell_the_same(mode):
     assert not any(info[k].any() for k in STEP_INFO)  # a car at rest
     _, reward, *_, info = env.step(currents(1)[0])
     assert set(info) == KEYS | MASKS
-    np.testing.assert_allclose(reward, -sum(v for k, v in info.items() if k.startswith("cost_")))
+    np.testing.assert_allclose(
+        reward, -sum(v for k, v in info.items() if k.startswith("cost_"))
+    )
     one = gym.make(NAME)
     _, first = one.reset(seed=0)
     assert set(first) == set(one.step(currents(1)[0, 0])[4]) == KEYS
@@ -95,9 +101,14 @@ def test_videos(tmp_path):
     import imageio.v3 as iio
 
     steps = 20
-    one, twin = (gym.make(NAME, render_mode="rgb_array", max_episode_steps=steps) for _ in range(2))
+    one, twin = (
+        gym.make(NAME, render_mode="rgb_array", max_episode_steps=steps)
+        for _ in range(2)
+    )
     env = single.RecordVideo(one, str(tmp_path / "one"))
-    many = vector.RecordVideo(cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=steps)
+    many = vector.RecordVideo(
+        cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=steps
+    )
     env.reset(seed=0), many.reset(seed=0), twin.reset(seed=0)
     drawn = [twin.render()]
     for a in currents(steps):
@@ -120,7 +131,9 @@ def test_videos(tmp_path):
 @theirs
 @pytest.mark.parametrize("kind", ["GymEnv", "same_step", "disabled"])
 def test_torchrl(kind):
-    envs = pytest.importorskip("torchrl.envs", reason="TorchRL is of isd-gym[libraries]")
+    envs = pytest.importorskip(
+        "torchrl.envs", reason="TorchRL is of isd-gym[libraries]"
+    )
     if kind == "GymEnv":
         env, count = envs.GymEnv(NAME, max_episode_steps=STEPS), 1
     else:
@@ -129,14 +142,22 @@ def test_torchrl(kind):
     assert env.batch_size == (() if kind == "GymEnv" else (CARS,))
     env.set_seed(0)
     whole = env.rollout(2 * STEPS + 5, break_when_any_done=False)
-    assert whole["next", "done"].sum() == 2 * count and not whole["next", "terminated"].any()
-    assert whole["next", "reward"].isfinite().all() and (whole["next", "reward"] <= 0).all()
+    assert (
+        whole["next", "done"].sum() == 2 * count
+        and not whole["next", "terminated"].any()
+    )
+    assert (
+        whole["next", "reward"].isfinite().all()
+        and (whole["next", "reward"] <= 0).all()
+    )
 
 
 @theirs
 def test_skrl():
     torch = pytest.importorskip("torch", reason="skrl needs torch")
-    wrappers = pytest.importorskip("skrl.envs.wrappers.torch", reason="skrl is of isd-gym[libraries]")
+    wrappers = pytest.importorskip(
+        "skrl.envs.wrappers.torch", reason="skrl is of isd-gym[libraries]"
+    )
     env = wrappers.wrap_env(cars(), verbose=False)
     assert env.num_envs == CARS
     env._env.reset(seed=0)
@@ -147,12 +168,16 @@ def test_skrl():
 
 @theirs
 def test_sb3_contrib_learns():
-    contrib = pytest.importorskip("sb3_contrib", reason="SB3-contrib is of isd-gym[libraries]")
+    contrib = pytest.importorskip(
+        "sb3_contrib", reason="SB3-contrib is of isd-gym[libraries]"
+    )
     from isd_gym.sb3 import make_vec_env
 
     small = {"n_steps": 16, "batch_size": 32, "n_epochs": 1, "seed": 0}
     model = contrib.RecurrentPPO("MlpLstmPolicy", make_vec_env(4), **small).learn(128)
-    assert model.num_timesteps == 128 and all(p.isfinite().all() for p in model.policy.parameters())
+    assert model.num_timesteps == 128 and all(
+        p.isfinite().all() for p in model.policy.parameters()
+    )
 
 
 @theirs
@@ -168,11 +193,16 @@ def test_rllib_trains(tmp_path):
             PPOConfig()
             .environment(f"isd_gym:{NAME}", env_config={"max_episode_steps": 200})
             .env_runners(num_env_runners=1, rollout_fragment_length=200)
-            .training(train_batch_size_per_learner=400, minibatch_size=100, num_epochs=1)
+            .training(
+                train_batch_size_per_learner=400, minibatch_size=100, num_epochs=1
+            )
         )
         algorithm = config.build_algo()
         found = algorithm.train()["env_runners"]
-        assert found["episode_len_mean"] == 200 and -2000 < found["episode_return_mean"] < 0
+        assert (
+            found["episode_len_mean"] == 200
+            and -2000 < found["episode_return_mean"] < 0
+        )
         algorithm.stop()
     finally:
         ray.shutdown()

@@ -18,14 +18,25 @@ LEVEL, GAIN = 2.0, 0.15
 
 def under(load):
     """Return friction whose level grows with the force of an element."""
-    return {"type": "load_dependent_friction", "level": LEVEL, "gain": GAIN, "load": load}
+    return {
+        "type": "load_dependent_friction",
+        "level": LEVEL,
+        "gain": GAIN,
+        "load": load,
+    }
 
 
 def joint(*more, friction=None, **changes):
     """Return a drive: a rotor, a gear as a spring, and a link that a weight pulls."""
-    gear = [builders.spring("rotor", "link", 4000.0, "gear"), damper("rotor", "link", 8.0, "oil")]
+    gear = [
+        builders.spring("rotor", "link", 4000.0, "gear"),
+        damper("rotor", "link", 8.0, "oil"),
+    ]
     rub = {"name": "rub", "between": ["rotor", "ground"], **(friction or under("gear"))}
-    forces = [channel("load", "force", element="gear"), channel("friction", "force", element="rub")]
+    forces = [
+        channel("load", "force", element="gear"),
+        channel("friction", "force", element="rub"),
+    ]
     model = builders.model(
         "joint",
         [*gear, damper("link", "ground", 6.0, "bearing"), rub, *more],
@@ -39,8 +50,13 @@ def joint(*more, friction=None, **changes):
 def driven(seconds=4.0, step=1e-3, size=30.0, weight=0.0):
     """Return time (n,) [s] and inputs: a drive [N] with reversals, and a weight [N] that grows from zero."""
     time = np.arange(0.0, seconds, step)
-    drive = size * np.sin(2.0 * np.pi * 0.7 * time) + 0.6 * size * np.sin(2.0 * np.pi * 1.9 * time)
-    return time, {"drive": drive - weight * np.minimum(time, 1.0), "weight": weight * np.minimum(time, 1.0)}
+    drive = size * np.sin(2.0 * np.pi * 0.7 * time) + 0.6 * size * np.sin(
+        2.0 * np.pi * 1.9 * time
+    )
+    return time, {
+        "drive": drive - weight * np.minimum(time, 1.0),
+        "weight": weight * np.minimum(time, 1.0),
+    }
 
 
 def test_a_heavier_load_needs_more_force_to_break_away():
@@ -48,39 +64,57 @@ def test_a_heavier_load_needs_more_force_to_break_away():
     forces = []
     for weight in (0.0, 20.0, 40.0):
         pulled = weight * np.minimum(time, 1.0)
-        held = np.minimum(time, 1.0) * weight  # the drive carries the weight, then pushes more and more
+        held = (
+            np.minimum(time, 1.0) * weight
+        )  # the drive carries the weight, then pushes more and more
         drive = -held + np.maximum(time - 2.0, 0.0) * 0.5
         seen = simulate(joint(), time, {"drive": drive, "weight": pulled})["speed"]
         resting = (time > 1.9) & (time < 2.0)
         assert np.abs(seen[resting]).max() < 1e-4
-        forces.append(0.5 * (time[np.argmax((time > 2.0) & (np.abs(seen) > 1e-3))] - 2.0))
+        forces.append(
+            0.5 * (time[np.argmax((time > 2.0) & (np.abs(seen) > 1e-3))] - 2.0)
+        )
     # at rest the gear carries the weight
-    assert forces == pytest.approx([LEVEL + GAIN * w for w in (0.0, 20.0, 40.0)], rel=0.05)
+    assert forces == pytest.approx(
+        [LEVEL + GAIN * w for w in (0.0, 20.0, 40.0)], rel=0.05
+    )
 
 
 def test_the_force_of_a_motor_is_a_load():
     time, place = np.arange(0.0, 8.0, 1e-3), ("cart", "ground")
-    parts = [element("motor", "motor", *place, thrust_constant=5.0), damper(*place, 4.0, "guide")]
+    parts = [
+        element("motor", "motor", *place, thrust_constant=5.0),
+        damper(*place, 4.0, "guide"),
+    ]
     rub = {"name": "rub", "between": [*place], **under("motor")}
-    spindle = builders.cart(*parts, rub, inputs=[channel("current", "current", element="motor")])
+    spindle = builders.cart(
+        *parts, rub, inputs=[channel("current", "current", element="motor")]
+    )
     for current in (-4.0, 2.0, 4.0):
         inputs = {"current": np.full(len(time), current)}
         speed = simulate(spindle, time, inputs)["speed"][-1]
         thrust = 5.0 * abs(current)
-        assert abs(speed) == pytest.approx((thrust - LEVEL - GAIN * thrust) / 4.0, rel=1e-4)
+        assert abs(speed) == pytest.approx(
+            (thrust - LEVEL - GAIN * thrust) / 4.0, rel=1e-4
+        )
 
 
 def test_the_load_of_a_law_that_is_not_linear():
     """Behind a hardening gear the level follows the force of the law."""
     time, inputs = driven(size=60.0, weight=30.0)
     hard = element("stop", "cubic_stiffness", "rotor", "link", stiffness=4e7)
-    forces = [channel("load", "force", element="stop"), channel("friction", "force", element="rub")]
+    forces = [
+        channel("load", "force", element="stop"),
+        channel("friction", "force", element="rub"),
+    ]
     outputs = [channel("speed", "velocity", "rotor"), *forces]
     seen = simulate(joint(hard, friction=under("stop"), outputs=outputs), time, inputs)
     sliding = np.abs(seen["speed"]) > 1e-2
     level = np.abs(seen["friction"])
     assert np.ptp(seen["load"]) > 10.0
-    assert level[sliding] == pytest.approx(LEVEL + GAIN * np.abs(seen["load"][sliding]), rel=1e-6)
+    assert level[sliding] == pytest.approx(
+        LEVEL + GAIN * np.abs(seen["load"][sliding]), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -116,12 +150,21 @@ def test_loads_of_a_place():
     """Springs and weights at one of its nodes, and a motor at the place."""
     hang = element("hang", "constant_force", "link", "ground", force=5.0)
     network = joint(hang, friction={"type": "coulomb_friction", "level": 1.0})
-    assert el.LoadDependentFriction.variants(network, ("rotor", "ground")) == [{"load": "gear"}]
-    assert el.LoadDependentFriction.variants(network, ("link", "ground")) == [{"load": "gear"}]
-    assert el.LoadDependentFriction.variants(network, ("rotor", "link")) == [{"load": "hang"}]
+    assert el.LoadDependentFriction.variants(network, ("rotor", "ground")) == [
+        {"load": "gear"}
+    ]
+    assert el.LoadDependentFriction.variants(network, ("link", "ground")) == [
+        {"load": "gear"}
+    ]
+    assert el.LoadDependentFriction.variants(network, ("rotor", "link")) == [
+        {"load": "hang"}
+    ]
 
 
-SENSORS = [channel("speed", "velocity", "rotor"), channel("place", "displacement", "link")]
+SENSORS = [
+    channel("speed", "velocity", "rotor"),
+    channel("place", "displacement", "link"),
+]
 
 
 def measured(name, weight, seed, friction):
@@ -139,21 +182,30 @@ def measured(name, weight, seed, friction):
 def nominal():
     model = joint(outputs=SENSORS).to_dict()
     model["elements"] = [e for e in model["elements"] if e["name"] != "rub"]
-    model["uncertainty"] = {"gear.stiffness": 0.1, "oil.damping": 0.3, "bearing.damping": 0.3}
+    model["uncertainty"] = {
+        "gear.stiffness": 0.1,
+        "oil.damping": 0.3,
+        "bearing.damping": 0.3,
+    }
     return model
 
 
 def diagnosed(friction, loads):
     """Return the diagnosis of four records under loads [N], the last two held out."""
     records = [measured(f"r{k}", w, k, friction) for k, w in enumerate(loads)]
-    return diagnose(records[:2], nominal(), validate=records[2:], settings=SearchSettings(depth=1))
+    return diagnose(
+        records[:2], nominal(), validate=records[2:], settings=SearchSettings(depth=1)
+    )
 
 
 @pytest.mark.slow
 def test_two_loads_name_the_friction_with_its_gain():
     found = diagnosed(under("gear"), (5.0, 60.0, 30.0, 60.0))
     (effect,) = found.effects
-    assert (effect.effect, set(effect.between)) == ("load_dependent_friction", {"rotor", "ground"})
+    assert (effect.effect, set(effect.between)) == (
+        "load_dependent_friction",
+        {"rotor", "ground"},
+    )
     assert effect.parameters["gain"].value == pytest.approx(GAIN, rel=0.1)
     assert effect.parameters["level"].low < LEVEL < effect.parameters["level"].high
     assert found.model.element(effect.element).load == "gear"

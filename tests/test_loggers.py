@@ -51,7 +51,9 @@ def left(record):
     problem = Problem(NETWORK, [record], ["fit"])
     said = problem.simulate([NETWORK], 0)[:, :, 0]
     keep = slice(len(said) // 10, None)
-    return (record.measured - said)[keep].std(axis=0) / record.measured[keep].std(axis=0)
+    return (record.measured - said)[keep].std(axis=0) / record.measured[keep].std(
+        axis=0
+    )
 
 
 def even(step, phase=0.0):
@@ -63,9 +65,16 @@ def test_one_raster_says_what_the_table_says(truth):
     run = recording(truth, stamps)
     table = Table(stamps["road"], {n: s.values for n, s in run.signals.items()})
     made, known = build_record(run, NETWORK), read_record(table, NETWORK, [])
-    a, b = (Problem(NETWORK, [r], ["fit"]).simulate([NETWORK], 0)[:, :, 0] for r in (made, known))
-    np.testing.assert_allclose(a, b[made.margin : len(b) - made.margin], rtol=0, atol=1e-9 * np.abs(b).max())
-    np.testing.assert_array_equal(made.measured, known.measured[made.margin : len(b) - made.margin])
+    a, b = (
+        Problem(NETWORK, [r], ["fit"]).simulate([NETWORK], 0)[:, :, 0]
+        for r in (made, known)
+    )
+    np.testing.assert_allclose(
+        a, b[made.margin : len(b) - made.margin], rtol=0, atol=1e-9 * np.abs(b).max()
+    )
+    np.testing.assert_array_equal(
+        made.measured, known.measured[made.margin : len(b) - made.margin]
+    )
 
 
 def test_two_rasters_are_compared_without_a_trace_of_resampling(truth):
@@ -75,7 +84,10 @@ def test_two_rasters_are_compared_without_a_trace_of_resampling(truth):
     record = build_record(recording(truth, stamps), NETWORK, None, notes)
     assert record.interval == pytest.approx(1 / 130, rel=0.1)
     assert left(record).max() < 2e-3
-    assert any("body_acceleration" in n and "low-pass that the model passes, too" in n for n in notes)
+    assert any(
+        "body_acceleration" in n and "low-pass that the model passes, too" in n
+        for n in notes
+    )
 
 
 def test_uneven_stamps_are_compared_at_their_own_instants(truth):
@@ -95,8 +107,12 @@ def test_a_record_is_cut_where_its_samples_are(truth):
     part = record.part(200, 900, "part")
     problem = Problem(NETWORK, [record, part], ["fit", "fit"])
     whole = problem.simulate([NETWORK], 0)[:, :, 0]
-    said = problem.simulate([NETWORK], 1)[:, :, 0]  # from rest: alike once that has died out
-    np.testing.assert_allclose(said[500:], whole[700:900], atol=0.02 * whole.std(axis=0).max())
+    said = problem.simulate([NETWORK], 1)[
+        :, :, 0
+    ]  # from rest: alike once that has died out
+    np.testing.assert_allclose(
+        said[500:], whole[700:900], atol=0.02 * whole.std(axis=0).max()
+    )
     np.testing.assert_array_equal(part.measured, record.measured[200:900])
 
 
@@ -127,12 +143,22 @@ def test_inputs_on_two_clocks_ask_for_the_lag():
     model = {**CAR, "inputs": [*CAR["inputs"], channel("push", "force", "body")]}
     network, t = Network.load(model), even(2.5e-3)
     channels = (*network.inputs, *network.outputs)
-    signals = {c.name: Signal(t, np.sin(t), c.si, "ba"[c.name != "push"], c.name) for c in channels}
-    refused(r'road on a, push on b.*"lag" in the map', build_record, Recording("run", signals), network)
+    signals = {
+        c.name: Signal(t, np.sin(t), c.si, "ba"[c.name != "push"], c.name)
+        for c in channels
+    }
+    refused(
+        r'road on a, push on b.*"lag" in the map',
+        build_record,
+        Recording("run", signals),
+        network,
+    )
 
 
 def test_a_rate_below_twice_the_motion_is_refused(truth):
-    stamps = {c.name: even(2.5e-3) for c in CHANNELS} | {"wheel_acceleration": even(0.05)}
+    stamps = {c.name: even(2.5e-3) for c in CHANNELS} | {
+        "wheel_acceleration": even(0.05)
+    }
     words = "wheel_acceleration is logged at 20 Hz, below twice the motion.*--map"
     refused(words, diagnose, [recording(truth, stamps)], NETWORK, accept=["all"])
 
@@ -140,13 +166,26 @@ def test_a_rate_below_twice_the_motion_is_refused(truth):
 def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
     t = even(2.5e-3)
     for name in ("a", "b"):
-        write_table(tmp_path / f"{name}.csv", Table(t, {c.name: np.sin(t) for c in CHANNELS}))
-    refused(r"choose one with --map FILE", runs, f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS)
-    channels = {c.name: {"column": c.name, "logger": 1 + (c.name == "travel")} for c in CHANNELS}
+        write_table(
+            tmp_path / f"{name}.csv", Table(t, {c.name: np.sin(t) for c in CHANNELS})
+        )
+    refused(
+        r"choose one with --map FILE",
+        runs,
+        f"{tmp_path}/a.csv+{tmp_path}/b.csv",
+        NETWORK,
+        CHANNELS,
+    )
+    channels = {
+        c.name: {"column": c.name, "logger": 1 + (c.name == "travel")} for c in CHANNELS
+    }
     by = ChannelMap.from_dict({"schema": "isd-map/1", "channels": channels})
     (run,) = runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS, by=by)
     assert run.clocks == ["1 a.csv", "2 b.csv"]
-    write_table(tmp_path / "c.csv", Table(t, {c.name: np.sin(t) for c in CHANNELS if c.name != "travel"}))
+    write_table(
+        tmp_path / "c.csv",
+        Table(t, {c.name: np.sin(t) for c in CHANNELS if c.name != "travel"}),
+    )
     refused(
         r"travel in logger 2; name the files of one run together, as in .*\+",
         runs,
@@ -167,4 +206,6 @@ def test_absolute_stamps_of_two_loggers_share_their_origin(tmp_path):
         (tmp_path / f"{name}.csv").write_text("\n".join(rows))
     (run,) = runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS)
     start, stop = run.together()
-    assert start == pytest.approx(1.25, abs=0.03) and stop == pytest.approx(5.99, abs=0.03)
+    assert start == pytest.approx(1.25, abs=0.03) and stop == pytest.approx(
+        5.99, abs=0.03
+    )

@@ -41,14 +41,19 @@ def bench(monkeypatch):
 
 def figures(bench, truth, *effects, **more):
     answer = {"effects": list(effects), **more}
-    return bench.summarise([bench.score_case(truth, TEST, answer, more.get("prediction"))])
+    return bench.summarise(
+        [bench.score_case(truth, TEST, answer, more.get("prediction"))]
+    )
 
 
 def law(name, place=GROUND, **more):
     return {"law": name, "place": place, **more}
 
 
-DRAG, UNLIKELY = law("quadratic_damping", probability=0.8), law("coulomb_friction", probability=0.3)
+DRAG, UNLIKELY = (
+    law("quadratic_damping", probability=0.8),
+    law("coulomb_friction", probability=0.3),
+)
 PLACED = law(None)
 
 
@@ -78,7 +83,9 @@ def test_answers_of_known_score(bench, truth, effects, expected):
     assert {k: found[k] for k in expected} == pytest.approx(expected)
 
 
-def test_error_reduction_is_one_for_the_truth_and_zero_for_the_best_nominal_model(bench):
+def test_error_reduction_is_one_for_the_truth_and_zero_for_the_best_nominal_model(
+    bench,
+):
     y, deviation = TEST["x"], np.std(TEST["x"])
     wave = np.tile([1.0, -1.0], len(y))[: len(y)] * deviation
     for share, expected in ((0.0, 1.0), (0.5, 0.0), (0.25, 0.75), (9.0, -1.0)):
@@ -99,19 +106,35 @@ def sealed_case(bench, folder):
         place.mkdir(parents=True)
     (truth / "truth.json").write_text(json.dumps({"case_01": TRUTH}))
     bench.write_csv(truth / "case_01.csv", TEST)
-    (cases / "benchmark.json").write_text(json.dumps({"seed": 1, "truth_sha256": bench.digest(truth)}))
-    (answers / "case_01" / "answer.json").write_text(json.dumps({"effects": [FRICTION]}))
+    (cases / "benchmark.json").write_text(
+        json.dumps({"seed": 1, "truth_sha256": bench.digest(truth)})
+    )
+    (answers / "case_01" / "answer.json").write_text(
+        json.dumps({"effects": [FRICTION]})
+    )
     bench.write_csv(answers / "case_01" / "prediction.csv", TEST)
     return cases, answers
 
 
 def test_the_scorer_runs_without_the_package(bench, tmp_path):
     cases, answers = sealed_case(bench, tmp_path)
-    alone = tmp_path / "missing_physics.py"  # the file alone, in a folder without the project
+    alone = (
+        tmp_path / "missing_physics.py"
+    )  # the file alone, in a folder without the project
     alone.write_bytes((BENCHMARKS / "missing_physics.py").read_bytes())
-    words = [sys.executable, alone, "score", cases, answers, "--json", tmp_path / "figures.json"]
+    words = [
+        sys.executable,
+        alone,
+        "score",
+        cases,
+        answers,
+        "--json",
+        tmp_path / "figures.json",
+    ]
     clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    done = subprocess.run(list(map(str, words)), capture_output=True, text=True, env=clean, cwd=tmp_path)
+    done = subprocess.run(
+        list(map(str, words)), capture_output=True, text=True, env=clean, cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     f = json.loads((tmp_path / "figures.json").read_text())["answers"]["all"]
     assert (f["law_accuracy"], f["error_reduction"]) == (1.0, 1.0)
@@ -121,7 +144,9 @@ def test_the_scorer_runs_without_the_package(bench, tmp_path):
 
 def test_a_truth_that_was_changed_is_refused(bench, tmp_path):
     cases, answers = sealed_case(bench, tmp_path)
-    (tmp_path / "cases.truth" / "truth.json").write_text(json.dumps({"case_01": NOTHING}))
+    (tmp_path / "cases.truth" / "truth.json").write_text(
+        json.dumps({"case_01": NOTHING})
+    )
     with pytest.raises(SystemExit, match="sealed"):
         bench.score(cases, answers)
 
@@ -133,12 +158,22 @@ def test_the_force_of_the_controller_moves_the_open_rig_as_the_closed_loop_did(b
     assert not any(e["name"].startswith("loop_") for e in files["model"]["elements"])
     true = {**files["model"], "masses": {"mass": truth["parameters"]["mass.mass"]}}
     known = truth["parameters"]
-    own = [{k: known.get(f"{e['name']}.{k}", v) for k, v in e.items()} for e in true["elements"]]
-    small = [{k: v for k, v in e.items() if k not in ("law", "place")} for e in truth["nuisances"]]
-    true["elements"] = own + [{**e, "name": f"true_{k}"} for k, e in enumerate([*truth["hidden"], *small])]
+    own = [
+        {k: known.get(f"{e['name']}.{k}", v) for k, v in e.items()}
+        for e in true["elements"]
+    ]
+    small = [
+        {k: v for k, v in e.items() if k not in ("law", "place")}
+        for e in truth["nuisances"]
+    ]
+    true["elements"] = own + [
+        {**e, "name": f"true_{k}"} for k, e in enumerate([*truth["hidden"], *small])
+    ]
     name = true["inputs"][0]["name"]
     network = Network.load({k: v for k, v in true.items() if k != "uncertainty"})
-    y = simulate(network, test["time"], {name: files["test_input"][name]}, interpolation="spline")
+    y = simulate(
+        network, test["time"], {name: files["test_input"][name]}, interpolation="spline"
+    )
     error = np.std(y["position"] - test["position"]) / np.std(test["position"])
     assert error < 0.02
     assert truth["nominal_error"] > 10.0 * error

@@ -48,17 +48,28 @@ def solution(t):
 
 
 @pytest.mark.parametrize("quantity", ["acceleration", "velocity"])
-def test_a_table_that_is_told_by_its_rate_moves_the_mass_as_the_closed_solution_does(quantity):
+def test_a_table_that_is_told_by_its_rate_moves_the_mass_as_the_closed_solution_does(
+    quantity,
+):
     errors = []
     for h in (0.01, 0.005, 0.0025):
         t = np.arange(0, 3, h)
         out = simulate(shaken(quantity), t, {"u": MOVES[quantity][1](t)}, step=h)
         d, a = solution(t)
-        errors.append([np.abs(out[k] - y).max() / np.abs(y).max() for k, y in (("d", d), ("a", a))])
-        assert np.allclose(out["F"], M * out["a"], rtol=1e-9, atol=1e-9)  # nothing else is there to push
+        errors.append(
+            [
+                np.abs(out[k] - y).max() / np.abs(y).max()
+                for k, y in (("d", d), ("a", a))
+            ]
+        )
+        assert np.allclose(
+            out["F"], M * out["a"], rtol=1e-9, atol=1e-9
+        )  # nothing else is there to push
     errors = np.array(errors)
     assert np.all(errors[0] < 1e-3)
-    assert np.all(np.log2(errors[:-1] / errors[1:]) > 1.95)  # second order: lines between samples
+    assert np.all(
+        np.log2(errors[:-1] / errors[1:]) > 1.95
+    )  # second order: lines between samples
 
 
 def test_the_three_inputs_of_one_motion_agree_and_a_velocity_tells_absolute_velocities():
@@ -68,7 +79,11 @@ def test_the_three_inputs_of_one_motion_agree_and_a_velocity_tells_absolute_velo
     by = {q: simulate(shaken(q, **more[q]), t, {"u": MOVES[q][1](t)}) for q in MOVES}
     for name in ("a", "d", "F"):
         for q in ("acceleration", "velocity"):
-            assert np.allclose(by[q][name], by["displacement"][name], atol=2e-4 * np.abs(by[q][name]).max())
+            assert np.allclose(
+                by[q][name],
+                by["displacement"][name],
+                atol=2e-4 * np.abs(by[q][name]).max(),
+            )
     assert np.allclose(by["velocity"]["v"], by["displacement"]["v"], atol=1e-6)
 
 
@@ -100,12 +115,20 @@ SECOND = channel("u2", "acceleration", "m")
 )  # fmt: skip
 def test_what_is_missing_is_said_in_a_line(quantity, more, words):
     t = np.arange(0, 1, 0.01)
-    refused(words.replace("'", "."), simulate, shaken(quantity, **more), t, {"u": t, "u2": t})
+    refused(
+        words.replace("'", "."),
+        simulate,
+        shaken(quantity, **more),
+        t,
+        {"u": t, "u2": t},
+    )
 
 
 def test_a_distance_cannot_be_an_input():
     with pytest.raises(InputError, match=r"needs .at.: a node"):
-        Network.load({**TABLE, "inputs": [channel("u", "acceleration", "m", "table", unit="g")]})
+        Network.load(
+            {**TABLE, "inputs": [channel("u", "acceleration", "m", "table", unit="g")]}
+        )
 
 
 def test_effects_at_the_ground_need_no_more_than_the_input_tells():
@@ -113,11 +136,17 @@ def test_effects_at_the_ground_need_no_more_than_the_input_tells():
     at_ground = {}
     for quantity in MOVES:
         network = Network.load(shaken(quantity))
-        at_ground[quantity] = {h.kind.plane for h in hypotheses(network) if set(h.where) == {"m", "ground"}}
+        at_ground[quantity] = {
+            h.kind.plane for h in hypotheses(network) if set(h.where) == {"m", "ground"}
+        }
         assert ("m", "table") in pairs(network)
     everything = {"rate", "elongation", "time"}
     velocity = everything - {"elongation"}
-    assert at_ground == {"acceleration": set(), "velocity": velocity, "displacement": everything}
+    assert at_ground == {
+        "acceleration": set(),
+        "velocity": velocity,
+        "displacement": everything,
+    }
 
 
 def fitted(network, inputs, step=1e-3):
@@ -126,7 +155,9 @@ def fitted(network, inputs, step=1e-3):
     rest = np.zeros(assemble(network).size[0])
     record = Record("run", step, inputs, np.zeros((size, len(network.outputs))))
     problem = Problem(replace(network, uncertainty={}), [record], ["fit"])
-    return problem, builders.fitted(problem, *np.ones(len(network.outputs)), initial={0: rest}, iterations=0)
+    return problem, builders.fitted(
+        problem, *np.ones(len(network.outputs)), initial={0: rest}, iterations=0
+    )
 
 
 def test_the_motion_against_the_ground_is_that_of_the_displacement_from_the_start_of_the_record():
@@ -134,7 +165,9 @@ def test_the_motion_against_the_ground_is_that_of_the_displacement_from_the_star
     where = ("m", "ground")
     seen = {}
     for quantity in ("velocity", "displacement"):
-        problem, fit = fitted(Network.load(shaken(quantity)), {"u": MOVES[quantity][1](t)})
+        problem, fit = fitted(
+            Network.load(shaken(quantity)), {"u": MOVES[quantity][1](t)}
+        )
         fit = replace(fit, initial={0: np.zeros(2)})
         seen[quantity] = motions(problem, fit)[where]
     for key in ("d", "v"):
@@ -144,7 +177,9 @@ def test_the_motion_against_the_ground_is_that_of_the_displacement_from_the_star
 
 FLYWHEEL = element("flywheel", "inertance", "rod", "ground", inertance=25.0)
 RACK = [FLYWHEEL, damper("rod", "ground", 30.0, "bearing")]
-INERTER = builders.model("rack and pinion", RACK, ["speed velocity rod"], ["force force rod"])
+INERTER = builders.model(
+    "rack and pinion", RACK, ["speed velocity rod"], ["force force rod"]
+)
 
 
 def test_a_table_over_rate_stands_between_a_node_moved_by_its_speed_and_the_ground():
@@ -157,13 +192,19 @@ def test_a_table_over_rate_stands_between_a_node_moved_by_its_speed_and_the_grou
 
 
 @pytest.mark.parametrize(("model", "pair", "moves"), [(INERTER, ("rod", "ground"), False), (shaken("velocity"), ("m", "ground"), True)])  # fmt: skip
-def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_known(model, pair, moves):
+def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_known(
+    model, pair, moves
+):
     network = Network.load(model)
     t = np.arange(0, 4, 2e-3)
     names = [c.name for c in network.outputs]
     response = Deconvolution.of(network, pair, t, {n: np.sin(9.0 * t) for n in names})
     if moves:  # as the mass answers against the table
-        compliance = 1 / (K - M * (2 * np.pi * response.frequency) ** 2 + 2j * np.pi * response.frequency * C)
+        compliance = 1 / (
+            K
+            - M * (2 * np.pi * response.frequency) ** 2
+            + 2j * np.pi * response.frequency * C
+        )
         assert np.allclose(np.abs(response.moved[:, 0]), np.abs(compliance), rtol=1e-6)
     else:
         assert not response.moved.any()
@@ -187,10 +228,19 @@ def test_what_is_above_the_cut_moves_as_in_the_whole_car():
     t, inputs = driven()
     whole = simulate(car(), t, inputs)
     part = cut(car(), "wheel")
-    assert part.moved_nodes == ("wheel",) and "tyre" not in {e.name for e in part.elements}
+    assert part.moved_nodes == ("wheel",) and "tyre" not in {
+        e.name for e in part.elements
+    }
     assert [c.name for c in part.inputs] == ["wheel_acceleration", "current"]
     assert set(part.uncertainty) == {"body.mass", "damper.damping"}
-    out = simulate(part, t, {"wheel_acceleration": whole["wheel_acceleration"], "current": inputs["current"]})
+    out = simulate(
+        part,
+        t,
+        {
+            "wheel_acceleration": whole["wheel_acceleration"],
+            "current": inputs["current"],
+        },
+    )
     assert set(out) == {"body_acceleration", "suspension_travel", "device_travel"}
     for name, y in out.items():
         assert np.std(y - whole[name]) < 0.01 * np.std(whole[name])
@@ -201,14 +251,19 @@ def test_a_displacement_is_taken_before_an_acceleration():
     data["outputs"].append(channel("hub", "displacement", "wheel", unit="mm"))
     part = cut(Network.load(data), "wheel")
     assert part.inputs[0].name == "hub" and part.inputs[0].unit == "mm"
-    assert "wheel_acceleration" not in {c.name for c in part.outputs}  # the input tells it
+    assert "wheel_acceleration" not in {
+        c.name for c in part.outputs
+    }  # the input tells it
 
 
 def test_what_was_found_in_a_part_comes_back_into_the_whole():
     part = cut(car(), "wheel").with_parameters({"damper.damping": 1400.0})
     part = part.with_element(friction("body", "wheel", 80.0))
     whole = rejoin(car(), part)
-    assert whole.parameters["damper.damping"] == 1400.0 and whole.parameters["rub.level"] == 80.0
+    assert (
+        whole.parameters["damper.damping"] == 1400.0
+        and whole.parameters["rub.level"] == 80.0
+    )
     assert whole.parameters["tyre.stiffness"] == car().parameters["tyre.stiffness"]
     assert whole.inputs == car().inputs and whole.uncertainty == car().uncertainty
     assert rejoin(car(), cut(car(), "wheel")).parameters == car().parameters

@@ -41,7 +41,9 @@ def test_series_network_equals_impedances_in_series():
     f = np.logspace(-1, 2, 40)
     s = 2j * np.pi * f
     device = p["leak.damping"] * s + p["inerter.inertance"] * s**2
-    Y = p["main_spring.stiffness"] + 1 / (1 / p["oil.stiffness"] + 1 / device + 1 / (p["damper.damping"] * s))
+    Y = p["main_spring.stiffness"] + 1 / (
+        1 / p["oil.stiffness"] + 1 / device + 1 / (p["damper.damping"] * s)
+    )
     ms, mu, kt = p["body.mass"], p["wheel.mass"], p["tyre.stiffness"]
     det = (ms * s**2 + Y) * (mu * s**2 + Y + kt) - Y**2
     H = linearise("quarter-car-isd", damping={"seal": 0.0}).response(f)
@@ -50,7 +52,11 @@ def test_series_network_equals_impedances_in_series():
 
 def test_no_inertance_leaves_spring_and_dampers_in_series():
     """b -> 0: the device is its leak; the piston-joint direction loses its momentum and a state with it."""
-    net = Network.load("quarter-car-isd").without_element("seal").without_element("end_stop")
+    net = (
+        Network.load("quarter-car-isd")
+        .without_element("seal")
+        .without_element("end_stop")
+    )
     bare = net.without_element("inerter")
     small = net.with_parameters({"inerter.inertance": 1e-6})
     f = np.logspace(-1, 1.5, 20)
@@ -59,23 +65,36 @@ def test_no_inertance_leaves_spring_and_dampers_in_series():
     np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("path", ["body.mass", "wheel.mass", "inerter.inertance", "leak.damping"])
+@pytest.mark.parametrize(
+    "path", ["body.mass", "wheel.mass", "inerter.inertance", "leak.damping"]
+)
 def test_a_state_means_the_same_motion_for_the_next_digit_of_a_parameter(path):
     """Fits keep a state while they move a parameter: it must not turn about, not even where two inertias are the same."""
     net = Network.load("quarter-car-isd")
     nodes = len(net.nodes) - 1  # the road is told
     for value in np.geomspace(0.05, 20.0, 60) * net.parameters[path]:
-        here, near = (assemble(net.with_parameters({path: value * k})) for k in (1.0, 1.0 + 1e-7))
+        here, near = (
+            assemble(net.with_parameters({path: value * k})) for k in (1.0, 1.0 + 1e-7)
+        )
         x = here.columns("x")
-        np.testing.assert_allclose(here.position[:nodes, x], near.position[:nodes, x], atol=1e-4)
+        np.testing.assert_allclose(
+            here.position[:nodes, x], near.position[:nodes, x], atol=1e-4
+        )
         # of rates, the largest is that with which the oil's spring moves what has no mass
         largest = np.abs(here.velocity[:, x]).max()
-        np.testing.assert_allclose(here.velocity[:nodes, x], near.velocity[:nodes, x], atol=1e-5 * largest)
+        np.testing.assert_allclose(
+            here.velocity[:nodes, x], near.velocity[:nodes, x], atol=1e-5 * largest
+        )
 
 
 def test_states_of_equal_masses_do_not_change_places():
-    springs = [spring("one", "ground", 1e3, "first"), spring("one", "other", 1e3, "second")]
-    net = network("two", springs, [], ["x displacement one"], masses={"one": 2.0, "other": 2.0})
+    springs = [
+        spring("one", "ground", 1e3, "first"),
+        spring("one", "other", 1e3, "second"),
+    ]
+    net = network(
+        "two", springs, [], ["x displacement one"], masses={"one": 2.0, "other": 2.0}
+    )
     seen = [assemble(net.with_parameters({"one.mass": m})) for m in (1.9, 2.0, 2.1)]
     for asm in seen:  # where the nodes are
         np.testing.assert_array_equal(asm.position[:, :2], np.eye(2))
@@ -86,11 +105,22 @@ def test_networks_side_by_side_are_assembled_and_stepped_as_each_alone(name):
     net = Network.load(name)
     paths = [p for p, value in net.parameters.items() if value > 0]
     lanes = [net, *(net.with_parameters({p: 1.3 * net.parameters[p]}) for p in paths)]
-    alone = [copy.copy(n)._with_values() for n in lanes]  # without an assembly of their own
+    alone = [
+        copy.copy(n)._with_values() for n in lanes
+    ]  # without an assembly of their own
     for together, own in zip(assemble_all(lanes), map(assemble, alone), strict=True):
-        for part in ("rate", "elongation", "elongation_rate", "outputs", "position", "velocity"):
+        for part in (
+            "rate",
+            "elongation",
+            "elongation_rate",
+            "outputs",
+            "position",
+            "velocity",
+        ):
             here, there = getattr(together, part), getattr(own, part)
-            np.testing.assert_allclose(here, there, rtol=1e-12, atol=1e-12 * np.abs(there).max(initial=0.0))
+            np.testing.assert_allclose(
+                here, there, rtol=1e-12, atol=1e-12 * np.abs(there).max(initial=0.0)
+            )
     plant = Plant(lanes)
     for k, own in enumerate(alone):
         group, lane = divmod(k, plant.mats.shape[-1])
@@ -99,7 +129,9 @@ def test_networks_side_by_side_are_assembled_and_stepped_as_each_alone(name):
         numbers = single.mats[:count, 0]
         finite = np.isfinite(numbers)
         together = plant.mats[group, :count, lane]
-        np.testing.assert_allclose(together[finite], numbers[finite], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            together[finite], numbers[finite], rtol=1e-9, atol=1e-12
+        )
 
 
 def test_force_at_a_moved_node_is_equation_6():
@@ -116,7 +148,11 @@ def test_terminal_inertia_is_the_term_equation_4_drops():
     net = car("force-rig-eq6")
     net["elements"] = [e for e in net["elements"] if e["name"] == "inerter"]
     net["uncertainty"] = {}
-    net["elements"].append(element("term", "terminal_inertia", "top", "ground", mass=23.0, terminal="first"))
+    net["elements"].append(
+        element(
+            "term", "terminal_inertia", "top", "ground", mass=23.0, terminal="first"
+        )
+    )
     space = linearise(Network.from_dict(net))
     np.testing.assert_allclose(space.D[0], [0.0, 95.0 + 23.0])
     assert space.inputs == ("displacement", "displacement''")
@@ -124,20 +160,38 @@ def test_terminal_inertia_is_the_term_equation_4_drops():
 
 LAG = {"name": "lag", "type": "actuator_lag", "element": "oil", "time_constant": 0.01}
 BAD = {
-    "not finite": (lambda m: m["elements"][0].update(stiffness=float("nan")), "main_spring.*finite"),
-    "unknown node": (lambda m: m["outputs"][0].update(at="roof"), "body_acceleration.*no node 'roof'"),
+    "not finite": (
+        lambda m: m["elements"][0].update(stiffness=float("nan")),
+        "main_spring.*finite",
+    ),
+    "unknown node": (
+        lambda m: m["outputs"][0].update(at="roof"),
+        "body_acceleration.*no node 'roof'",
+    ),
     "unknown unit": (
         lambda m: m["outputs"][0].update(unit="furlong"),
         "acceleration.*unknown unit 'furlong'",
     ),
-    "floating node": (lambda m: m["elements"][8].update(between=["joint", "air"]), "node 'air' floats"),
-    "twice": (lambda m: m["elements"][1].update(name="main_spring"), "two elements are called 'main_spring'"),
+    "floating node": (
+        lambda m: m["elements"][8].update(between=["joint", "air"]),
+        "node 'air' floats",
+    ),
+    "twice": (
+        lambda m: m["elements"][1].update(name="main_spring"),
+        "two elements are called 'main_spring'",
+    ),
     "massless acceleration": (
         lambda m: m["outputs"].append(channel("x", "acceleration", "joint")),
         "acceleration of a massless node",
     ),
-    "current without motor": (lambda m: m["inputs"][1].update(element="oil"), "current.*name of a motor"),
-    "uncertainty of nothing": (lambda m: m["uncertainty"].update({"roof.mass": 0.1}), "no parameter 'roof"),
+    "current without motor": (
+        lambda m: m["inputs"][1].update(element="oil"),
+        "current.*name of a motor",
+    ),
+    "uncertainty of nothing": (
+        lambda m: m["uncertainty"].update({"roof.mass": 0.1}),
+        "no parameter 'roof",
+    ),
     "effect of no motor": (lambda m: m["elements"].append(LAG), "lag.*no motor 'oil'"),
 }
 
@@ -154,7 +208,10 @@ def test_singular_massless_part_names_the_nodes():
     model = car("quarter-car-passive")
     a, b = ["body", "hook"], ["hook", "wheel"]
     law = {"type": "quadratic_damping", "damping": 100.0}
-    model["elements"] += [{"name": "a", "between": a, **law}, {"name": "b", "between": b, **law}]
+    model["elements"] += [
+        {"name": "a", "between": a, **law},
+        {"name": "b", "between": b, **law},
+    ]
     refused("nothing holds 'hook'", lambda: assemble(Network.from_dict(model)))
 
 
@@ -184,7 +241,9 @@ def test_a_record_may_begin_anywhere():
     """A spring law feels the elongation it begins with; a hysteresis has not been dragged there from zero."""
     time = np.arange(0, 1.0, 1e-3)
     x = 0.02 + 1e-3 * np.sin(2 * np.pi * time)
-    force = simulate(rod({"type": "cubic_stiffness", "stiffness": 1e7}), time, {"displacement": x})["force"]
+    force = simulate(
+        rod({"type": "cubic_stiffness", "stiffness": 1e7}), time, {"displacement": x}
+    )["force"]
     assert abs(force[0]) == pytest.approx(1e7 * 0.02**3)
     spring = {"type": "hysteresis", "level": 500.0, "stiffness": 1e4}
     force = simulate(rod(spring), time, {"displacement": x})["force"]

@@ -26,7 +26,11 @@ MASS = Network.load(
         [channel("stroke", "displacement", "shaker", unit="mm")],
         [channel("acceleration", "acceleration", "table")],
         masses={"table": 12.0},
-        uncertainty={"table.mass": 0.03, "spring.stiffness": 0.1, "damper.damping": 0.2},
+        uncertainty={
+            "table.mass": 0.03,
+            "spring.stiffness": 0.1,
+            "damper.damping": 0.2,
+        },
     )
 )
 SHORT = Rig({"stroke": Limits(0.01)}, (1.0, 7.0), 8.0, 0.008)
@@ -35,7 +39,9 @@ SHORT = Rig({"stroke": Limits(0.01)}, (1.0, 7.0), 8.0, 0.008)
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_excitation_keeps_within_the_rigs_limits(kind):
     network = Network.load("quarter-car-isd")
-    rig = Rig({"road": Limits(0.02, 0.3), "current": Limits(4.0)}, (0.5, 15.0), 10.0, 2e-3)
+    rig = Rig(
+        {"road": Limits(0.02, 0.3), "current": Limits(4.0)}, (0.5, 15.0), 10.0, 2e-3
+    )
     played = Excitation(kind, 0.5, 15.0, ("road", "current")).signals(network, rig)
     road, current = played["road"], played["current"]
     assert np.abs(road).max() <= 0.02 * (1 + 1e-9)
@@ -50,7 +56,9 @@ def test_an_excitation_keeps_within_the_rigs_limits(kind):
 def test_limits_come_from_the_records():
     record = make_record(MASS, SHORT, Excitation("sweep", 1.0, 5.0, ("stroke",), 0.5))
     rig = infer_rig(MASS, [record])
-    assert rig.limits["stroke"].reach == pytest.approx(np.abs(record.inputs["stroke"]).max())
+    assert rig.limits["stroke"].reach == pytest.approx(
+        np.abs(record.inputs["stroke"]).max()
+    )
     assert rig.length == pytest.approx(8.0, rel=0.01)
     assert 0.5 < rig.band[0] < 1.5
     assert 3.0 < rig.band[1] < 7.0
@@ -58,13 +66,18 @@ def test_limits_come_from_the_records():
 
 
 def rival(effect, **values):
-    structure = add(base_structure(MASS), Hypothesis(effect, ("table", "ground")), values)
+    structure = add(
+        base_structure(MASS), Hypothesis(effect, ("table", "ground")), values
+    )
     return Rival(effect, structure, structure.start)
 
 
 def test_a_designed_test_separates_rivals_better_than_the_usual_one():
     left = [rival("coulomb_friction", level=3.0), rival("linear_damping", damping=14.0)]
-    tests = [Excitation(k, 1.0, 7.0, ("stroke",), size) for k, size in (("triangle", 0.4), ("sweep", 0.3))]
+    tests = [
+        Excitation(k, 1.0, 7.0, ("stroke",), size)
+        for k, size in (("triangle", 0.4), ("sweep", 0.3))
+    ]
     tests.insert(0, make_excitation(MASS, SHORT))
     found = design_test(MASS, left, SHORT, np.array([0.05]), tests=tests)
     assert found.separation >= found.usual > 0

@@ -25,7 +25,9 @@ def stand(offset="free"):
     """A mass on a spring to the ground, pushed by a known force."""
     position = channel("position", "displacement", "mass", offset=offset)
     known = {"spring.stiffness": 0.2, "damper.damping": 0.5}
-    return oscillator(position, mass=2.0, stiffness=900.0, damping=9.0, uncertainty=known)
+    return oscillator(
+        position, mass=2.0, stiffness=900.0, damping=9.0, uncertainty=known
+    )
 
 
 def record(name, mean, seed, offset=OFFSET, size=2.0):
@@ -39,11 +41,15 @@ def record(name, mean, seed, offset=OFFSET, size=2.0):
     rest = np.array([mean / 900.0, 0.0])
     x0 = np.linalg.lstsq(motion_rows(problem, network), rest, rcond=None)[0]
     seen = recorded(network, STEP, {"push": push}, initial=x0).measured
-    return replace(blank, measured=seen + offset + NOISE * rng.standard_normal(seen.shape))
+    return replace(
+        blank, measured=seen + offset + NOISE * rng.standard_normal(seen.shape)
+    )
 
 
 def problem_of(network, *offsets, held=None, size=2.0):
-    records = [record(f"run {k}", 6.0 * k - 6.0, k, o, size) for k, o in enumerate(offsets)]
+    records = [
+        record(f"run {k}", 6.0 * k - 6.0, k, o, size) for k, o in enumerate(offsets)
+    ]
     roles = ["fit"] * len(records)
     if held is not None:
         records.append(record("test", 3.0, 9, held))
@@ -51,7 +57,9 @@ def problem_of(network, *offsets, held=None, size=2.0):
     return Problem(network, records, roles)
 
 
-@pytest.mark.parametrize(("text", "value"), [("free", "free"), ("record", "record"), ("none", None)])
+@pytest.mark.parametrize(
+    ("text", "value"), [("free", "free"), ("record", "record"), ("none", None)]
+)
 def test_an_offset_is_read_and_written(text, value):
     network = stand(text)
     assert network.outputs[0].offset == value
@@ -79,7 +87,9 @@ def test_mean_forces_show_a_stiffness_through_one_offset_only():
     for offset in ("free", "record"):
         problem = problem_of(stand(offset), OFFSET, OFFSET, OFFSET, size=0.2)
         fit = fitted(problem, NOISE)
-        assert fit.network.parameters["spring.stiffness"] == pytest.approx(900.0, rel=0.02)
+        assert fit.network.parameters["spring.stiffness"] == pytest.approx(
+            900.0, rel=0.02
+        )
         assert fit.hessian is not None
         spread[offset] = float(np.linalg.inv(fit.hessian)[0, 0])
     # the mean deflections have a hundred times the power of the motion about them
@@ -90,7 +100,9 @@ def test_each_record_has_its_own_offset_where_the_model_says_so():
     true = (0.001, -0.004, 0.02)
     problem = problem_of(stand("record"), *true)
     fit = fitted(problem, NOISE)
-    assert [float(fit.offset[i][0]) for i in range(3)] == pytest.approx(true, abs=10 * NOISE)
+    assert [float(fit.offset[i][0]) for i in range(3)] == pytest.approx(
+        true, abs=10 * NOISE
+    )
     assert fit.structure.offsets is None
 
 
@@ -109,13 +121,22 @@ def test_the_joint_fit_is_that_of_all_numbers_at_once():
         out = [(z[:2] - mean) / sigma]
         for i in range(2):
             x0 = z[3 + 2 * i : 5 + 2 * i]
-            y = problem.simulate([network], i, x0[:, None], like=network)[:, 0, 0] + z[2]
+            y = (
+                problem.simulate([network], i, x0[:, None], like=network)[:, 0, 0]
+                + z[2]
+            )
             out += [(problem.records[i].measured[:, 0] - y) / NOISE, scale[i] @ x0]
         return np.concatenate(out)
 
     start = np.concatenate([structure.start, [0.0], fit.initial[0], fit.initial[1]])
-    dense = least_squares(left, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    cost = fit.cost + fit.prior + sum(float(np.sum((scale[i] @ fit.initial[i]) ** 2)) for i in range(2))
+    dense = least_squares(
+        left, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14
+    )
+    cost = (
+        fit.cost
+        + fit.prior
+        + sum(float(np.sum((scale[i] @ fit.initial[i]) ** 2)) for i in range(2))
+    )
     assert cost == pytest.approx(2 * dense.cost, rel=1e-7)
     assert fit.structure.offsets is not None
     assert fit.structure.offsets[0] == pytest.approx(dense.x[2], abs=1e-7)
@@ -123,7 +144,9 @@ def test_the_joint_fit_is_that_of_all_numbers_at_once():
     information = dense.jac.T @ dense.jac
     expected = np.linalg.inv(np.linalg.inv(information)[:2, :2]) - np.diag(1 / sigma**2)
     size = np.sqrt(np.diag(expected))  # slopes by parameters are one-sided differences
-    np.testing.assert_allclose(fit.hessian / np.outer(size, size), expected / np.outer(size, size), atol=0.01)
+    np.testing.assert_allclose(
+        fit.hessian / np.outer(size, size), expected / np.outer(size, size), atol=0.01
+    )
 
 
 def test_the_residual_of_the_score_test_has_no_offset_left():
@@ -142,13 +165,20 @@ def test_the_residual_of_the_score_test_has_no_offset_left():
 def test_a_held_out_record_has_the_offset_of_the_training_records():
     """A sensor that moved by 3 mm before the held-out record is an error of 3 mm there."""
     problem = problem_of(stand(), OFFSET, OFFSET, held=OFFSET + 0.003)
-    fitter, structure = HeldOutEvaluator(problem).plain_fitter, base_structure(problem.network)
+    fitter, structure = (
+        HeldOutEvaluator(problem).plain_fitter,
+        base_structure(problem.network),
+    )
     fit = fitter.fit(structure)
     held = fitter.follow(fit.structure, fit.x, problem.held)
-    left = problem.records[2].measured[300:, 0] - held.outputs[2][300:, 0]  # the free motion has died by then
+    left = (
+        problem.records[2].measured[300:, 0] - held.outputs[2][300:, 0]
+    )  # the free motion has died by then
     assert left.mean() == pytest.approx(0.003, abs=2e-4)
     assert held.offset[2][0] == fit.offset[0][0]
-    nominal = HeldOutEvaluator(problem).plain_fitter.follow(structure, structure.start, problem.held)
+    nominal = HeldOutEvaluator(problem).plain_fitter.follow(
+        structure, structure.start, problem.held
+    )
     assert nominal.offset[2][0] == pytest.approx(OFFSET, abs=1e-4)
 
 
@@ -172,6 +202,11 @@ def test_the_deviation_is_that_within_records():
     assert problem.deviation()[0] == pytest.approx(0.01 / np.sqrt(2), rel=1e-6)
     # segments of one record are one record
     halves = [records[0].part(0, 500, "run 0"), records[0].part(500, 1000, "run 0")]
-    ramp = [Record("run 0", 1e-2, {"push": h.inputs["push"]}, h.measured + k) for k, h in enumerate(halves)]
+    ramp = [
+        Record("run 0", 1e-2, {"push": h.inputs["push"]}, h.measured + k)
+        for k, h in enumerate(halves)
+    ]
     expected = np.hypot(0.01 / np.sqrt(2), 0.5)
-    assert Problem(stand(), ramp, ["fit", "fit"]).deviation()[0] == pytest.approx(expected)
+    assert Problem(stand(), ramp, ["fit", "fit"]).deviation()[0] == pytest.approx(
+        expected
+    )

@@ -62,20 +62,29 @@ def test_both_doors_score_alike(made, name):
     file, space = made
     by_class = score(Entry("own", space[name]), **DRIVE).policies[1]
     to = file.with_name("score.json")
-    done = run("score", f"{file}:{name}", "--episodes", 3, "--duration", 0.5, "--json", to)
+    done = run(
+        "score", f"{file}:{name}", "--episodes", 3, "--duration", 0.5, "--json", to
+    )
     assert done.returncode == 0, done.stderr
     by_name = json.loads(to.read_text())["policies"][1]
-    assert by_class["cost"] == by_name["cost"] and by_class["current_rms"]["value"] > 0.01
+    assert (
+        by_class["cost"] == by_name["cost"] and by_class["current_rms"]["value"] > 0.01
+    )
     assert by_class["control_time"]["median"] > 0
     usual = score(Entry("own", space["SkyDamper"]), **DRIVE).policies[1]
     assert by_class["cost"]["value"] == pytest.approx(usual["cost"]["value"], rel=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("name", "says"), [("Wrong", "act_batch returned None"), ("Nothing", "no method act")]
+    ("name", "says"),
+    [("Wrong", "act_batch returned None"), ("Nothing", "no method act")],
 )
 def test_both_doors_refuse_alike(made, name, says):
     file, space = made
     refused(says, score, Entry("own", space[name]), **DRIVE)
     done = run("score", f"{file}:{name}", "--episodes", 1, "--duration", 0.1)
-    assert done.returncode == 2 and says in done.stderr and len(done.stderr.splitlines()) == 1
+    assert (
+        done.returncode == 2
+        and says in done.stderr
+        and len(done.stderr.splitlines()) == 1
+    )

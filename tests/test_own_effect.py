@@ -48,9 +48,15 @@ def record(seed, force, length, seconds=8.0):
         v = state[1] - 0.003 * (w * np.cos(w * at + phase)).sum()
         return [state[1], -(812.0 * d + 7.8 * v + force * math.tanh(d / length)) / 2.0]
 
-    out = solve_ivp(slope, (0.0, t[-1]), [0.0, 0.0], t_eval=t, rtol=1e-7, atol=1e-9, max_step=4e-3).y[0]
+    out = solve_ivp(
+        slope, (0.0, t[-1]), [0.0, 0.0], t_eval=t, rtol=1e-7, atol=1e-9, max_step=4e-3
+    ).y[0]
     base = 0.003 * np.sin(np.outer(t, w) + phase).sum(axis=1)
-    return Table(t, {"base": base, "position": out + 2e-5 * rng.standard_normal(len(t))}, f"drive {seed}")
+    return Table(
+        t,
+        {"base": base, "position": out + 2e-5 * rng.standard_normal(len(t))},
+        f"drive {seed}",
+    )
 
 
 def test_it_is_tried_at_every_place(registered):
@@ -75,7 +81,10 @@ def test_it_is_named_where_it_is_hidden(registered):
     found = diagnose([record(1, 5.0, 0.004)], RIG, validate=[record(2, 5.0, 0.004)])
     assert found.verdict == "missing_effect", found.summary
     (effect,) = found.effects
-    assert (effect.effect, set(effect.between or ())) == ("softening_clip", {"mass", "base"})
+    assert (effect.effect, set(effect.between or ())) == (
+        "softening_clip",
+        {"mass", "base"},
+    )
     assert effect.parameters["force"].value == pytest.approx(5.0, rel=0.1)
     assert found.laws and found.model.element(effect.element).type == "softening_clip"
 
@@ -120,7 +129,9 @@ def test_a_package_offers_elements_through_its_entry_point(monkeypatch):
 
             return offer
 
-    monkeypatch.setattr("isd_gym.physics.elements._base.entry_points", lambda group: [Entry()])
+    monkeypatch.setattr(
+        "isd_gym.physics.elements._base.entry_points", lambda group: [Entry()]
+    )
     el.discover.cache_clear()
     try:
         assert any(h.effect == "offered_damper" for h in hypotheses(RIG))

@@ -244,7 +244,9 @@ def public_modules(package=isd_gym.__name__, path=isd_gym.__path__):
 def defined(module):
     """Return the public names that the source of a module defines."""
     names = set()
-    for node in ast.parse(Path(find_spec(module).origin).read_text(encoding="utf-8")).body:
+    for node in ast.parse(
+        Path(find_spec(module).origin).read_text(encoding="utf-8")
+    ).body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.Assign | ast.AnnAssign):
@@ -255,7 +257,9 @@ def defined(module):
 
 def listed(module):
     """Return the names in `__all__` of a module; tables of names (`[*_HOME]`) are read from the module."""
-    for node in ast.parse(Path(find_spec(module).origin).read_text(encoding="utf-8")).body:
+    for node in ast.parse(
+        Path(find_spec(module).origin).read_text(encoding="utf-8")
+    ).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             if all(isinstance(e, ast.Constant) for e in node.value.elts):
                 return {e.value for e in node.value.elts}
@@ -271,7 +275,9 @@ def surface():
         others = sorted(defined(module) - named)
         lines.append(module)
         for names in (sorted(named), ["also", *others] if others else []):
-            lines += textwrap.wrap(" ".join(names), 110, initial_indent="    ", subsequent_indent="    ")
+            lines += textwrap.wrap(
+                " ".join(names), 110, initial_indent="    ", subsequent_indent="    "
+            )
     return "\n".join(lines)
 
 
@@ -283,13 +289,23 @@ def test_public_names_are_listed():
 def test_names_of_all_exist(module):
     if module == "isd_gym.sb3":
         pytest.importorskip("stable_baselines3")
-    assert not [n for n in listed(module) if n.startswith("_") or not hasattr(import_module(module), n)]
+    assert not [
+        n
+        for n in listed(module)
+        if n.startswith("_") or not hasattr(import_module(module), n)
+    ]
 
 
 if __name__ == "__main__":
     here = Path(__file__)
     text = here.read_text(encoding="utf-8")
     here.write_text(
-        re.sub(r'(?<=SURFACE = """\n).*?(?=""")', lambda _: surface() + "\n", text, count=1, flags=re.DOTALL),
+        re.sub(
+            r'(?<=SURFACE = """\n).*?(?=""")',
+            lambda _: surface() + "\n",
+            text,
+            count=1,
+            flags=re.DOTALL,
+        ),
         encoding="utf-8",
     )

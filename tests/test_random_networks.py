@@ -20,8 +20,14 @@ def elongations(net):
     """Displacement, velocity and force of every element, as far as the network defines them."""
     out = []
     for e in net.elements:
-        for quantity, unit in (("displacement", "m"), ("velocity", "m/s"), ("force", "N")):
-            where = {"element": e.name} if quantity == "force" else {"between": e.between}
+        for quantity, unit in (
+            ("displacement", "m"),
+            ("velocity", "m/s"),
+            ("force", "N"),
+        ):
+            where = (
+                {"element": e.name} if quantity == "force" else {"between": e.between}
+            )
             channel = Channel(f"{e.name} {quantity}", quantity, unit, **where)
             try:
                 Plant(net, STEP, extra=[channel])
@@ -38,8 +44,12 @@ def test_a_result_is_finite_or_there_is_one_line(block):
     with np.errstate(all="ignore"):
         for seed in range(25):
             rng = np.random.default_rng([block, seed])
-            first = random_networks.BETWEEN[(25 * block + seed) % len(random_networks.BETWEEN)]
-            model = random_networks.draw(rng, kinds=[first, *rng.choice(random_networks.BETWEEN, 2)])
+            first = random_networks.BETWEEN[
+                (25 * block + seed) % len(random_networks.BETWEEN)
+            ]
+            model = random_networks.draw(
+                rng, kinds=[first, *rng.choice(random_networks.BETWEEN, 2)]
+            )
             kinds |= {e["type"] for e in model["elements"]}
             try:
                 out = simulate(model, time, random_networks.moves(rng, model, time))
@@ -54,10 +64,19 @@ def test_a_result_is_finite_or_there_is_one_line(block):
 
 def test_what_breaks_down_says_when():
     """A damper that drives: the motion grows beyond all numbers, and the line has the time."""
-    drives = element("c", "asymmetric_damping", "cart", "ground", extension=-3000.0, compression=-3000.0)
+    drives = element(
+        "c",
+        "asymmetric_damping",
+        "cart",
+        "ground",
+        extension=-3000.0,
+        compression=-3000.0,
+    )
     model = builders.cart(spring("cart", "ground", 1e4, "k"), drives, mass=1.0)
     time = np.arange(2001) * 1e-3
-    refused(r"fails at t = 0\.\d+ s", simulate, model, time, {"push": np.ones_like(time)})
+    refused(
+        r"fails at t = 0\.\d+ s", simulate, model, time, {"push": np.ones_like(time)}
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -70,7 +89,11 @@ def test_what_goes_in_is_stored_or_dissipated(seed):
     net = Network.from_dict(random_networks.draw(rng, passive=True))
     channels = elongations(net)
     names = {c.name for c in channels}
-    if any(f"{e.name} {q}" not in names for e in net.elements for q in ("displacement", "velocity", "force")):
+    if any(
+        f"{e.name} {q}" not in names
+        for e in net.elements
+        for q in ("displacement", "velocity", "force")
+    ):
         pytest.skip("a massless node: a velocity that is only a difference")
     time = np.arange(12001) * STEP
     inputs = random_networks.moves(rng, net.to_dict(), time)
@@ -86,12 +109,18 @@ def test_what_goes_in_is_stored_or_dissipated(seed):
     rate = np.gradient(inputs["road"], STEP)
     given = work(out["load"], rate)
     squares = {n: out[f"{n} speed"] ** 2 for n in net.masses}
-    moved = sum(0.5 * m * (squares[n][-1] - squares[n][0]) for n, m in net.masses.items())
-    taken = sum(work(out[f"{e.name} force"], out[f"{e.name} velocity"]) for e in net.elements)
+    moved = sum(
+        0.5 * m * (squares[n][-1] - squares[n][0]) for n, m in net.masses.items()
+    )
+    taken = sum(
+        work(out[f"{e.name} force"], out[f"{e.name} velocity"]) for e in net.elements
+    )
     scale = float(np.sum(np.abs(out["load"] * rate)) * STEP) + abs(moved)
     for e in net.elements:
         if type(e).bound is not None or e.type in LOSSY:
-            assert work(out[f"{e.name} force"], out[f"{e.name} velocity"]) > -1e-3 * scale
+            assert (
+                work(out[f"{e.name} force"], out[f"{e.name} velocity"]) > -1e-3 * scale
+            )
     assert abs(given - moved - taken) < 1e-3 * scale
 
 
@@ -104,22 +133,32 @@ def test_outputs_obey_the_laws(seed):
     net = Network.from_dict(random_networks.draw(rng, passive=True, kinds=kinds))
     channels = elongations(net)
     time = np.arange(2001) * 1e-3
-    out = simulate(net, time, random_networks.moves(rng, net.to_dict(), time), extra=channels)
+    out = simulate(
+        net, time, random_networks.moves(rng, net.to_dict(), time), extra=channels
+    )
     asm = Plant(net, 1e-3).assemblies[0]
     seen = 0
     for e, difference in zip(asm.laws, asm.by_difference, strict=True):
         if difference or f"{e.name} velocity" not in out:
             continue
-        d, v, f = (out[f"{e.name} {q}"][1:] for q in ("displacement", "velocity", "force"))
+        d, v, f = (
+            out[f"{e.name} {q}"][1:] for q in ("displacement", "velocity", "force")
+        )
         seen += 1
         if type(e).bound is not None:
             assert np.abs(f).max() <= e.level * (1 + 1e-9)
             slides = np.abs(v) > 1e-6
-            np.testing.assert_allclose(f[slides], e.level * np.sign(v[slides]), rtol=1e-6)
+            np.testing.assert_allclose(
+                f[slides], e.level * np.sign(v[slides]), rtol=1e-6
+            )
         else:
             p = np.array(e.law_parameters())
-            expected = np.array([e.law(p, x, s, x, 0.0, 1e-3)[0] for x, s in zip(d, v, strict=True)])
-            np.testing.assert_allclose(f, expected, rtol=1e-6, atol=1e-6 * (1.0 + np.abs(f).max()))
+            expected = np.array(
+                [e.law(p, x, s, x, 0.0, 1e-3)[0] for x, s in zip(d, v, strict=True)]
+            )
+            np.testing.assert_allclose(
+                f, expected, rtol=1e-6, atol=1e-6 * (1.0 + np.abs(f).max())
+            )
     assert seen
 
 
@@ -128,8 +167,15 @@ def test_a_motor_on_a_terminal_without_mass(law):
     """A motor pulls a damper with friction, nothing has mass there: current, rate and forces are of one instant at every sample."""
     thrust, damping, level = 200.0, 1500.0, 300.0
     motor = element("motor", "motor", "m", "n", thrust_constant=thrust)
-    parts = [damper("n", "ground", damping, "c"), friction("n", "ground", level, "f"), motor]
-    forces = [builders.channel(k, "force", element=e) for k, e in (("damper", "c"), ("friction", "f"))]
+    parts = [
+        damper("n", "ground", damping, "c"),
+        friction("n", "ground", level, "f"),
+        motor,
+    ]
+    forces = [
+        builders.channel(k, "force", element=e)
+        for k, e in (("damper", "c"), ("friction", "f"))
+    ]
     model = builders.model(
         "driven",
         [spring("m", "ground", 2e5, "k"), *parts],
@@ -150,23 +196,35 @@ def test_a_motor_on_a_terminal_without_mass(law):
     np.testing.assert_allclose(out["friction"], rest, atol=1e-5)
     assert np.abs(rest).max() <= level * (1 + 1e-9)
     slides = np.abs(out["v"]) > 1e-6
-    np.testing.assert_allclose(out["friction"][slides], level * np.sign(out["v"][slides]), rtol=1e-6)
+    np.testing.assert_allclose(
+        out["friction"][slides], level * np.sign(out["v"][slides]), rtol=1e-6
+    )
     assert 0.2 < slides.mean() < 0.95 and np.abs(push).max() > 2 * level
     if law is None:  # rate held over every step: the displacement is its sum
-        np.testing.assert_allclose(out["x"][1:], np.cumsum(out["v"][:-1]) * 1e-3, atol=1e-9)
+        np.testing.assert_allclose(
+            out["x"][1:], np.cumsum(out["v"][:-1]) * 1e-3, atol=1e-9
+        )
     else:
-        np.testing.assert_allclose(out["law"], 4000.0 * out["v"] * np.abs(out["v"]), rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(
+            out["law"], 4000.0 * out["v"] * np.abs(out["v"]), rtol=1e-6, atol=1e-5
+        )
 
 
 def test_smooth_laws_are_of_second_order_and_friction_of_first():
     """Halving the step against a fine one, thirty networks and twenty with friction; first order where a law's rate is only a difference."""
     found = [random_networks.converging(seed, rubs=False) for seed in range(30)]
-    smooth = np.array([order for order, differs in found if not differs and np.isfinite(order)])
-    rough = np.array([order for order, differs in found if differs and np.isfinite(order)])
+    smooth = np.array(
+        [order for order, differs in found if not differs and np.isfinite(order)]
+    )
+    rough = np.array(
+        [order for order, differs in found if differs and np.isfinite(order)]
+    )
     assert len(smooth) > 20 and len(rough) > 2
     assert smooth.min() > 1.8 and rough.min() > 0.9
     # where friction reverses or sticks counts, one network scatters; on the mean it is of first order at least
-    rubbing = np.array([random_networks.converging(seed, rubs=True)[0] for seed in range(20)])
+    rubbing = np.array(
+        [random_networks.converging(seed, rubs=True)[0] for seed in range(20)]
+    )
     assert np.nanmean(rubbing) > 1.0
 
 
@@ -182,7 +240,17 @@ def test_hysteresis_with_any_exponent_is_the_integral_of_its_law():
                     u = z / 100.0
                     bend = abs(u) ** exponent * (1.0 if u > 0 else 1.0 - 2.0 * shape)
                     m = u + 0.5 * way / n * 100.0 * (1.0 - bend)
-                    z += way / n * 1e4 * (1.0 - abs(m) ** exponent * (1.0 if m > 0 else 1.0 - 2.0 * shape))
-                assert law(p, way, 0.0, 0.0, 100.0 * start, 1e-3)[0] == pytest.approx(z, abs=0.1)
+                    z += (
+                        way
+                        / n
+                        * 1e4
+                        * (
+                            1.0
+                            - abs(m) ** exponent * (1.0 if m > 0 else 1.0 - 2.0 * shape)
+                        )
+                    )
+                assert law(p, way, 0.0, 0.0, 100.0 * start, 1e-3)[0] == pytest.approx(
+                    z, abs=0.1
+                )
                 for far in (0.1, 10.0, 1e6):
                     assert abs(law(p, far, 0.0, 0.0, 100.0 * start, 1e-3)[0]) <= 100.0

@@ -41,8 +41,13 @@ def text(data=DATA, separator=",", form="{:.9g}".format):
 def values(record):
     """Return the channels of a record in the units of the model."""
     if isinstance(record, Table):
-        return {c.name: convert(record[c.name], record.units.get(c.name) or c.unit, c.unit) for c in WANTED}
-    return {c.name: convert(record.signals[c.name].values, c.si, c.unit) for c in WANTED}
+        return {
+            c.name: convert(record[c.name], record.units.get(c.name) or c.unit, c.unit)
+            for c in WANTED
+        }
+    return {
+        c.name: convert(record.signals[c.name].values, c.si, c.unit) for c in WANTED
+    }
 
 
 def check(record, data=DATA, atol=2e-3):
@@ -77,9 +82,13 @@ def test_columns_that_are_empty_throughout_do_not_count(tmp_path):
     """A spreadsheet fills the lines of a logger's file up to its longest line, here the remark of another output."""
     head = f"% Logger,,,,\n% Output A (off) - Sine, 10 MHz, 1 Vpp, offset 0 V, phase 0 deg\n% {HEAD},,\n"
     lines = text().splitlines()
-    (record,) = read(tmp_path / "a.csv", head + "".join(f"{line},,\n" for line in lines))
+    (record,) = read(
+        tmp_path / "a.csv", head + "".join(f"{line},,\n" for line in lines)
+    )
     check(record)
-    (record,) = read(tmp_path / "b.csv", "".join(f"{line},\n" for line in (HEAD, *lines)))
+    (record,) = read(
+        tmp_path / "b.csv", "".join(f"{line},\n" for line in (HEAD, *lines))
+    )
     check(record)
 
 
@@ -87,7 +96,12 @@ def test_what_could_be_misread_is_refused_with_the_remedy(tmp_path):
     content = HEAD + "\n" + text().replace(",", ";").replace(".", ",").replace(";", ",")
     refused("export with semicolons or tabs", read, tmp_path / "a.csv", content)
     # a comment that is no header
-    refused("--columns NAME,NAME", read, tmp_path / "a.csv", "# measured by J., 3 May\n" + text())
+    refused(
+        "--columns NAME,NAME",
+        read,
+        tmp_path / "a.csv",
+        "# measured by J., 3 May\n" + text(),
+    )
     refused("--columns NAME,NAME", read, tmp_path / "a.csv", "# 1, 2, 3\n" + text())
 
 
@@ -118,7 +132,9 @@ def test_a_file_without_time_is_read_at_a_rate(tmp_path):
         ("Time_ms", 1e6, {"Time_ms": "us"}),
     ],
 )
-def test_stamps_have_the_unit_of_their_name_or_of_the_user(name, scale, units, tmp_path):
+def test_stamps_have_the_unit_of_their_name_or_of_the_user(
+    name, scale, units, tmp_path
+):
     data = DATA.copy()
     data[:, 0] *= scale
     content = f"{name},table [mm],acc [g]\n" + text(data, form="{:.12g}".format)
@@ -138,16 +154,32 @@ def test_a_hint_without_effect_is_refused(tmp_path):
 def test_stamps_in_another_unit_get_a_hint_that_works(tmp_path):
     data = DATA.copy()
     data[:, 0] *= 1e6
-    (tmp_path / "a.csv").write_text("Zeit,table,acc\n" + text(data, form="{:.12g}".format))
-    (odd,) = [str(o) for o in inspect([tmp_path / "a.csv"]).oddities if "another unit" in str(o)]
+    (tmp_path / "a.csv").write_text(
+        "Zeit,table,acc\n" + text(data, form="{:.12g}".format)
+    )
+    (odd,) = [
+        str(o)
+        for o in inspect([tmp_path / "a.csv"]).oddities
+        if "another unit" in str(o)
+    ]
     name, unit = re.search(r"--unit (\S+)=(\S+)", odd).groups()
-    assert not [o for o in inspect([tmp_path / "a.csv"], units={name: unit}).oddities if "another" in str(o)]
+    assert not [
+        o
+        for o in inspect([tmp_path / "a.csv"], units={name: unit}).oddities
+        if "another" in str(o)
+    ]
 
 
 @pytest.mark.parametrize("stamp", ["t", "zeit", "Time_s"])
 def test_single_numbers_and_texts_of_a_mat_file_are_no_time(stamp, tmp_path):
     own = {stamp: DATA[:, 0], "table": DATA[:, 1], "acc": DATA[:, 2]}
-    more = {"T": 5.0, "seconds": 60.0, "date": "2026-11-25", "fs": 500.0, "timestamp": 1.7e9}
+    more = {
+        "T": 5.0,
+        "seconds": 60.0,
+        "date": "2026-11-25",
+        "fs": 500.0,
+        "timestamp": 1.7e9,
+    }
     if stamp != "t":
         more["t"] = 0.0
     more["time"] = 2.4
@@ -164,21 +196,39 @@ def grouped(x, thousands, mark, digits=3):
 
 @pytest.mark.parametrize(
     ("thousands", "mark"),
-    [(".", ","), (",", "."), ("'", "."), ("’", "."), (" ", ","), ("\u00a0", ","), ("", ",")],
+    [
+        (".", ","),
+        (",", "."),
+        ("'", "."),
+        ("’", "."),
+        (" ", ","),
+        ("\u00a0", ","),
+        ("", ","),
+    ],
 )
 def test_thousands_separators_are_read(thousands, mark, tmp_path):
-    content = HEAD.replace(",", ";") + "\n" + text(DATA, ";", lambda x: grouped(x, thousands, mark))
+    content = (
+        HEAD.replace(",", ";")
+        + "\n"
+        + text(DATA, ";", lambda x: grouped(x, thousands, mark))
+    )
     (record,) = read(tmp_path / "a.csv", content)
     check(record)
 
 
-@pytest.mark.parametrize(("thousands", "mark"), [(".", ","), (",", "."), (".", "."), (",", ",")])
-def test_whole_numbers_with_thousands_separators_are_never_fractions(thousands, mark, tmp_path):
+@pytest.mark.parametrize(
+    ("thousands", "mark"), [(".", ","), (",", "."), (".", "."), (",", ",")]
+)
+def test_whole_numbers_with_thousands_separators_are_never_fractions(
+    thousands, mark, tmp_path
+):
     """1.050 between 999 and 1.051 is refused, or read as more than a thousand."""
     rows = (f"{t:.4f};{grouped(x, thousands, mark, 0)};{a:.4f}" for t, x, a in DATA)
     if mark == ",":
         rows = (re.sub(r"(;|^)(-?\d)\.(\d{4})(?=;|$)", r"\1\2,\3", row) for row in rows)
-    with pytest.raises(InputError, match=r"may be a fraction or thousands|is not a number"):
+    with pytest.raises(
+        InputError, match=r"may be a fraction or thousands|is not a number"
+    ):
         read(tmp_path / "a.csv", HEAD.replace(",", ";") + "\n" + "\n".join(rows))
 
 
@@ -202,7 +252,8 @@ def beside(first, second, heads):
 
 
 @pytest.mark.parametrize(
-    "heads", [f"{HEAD},{HEAD}", "time1 [s],table1 [mm],acc1 [g],time2 [s],table2 [mm],acc2 [g]"]
+    "heads",
+    [f"{HEAD},{HEAD}", "time1 [s],table1 [mm],acc1 [g],time2 [s],table2 [mm],acc2 [g]"],
 )
 def test_runs_side_by_side_are_two_records(heads, tmp_path):
     first, second = DATA[:700], DATA[500:1100] - [DATA[500, 0], 0, 0]
@@ -223,9 +274,17 @@ def test_channels_beside_one_another_keep_their_own_stamps(tmp_path):
     np.testing.assert_allclose(record.signals["table"].time, DATA[:, 0], atol=1e-9)
 
 
-@pytest.mark.parametrize("heads", ["T1,table,T2,acc", "time,T1,T2,table,acc", "time,table,acc,t0"])
+@pytest.mark.parametrize(
+    "heads", ["T1,table,T2,acc", "time,T1,T2,table,acc", "time,table,acc,t0"]
+)
 def test_temperatures_and_constants_are_no_time(heads, tmp_path):
-    known = {"time": TIME, "table": DATA[:, 1], "acc": DATA[:, 2], "T1": np.sin(TIME), "T2": np.cos(TIME)}
+    known = {
+        "time": TIME,
+        "table": DATA[:, 1],
+        "acc": DATA[:, 2],
+        "T1": np.sin(TIME),
+        "T2": np.cos(TIME),
+    }
     data = np.stack([known.get(head, 0 * TIME) for head in heads.split(",")], axis=1)
     (tmp_path / "a.csv").write_text(heads + "\n" + text(data))
     assert len(read_rasters(tmp_path / "a.csv")) == 1
@@ -240,16 +299,23 @@ def test_a_stretch_without_numbers_splits_a_record(gap, tmp_path):
     check(two, DATA[520:])
     assert "20 samples without a number (acc) left out, first 1 s" in one.notes[0]
     with pytest.raises(InputError, match="column 'acc' holds no number"):
-        read(tmp_path / "a.csv", HEAD + "\n" + "\n".join(x.rpartition(",")[0] + "," + gap for x in lines))
+        read(
+            tmp_path / "a.csv",
+            HEAD + "\n" + "\n".join(x.rpartition(",")[0] + "," + gap for x in lines),
+        )
 
 
 def test_a_sign_turns_a_channel(tmp_path):
     content = "time [s],table [mm],sensor [g]\n" + text(DATA * [1, 1, -1])
     for signs in ({"acc": -1}, {"sensor": -1}):
-        (record,) = read(tmp_path / "a.csv", content, rename={"sensor": "acc"}, signs=signs)
+        (record,) = read(
+            tmp_path / "a.csv", content, rename={"sensor": "acc"}, signs=signs
+        )
         check(record)
     (tmp_path / "b.csv").write_text(HEAD + "\n" + text(DATA * [1, 1, -1]))
-    (record,) = records_of(tmp_path / "b.csv", RIG, WANTED, signs={"acc": -1}, rate=500.0)  # the other road
+    (record,) = records_of(
+        tmp_path / "b.csv", RIG, WANTED, signs={"acc": -1}, rate=500.0
+    )  # the other road
     found = values(record)
     np.testing.assert_allclose(found["acc"], DATA[:, 2], atol=2e-3)
 
@@ -257,8 +323,17 @@ def test_a_sign_turns_a_channel(tmp_path):
 def test_a_copy_of_a_training_record_validates_nothing():
     acc = simulate(RIG, TIME, {"table": DATA[:, 1] - 900.0})["acc"]
     acc = acc + 1e-3 * np.random.default_rng(1).standard_normal(N)
-    one, other = (Table(TIME, {"table": DATA[:, 1] - 900.0, "acc": acc}, n, UNITS_OF) for n in ("one", "two"))
-    refused("two has the samples of one: give each record once", diagnose, [one], RIG, validate=[other])
+    one, other = (
+        Table(TIME, {"table": DATA[:, 1] - 900.0, "acc": acc}, n, UNITS_OF)
+        for n in ("one", "two")
+    )
+    refused(
+        "two has the samples of one: give each record once",
+        diagnose,
+        [one],
+        RIG,
+        validate=[other],
+    )
     refused("two has the samples of one", diagnose, [one, other], RIG)
 
 
@@ -266,10 +341,14 @@ def test_inspect_takes_columns_signs_and_maps(tmp_path):
     """A named column is taken whatever the other columns look like; a sign against the physics is remarked."""
     RIG.save(tmp_path / "rig.json")
     turned = -simulate(RIG, TIME, {"table": DATA[:, 1] - 900.0})["acc"]
-    (tmp_path / "a.csv").write_text("time [s],table [mm],acc [g],left [g]\n" + text(np.c_[DATA, turned]))
+    (tmp_path / "a.csv").write_text(
+        "time [s],table [mm],acc [g],left [g]\n" + text(np.c_[DATA, turned])
+    )
 
     def go(*words):
-        done = run("inspect", tmp_path / "a.csv", "--model", tmp_path / "rig.json", *words)
+        done = run(
+            "inspect", tmp_path / "a.csv", "--model", tmp_path / "rig.json", *words
+        )
         return done.returncode, done.stdout + done.stderr
 
     made = ["--out", tmp_path / "map.json"]
@@ -277,7 +356,11 @@ def test_inspect_takes_columns_signs_and_maps(tmp_path):
     found = ChannelMap.load(tmp_path / "map.json").channels["acc"]
     assert (found.column, found.sign) == ("left", -1)
     code, said = go("--rename", "left=acc", "--sign", "acc=1", *made)
-    assert code == 0 and "acc follows the model turned round (0.99): --sign acc=-1?" in " ".join(said.split())
+    assert (
+        code == 0
+        and "acc follows the model turned round (0.99): --sign acc=-1?"
+        in " ".join(said.split())
+    )
     assert ChannelMap.load(tmp_path / "map.json").channels["acc"].sign == 1
     code, said = go("--map", tmp_path / "map.json")
     assert code == 0 and "--sign acc=-1?" in " ".join(said.split())

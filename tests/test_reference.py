@@ -15,7 +15,12 @@ from isd_gym.physics.simulate import simulate as kernel
 
 
 def model(masses, *elements, inputs=(), outputs=()):
-    return {"masses": masses, "elements": list(elements), "inputs": list(inputs), "outputs": list(outputs)}
+    return {
+        "masses": masses,
+        "elements": list(elements),
+        "inputs": list(inputs),
+        "outputs": list(outputs),
+    }
 
 
 def moved(node, name="motion"):
@@ -36,7 +41,9 @@ def sines(duration, interval):
 
 def test_shares_nothing_with_the_package():
     tree = ast.parse(Path(reference.__file__).read_text())
-    names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    names = {
+        a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names
+    }
     names |= {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
     assert names and not any(name.split(".")[0] == "isd_gym" for name in names)
 
@@ -44,14 +51,19 @@ def test_shares_nothing_with_the_package():
 def test_free_decay_of_one_mass_is_the_damped_oscillation():
     m, c, k = 3.0, 2.0, 500.0
     parts = [builders.spring("m", "ground", k), builders.damper("m", "ground", c)]
-    seen = [builders.channel(q, q, "m") for q in ("displacement", "velocity", "acceleration")]
+    seen = [
+        builders.channel(q, q, "m")
+        for q in ("displacement", "velocity", "acceleration")
+    ]
     rig, t = model({"m": m}, *parts, outputs=seen), np.arange(2001) * 1e-3
     y = simulate(rig, t, {}, initial={"m": (0.02, 0.3)})
     decay, w = c / (2 * m), np.sqrt(k / m - (c / (2 * m)) ** 2)
     b = (0.3 + decay * 0.02) / w
     x = np.exp(-decay * t) * (0.02 * np.cos(w * t) + b * np.sin(w * t))
     np.testing.assert_allclose(y["displacement"], x, atol=2e-9)
-    np.testing.assert_allclose(y["acceleration"], -(c * y["velocity"] + k * x) / m, atol=2e-4)
+    np.testing.assert_allclose(
+        y["acceleration"], -(c * y["velocity"] + k * x) / m, atol=2e-4
+    )
 
 
 def test_load_cell_of_a_fully_prescribed_rig_reads_equation_6():
@@ -59,12 +71,19 @@ def test_load_cell_of_a_fully_prescribed_rig_reads_equation_6():
     b, f, k, c, mass = 95.0, 500.0, 709e3, 1293.0, 20.0
     laws = (
         element("b", "inertance", "top", "ground", inertance=b),
-        element("n", "terminal_inertia", "ground", "top", mass=mass),  # its second terminal is what moves
+        element(
+            "n", "terminal_inertia", "ground", "top", mass=mass
+        ),  # its second terminal is what moves
         element("k", "linear_stiffness", "top", "ground", stiffness=k),
         element("c", "linear_damping", "ground", "top", damping=c),
         element("f", "coulomb_friction", "top", "ground", level=f),
     )
-    rig = model({}, *laws, inputs=[moved("top")], outputs=[{"name": "F", "quantity": "force", "at": "top"}])
+    rig = model(
+        {},
+        *laws,
+        inputs=[moved("top")],
+        outputs=[{"name": "F", "quantity": "force", "at": "top"}],
+    )
     y = simulate(rig, t, {"motion": x}, derivatives={"motion": (v, a)})["F"]
     expected = (b - mass) * a + f * np.sign(v) + k * x + c * v
     assert np.abs(y - expected)[np.abs(v) > 1e-3].max() < 1e-3
@@ -77,7 +96,13 @@ def test_load_cell_of_a_fully_prescribed_rig_reads_equation_6():
 def test_backlash_in_series_is_a_dead_zone_then_a_spring():
     play = element("play", "backlash", "top", "mid", gap=0.004, stiffness=1e6)
     force = builders.channel("force", "force", "top")
-    rig = model({}, play, builders.spring("mid", "ground", 2e4), inputs=[moved("top")], outputs=[force])
+    rig = model(
+        {},
+        play,
+        builders.spring("mid", "ground", 2e4),
+        inputs=[moved("top")],
+        outputs=[force],
+    )
     t = np.arange(400) * 1e-3
     x = 0.01 * np.sin(12 * t)
     seen = simulate(rig, t, {"motion": x}, step=1e-4)["force"]

@@ -11,7 +11,13 @@ from program import refused
 
 from isd_gym._common.errors import InputError, how_to_install
 from isd_gym.view import rendering
-from isd_gym.view.rendering import CarSnapshot, CornerSnapshot, Renderer, backend, write_video
+from isd_gym.view.rendering import (
+    CarSnapshot,
+    CornerSnapshot,
+    Renderer,
+    backend,
+    write_video,
+)
 from isd_gym.view.rendering.canvas import Canvas
 
 pygame = backend.pygame()
@@ -32,12 +38,23 @@ def snapshot(**changes):
         "cost": 0.9, "label": "MPC",
     }  # fmt: skip
     given = {**base, **changes}
-    corner = {name: given.pop(name) for name in CornerSnapshot.__dataclass_fields__ if name in given}
-    return CarSnapshot(heave=corner["body"], corners=(CornerSnapshot(**corner),), **given)
+    corner = {
+        name: given.pop(name)
+        for name in CornerSnapshot.__dataclass_fields__
+        if name in given
+    }
+    return CarSnapshot(
+        heave=corner["body"], corners=(CornerSnapshot(**corner),), **given
+    )
 
 
 def passive(**changes):
-    nothing = {"piston": None, "joint": None, "current_limit": None, "device_travel_limit": None}
+    nothing = {
+        "piston": None,
+        "joint": None,
+        "current_limit": None,
+        "device_travel_limit": None,
+    }
     return snapshot(**{**nothing, "label": "passive", **changes})
 
 
@@ -69,7 +86,13 @@ def test_the_body_moves_up_by_the_stated_factor():
 def test_a_road_that_rises_under_everything_changes_nothing():
     """Only displacements against the road at large are seen, so a long climb does not leave the picture."""
     high = 3.0
-    lifted = snapshot(body=high, wheel=high, piston=high, joint=high, road_profiles=np.full((1, 201), high))
+    lifted = snapshot(
+        body=high,
+        wheel=high,
+        piston=high,
+        joint=high,
+        road_profiles=np.full((1, 201), high),
+    )
     assert np.array_equal(frame(lifted), frame(snapshot()))
 
 
@@ -107,7 +130,9 @@ def test_a_stop_that_is_hit_is_marked_on_its_side():
     for travel in (-LIMIT, LIMIT):
         picture = frame(snapshot(joint=-travel, suspension_travel=0.0))[:, :300]
         rows, columns = where(picture, rendering.VERMILLION)
-        stop = columns[rows < rows.min() + 15]  # the stop stands above the gauge's words
+        stop = columns[
+            rows < rows.min() + 15
+        ]  # the stop stands above the gauge's words
         assert (stop.mean() > WHEEL + 50) == (travel > 0)
         assert np.ptp(stop) < 8
 
@@ -124,7 +149,11 @@ def test_the_words_state_the_scales(monkeypatch):
     frame(snapshot(suspension_travel=0.029, body_acceleration=-2.9))
     assert {"−2", "+2", "−20", "+20", "10 mm, vertical ×10"} <= set(said)
     said.clear()
-    frame(snapshot(suspension_travel=0.031, body_acceleration=-3.1, body=0.05, piston=0.05))
+    frame(
+        snapshot(
+            suspension_travel=0.031, body_acceleration=-3.1, body=0.05, piston=0.05
+        )
+    )
     assert {"−4", "+4", "−40", "+40"} <= set(said)
     assert [words for words in said if "vertical" in words] == ["50 mm, vertical ×3"]
 
@@ -132,7 +161,9 @@ def test_the_words_state_the_scales(monkeypatch):
 def test_the_tyre_squashes_and_lifts():
     def rubber(shot):
         """Height [px] of the tyre between rim and road, with the line of the road."""
-        return int((frame(shot)[FLOOR - 15 : FLOOR + 6, WHEEL].sum(axis=1) < 3 * 75).sum())
+        return int(
+            (frame(shot)[FLOOR - 15 : FLOOR + 6, WHEEL].sum(axis=1) < 3 * 75).sum()
+        )
 
     # In contact, tyre and road line are one dark piece; off the road, the sky shows between them.
     def pieces(shot):
@@ -145,12 +176,16 @@ def test_the_tyre_squashes_and_lifts():
     assert pieces(snapshot(**hop, tyre_load=-2000.0)) == 1
     assert pieces(snapshot(**hop, tyre_load=-3900.0)) == 2
     squashed = snapshot(wheel=-0.01, joint=-0.01, tyre_load=1920.0)
-    assert rubber(snapshot()) - rubber(squashed) == pytest.approx(0.01 * PIXELS_PER_METRE, abs=1.5)
+    assert rubber(snapshot()) - rubber(squashed) == pytest.approx(
+        0.01 * PIXELS_PER_METRE, abs=1.5
+    )
 
 
 def test_the_ground_passes_with_the_speed():
     step = 0.035  # [s]: 0.7 m at 20 m/s, 63 px
-    before, after = (frame(snapshot(time=t))[FLOOR + 10, :371] for t in (1.0, 1.0 + step))
+    before, after = (
+        frame(snapshot(time=t))[FLOOR + 10, :371] for t in (1.0, 1.0 + step)
+    )
     moved = np.abs(after[10:300].astype(int) - before[10 + 63 : 300 + 63]).max()
     unmoved = np.abs(after[10:300].astype(int) - before[10:300]).max()
     assert moved <= 12 < unmoved
@@ -169,17 +204,23 @@ def test_the_road_ahead_is_at_the_right():
 def test_curves_are_where_the_values_are():
     renderer = Renderer("rgb_array", width=640, height=400)
     for k in range(101):
-        picture = renderer.draw(snapshot(time=0.02 * k, body_acceleration=2.0, suspension_travel=-0.02))
+        picture = renderer.draw(
+            snapshot(time=0.02 * k, body_acceleration=2.0, suspension_travel=-0.02)
+        )
     assert picture is not None
     rows, columns = where(picture[:, 420:], rendering.BLUE, 40)
     upper, lower = rows[(rows > 140) & (rows < 240)], rows[rows > 260]
     grid = np.nonzero((picture[:, 430] == picture[180, 430]).all(axis=1))[0]
     top, foot = grid[grid < 245].min(), grid[grid < 245].max()
-    assert (upper.mean() - top) / (foot - top) == pytest.approx(1 / 6, abs=0.02)  # +2 in a range of -3 to 3
+    assert (upper.mean() - top) / (foot - top) == pytest.approx(
+        1 / 6, abs=0.02
+    )  # +2 in a range of -3 to 3
     top, foot = grid[grid > 255].min(), grid[grid > 255].max()
     # -20 mm in a range of -30 to 30
     assert (lower.mean() - top) / (foot - top) == pytest.approx(5 / 6, abs=0.02)
-    assert columns[rows > 260].min() + 420 == pytest.approx(626 - 107, abs=4)  # two of four seconds
+    assert columns[rows > 260].min() + 420 == pytest.approx(
+        626 - 107, abs=4
+    )  # two of four seconds
 
 
 @pytest.mark.parametrize("size", [(640, 400), (960, 600), (1280, 500), (700, 800)])
@@ -197,7 +238,11 @@ def test_words_never_touch_nor_leave_the_picture(size, cars, monkeypatch):
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("body", np.nan), ("current", np.inf), ("road_profiles", np.array([[0.0, np.nan]]))],
+    [
+        ("body", np.nan),
+        ("current", np.inf),
+        ("road_profiles", np.array([[0.0, np.nan]])),
+    ],
 )
 def test_a_bad_snapshot_names_its_field(field, value):
     refused(field, snapshot, **{field: value})
@@ -211,7 +256,8 @@ def test_without_pygame_the_answer_is_one_line(monkeypatch):
 
 
 @pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="a display is told by the environment on Linux"
+    not sys.platform.startswith("linux"),
+    reason="a display is told by the environment on Linux",
 )
 def test_without_a_display_the_answer_is_one_line(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
@@ -222,7 +268,11 @@ def test_without_a_display_the_answer_is_one_line(monkeypatch):
         monkeypatch.setenv("SDL_VIDEODRIVER", asked)
         for open_it in (lambda: Renderer("human"), rendering.check_display):
             refused("cannot open a window", open_it)
-            assert os.environ["SDL_VIDEODRIVER"] == asked if asked else not os.environ.get("SDL_VIDEODRIVER")
+            assert (
+                os.environ["SDL_VIDEODRIVER"] == asked
+                if asked
+                else not os.environ.get("SDL_VIDEODRIVER")
+            )
 
 
 def test_the_window_keeps_pace_and_can_be_shut(monkeypatch):
@@ -280,10 +330,16 @@ def test_a_film_that_fails_leaves_what_was_there(tmp_path):
 
 def test_a_film_that_cannot_be_is_refused_in_one_line(tmp_path, monkeypatch):
     frames = film(2)
-    for name, words in (("car.avi", "end the name in .mp4"), ("no/car.mp4", "no folder")):
+    for name, words in (
+        ("car.avi", "end the name in .mp4"),
+        ("no/car.mp4", "no folder"),
+    ):
         refused(words, write_video, tmp_path / name, frames, 25)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(InputError) as caught:
         write_video(tmp_path / "car.mp4", frames, 25)
-    assert str(caught.value) == f"writing an MP4 needs imageio-ffmpeg: {how_to_install('render')}"
+    assert (
+        str(caught.value)
+        == f"writing an MP4 needs imageio-ffmpeg: {how_to_install('render')}"
+    )
     assert list(tmp_path.iterdir()) == []

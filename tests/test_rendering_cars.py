@@ -83,20 +83,30 @@ def said(monkeypatch):
 
 
 def factor(said):
-    return float(next(m[1] for words in reversed(said) if (m := re.search(r"vertical ×([\d.]+)", words))))
+    return float(
+        next(
+            m[1]
+            for words in reversed(said)
+            if (m := re.search(r"vertical ×([\d.]+)", words))
+        )
+    )
 
 
 def slope(picture, columns):
     """Slope of the body's lower edge [px/px], downwards to the right."""
     blue = picture_checks.near(picture, rendering.BLUE, 30)[:, columns]
-    rows = np.array([np.flatnonzero(column).max() if column.any() else -1 for column in blue.T])
+    rows = np.array(
+        [np.flatnonzero(column).max() if column.any() else -1 for column in blue.T]
+    )
     x = np.flatnonzero(rows >= 0)[8:-8]
     return float(np.polyfit(x, rows[x], 1)[0])
 
 
 @pytest.mark.parametrize("pitch", [-0.012, 0.0, 0.004, 0.012])
 @pytest.mark.parametrize("places", [HALF, PLACES])
-def test_the_body_slopes_by_the_stated_factor_times_its_pitch(places, pitch, said, scenes):
+def test_the_body_slopes_by_the_stated_factor_times_its_pitch(
+    places, pitch, said, scenes
+):
     """Nose down is positive, and the nose is at the right."""
     picture = frame(car(places, pitch=pitch))
     side = scenes[0].views[0].window
@@ -113,15 +123,29 @@ def test_the_body_slopes_by_the_stated_factor_times_its_roll(roll, said, scenes)
     assert found == pytest.approx(factor(said) * roll, abs=0.012)
 
 
-@pytest.mark.parametrize(("places", "base"), [(HALF, 2.7), ({"front": (2.0, 0.0), "rear": (-1.8, 0.0)}, 3.8)])
+@pytest.mark.parametrize(
+    ("places", "base"), [(HALF, 2.7), ({"front": (2.0, 0.0), "rear": (-1.8, 0.0)}, 3.8)]
+)
 def test_the_wheels_are_a_wheelbase_apart(places, base):
     """Measured against the picture's own ruler of a metre."""
     picture = frame(car(places))
     foot = picture_checks.near(picture[-30:, :557], MUTED, 20)
-    metre = max(len(list(run)) for row in foot[:, 300:] for dark, run in itertools.groupby(row) if dark) - 1
-    columns = np.flatnonzero(picture_checks.near(picture[400:505, :557], RUBBER, 12).sum(axis=0) > 8)
+    metre = (
+        max(
+            len(list(run))
+            for row in foot[:, 300:]
+            for dark, run in itertools.groupby(row)
+            if dark
+        )
+        - 1
+    )
+    columns = np.flatnonzero(
+        picture_checks.near(picture[400:505, :557], RUBBER, 12).sum(axis=0) > 8
+    )
     gap = int(np.argmax(np.diff(columns))) + 1
-    rear, front = ((part.min() + part.max()) / 2 for part in (columns[:gap], columns[gap:]))
+    rear, front = (
+        (part.min() + part.max()) / 2 for part in (columns[:gap], columns[gap:])
+    )
     assert (front - rear) / metre == pytest.approx(base, rel=0.03)
 
 
@@ -143,7 +167,10 @@ def test_wheels_stand_on_the_road(name, road, scenes):
             for each in view.near:
                 x, top, foot = view.place(each), scene._hub(each), scene.floor - 1
                 foot -= (scene.contacts[each] - scene.lift) * scene.scale
-                column = picture[round(top) + 4 : round(foot) + 4, round(x) + (0 if view.is_rear else 2)]
+                column = picture[
+                    round(top) + 4 : round(foot) + 4,
+                    round(x) + (0 if view.is_rear else 2),
+                ]
                 sky = (column.astype(int).min(axis=1) > 241).sum()
                 assert (sky == 0) or each.has_lifted, (view.is_rear, each)
                 checked += not each.has_lifted
@@ -181,17 +208,25 @@ def test_a_snapshot_is_the_state_of_the_car(name):
 def test_the_views_follow_from_the_corners(scenes):
     """An axle alone is seen from behind, three axles from both sides, and a body on one wheel from the side."""
     axle = {"left": (0.0, 0.7), "right": (0.0, -0.7)}
-    for places, views in ((axle, [True]), (LORRY, [False, True]), ({"": (0.0, 0.0)}, [False])):
+    for places, views in (
+        (axle, [True]),
+        (LORRY, [False, True]),
+        ({"": (0.0, 0.0)}, [False]),
+    ):
         scenes.clear()
         picture = frame(car(places, pitch=0.0))
         assert [view.is_rear for view in scenes[0].views] == views
         assert picture_checks.near(picture, RUBBER).sum() > 300
-    assert len(near_corners := scenes[0].views[0].near) == 1 and near_corners[0].x == 0.0
+    assert (
+        len(near_corners := scenes[0].views[0].near) == 1 and near_corners[0].x == 0.0
+    )
 
 
 @pytest.mark.parametrize("network", ["quarter-car-isd", *NETWORKS.values()])
 def test_the_vector_environment_draws_the_single_one_of_each_seed(network):
-    many = ISDSuspensionVectorEnv(2, network, road="C", render_mode="rgb_array", max_episode_steps=20)
+    many = ISDSuspensionVectorEnv(
+        2, network, road="C", render_mode="rgb_array", max_episode_steps=20
+    )
     single = ISDSuspensionEnv(network, road="C", render_mode="rgb_array")
     many.reset(seed=4)
     single.reset(seed=5)
@@ -227,12 +262,39 @@ def test_words_never_touch_nor_leave_the_picture(places, cars, size, monkeypatch
     long = "friction-aware MPC, horizon 20, with road preview"
     heavy = {"tyre_load": -12345.0, "current": -4.44, "joint": LIMIT}
     poses = [
-        car(places, label=long, time=999.99, cost=12.345, body_acceleration=-12.0, pitch_acceleration=28.0),
-        car(places, pitch=0.02, each=heavy),
-        car(places, pitch=-0.02, each={"current": 5.0, "joint": -LIMIT}, cost=804.86, speed=100.0),
-        car(places, each={"piston": None, "joint": None, "current_limit": None, "device_travel_limit": None}),
         car(
-            places, heave=0.3, points={"driver": (0.1, 0.3), "passenger": (0.1, -0.3), "far_away": (9.0, 4.0)}
+            places,
+            label=long,
+            time=999.99,
+            cost=12.345,
+            body_acceleration=-12.0,
+            pitch_acceleration=28.0,
+        ),
+        car(places, pitch=0.02, each=heavy),
+        car(
+            places,
+            pitch=-0.02,
+            each={"current": 5.0, "joint": -LIMIT},
+            cost=804.86,
+            speed=100.0,
+        ),
+        car(
+            places,
+            each={
+                "piston": None,
+                "joint": None,
+                "current_limit": None,
+                "device_travel_limit": None,
+            },
+        ),
+        car(
+            places,
+            heave=0.3,
+            points={
+                "driver": (0.1, 0.3),
+                "passenger": (0.1, -0.3),
+                "far_away": (9.0, 4.0),
+            },
         ),
     ]
     picture_checks.check_words(poses, cars, size, monkeypatch)
@@ -241,16 +303,24 @@ def test_words_never_touch_nor_leave_the_picture(places, cars, size, monkeypatch
 def test_a_bad_snapshot_names_its_field():
     for make, words in (
         (lambda: car(PLACES, heave=np.nan), "heave is nan"),
-        (lambda: corner("front", 1.0, 0.0, wheel=np.inf), "corner 'front': wheel is inf"),
+        (
+            lambda: corner("front", 1.0, 0.0, wheel=np.inf),
+            "corner 'front': wheel is inf",
+        ),
     ):
         refused(words, make)
 
 
-@pytest.mark.parametrize(("network", "size"), [("half-car-isd", (1200, 640)), ("full-car-isd", (1400, 600))])
+@pytest.mark.parametrize(
+    ("network", "size"), [("half-car-isd", (1200, 640)), ("full-car-isd", (1400, 600))]
+)
 def test_show_films_cars(tmp_path, network, size):
     pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / "film.mp4"
-    args = f"show skyhook --against passive --network {network} --seconds 0.4 --out".split() + [str(out)]
+    args = (
+        f"show skyhook --against passive --network {network} --seconds 0.4 --out".split()
+        + [str(out)]
+    )
     done = CliRunner().invoke(cli.app, args)
     assert done.exit_code == 0, done.output
     assert "0.4 s of skyhook and passive" in done.output
@@ -259,8 +329,12 @@ def test_show_films_cars(tmp_path, network, size):
     assert (np.abs(film[-1] - film[0]) > 30).any(axis=2).mean() > 0.01
 
 
-@pytest.mark.parametrize("network", ["quarter-car-isd", "half-car-isd", "full-car-passive"])
+@pytest.mark.parametrize(
+    "network", ["quarter-car-isd", "half-car-isd", "full-car-passive"]
+)
 def test_show_plays_cars_in_a_window(network, monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    done = CliRunner().invoke(cli.app, ["show", "passive", "--network", network, "--seconds", "0.1"])
+    done = CliRunner().invoke(
+        cli.app, ["show", "passive", "--network", network, "--seconds", "0.1"]
+    )
     assert done.exit_code == 0, done.output

@@ -22,7 +22,16 @@ from typer.testing import CliRunner
 from isd_gym import _commands as cli
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import score
-from isd_gym.diagnosis import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
+from isd_gym.diagnosis import (
+    Contender,
+    Diagnosis,
+    Effect,
+    Gate,
+    Law,
+    Place,
+    Quantity,
+    Trace,
+)
 from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.evidence import Evidence
@@ -56,7 +65,10 @@ def errors_of(trace):
     gap = {"noise_floor": dict.fromkeys(deviation, 0.02)}
     for stage in ("before", "refit", "after"):
         says = getattr(trace, stage)
-        gap[stage] = {c: float(np.std(trace.measured[c] - says[c]) / s) for c, s in deviation.items()}
+        gap[stage] = {
+            c: float(np.std(trace.measured[c] - says[c]) / s)
+            for c, s in deviation.items()
+        }
     return gap
 
 
@@ -64,9 +76,15 @@ def made_diagnosis():
     """A car that lacks its seal friction, and the friction found: records from the true car, with 2 % noise."""
     true = Network.load("quarter-car-isd")
     kept = [e for e in true.elements if e.type not in ("coulomb_friction", "bump_stop")]
-    base = replace(true, elements=tuple(kept), uncertainty={"body.mass": 0.05, "oil.stiffness": 0.05})
+    base = replace(
+        true,
+        elements=tuple(kept),
+        uncertainty={"body.mass": 0.05, "oil.stiffness": 0.05},
+    )
     model = base.with_element(CoulombFriction("seal", ("piston", "joint"), level=LEVEL))
-    model = replace(model, uncertainty={"seal.level": 0.02})  # that of the fit, as a diagnosis states it
+    model = replace(
+        model, uncertainty={"seal.level": 0.02}
+    )  # that of the fit, as a diagnosis states it
     rng = np.random.default_rng(1)
     traces = []
     for name, held in (("one", False), ("two", True)):
@@ -74,13 +92,23 @@ def made_diagnosis():
         t = STEP * np.arange(n)
         inputs = {"road": road(n, held), "current": np.zeros(n)}
         old, new = (simulate(net, t, inputs) for net in (base, model))
-        measured = {c: y + 0.02 * y.std() * rng.standard_normal(n) for c, y in new.items()}
+        measured = {
+            c: y + 0.02 * y.std() * rng.standard_normal(n) for c, y in new.items()
+        }
         traces.append(Trace(name, held, t, inputs, measured, old, old, new))
     last = traces[-1]
     gap = errors_of(last)
     axis = np.linspace(-0.3, 0.3, 301)
     force = LEVEL * np.sign(axis)
-    law = Law("seal", "rate", axis, force, 0.98 * force, 1.02 * force, 0.1 * rng.standard_normal(500))
+    law = Law(
+        "seal",
+        "rate",
+        axis,
+        force,
+        0.98 * force,
+        1.02 * force,
+        0.1 * rng.standard_normal(500),
+    )
     level = Quantity(LEVEL, 145.2, 154.9, "N")
     return Diagnosis(
         verdict="missing_effect",
@@ -121,7 +149,13 @@ FIGURES = [*CURVES, "residuals", "spectra", "plane", "law", "parameters"]
 GATES = gates_of(NONE)
 #: verdicts, one of them with a table of the missing force
 TABULATED = "unknown_effect with a table"
-KINDS = ("missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", TABULATED)
+KINDS = (
+    "missing_effect",
+    "no_discrepancy",
+    "parameters_only",
+    "unknown_effect",
+    TABULATED,
+)
 
 
 def of_kind(d, kind):
@@ -136,14 +170,26 @@ def of_kind(d, kind):
         rate = np.linspace(-0.3, 0.3, 31)
         force = LEVEL * np.sign(rate)
         table = {"rate": rate.tolist(), "force": force.tolist()}
-        model = d.base.with_element(element("missing_force", "tabulated_force", "piston", "joint", **table))
+        model = d.base.with_element(
+            element("missing_force", "tabulated_force", "piston", "joint", **table)
+        )
         says = [simulate(model, t.time, t.inputs) for t in d.traces]
         traces = [replace(t, after=y) for t, y in zip(traces, says, strict=True)]
         tabulated = Tabulated(
             ("piston", "joint"), "rate", "missing_force", 0.93, (), tuple(rate), force, 0.95 * force, 1.05 * force,
             (("coulomb_friction", 0.98),),
         )  # fmt: skip
-        laws = (Law("missing_force", "rate", rate, force, 0.95 * force, 1.05 * force, d.laws[0].visited),)
+        laws = (
+            Law(
+                "missing_force",
+                "rate",
+                rate,
+                force,
+                0.95 * force,
+                1.05 * force,
+                d.laws[0].visited,
+            ),
+        )
     gap = errors_of(traces[-1])
     evidence = evidence_of(gap, explained=0.42)
     best = BestCandidate(
@@ -155,7 +201,9 @@ def of_kind(d, kind):
         tabulated=tabulated,
     )  # fmt: skip
     if verdict in ("no_discrepancy", "parameters_only"):
-        own = replace(made, base=d.model, refitted=d.model, model=d.model, where=(), gates=())
+        own = replace(
+            made, base=d.model, refitted=d.model, model=d.model, where=(), gates=()
+        )
         return replace(own, best_candidate=None)
     return made
 
@@ -167,7 +215,9 @@ def reopened(d, page):
     def no_constant(text):
         raise AssertionError(f"{text} in diagnosis.json")
 
-    said = json.loads((folder / "diagnosis.json").read_text(), parse_constant=no_constant)
+    said = json.loads(
+        (folder / "diagnosis.json").read_text(), parse_constant=no_constant
+    )
     jsonschema.validate(said, schemas.load("isd-diagnosis/1"))
     assert said["verdict"] == d.verdict and said["summary"] == d.summary
     model = Network.load(folder / "model.json")
@@ -175,7 +225,9 @@ def reopened(d, page):
     for channel, y in simulate(model, trace.time, trace.inputs).items():
         assert y == pytest.approx(trace.after[channel], rel=1e-6, abs=1e-6 * np.ptp(y))
     for file in folder.glob("*.svg"):
-        assert len(ElementTree.parse(file).findall(".//{*}path")) > 10, f"{file.name} is blank"
+        assert len(ElementTree.parse(file).findall(".//{*}path")) > 10, (
+            f"{file.name} is blank"
+        )
     names = {p.name for p in folder.iterdir() if p.suffix != ".svg"}
     assert names == {"report.html", "diagnosis.json", "model.json"}
     shown = check_page(page)
@@ -218,15 +270,22 @@ def check_page(path):
     """Check that a page needs no other file: nothing is fetched, every script is named, every picture has a description."""
     page = Page(path)
     assert page.links == [] and "link" not in page.tags
-    assert not re.search(r"url\((?!#)", path.read_text()) and "@import" not in path.read_text()
+    assert (
+        not re.search(r"url\((?!#)", path.read_text())
+        and "@import" not in path.read_text()
+    )
     assert path.stat().st_size < 3_000_000
     (policy,) = page.policies
     allowed = re.search(r"script-src (.*)", policy)[1].split()
     assert policy.startswith("default-src 'none'; img-src data:")
     assert "'unsafe" not in policy.split("script-src")[1]
-    digests = (base64.b64encode(hashlib.sha256(s.encode()).digest()) for s in page.scripts)
+    digests = (
+        base64.b64encode(hashlib.sha256(s.encode()).digest()) for s in page.scripts
+    )
     assert [f"'sha256-{d.decode()}'" for d in digests] == allowed
-    assert page.charts and all(chart["role"] == "img" and chart["aria-label"] for chart in page.charts)
+    assert page.charts and all(
+        chart["role"] == "img" and chart["aria-label"] for chart in page.charts
+    )
     assert set(page.figures) == {file.stem for file in path.parent.glob("*.svg")}
     return page
 
@@ -242,7 +301,9 @@ def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
     assert np.corrcoef(cloud.before[moving], np.sign(cloud.rate[moving]))[0, 1] > 0.85
     assert np.sqrt(np.mean(cloud.after**2)) < 0.15 * LEVEL
     # the rate is that of the record
-    measured = np.gradient(simulate(diagnosis.model, *_held(diagnosis))["device_travel"], STEP)[125:-125]
+    measured = np.gradient(
+        simulate(diagnosis.model, *_held(diagnosis))["device_travel"], STEP
+    )[125:-125]
     assert np.sqrt(np.mean((cloud.rate - measured) ** 2)) < 0.05 * measured.std()
 
 
@@ -252,17 +313,23 @@ def test_the_first_figure_has_the_places_the_force_and_the_laws(diagnosis):
         ("cubic_stiffness",), (("piston", "joint"),), 0.9, "explains less",
         ({"stiffness": 1e6},),
     )  # fmt: skip
-    chart = steps.draw_steps(report.View(replace(diagnosis, contenders=(*diagnosis.contenders, cubic))))
+    chart = steps.draw_steps(
+        report.View(replace(diagnosis, contenders=(*diagnosis.contenders, cubic)))
+    )
     places, force, laws = chart.panels
     assert places.y.rows == ("piston – joint", "body – wheel", "suspension travel")
     blue, grey = (i for i in places.items if isinstance(i, charts.Marks))
-    assert list(blue.x) == pytest.approx([81.0]) and list(grey.x) == pytest.approx([12.0, 0.0])
+    assert list(blue.x) == pytest.approx([81.0]) and list(grey.x) == pytest.approx(
+        [12.0, 0.0]
+    )
     (median,) = (i for i in force.items if isinstance(i, charts.Line))
     assert np.all(median.band[0] <= median.y) and np.all(median.y <= median.band[1])
     again, true, false = (i for i in laws.items if isinstance(i, charts.Line))
     assert again.y is median.y and true.name.startswith("Coulomb friction")
     shares = [int(re.search(r"\((\d+)", line.name)[1]) for line in (true, false)]
-    assert shares[0] > 80 > shares[1] + 10  # mass, spring and damper take a part of either
+    assert (
+        shares[0] > 80 > shares[1] + 10
+    )  # mass, spring and damper take a part of either
     fast = np.abs(median.x) > 0.05
     # on average over the bins: those at the ends have few samples
     away, far = (np.abs(line.y - median.y)[fast].mean() for line in (true, false))
@@ -291,7 +358,10 @@ def test_report_stands_alone_and_says_it_all(written):
         "velocity of piston-joint changes sign", "351.2\u00a0kg", "confirm it with a new record", "Coulomb friction",
     ):  # fmt: skip
         assert words in page.text, words
-    assert json.loads((path.parent / "diagnosis.json").read_text())["verdict"] == "missing_effect"
+    assert (
+        json.loads((path.parent / "diagnosis.json").read_text())["verdict"]
+        == "missing_effect"
+    )
     assert Network.load(path.parent / "model.json").element("seal").level == LEVEL
 
 
@@ -304,16 +374,29 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     assert "Coulomb friction (98\u00a0% of it)" in page.text
     # a known law gives nearly all of the force: the page must not say that none does
     assert "no known effect passes the checks for a name" in page.text
-    assert "no law of the library explains" not in page.text and "gives this force" not in page.text
+    assert (
+        "no law of the library explains" not in page.text
+        and "gives this force" not in page.text
+    )
     # heads of the gap and parameter tables, the words on the stages
     assert page.text.count("with the force") == 3
-    drawings = re.findall(r'<svg[^>]*class="schematic".*?</svg>', path.read_text(), re.S)
-    assert ['data-part="el:missing_force"' in text for text in drawings] == [False, True]
+    drawings = re.findall(
+        r'<svg[^>]*class="schematic".*?</svg>', path.read_text(), re.S
+    )
+    assert ['data-part="el:missing_force"' in text for text in drawings] == [
+        False,
+        True,
+    ]
     drawn = {file.stem: file.read_text() for file in path.parent.glob("*.svg")}
     assert "with the force" in drawn["gap"] and "completed model" in drawn["time"]
-    assert "residual of the completed model" in drawn["spectra"] and "added law" in drawn["plane"]
+    assert (
+        "residual of the completed model" in drawn["spectra"]
+        and "added law" in drawn["plane"]
+    )
     # the law is that of the result
-    law = next(i for i in report.draw_law(report.View(d)).panels[0].items if i.name == "law")
+    law = next(
+        i for i in report.draw_law(report.View(d)).panels[0].items if i.name == "law"
+    )
     assert law.y == pytest.approx(d.tabulated.force)
 
 
@@ -321,7 +404,9 @@ def test_parameters_are_marked_as_biased_where_nothing_is_named(diagnosis):
     for kind in KINDS:
         view = report.View(of_kind(diagnosis, kind))
         is_undecided = kind.startswith("unknown")
-        assert ("biased by what is missing" in report._html(view, {}, {})) == is_undecided
+        assert (
+            "biased by what is missing" in report._html(view, {}, {})
+        ) == is_undecided
 
 
 def test_a_diagnosis_is_short_in_a_prompt_and_a_table_in_a_notebook(diagnosis):
@@ -331,7 +416,10 @@ def test_a_diagnosis_is_short_in_a_prompt_and_a_table_in_a_notebook(diagnosis):
         d = of_kind(diagnosis, kind)
         assert len(repr(d)) < 200 and repr(d).startswith(f"Diagnosis('{d.verdict}'")
         text = d._repr_html_()
-        assert d.summary in html.unescape(text) and text.count("<table>") == text.count("</table>") > 0
+        assert (
+            d.summary in html.unescape(text)
+            and text.count("<table>") == text.count("</table>") > 0
+        )
         assert f"{100 * d.gap['refit']['suspension_travel']:.1f} %" in text
         assert ("145.2 to 154.9" in text) == (kind == "missing_effect")
     assert "<b>x</b>" not in replace(diagnosis, summary="<b>x</b>")._repr_html_()
@@ -339,15 +427,24 @@ def test_a_diagnosis_is_short_in_a_prompt_and_a_table_in_a_notebook(diagnosis):
 
 def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
     """The window is where the refitted model errs most in that record, and the words are about that record."""
-    late = replace(diagnosis.traces[0], refit={c: y.copy() for c, y in diagnosis.traces[0].measured.items()})
+    late = replace(
+        diagnosis.traces[0],
+        refit={c: y.copy() for c, y in diagnosis.traces[0].measured.items()},
+    )
     for y in late.refit.values():
         y[1500:1600] += np.ptp(y)
     partly = replace(diagnosis.traces[0], name="three", held_from=7.0)
     traces = (late, diagnosis.traces[1], partly)
     chart = report.draw_time(report.View(replace(diagnosis, traces=traces)))
-    assert [*chart.choices] == ["two (held out)", "one (fitted)", "three (fitted up to 7 s, then held out)"]
+    assert [*chart.choices] == [
+        "two (held out)",
+        "one (fitted)",
+        "three (fitted up to 7 s, then held out)",
+    ]
     for name in chart.choices:
-        assert chart.captions[name].startswith(f"Record “{name.split()[0]}” ({name.split(' (')[1]}")
+        assert chart.captions[name].startswith(
+            f"Record “{name.split()[0]}” ({name.split(' (')[1]}"
+        )
     window = chart.choices["one (fitted)"][0].x
     assert window.low <= 1500 * STEP and window.high >= 1599 * STEP - 1e-9
     typical = chart.choices["one (fitted)"][1]
@@ -362,21 +459,40 @@ def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
 def test_a_sensor_is_told_from_physics(diagnosis, tmp_path, quick):
     gain = {"gain": Quantity(1.127, 1.125, 1.129, "-")}
     effect = Effect("sensor_gain", None, "body_acceleration", 0.99, gain, "g")
-    check_page(report.write_report(replace(diagnosis, traces=(), laws=()), tmp_path / "x"))  # without records
-    page = check_page(report.write_report(replace(diagnosis, effects=(effect,), laws=()), tmp_path / "x"))
-    assert "A sensor has a fault" in page.text and "Sensor gain in body acceleration" in page.text
+    check_page(
+        report.write_report(replace(diagnosis, traces=(), laws=()), tmp_path / "x")
+    )  # without records
+    page = check_page(
+        report.write_report(
+            replace(diagnosis, effects=(effect,), laws=()), tmp_path / "x"
+        )
+    )
+    assert (
+        "A sensor has a fault" in page.text
+        and "Sensor gain in body acceleration" in page.text
+    )
     assert "it must read 1.1270 times the truth" in page.text
 
 
 @pytest.mark.parametrize(
     ("kind", "more"),
-    [("series_compliance", {"stiffness": 5e4}), ("backlash", {"gap": 0.002, "stiffness": 5e6})],
+    [
+        ("series_compliance", {"stiffness": 5e4}),
+        ("backlash", {"gap": 0.002, "stiffness": 5e6}),
+    ],
 )
-def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(diagnosis, kind, more):
+def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(
+    diagnosis, kind, more
+):
     """Its terminals are no pair of the old model."""
     own = diagnosis.model.to_dict()
-    next(e for e in own["elements"] if e["name"] == "damper")["between"] = ["play", "wheel"]
-    own["elements"].append({"name": "own", "type": kind, "between": ["joint", "play"], **more})
+    next(e for e in own["elements"] if e["name"] == "damper")["between"] = [
+        "play",
+        "wheel",
+    ]
+    own["elements"].append(
+        {"name": "own", "type": kind, "between": ["joint", "play"], **more}
+    )
     own["uncertainty"] = {}
     model = Network.load(own)
     shown = next(iter(more))
@@ -392,18 +508,25 @@ def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(diagnosis, 
     view = report.View(replace(diagnosis, model=model, effects=(effect,), laws=(law,)))
     d = law.axis[-1]
     force = 5e4 * d if kind == "series_compliance" else 5e6 * (d - 0.001)
-    assert law.force[-1] == pytest.approx(force) and law.force[0] == pytest.approx(-force)
+    assert law.force[-1] == pytest.approx(force) and law.force[0] == pytest.approx(
+        -force
+    )
     wide = 0.1 * 5e4 * d if kind == "series_compliance" else 0.05 * 5e6 * 0.002
     assert law.high[-1] - law.force[-1] == pytest.approx(wide, rel=1e-6)
     assert np.abs(law.visited).max() >= 0.99 * d > 0
-    assert "in series with what stands between joint and wheel" in report._html(view, {}, {})
+    assert "in series with what stands between joint and wheel" in report._html(
+        view, {}, {}
+    )
     chart = report.draw_law(view)
     assert chart is not None and "its own travel" in chart.panels[0].x.text
 
 
 def test_two_effects_are_told_as_two(diagnosis):
     view = report.View(replace(diagnosis, effects=2 * diagnosis.effects))
-    assert view.title == "Two physical effects are missing" and view.labels["after"] == "with the effects"
+    assert (
+        view.title == "Two physical effects are missing"
+        and view.labels["after"] == "with the effects"
+    )
 
 
 def test_only_units_of_a_sentence_are_set_as_units(diagnosis):
@@ -451,9 +574,14 @@ def test_the_page_of_a_half_car_shows_both_axles(tmp_path):
     ends = ("front travel", "rear travel", "front motor current", "rear motor current")
     assert tuple(h for h in heads if "travel" in h or "current" in h) == ends
     run = made.runs["lqg-wheelbase"]
-    rear = next(p for p in chart.panels if p.y.label.replace("\n", " ") == "rear travel")
+    rear = next(
+        p for p in chart.panels if p.y.label.replace("\n", " ") == "rear travel"
+    )
     line = next(i for i in rear.items if getattr(i, "name", "") == "lqg-wheelbase")
-    assert np.abs(line.y).max() <= 1e3 * np.abs(run.signals["suspension_travel_rear"]).max() + 1e-9
+    assert (
+        np.abs(line.y).max()
+        <= 1e3 * np.abs(run.signals["suspension_travel_rear"]).max() + 1e-9
+    )
 
 
 def test_a_score_on_a_flat_road_can_be_shown(tmp_path):
@@ -467,17 +595,29 @@ def test_a_score_on_a_flat_road_can_be_shown(tmp_path):
 
 def test_the_clairvoyant_point_is_on_the_trade_off(small_score):
     shown = score_page.Shown(small_score)
-    point = {"body_acceleration_change": -0.33, "suspension_travel_change": -0.4, "tyre_load_change": -0.04}
-    known = score_page.Shown(replace(small_score, references={"clairvoyant_point": point}))
+    point = {
+        "body_acceleration_change": -0.33,
+        "suspension_travel_change": -0.4,
+        "tyre_load_change": -0.04,
+    }
+    known = score_page.Shown(
+        replace(small_score, references={"clairvoyant_point": point})
+    )
     for view, there in ((shown, False), (known, True)):
         chart = score_page.trade_off(view)
-        drawn = [(i.x[0], i.y[0]) for i in chart.panels[0].items if isinstance(i, charts.Marks)]
+        drawn = [
+            (i.x[0], i.y[0])
+            for i in chart.panels[0].items
+            if isinstance(i, charts.Marks)
+        ]
         assert ((-40.0, -33.0) in drawn) == there == ("clairvoyant" in chart.caption)
 
 
 def test_headline_names_who_is_level_with_the_best(small_score):
     shown = score_page.Shown(small_score)
-    assert shown.reference == "passive" and shown.best == "skyhook" and shown.level == []
+    assert (
+        shown.reference == "passive" and shown.best == "skyhook" and shown.level == []
+    )
     assert shown.headline.startswith("skyhook costs ")
     shown.costs["isd-passive"] = shown.costs["skyhook"] * np.array([0.98, 1.04, 1.0])
     assert shown.level == ["isd-passive"] and "Level with it" in shown.headline
@@ -497,7 +637,12 @@ def test_spectral_density_holds_the_variance():
 def test_the_user_s_matplotlibrc_changes_no_figure():
     import matplotlib
 
-    own = {"text.usetex": True, "axes.spines.left": False, "path.sketch": (1, 100, 2), "figure.dpi": 1e5}
+    own = {
+        "text.usetex": True,
+        "axes.spines.left": False,
+        "path.sketch": (1, 100, 2),
+        "figure.dpi": 1e5,
+    }
     with matplotlib.rc_context(own):
         with plots.style():
             within = dict(matplotlib.rcParams)
@@ -531,7 +676,9 @@ def told(diagnosis, monkeypatch, quick):
 
 def tables(folder, *names, head="time,road,current,{}"):
     outputs = [c.name for c in Network.load("quarter-car-isd").outputs]
-    rows = "\n".join(f"{0.01 * k:.2f}," + ",".join(["1.0"] * (len(outputs) + 2)) for k in range(5))
+    rows = "\n".join(
+        f"{0.01 * k:.2f}," + ",".join(["1.0"] * (len(outputs) + 2)) for k in range(5)
+    )
     for name in names:
         (folder / name).write_text(head.format(",".join(outputs)) + "\n" + rows + "\n")
 
@@ -539,13 +686,29 @@ def tables(folder, *names, head="time,road,current,{}"):
 def test_diagnose_takes_records_as_documented(told, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tables(tmp_path, "a.csv", "b.csv", "c.csv", "d.csv")
-    args = ["diagnose", "a.csv", "b.csv", "--model", "quarter-car-isd", "--out", "found"]
-    done = CliRunner().invoke(cli.app, [*args, "--validate", "c.csv", "d.csv", "--json", "x.json"])
+    args = [
+        "diagnose",
+        "a.csv",
+        "b.csv",
+        "--model",
+        "quarter-car-isd",
+        "--out",
+        "found",
+    ]
+    done = CliRunner().invoke(
+        cli.app, [*args, "--validate", "c.csv", "d.csv", "--json", "x.json"]
+    )
     assert done.exit_code == 0, done.output
     data, model, options = told[0]
-    assert [t.source for t in data] == ["a.csv", "b.csv"] and model.name == "quarter-car-isd"
+    assert [t.source for t in data] == [
+        "a.csv",
+        "b.csv",
+    ] and model.name == "quarter-car-isd"
     assert [t.source for t in options["validate"]] == ["c.csv", "d.csv"]
-    assert "The model lacks coulomb friction" in done.output and "noise floor" in done.output
+    assert (
+        "The model lacks coulomb friction" in done.output
+        and "noise floor" in done.output
+    )
     assert json.loads(Path("x.json").read_text())["schema"] == "isd-diagnosis/1"
     assert Path("found/report.html").exists()
     tables(tmp_path, "a.csv", head="time,z_r,current,{}")
@@ -553,13 +716,18 @@ def test_diagnose_takes_records_as_documented(told, tmp_path, monkeypatch):
     assert CliRunner().invoke(cli.app, named).exit_code == 0
     assert told[-1][0][0]["road"] == pytest.approx(1e-3)
     tables(tmp_path, "a.csv")
-    for also in (["--validate", "c.csv", "--validate=d.csv"], ["--validate=c.csv", "d.csv"]):
+    for also in (
+        ["--validate", "c.csv", "--validate=d.csv"],
+        ["--validate=c.csv", "d.csv"],
+    ):
         assert CliRunner().invoke(cli.app, [*args, *also]).exit_code == 0
         assert [t.source for t in told[-1][2]["validate"]] == ["c.csv", "d.csv"]
         assert [t.source for t in told[-1][0]] == ["a.csv", "b.csv"]
 
 
-def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(told, tmp_path, monkeypatch):
+def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(
+    told, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     tables(tmp_path, "a.csv")
 
@@ -567,10 +735,22 @@ def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(told, tmp_p
         raise NameError("name 'Effect' is not defined")
 
     monkeypatch.setattr(report, "page", fail)
-    args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found", "--json", "x.json"]
+    args = [
+        "diagnose",
+        "a.csv",
+        "--model",
+        "quarter-car-isd",
+        "--out",
+        "found",
+        "--json",
+        "x.json",
+    ]
     done = CliRunner().invoke(cli.app, args)
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
-    assert "The model lacks coulomb friction" in done.stdout and "noise floor" in done.stdout
+    assert (
+        "The model lacks coulomb friction" in done.stdout
+        and "noise floor" in done.stdout
+    )
     assert done.stderr.splitlines() == [
         "isd-gym: the report could not be drawn (NameError: name 'Effect' is not defined); the results are in 'found'"
     ]
@@ -585,7 +765,11 @@ def test_a_curve_of_many_samples_keeps_its_extremes():
     y[12_345] = 5.0
     line = charts.Line("x", x, y, charts.QUIET)
     few_x, few_y = charts._thinned(line, charts.Axis())
-    assert few_x.size <= 2.1 * charts.COLUMNS and few_y.max() == 5.0 and few_y.min() == y.min()
+    assert (
+        few_x.size <= 2.1 * charts.COLUMNS
+        and few_y.max() == 5.0
+        and few_y.min() == y.min()
+    )
     part, _ = charts._thinned(line, charts.Axis(low=10.0, high=10.5))
     assert part.size == 503 and part[0] <= 10.0 and part[-1] >= 10.5
 
@@ -594,8 +778,14 @@ def test_a_parameter_that_the_data_do_not_tell_is_drawn_as_such(diagnosis):
     told = {"body.mass": Quantity(351.2, 349.9, 352.4, "kg", 345.0)}
     told["oil.stiffness"] = Quantity(709e3, 640e3, 778e3, "N/m", 709e3)
     chart = report.draw_parameters(report.View(replace(diagnosis, parameters=told)))
-    marks = {i.name.split(":")[0]: list(i.y) for i in chart.panels[0].items if isinstance(i, charts.Marks)}
-    assert marks["estimate with 95 % interval"] == [0] and marks["not determined by these data"] == [1]
+    marks = {
+        i.name.split(":")[0]: list(i.y)
+        for i in chart.panels[0].items
+        if isinstance(i, charts.Marks)
+    }
+    assert marks["estimate with 95 % interval"] == [0] and marks[
+        "not determined by these data"
+    ] == [1]
 
 
 def test_no_two_policies_look_the_same():
@@ -607,7 +797,9 @@ def test_no_two_policies_look_the_same():
 
 def test_one_episode_has_no_interval(tmp_path):
     car = Network.load("quarter-car-isd")
-    one = score([find("skyhook", car)], car, reference=passive(car), episodes=1, duration=3.0)
+    one = score(
+        [find("skyhook", car)], car, reference=passive(car), episodes=1, duration=3.0
+    )
     page = check_page(score_page.score_report(one, tmp_path / "one"))
     assert "One episode has no interval" in page.text and "95 % paired" not in page.text
     assert "episodes" not in page.figures

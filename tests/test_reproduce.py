@@ -15,7 +15,11 @@ from isd_gym.physics.network import Network
 
 def test_first_harmonic_of_a_known_signal():
     time = np.arange(0, 1.0 + 1e-9, 1e-3)
-    signal = 3.0 * np.sin(2 * np.pi * 4 * time + 0.7) + 1.5 + 0.4 * np.sin(2 * np.pi * 12 * time)
+    signal = (
+        3.0 * np.sin(2 * np.pi * 4 * time + 0.7)
+        + 1.5
+        + 0.4 * np.sin(2 * np.pi * 12 * time)
+    )
     found = rig.fundamental(time, signal, 4.0)
     assert abs(found) == pytest.approx(3.0, rel=1e-6)
     assert np.angle(found) == pytest.approx(0.7, abs=1e-6)
@@ -25,13 +29,17 @@ def test_first_harmonic_of_a_known_signal():
 def test_sine_without_friction_is_the_impedance_in_closed_form(frequency):
     own = Network.load("force-rig").with_parameters({"seal.level": 1e-6})
     time, x, force = rig.force_test(own, frequency)
-    stiffness = rig.fundamental(time, force, frequency) / rig.fundamental(time, x, frequency)
+    stiffness = rig.fundamental(time, force, frequency) / rig.fundamental(
+        time, x, frequency
+    )
     s = 2j * np.pi * frequency
     assert abs(stiffness * (1 / 709e3 + 1 / (95 * s**2 + 1293 * s)) - 1) < 2e-3
 
 
 def test_identification_finds_another_rig_s_values():
-    own = Network.load("force-rig").with_parameters({"oil.stiffness": 9e5, "leak.damping": 800.0})
+    own = Network.load("force-rig").with_parameters(
+        {"oil.stiffness": 9e5, "leak.damping": 800.0}
+    )
     fit = rig.identify(own, Network.load("force-rig"), 500.0, noise=0.01)
     assert fit["oil.stiffness"] == pytest.approx(9e5, rel=0.01)
     assert fit["leak.damping"] == pytest.approx(800.0, rel=0.02)
@@ -51,14 +59,21 @@ def test_failure_leaves_nothing(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_whole_page(tmp_path):
     tasks = set()
-    result = page.reproduce(tmp_path / "out", quick=True, progress=lambda task, share: tasks.add(task))
+    result = page.reproduce(
+        tmp_path / "out", quick=True, progress=lambda task, share: tasks.add(task)
+    )
     text = (tmp_path / "out" / "index.html").read_text()
     names = {p.name for p in (tmp_path / "out").glob("*.svg")}
     assert text.count('<svg class="chart"') == len(names) == 7
     assert "http:" not in text.replace("http://www.w3.org", "") and "https:" not in text
     data = json.loads((tmp_path / "out" / "reproduction.json").read_text())
     assert data["schema"] == SCHEMA
-    assert {c["place"] for c in data["claims"]} >= {"Table 4", "Table 7", "Table 8", "Figure 6"}
+    assert {c["place"] for c in data["claims"]} >= {
+        "Table 4",
+        "Table 7",
+        "Table 8",
+        "Figure 6",
+    }
     # figures found beforehand
     cases = data["figures"]["causal_bound"]["cases"]
     assert cases[2]["bound"] == pytest.approx(-0.171, abs=1e-3)

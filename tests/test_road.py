@@ -5,7 +5,16 @@ import pytest
 from program import refused
 from scipy.signal import welch
 
-from isd_gym.physics.road import ISO_CLASSES, PAPER_KAPPA, bump, iso_road, paper_road, pothole, road, sweep
+from isd_gym.physics.road import (
+    ISO_CLASSES,
+    PAPER_KAPPA,
+    bump,
+    iso_road,
+    paper_road,
+    pothole,
+    road,
+    sweep,
+)
 
 
 def spatial_psd(ground, speed, step, roads=40, length=4000.0):
@@ -13,8 +22,12 @@ def spatial_psd(ground, speed, step, roads=40, length=4000.0):
     segment = int(1000.0 / (speed * step))
     total = 0.0
     for seed in range(roads):
-        z = ground.heights(length / speed, speed=speed, step=step, rng=np.random.default_rng(seed))
-        n, p = welch(z, 1.0 / (speed * step), nperseg=segment, detrend="linear", window="hann")
+        z = ground.heights(
+            length / speed, speed=speed, step=step, rng=np.random.default_rng(seed)
+        )
+        n, p = welch(
+            z, 1.0 / (speed * step), nperseg=segment, detrend="linear", window="hann"
+        )
         total = total + p
     return n, total / roads
 
@@ -42,10 +55,14 @@ def test_the_papers_road_is_class_b():
 def test_velocity_of_the_papers_road_is_white_with_the_stated_intensity(step):
     z = paper_road().heights(200.0, speed=20.0, step=step, rng=np.random.default_rng(0))
     increments = np.diff(z)
-    assert increments.var() == pytest.approx((2 * np.pi) ** 2 * PAPER_KAPPA * 20.0 * step, rel=0.03)
+    assert increments.var() == pytest.approx(
+        (2 * np.pi) ** 2 * PAPER_KAPPA * 20.0 * step, rel=0.03
+    )
     assert abs(np.corrcoef(increments[1:], increments[:-1])[0, 1]) < 0.01
     blocks = increments[: len(increments) // 20 * 20].reshape(-1, 20).sum(axis=1)
-    assert abs(np.mean((blocks / blocks.std()) ** 4) - 3.0) < 0.2  # a sum of twenty is as good as normal
+    assert (
+        abs(np.mean((blocks / blocks.std()) ** 4) - 3.0) < 0.2
+    )  # a sum of twenty is as good as normal
 
 
 def test_profiles():
@@ -55,14 +72,19 @@ def test_profiles():
     assert np.argmax(z) * 1e-3 * 20.0 == pytest.approx(11.5, abs=0.02)
     assert pothole(depth=0.04).heights(2.0, rng=rng).min() == pytest.approx(-0.04)
     s = sweep(amplitude=0.01, start=1.0, stop=1.0).heights(3.0, rng=rng)
-    np.testing.assert_allclose(s, 0.01 * np.sin(2 * np.pi * np.arange(3001) * 1e-3), atol=2e-7)
+    np.testing.assert_allclose(
+        s, 0.01 * np.sin(2 * np.pi * np.arange(3001) * 1e-3), atol=2e-7
+    )
     assert not road("flat").heights(1.0, rng=rng).any()
 
 
 def test_recorded_profile_over_distance(tmp_path):
     x = np.arange(0, 100, 0.1)
     path = tmp_path / "lane.csv"
-    path.write_text("distance [m],height [m]\n" + "\n".join(f"{a:.1f},{0.01 * np.sin(a):.9f}" for a in x))
+    path.write_text(
+        "distance [m],height [m]\n"
+        + "\n".join(f"{a:.1f},{0.01 * np.sin(a):.9f}" for a in x)
+    )
     z = road(path).heights(2.0, speed=20.0, rng=np.random.default_rng(3))
     start = np.random.default_rng(3)
     start.integers(0, 2**64, dtype=np.uint64)
@@ -76,7 +98,10 @@ def test_recorded_profile_over_distance(tmp_path):
     [
         ("distance,height\n0,0\n1,x\n", "line 3, column 'height': 'x' is not a number"),
         ("distance,height\n0,0\n1,0\n1,0\n", "line 4: 'distance' does not increase"),
-        ("distance,height\n" + "".join(f"{i},0\n" for i in range(9)) + "500,0\n", "line 11: gap of 492"),
+        (
+            "distance,height\n" + "".join(f"{i},0\n" for i in range(9)) + "500,0\n",
+            "line 11: gap of 492",
+        ),
         ("distance,height\n0,0\n1,nan\n", "line 3: not finite"),
         ("a,b\n0,0\n", "needs a header"),
         ("distance,height\n0,0\n", "fewer than two points"),

@@ -11,7 +11,15 @@ from scipy.special import kv
 from isd_gym._common.errors import InputError
 from isd_gym.physics import tracks
 from isd_gym.physics._kernel.tracks import track_noise
-from isd_gym.physics.road import Road, bump, iso_road, on_side, paper_road, pothole, road
+from isd_gym.physics.road import (
+    Road,
+    bump,
+    iso_road,
+    on_side,
+    paper_road,
+    pothole,
+    road,
+)
 from isd_gym.physics.tracks import SUM_STATES, TRACK_STATES, WheelPositions
 
 CAR = WheelPositions((1.35, 1.35, -1.35, -1.35), (0.75, -0.75, 0.75, -0.75))
@@ -36,7 +44,10 @@ def responses(ground, width, speed, step, n):
 
 def test_the_fitted_density_is_positive_at_all_frequencies():
     n = np.geomspace(1e-7, 1e5, 4000)
-    square, poles = (2 * np.pi * 1.5 * n[:, None]) ** 2, np.square(tracks.COHERENCE_POLES)
+    square, poles = (
+        (2 * np.pi * 1.5 * n[:, None]) ** 2,
+        np.square(tracks.COHERENCE_POLES),
+    )
     gamma = (tracks.COHERENCE_WEIGHTS * poles / (square + poles)).sum(axis=-1)
     assert gamma.min() > -0.01 and gamma.max() < 1.0
 
@@ -51,7 +62,9 @@ def test_density_of_each_track_is_that_of_the_single_track(ground, speed, step, 
     half_sum, half_difference = responses(ground, width, speed, step, n)
     gain, pole = ground.noise(speed, step)
     single = gain**2 / np.abs(1 - pole * np.exp(-2j * np.pi * n * speed * step)) ** 2
-    np.testing.assert_allclose(np.abs(half_sum) ** 2 + np.abs(half_difference) ** 2, single, rtol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(half_sum) ** 2 + np.abs(half_difference) ** 2, single, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
@@ -60,16 +73,28 @@ def test_density_of_each_track_is_that_of_the_single_track(ground, speed, step, 
 def test_coherence_of_the_filters(ground, speed, step, width):
     """Within 0.011 of the formula from 0.01 to 10 cycle/m; 1 - gamma, the density of the difference, within 1.5 %."""
     n = np.geomspace(0.01, 10.0, 400)
-    half_sum, half_difference = (np.abs(h) ** 2 for h in responses(ground, width, speed, step, n))
+    half_sum, half_difference = (
+        np.abs(h) ** 2 for h in responses(ground, width, speed, step, n)
+    )
     gamma = (half_sum - half_difference) / (half_sum + half_difference)
     np.testing.assert_allclose(gamma, formula(n, width), atol=0.011)
-    np.testing.assert_allclose(1 - gamma, 1 - formula(n, width, ground.cutoff), rtol=0.015)
+    np.testing.assert_allclose(
+        1 - gamma, 1 - formula(n, width, ground.cutoff), rtol=0.015
+    )
 
 
 def test_continued_draws_are_one_draw():
     poles, gains = iso_road("C").track_filters(1.5, 20.0, 1e-3)
     whole, parts = np.empty((2, 100)), (np.empty((2, 37)), np.empty((2, 63)))
-    track_noise(np.uint64(5), np.uint64(2**64 - 9), poles, gains, SUM_STATES, np.zeros(TRACK_STATES), whole)
+    track_noise(
+        np.uint64(5),
+        np.uint64(2**64 - 9),
+        poles,
+        gains,
+        SUM_STATES,
+        np.zeros(TRACK_STATES),
+        whole,
+    )
     states, seeds = np.zeros(TRACK_STATES), (np.uint64(5), np.uint64(2**64 - 9))
     for part in parts:
         seeds = track_noise(*seeds, poles, gains, SUM_STATES, states, part)
@@ -90,18 +115,26 @@ def test_rear_wheel_passes_the_same_road_at_any_speed(speed):
     """A sine over distance: the rear height is that of the place 2.7 m back, but for the interpolation's error."""
     x = np.arange(0.0, 200.0, 0.001)
     ground = Road("sine", abscissa=x, profile=0.01 * np.sin(2 * np.pi * 0.5 * x))
-    _, rear = ground.wheel_heights(HALF_CAR, 4.0, speed=speed, rng=np.random.default_rng(0))
+    _, rear = ground.wheel_heights(
+        HALF_CAR, 4.0, speed=speed, rng=np.random.default_rng(0)
+    )
     place = speed * np.arange(4001) * 1e-3 - 2.7
     wanted = np.where(place > 0, 0.01 * np.sin(2 * np.pi * 0.5 * place), 0.0)
     curvature = 0.01 * (2 * np.pi * 0.5 * speed * 1e-3) ** 2
-    away = np.abs(place) > speed * 1e-3  # the kink at the start is met between two steps
-    np.testing.assert_allclose(rear[away], wanted[away], rtol=0, atol=curvature / 8 + 2e-8)
+    away = (
+        np.abs(place) > speed * 1e-3
+    )  # the kink at the start is met between two steps
+    np.testing.assert_allclose(
+        rear[away], wanted[away], rtol=0, atol=curvature / 8 + 2e-8
+    )
 
 
 def test_delay_longer_than_the_drive():
     assert not tracks.delayed(np.arange(5.0), 9.5).any()
     np.testing.assert_array_equal(tracks.delayed(np.arange(5.0), 4), [0, 0, 0, 0, 0])
-    np.testing.assert_array_equal(tracks.delayed(np.arange(5.0), 2.5), [0, 0, 0, 0.5, 1.5])
+    np.testing.assert_array_equal(
+        tracks.delayed(np.arange(5.0), 2.5), [0, 0, 0, 0.5, 1.5]
+    )
 
 
 @pytest.mark.parametrize("shape", [bump, pothole])
@@ -154,7 +187,12 @@ def test_recorded_profile_of_two_tracks(tmp_path, header):
 
 def test_right_column_before_the_left_one_in_millimetres(tmp_path):
     right, left = lambda a: 20 * math.cos(0.7 * a), lambda a: 10 * math.sin(a)
-    path = recording(tmp_path / "r.csv", "distance [m],height_right [mm],height_left [mm]", right, left)
+    path = recording(
+        tmp_path / "r.csv",
+        "distance [m],height_right [mm],height_left [mm]",
+        right,
+        left,
+    )
     profile = road(path).profile
     assert profile.shape == (2, 1000)
     assert np.abs(profile).max(axis=1) == pytest.approx([0.01, 0.02], rel=1e-3)
@@ -178,15 +216,22 @@ def test_bad_columns(tmp_path, header, message):
     zeros = [lambda a: 0.0] * header.count(",")
     refused(message, road, recording(tmp_path / "r.csv", header, *zeros))
     flat, steep = lambda a: 0.0, lambda a: 10 * math.sin(3 * a)
-    path = recording(tmp_path / "r.csv", "distance,height_left,height_right", flat, steep)
+    path = recording(
+        tmp_path / "r.csv", "distance,height_left,height_right", flat, steep
+    )
     refused("is the height in mm", road, path)
 
 
 @pytest.mark.parametrize("name", ["bump-left", "pothole-right", "C+bump-right"])
 @pytest.mark.parametrize("wheels", [tracks.ONE_WHEEL, HALF_CAR])
 def test_road_with_sides_needs_a_car_with_two_tracks(name, wheels):
-    message = f"road '{name}'".replace("+", r"\+") + " has a left and a right track, the car has one: choose"
-    refused(message, road(name).wheel_heights, wheels, 1.0, rng=np.random.default_rng(0))
+    message = (
+        f"road '{name}'".replace("+", r"\+")
+        + " has a left and a right track, the car has one: choose"
+    )
+    refused(
+        message, road(name).wheel_heights, wheels, 1.0, rng=np.random.default_rng(0)
+    )
     refused(message, road(name).heights, 1.0, rng=np.random.default_rng(0))
 
 
@@ -207,16 +252,28 @@ def test_bad_wheels(x, y, message):
 
 
 def test_bad_widths_sides_and_profiles():
-    refused(r"track width 0\.01 m: give 0.1 to 10 m", paper_road().track_filters, 0.01, 20.0, 1e-3)
+    refused(
+        r"track width 0\.01 m: give 0.1 to 10 m",
+        paper_road().track_filters,
+        0.01,
+        20.0,
+        1e-3,
+    )
     refused("no side 'middle': left or right", on_side, bump(), "middle")
     refused("road 'C' has no profile", on_side, iso_road("C"), "left")
     refused(r"no road 'bump-middle': paper.*bump-left", road, "bump-middle")
-    with pytest.raises(InputError, match=r"shape \(2,\) or \(2, 2\) for left and right, not \(3, 2\)"):
+    with pytest.raises(
+        InputError, match=r"shape \(2,\) or \(2, 2\) for left and right, not \(3, 2\)"
+    ):
         Road("three", abscissa=np.arange(2.0), profile=np.zeros((3, 2)))
     refused("both abscissa and profile", replace, bump(), abscissa=None)
 
 
 def test_rear_axle_may_be_narrower():
     wheels = WheelPositions((1.3, 1.3, -1.3, -1.3), (0.76, -0.76, 0.74, -0.74))
-    assert wheels.tracks == 2 and wheels.width == pytest.approx(1.5) and wheels.track == (0, 1, 0, 1)
+    assert (
+        wheels.tracks == 2
+        and wheels.width == pytest.approx(1.5)
+        and wheels.track == (0, 1, 0, 1)
+    )
     assert wheels.behind == (0.0, 0.0, 2.6, 2.6)

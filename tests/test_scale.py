@@ -34,14 +34,19 @@ def told(network, table):
 
 def test_the_own_time_of_a_model_is_that_of_its_slowest_swing():
     assert own_time(rig(3.0, 1.0)[0]) == pytest.approx(3.0 / (2 * np.pi), rel=1e-6)
-    assert own_time(Network.load("quarter-car-passive")) == pytest.approx(0.128, rel=0.05)
+    assert own_time(Network.load("quarter-car-passive")) == pytest.approx(
+        0.128, rel=0.05
+    )
 
 
 @pytest.mark.parametrize(("period", "size"), [(40.0, 0.1), (9.0, 8.0), (0.01, 3e-9)])
 def test_what_a_car_cannot_do_another_rig_can(period, size):
     network, table = rig(period, size)
     kinds = {"inputs": {"base": "displacement"}, "outputs": {"place": "displacement"}}
-    assert any("unit?" in f.message or "unit than s" in f.message for f in check(table, **kinds))
+    assert any(
+        "unit?" in f.message or "unit than s" in f.message
+        for f in check(table, **kinds)
+    )
     assert told(network, table) == []
 
 
@@ -51,16 +56,28 @@ def test_a_slip_of_the_unit_is_told_at_the_rigs_own_scale():
     slipped = Table(table.time, table.columns | {"place": 1e3 * table["place"]}, "rig")
     (note,) = told(network, slipped)
     assert "place" in note and "a thousand times what the model says" in note
-    (note,) = told(network, Table(table.time, table.columns | {"place": 1e-3 * table["place"]}, "rig"))
+    (note,) = told(
+        network,
+        Table(table.time, table.columns | {"place": 1e-3 * table["place"]}, "rig"),
+    )
     assert "a thousandth of" in note
     # a slow rig in milliseconds is refused as a car is
     network, table = rig(40.0, 0.1)
-    refused("another unit than s", read_record, Table(1e3 * table.time, table.columns, "rig"), network, [])
+    refused(
+        "another unit than s",
+        read_record,
+        Table(1e3 * table.time, table.columns, "rig"),
+        network,
+        [],
+    )
 
 
 def coast_down(step, samples=300, model_time=50.0):
     """A wheel that coasts down by drag, its nominal model with a bearing of that time constant [s]."""
-    bearing, speed = damper("wheel", "ground", 0.1 / model_time, "bearing"), "speed angular_velocity wheel"
+    bearing, speed = (
+        damper("wheel", "ground", 0.1 / model_time, "bearing"),
+        "speed angular_velocity wheel",
+    )
     network = builders.network("", [bearing], [], [speed], inertias={"wheel": 0.1})
     time = step * np.arange(samples)
     noise = 0.02 * np.random.default_rng(0).standard_normal(samples)
@@ -74,10 +91,14 @@ def free(network):
 
 
 def test_a_quasi_static_test_may_have_any_step():
-    bench = builders.network("bench", [damper("rod", "ground", 5.0)], ["x displacement rod"], ["f force rod"])
+    bench = builders.network(
+        "bench", [damper("rod", "ground", 5.0)], ["x displacement rod"], ["f force rod"]
+    )
     assert slowest_time(bench) == np.inf  # all motion is prescribed
     t = np.arange(400.0)
-    (note,) = told(bench, Table(t, {"x": np.sin(0.1 * t), "f": np.cos(0.1 * t)}, "slow"))
+    (note,) = told(
+        bench, Table(t, {"x": np.sin(0.1 * t), "f": np.cos(0.1 * t)}, "slow")
+    )
     assert "a step of 1 s" in note
 
 
@@ -114,10 +135,15 @@ def test_an_implausible_step_is_accepted_by_name():
 def test_few_samples_of_many_periods_are_no_short_record():
     network, table = rig(0.5, 0.01)
     parts = (slice(0, 1110, 6), slice(185), slice(63))
-    few, brief, scrap = (Table(table.time[s], {n: x[s] for n, x in table.columns.items()}, "") for s in parts)
+    few, brief, scrap = (
+        Table(table.time[s], {n: x[s] for n, x in table.columns.items()}, "")
+        for s in parts
+    )
     assert len(few) == 185
     read_record(few, network, [])
     notes: list[str] = []
     read_record(brief, network, notes)
-    assert any("short: 185 samples of 200 (or 64 for 10 periods" in note for note in notes)
+    assert any(
+        "short: 185 samples of 200 (or 64 for 10 periods" in note for note in notes
+    )
     refused("too short: 63 samples of at least 64", read_record, scrap, network, [])

@@ -43,11 +43,17 @@ def test_schemas_are_schemas(name):
 
 def test_the_shipped_model_schema_is_made_from_the_elements(monkeypatch):
     # other tests may have registered elements of their own
-    own = {k: cls for k, cls in elements.TYPES.items() if cls.__module__.startswith(elements.__name__)}
+    own = {
+        k: cls
+        for k, cls in elements.TYPES.items()
+        if cls.__module__.startswith(elements.__name__)
+    }
     monkeypatch.setattr(elements, "TYPES", own)
     made = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "model_schema.py"))
     now = json.loads(made["dumps"](made["model_schema"]()))
-    assert schemas.load("isd-model/1") == now, "an element changed: run python docs/model_schema.py"
+    assert schemas.load("isd-model/1") == now, (
+        "an element changed: run python docs/model_schema.py"
+    )
 
 
 @pytest.mark.parametrize("name", builtin_networks())
@@ -74,18 +80,30 @@ WRONG = [
     (_set("elements", value=[]), ""),
     (_set("elements", 0, "type", value="spring"), "main_spring.*unknown type 'spring'"),
     (_set("elements", 0, "rate", value=1.0), "main_spring.*unknown key 'rate'"),
-    (_set("elements", 0, "stiffness", value="22 kN/m"), "main_spring.*must be a number"),
-    (_set("elements", 0, "stiffness", value=-1.0), "main_spring.*stiffness must be >= 0"),
+    (
+        _set("elements", 0, "stiffness", value="22 kN/m"),
+        "main_spring.*must be a number",
+    ),
+    (
+        _set("elements", 0, "stiffness", value=-1.0),
+        "main_spring.*stiffness must be >= 0",
+    ),
     (_set("elements", 0, "between", value=["body"]), ""),
     (_set("elements", 0, "between", value=["body", "body"]), "main_spring.*itself"),
     (_set("outputs", 0, "between", value=["body", "wheel"]), ""),
-    (_set("outputs", 0, "unit", value="mm"), "body_acceleration.*cannot be converted to"),
+    (
+        _set("outputs", 0, "unit", value="mm"),
+        "body_acceleration.*cannot be converted to",
+    ),
     (_set("outputs", 0, "quantity", value="jerk"), ""),
     (_set("inputs", 0, "quantity", value="acceleration"), ""),
     (_set("inputs", 0, "quantity", value="current"), ""),
     (_set("outputs", 0, "offset", value=True), ""),
     (_set("uncertainty", "body.mass", value=-0.1), ""),
-    (lambda m: m["elements"][0].pop("stiffness"), "main_spring.*'stiffness' is missing"),
+    (
+        lambda m: m["elements"][0].pop("stiffness"),
+        "main_spring.*'stiffness' is missing",
+    ),
     (lambda m: m["inputs"][0].pop("unit"), ""),
 ]
 
@@ -108,7 +126,17 @@ def test_schema_and_reader_accept_the_same_units(unit):
 
 def test_score_json_of_a_half_car_is_valid(tmp_path):
     file = tmp_path / "score.json"
-    told = ["score", "passive", "lqg", "--network", "half-car-isd", "--point", "body_rear", "--episodes", "2"]
+    told = [
+        "score",
+        "passive",
+        "lqg",
+        "--network",
+        "half-car-isd",
+        "--point",
+        "body_rear",
+        "--episodes",
+        "2",
+    ]
     run = CliRunner().invoke(app, [*told, "--duration", "1", "--json", str(file)])
     assert run.exit_code == 0, run.output
     score = json.loads(file.read_text())
@@ -132,8 +160,14 @@ def test_a_verdict_and_its_effects_agree():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d["effects"][0].pop("effect"), r"it: effects\[0\]: 'effect' is a required property"),
-        (lambda d: d.update(effects="x" * 10_000), r"it: effects: 'xxx.* is not of type 'array'"),
+        (
+            lambda d: d["effects"][0].pop("effect"),
+            r"it: effects\[0\]: 'effect' is a required property",
+        ),
+        (
+            lambda d: d.update(effects="x" * 10_000),
+            r"it: effects: 'xxx.* is not of type 'array'",
+        ),
     ],
 )
 def test_a_document_of_another_structure_is_refused_in_a_line(change, message):

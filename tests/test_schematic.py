@@ -33,14 +33,27 @@ BRIDGE = model(
 def marks(drawing, part):
     """The elements of the SVG of a part."""
     root = ET.fromstring(drawing.svg())
-    return [m for g in root.iter(f"{{{SVG}}}g") if g.get("data-part") == part for m in g]
+    return [
+        m for g in root.iter(f"{{{SVG}}}g") if g.get("data-part") == part for m in g
+    ]
 
 
 def words(drawing, part=None):
     """(text, x, y, size, anchor) of the words of a part, or of all."""
-    found = ET.fromstring(drawing.svg()).iter(f"{{{SVG}}}text") if part is None else marks(drawing, part)
+    found = (
+        ET.fromstring(drawing.svg()).iter(f"{{{SVG}}}text")
+        if part is None
+        else marks(drawing, part)
+    )
     told = [m for m in found if m.tag == f"{{{SVG}}}text"]
-    return [(m.text, *(float(m.get(k)) for k in ("x", "y", "font-size")), m.get("text-anchor")) for m in told]
+    return [
+        (
+            m.text,
+            *(float(m.get(k)) for k in ("x", "y", "font-size")),
+            m.get("text-anchor"),
+        )
+        for m in told
+    ]
 
 
 def ends(drawing, part):
@@ -58,7 +71,10 @@ def test_everything_is_drawn_between_its_nodes(source):
     network = Network.load(source)
     made = schematic.draw(network)
     home = {n: b.name for b in network.bodies for n in b.nodes[1:]}
-    for part in (*(f"node:{n}" for n in network.nodes), *(f"el:{e.name}" for e in network.elements)):
+    for part in (
+        *(f"node:{n}" for n in network.nodes),
+        *(f"el:{e.name}" for e in network.elements),
+    ):
         assert marks(made, part), part
     for c in (*network.inputs, *network.outputs):
         assert c.elements or marks(made, f"ch:{c.name}"), c.name
@@ -68,7 +84,9 @@ def test_everything_is_drawn_between_its_nodes(source):
         assert (upper, lower) == pytest.approx(
             (bars[0][1] if bars[0][1] <= upper else bars[0][0], bars[1][0])
         )
-        assert e.name.replace("_", " ") in " ".join(text for text, *_ in words(made, f"el:{e.name}"))
+        assert e.name.replace("_", " ") in " ".join(
+            text for text, *_ in words(made, f"el:{e.name}")
+        )
 
 
 @pytest.mark.parametrize("name", builtin_networks())
@@ -92,13 +110,23 @@ def test_series_is_below_one_another_and_parallel_beside():
     assert ends(made, "el:oil")[1] <= upper < lower <= ends(made, "el:damper")[0]
     for other in ("leak", "seal", "end_stop", "motor"):
         assert ends(made, f"el:{other}") == (upper, lower)
-    assert ends(made, "el:main_spring") == (ends(made, "el:oil")[0], ends(made, "el:damper")[1])
+    assert ends(made, "el:main_spring") == (
+        ends(made, "el:oil")[0],
+        ends(made, "el:damper")[1],
+    )
     assert ends(made, "node:body") < ends(made, "node:wheel") < ends(made, "node:road")
 
 
 def test_values_are_written_as_one_writes_them():
     told = {text for text, *_ in words(schematic.draw(Network.load("quarter-car-isd")))}
-    values = {"709 kN/m", "1293 N·s/m", "24.65 mm", "1 MN/m", "ratio 4.056", "body  345 kg"}
+    values = {
+        "709 kN/m",
+        "1293 N·s/m",
+        "24.65 mm",
+        "1 MN/m",
+        "ratio 4.056",
+        "body  345 kg",
+    }
     assert values | {"← current [A]", "→ tyre force [N]"} <= told
 
 
@@ -116,9 +144,13 @@ def test_what_was_found_stands_out():
 
 def test_draw_writes_an_svg(tmp_path):
     out = tmp_path / "car.svg"
-    done = CliRunner().invoke(cli.app, ["networks", "quarter-car-isd", "--draw", str(out)])
+    done = CliRunner().invoke(
+        cli.app, ["networks", "quarter-car-isd", "--draw", str(out)]
+    )
     assert done.exit_code == 0, done.output
-    assert out.read_text() == schematic.draw(Network.load("quarter-car-isd")).svg() + "\n"
+    assert (
+        out.read_text() == schematic.draw(Network.load("quarter-car-isd")).svg() + "\n"
+    )
 
 
 def test_svg_is_xml_whatever_the_names_are():
@@ -138,13 +170,20 @@ def test_svg_is_xml_whatever_the_names_are():
 )
 def test_draw_refuses_bad_input(tmp_path, monkeypatch, args, says):
     monkeypatch.chdir(tmp_path)
-    refused(says, CliRunner().invoke, cli.app, ["networks", *args], catch_exceptions=False)
+    refused(
+        says, CliRunner().invoke, cli.app, ["networks", *args], catch_exceptions=False
+    )
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_turns_has_its_own_units():
-    parts = [spring("arm", "ground", 0.2, "gravity"), damper("arm", "ground", 2e-4, "bearing")]
-    arm = builders.network("pendulum", parts, [], ["angle angle arm"], inertias={"arm": 0.0033})
+    parts = [
+        spring("arm", "ground", 0.2, "gravity"),
+        damper("arm", "ground", 2e-4, "bearing"),
+    ]
+    arm = builders.network(
+        "pendulum", parts, [], ["angle angle arm"], inertias={"arm": 0.0033}
+    )
     told = " ".join(text for text, *_ in words(schematic.draw(arm)))
     for text in ("0.2 N·m/rad", "N·m·s/rad", "0.0033 kg m²"):
         assert text in told, text

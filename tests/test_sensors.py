@@ -7,14 +7,22 @@ from program import refused
 from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.env._sensors import NOISE, Sensors
 
-BAD = {"noise": 1.5, "delay": 2, "road_error": 1e-3, "road_lag": 0.01, "road_range": 1.0}
+BAD = {
+    "noise": 1.5,
+    "delay": 2,
+    "road_error": 1e-3,
+    "road_lag": 0.01,
+    "road_range": 1.0,
+}
 
 
 def _drive(sensors, steps=30, cars=4, **options):
     """Seen and true observations (steps + 1, cars, n) under the same currents."""
     out = []
     for own in (sensors, None):
-        env = ISDSuspensionVectorEnv(cars, sensors=own, autoreset_mode="disabled", **options)
+        env = ISDSuspensionVectorEnv(
+            cars, sensors=own, autoreset_mode="disabled", **options
+        )
         obs, _ = env.reset(seed=5)
         rows = [obs]
         for k in range(steps):
@@ -27,14 +35,20 @@ def _drive(sensors, steps=30, cars=4, **options):
 def test_noise_is_of_the_size_said_and_white():
     seen, true = _drive({"noise": 2.0}, steps=400, cars=16)
     error = (seen - true)[..., :5]
-    np.testing.assert_allclose(error.std(axis=(0, 1)), 2 * np.array([*NOISE.values()]), rtol=0.03)
+    np.testing.assert_allclose(
+        error.std(axis=(0, 1)), 2 * np.array([*NOISE.values()]), rtol=0.03
+    )
     assert np.abs(error.mean(axis=(0, 1)) / error.std(axis=(0, 1))).max() < 0.05
     flat = (error / error.std(axis=(0, 1))).reshape(len(error), -1)
     assert np.abs(np.mean(flat[1:] * flat[:-1])) < 0.01  # from step to step
     between = np.corrcoef(flat.T) - np.eye(flat.shape[1])
-    assert np.abs(between).max() < 0.25  # from channel to channel, car to car: 400 samples each
+    assert (
+        np.abs(between).max() < 0.25
+    )  # from channel to channel, car to car: 400 samples each
     assert np.mean(flat**4) == pytest.approx(3.0, abs=0.1)
-    np.testing.assert_array_equal(seen[..., 5], true[..., 5])  # its own current is known
+    np.testing.assert_array_equal(
+        seen[..., 5], true[..., 5]
+    )  # its own current is known
 
 
 def test_signals_and_road_are_late_by_as_much_as_said():
@@ -63,7 +77,9 @@ def test_the_road_is_seen_with_an_error_and_to_an_end():
 def test_roads_and_rewards_do_not_depend_on_what_is_seen():
     rewards = []
     for sensors in (None, BAD):
-        env = ISDSuspensionVectorEnv(2, sensors=sensors, observation="preview", preview=0.05)
+        env = ISDSuspensionVectorEnv(
+            2, sensors=sensors, observation="preview", preview=0.05
+        )
         env.reset(seed=0)
         rewards.append([env.step(np.zeros((2, 1)))[1] for _ in range(20)])
     np.testing.assert_array_equal(*rewards)
@@ -74,7 +90,11 @@ def test_text_mapping_and_object_say_the_same():
     assert Sensors.of(text) == Sensors.of(BAD) == Sensors(**BAD)
     assert Sensors.of(Sensors.of(text).to_dict()) == Sensors.of(text)
     assert Sensors.of("noise=0:2").noise == (0.0, 2.0)
-    assert Sensors.of(None).perfect and Sensors.of("").perfect and not Sensors.of("delay=1").perfect
+    assert (
+        Sensors.of(None).perfect
+        and Sensors.of("").perfect
+        and not Sensors.of("delay=1").perfect
+    )
 
 
 @pytest.mark.parametrize(

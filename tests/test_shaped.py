@@ -24,7 +24,9 @@ IDS = ["ISDSuspension-v0", "ISDHalfCar-v0", "ISDFullCar-v0"]
 def linear(name):
     """Return a car without friction and stops."""
     car = Network.load(name)
-    elements = [e for e in car.elements if e.bound is None and not isinstance(e, el.BumpStop)]
+    elements = [
+        e for e in car.elements if e.bound is None and not isinstance(e, el.BumpStop)
+    ]
     return replace(car, elements=tuple(elements), uncertainty={})
 
 
@@ -43,19 +45,31 @@ def covariance(batch):
     poles, gains = batch.cars[of.pole : of.rough, 0], batch.cars[of.gain : of.pole, 0]
     for part in (slice(of.sum_filters), slice(of.sum_filters, of.filters))[: of.tracks]:
         impulse = [(gains[part] * poles[part] ** k).sum() for k in range(steps)]
-        heights = np.array([[impulse[k - j] if k >= j else 0.0 for j in range(steps)] for k in range(steps)])
+        heights = np.array(
+            [
+                [impulse[k - j] if k >= j else 0.0 for j in range(steps)]
+                for k in range(steps)
+            ]
+        )
         rise = np.diff(heights, axis=0, prepend=0.0)
         rises.append(rise @ rise.T)
     if of.tracks == 1:
         return rises[0]
-    return np.block([[rises[0] + rises[1], rises[0] - rises[1]], [rises[0] - rises[1], rises[0] + rises[1]]])
+    return np.block(
+        [
+            [rises[0] + rises[1], rises[0] - rises[1]],
+            [rises[0] - rises[1], rises[0] + rises[1]],
+        ]
+    )
 
 
 @pytest.mark.parametrize("name", IDS)
 def test_rewards_are_a_constant_minus_the_costs_and_the_change_of_the_value(name, rng):
     """The news of the road have zero mean under every policy: the sum of reward, cost and change of the value is a
     constant within four standard errors over roads."""
-    env = gym.make_vec(name, 96, reward="shaped", action="share", autoreset_mode="disabled")
+    env = gym.make_vec(
+        name, 96, reward="shaped", action="share", autoreset_mode="disabled"
+    )
     task = env.unwrapped.task
     value = value_of(task.network, task.cost, 5e-3, 20.0)
     of, steps = task.batch.of, 600
@@ -73,7 +87,9 @@ def test_rewards_are_a_constant_minus_the_costs_and_the_change_of_the_value(name
 @pytest.mark.parametrize("name", CARS)
 def test_a_linear_car_s_reward_does_not_depend_on_the_road_of_the_step(name, rng):
     options = {"reward": "shaped", "action": "share"}
-    env = gym.make("ISDSuspension-v0", network=linear(name), disable_env_checker=True, **options).unwrapped
+    env = gym.make(
+        "ISDSuspension-v0", network=linear(name), disable_env_checker=True, **options
+    ).unwrapped
     env.reset(seed=0)
     for _ in range(60):  # the rear wheels have met the road of the front wheels
         env.step(rng.uniform(-1, 1, env.action_space.shape))
@@ -91,11 +107,15 @@ def test_a_linear_car_s_reward_does_not_depend_on_the_road_of_the_step(name, rng
 
 @pytest.mark.parametrize("hold", [1, 3])
 @pytest.mark.parametrize(
-    "name", ["ISDSuspensionLearning-v0", "ISDHalfCarLearning-v0", "ISDFullCarLearning-v0"]
+    "name",
+    ["ISDSuspensionLearning-v0", "ISDHalfCarLearning-v0", "ISDFullCarLearning-v0"],
 )
 def test_single_cars_equal_cars_of_a_batch_with_and_without_pictures(name, hold, rng):
     batch = gym.make_vec(name, 9, hold=hold)
-    single, seen = gym.make(name, hold=hold), gym.make(name, hold=hold, render_mode="rgb_array")
+    single, seen = (
+        gym.make(name, hold=hold),
+        gym.make(name, hold=hold, render_mode="rgb_array"),
+    )
     batch.reset(seed=3)
     single.reset(seed=11)
     seen.reset(seed=11)
@@ -110,7 +130,9 @@ def test_single_cars_equal_cars_of_a_batch_with_and_without_pictures(name, hold,
 
 def test_the_shaped_reward_varies_less_than_the_cost(rng):
     """Standard deviation of a step: most of the cost is luck with the road."""
-    env = gym.make_vec("ISDSuspension-v0", 32, reward="shaped", autoreset_mode="disabled")
+    env = gym.make_vec(
+        "ISDSuspension-v0", 32, reward="shaped", autoreset_mode="disabled"
+    )
     obs, _ = env.reset(seed=0)
     rewards, costs = [], []
     for _ in range(400):
@@ -121,7 +143,9 @@ def test_the_shaped_reward_varies_less_than_the_cost(rng):
 
 
 def test_a_broken_car_pays_the_cost_at_its_bounds():
-    env = gym.make("ISDSuspension-v0", reward="shaped", disable_env_checker=True).unwrapped
+    env = gym.make(
+        "ISDSuspension-v0", reward="shaped", disable_env_checker=True
+    ).unwrapped
     env.reset(seed=0)
     env.task.batch._states[0, 0, 0] = 1e3
     _, reward, terminated, _, info = env.step(np.zeros(1))
@@ -138,5 +162,7 @@ def test_roads_ahead_are_refused():
 def test_a_car_without_a_motor_is_refused():
     with pytest.raises(InputError, match="motor"):
         gym.make("ISDSuspension-v0", network="quarter-car-passive", reward="shaped")
-    with pytest.raises(InputError, match=r'controlled damper, .* choose reward="relative"'):
+    with pytest.raises(
+        InputError, match=r'controlled damper, .* choose reward="relative"'
+    ):
         gym.make("ISDSuspension-v0", network="quarter-car-semiactive", reward="shaped")

@@ -24,7 +24,11 @@ LAWS = {
     "cogging_force": {"amplitude": 2.0, "pitch": 0.02, "phase": 0.4},
     "tyre_lift_off": {"stiffness": 4000.0, "load": 5.0},
     "coulomb_friction": {"level": 15.0},
-    "stribeck_friction": {"level": 10.0, "static_level": 20.0, "stribeck_velocity": 0.2},
+    "stribeck_friction": {
+        "level": 10.0,
+        "static_level": 20.0,
+        "stribeck_velocity": 0.2,
+    },
     "asymmetric_friction": {"extension": 12.0, "compression": 20.0},
 }
 #: laws whose force depends on more than the present motion
@@ -46,7 +50,13 @@ def rig(law, damping=0.0):
     forces = [channel(n, "force", element=n) for n in ("spring", *beside)]
     motion = ["acc acceleration mass", "place displacement mass", "rate velocity mass"]
     seen = [*motion, "node displacement node"]
-    return network("shaker", line, ["table displacement table"], [*seen, *forces], masses={"mass": 12.4})
+    return network(
+        "shaker",
+        line,
+        ["table displacement table"],
+        [*seen, *forces],
+        masses={"mass": 12.4},
+    )
 
 
 def run(network, begin=0, initial=None):
@@ -55,7 +65,12 @@ def run(network, begin=0, initial=None):
     waves = [(4e-3, 2 * np.pi * 4.0, 0.0), (2e-3, 2 * np.pi * 7.3, 1.0)]
     table = sum(a * (np.sin(w * t + p) - np.sin(p)) for a, w, p in waves)
     rate = sum(a * w * np.cos(w * t + p) for a, w, p in waves)
-    out = plant.run({"table": table}, samples=len(t), initial=initial, derivatives={"table": (rate, 0.0 * t)})
+    out = plant.run(
+        {"table": table},
+        samples=len(t),
+        initial=initial,
+        derivatives={"table": (rate, 0.0 * t)},
+    )
     return {c.name: out[:, j, 0] for j, c in enumerate(plant.channels)}
 
 
@@ -64,13 +79,19 @@ def restarted(network, k):
     whole = run(network)
     # the states are the motion of the mass, and the place of a damped node
     states = assemble(network).size[0]
-    again = run(network, k, np.array([whole[n][k] for n in ("place", "rate", "node")])[:states])
-    assert again["place"][0] == whole["place"][k] and again["rate"][0] == whole["rate"][k]
+    again = run(
+        network, k, np.array([whole[n][k] for n in ("place", "rate", "node")])[:states]
+    )
+    assert (
+        again["place"][0] == whole["place"][k] and again["rate"][0] == whole["rate"][k]
+    )
     return {n: y[k:] for n, y in whole.items()}, again
 
 
 def test_every_law_with_a_force_stands_behind_the_node():
-    between = {n: c for n, c in el.TYPES.items() if c.place == "between" and (c.law or c.bound)}
+    between = {
+        n: c for n, c in el.TYPES.items() if c.place == "between" and (c.law or c.bound)
+    }
     laws = {n for n, c in between.items() if not (c.scheduled or c.loaded)}
     assert laws - {"tabulated_force"} <= set(LAWS)
 
@@ -81,7 +102,10 @@ def test_a_law_is_in_balance_from_the_first_sample_on(law, damping):
     for k in (3000, 4700, 6100):
         _, then = restarted(rig(law, damping), k)
         size = np.ptp(then["spring"]) + 1.0
-        assert np.abs(then["spring"] - then["law"] - then.get("oil", 0.0))[:3].max() < 1e-6 * size
+        assert (
+            np.abs(then["spring"] - then["law"] - then.get("oil", 0.0))[:3].max()
+            < 1e-6 * size
+        )
         # the first sample is no jump: the force moves on by what the motion of a step can do
         usual = np.abs(np.diff(then["acc"])).max()
         assert abs(then["acc"][1] - then["acc"][0]) <= 1.01 * usual
@@ -90,19 +114,30 @@ def test_a_law_is_in_balance_from_the_first_sample_on(law, damping):
 
 @pytest.mark.parametrize(
     ("law", "damping"),
-    [(n, c) for n in sorted(LAWS) for c in (0.0, 150.0) if n not in MEMORY and (c or n not in RATE | DRY)],
+    [
+        (n, c)
+        for n in sorted(LAWS)
+        for c in (0.0, 150.0)
+        if n not in MEMORY and (c or n not in RATE | DRY)
+    ],
 )
 def test_a_law_without_memory_goes_on_as_if_it_had_not_been_interrupted(law, damping):
     for k in (3000, 4700, 6100):
         whole, then = restarted(rig(law, damping), k)
         for name in ("acc", "node", "spring"):
             size = np.abs(whole[name]).max()
-            np.testing.assert_allclose(then[name], whole[name], atol=1e-4 * size, err_msg=f"{name} from {k}")
+            np.testing.assert_allclose(
+                then[name], whole[name], atol=1e-4 * size, err_msg=f"{name} from {k}"
+            )
             assert abs(then[name][0] - whole[name][0]) < 1e-6 * size
 
 
 @pytest.mark.parametrize("law", sorted(MEMORY | RATE | DRY))
 def test_a_law_with_memory_is_relaxed_at_the_start(law):
     _, then = restarted(rig(law), 4700)
-    lean = 0.5 * (LAWS[law]["extension"] - LAWS[law]["compression"]) if law == "asymmetric_friction" else 0.0
+    lean = (
+        0.5 * (LAWS[law]["extension"] - LAWS[law]["compression"])
+        if law == "asymmetric_friction"
+        else 0.0
+    )
     assert then["spring"][0] == pytest.approx(lean, abs=1e-6)

@@ -30,7 +30,9 @@ def shell(command, cwd, limit=None, **variables):
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     options = {"cwd": cwd, "env": {**os.environ, **variables}, "preexec_fn": limited}
-    return subprocess.run(["bash", "-c", command], capture_output=True, check=False, **options)
+    return subprocess.run(
+        ["bash", "-c", command], capture_output=True, check=False, **options
+    )
 
 
 @pytest.mark.slow
@@ -43,7 +45,9 @@ def test_closed_streams_lose_nothing(closed, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variables", [{"PYTHONIOENCODING": "ascii"}, {"PYTHONIOENCODING": "cp932"}, PLAIN])
+@pytest.mark.parametrize(
+    "variables", [{"PYTHONIOENCODING": "ascii"}, {"PYTHONIOENCODING": "cp932"}, PLAIN]
+)
 def test_a_table_is_printed_in_every_encoding(variables, tmp_path):
     done = shell(f"{SCORE} --report page", tmp_path, **variables)
     text = done.stdout.decode(variables.get("PYTHONIOENCODING", "ascii"))
@@ -56,7 +60,10 @@ def test_what_an_encoding_lacks_keeps_its_width(monkeypatch):
     for text in ("m/s²", "─━", "".join(ALIKE), "日本", "café"):
         assert len(text.encode("ascii", PLAINER)) == len(text)
     assert "m/s²".encode("ascii", PLAINER) == b"m/s2"
-    assert b"\xff.csv".decode("utf-8", "surrogateescape").encode("utf-8", PLAINER) == b"\\udcff.csv"
+    assert (
+        b"\xff.csv".decode("utf-8", "surrogateescape").encode("utf-8", PLAINER)
+        == b"\\udcff.csv"
+    )
 
 
 @pytest.mark.slow
@@ -69,7 +76,10 @@ def test_a_notebooks_backend_of_matplotlib_does_no_harm(tmp_path):
 def test_without_the_compiler_is_one_line(tmp_path):
     done = shell(SCORE, tmp_path, NUMBA_DISABLE_JIT="1")
     assert done.returncode == 2
-    assert done.stderr.decode().count("\n") == 1 and b"unset NUMBA_DISABLE_JIT" in done.stderr
+    assert (
+        done.stderr.decode().count("\n") == 1
+        and b"unset NUMBA_DISABLE_JIT" in done.stderr
+    )
 
 
 FUNCTION = """
@@ -96,7 +106,9 @@ def test_a_damaged_kernel_is_compiled_again(tmp_path):
     (tmp_path / "own.py").write_text(textwrap.dedent(FUNCTION))
 
     def printed():
-        done = shell(f"{sys.executable} own.py", tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
+        done = shell(
+            f"{sys.executable} own.py", tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "kept")
+        )
         assert done.returncode == 0, done.stderr.decode()
         return done.stdout.split()
 
@@ -114,7 +126,9 @@ def test_a_kernel_that_cannot_be_kept_is_used(tmp_path, monkeypatch):
 
     monkeypatch.setattr(jit._Files, "_save_data", full)
     twice = jit.compiled()(lambda x: 2.0 * x)
-    with pytest.warns(RuntimeWarning, match=r"cannot be kept in '.+' \(No space left on device\)"):
+    with pytest.warns(
+        RuntimeWarning, match=r"cannot be kept in '.+' \(No space left on device\)"
+    ):
         assert twice(21.0) == 42.0
 
 
@@ -135,7 +149,9 @@ def test_a_full_disk_names_the_file(words, named, tmp_path):
     needed = {"show": ("pygame",), "export": ("pythonfmu",)}
     for module in needed.get(words.split()[0], ()):
         pytest.importorskip(module)
-    (tmp_path / "d.csv").write_text("time,road\n" + "".join(f"{k / 1000},0.0\n" for k in range(400)))
+    (tmp_path / "d.csv").write_text(
+        "time,road\n" + "".join(f"{k / 1000},0.0\n" for k in range(400))
+    )
     before = sorted(tmp_path.iterdir())
     # a kernel that is compiled for the first time is told apart: it cannot be kept either
     program = f"{sys.executable} -m isd_gym {words}"
@@ -149,7 +165,10 @@ def test_a_full_disk_names_the_file(words, named, tmp_path):
 def test_errors_of_files_that_are_read_stay_what_they_are(tmp_path):
     with pytest.raises(FileNotFoundError), whole(tmp_path / "out.txt"):
         (tmp_path / "missing.csv").read_text()
-    with pytest.raises(InputError, match=r"out.txt' \(No space"), whole(tmp_path / "out.txt"):
+    with (
+        pytest.raises(InputError, match=r"out.txt' \(No space"),
+        whole(tmp_path / "out.txt"),
+    ):
         raise OSError(28, "No space left on device")
 
 
@@ -177,14 +196,24 @@ def test_a_replaced_file_keeps_its_mode(tmp_path):
         os.chown(to, 1234, 1234)
         with whole(to) as part:
             part.write_text("newer")
-        assert (to.stat().st_uid, to.stat().st_gid, to.stat().st_mode & 0o777) == (1234, 1234, 0o640)
+        assert (to.stat().st_uid, to.stat().st_gid, to.stat().st_mode & 0o777) == (
+            1234,
+            1234,
+            0o640,
+        )
 
 
 def test_settings_of_numba_that_cannot_be_read_are_one_line(tmp_path):
     pytest.importorskip("yaml", reason="numba reads its file of settings with PyYAML")
-    (tmp_path / ".numba_config.yaml").write_text('!!python/object/apply:os.system ["touch RUN"]\n')
+    (tmp_path / ".numba_config.yaml").write_text(
+        '!!python/object/apply:os.system ["touch RUN"]\n'
+    )
     done = shell(SCORE, tmp_path)
-    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b".numba_config.yaml" in done.stderr
+    assert (
+        done.returncode == 2
+        and done.stderr.count(b"\n") == 1
+        and b".numba_config.yaml" in done.stderr
+    )
     assert not (tmp_path / "RUN").exists()
 
 
@@ -192,6 +221,9 @@ def test_a_foreign_folder_does_not_hide_a_known_policy(tmp_path):
     for name in ("mpc", "ppo"):
         (tmp_path / name).mkdir()
     short = ("--episodes", 1, "--duration", 0.1)
-    assert "no policy.json" in run("score", "mpc", "ppo", "./mpc", *short, cwd=tmp_path).stderr
+    assert (
+        "no policy.json"
+        in run("score", "mpc", "ppo", "./mpc", *short, cwd=tmp_path).stderr
+    )
     done = run("score", "mpc", "ppo", *short, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -93,14 +93,25 @@ def test_each_is_done_once_and_not_again(jobs, tmp_path, importable):
 def test_a_broken_result_is_made_again(tmp_path):
     items, out = _items(tmp_path, 2), tmp_path / "out"
     engine.run(noted, items, out)
-    for text in ("{", "[]", '{"schema": "isd-result/1", "key": "another", "result": 7}'):
+    for text in (
+        "{",
+        "[]",
+        '{"schema": "isd-result/1", "key": "another", "result": 7}',
+    ):
         (out / f"{engine.key_of(items[0])}.json").write_text(text)
         assert not engine.run(noted, items, out) and _results(items, out) == [0, 1]
 
 
 def test_what_is_done_is_kept_when_a_worker_dies(tmp_path, importable):
     items, out = _items(tmp_path, 3), tmp_path / "out"
-    refused("a worker died.* the same line goes on", engine.run, dies, items[1:], out, jobs=2)
+    refused(
+        "a worker died.* the same line goes on",
+        engine.run,
+        dies,
+        items[1:],
+        out,
+        jobs=2,
+    )
     assert not engine.run(dies, items[:2], out) and _results(items, out) == [0, 1, None]
     assert _done(tmp_path).count(1) <= 2
 
@@ -117,7 +128,9 @@ def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable
 def test_shards_are_a_partition():
     items = _items(Path("x"), 11)
     parts = [engine.shard(items, f"{i}/3") for i in range(3)]
-    assert sorted((i for p in parts for i in p), key=lambda item: item["number"]) == items
+    assert (
+        sorted((i for p in parts for i in p), key=lambda item: item["number"]) == items
+    )
     for bad in ("3/3", "-1/3", "1", "a/b", "1/0"):
         refused("", engine.shard, items, bad)
 
@@ -137,7 +150,10 @@ def test_a_sweep_says_what_the_score_says(tmp_path):
     conditions = (Condition("heavy", factors={"body.mass": 1.2}),)
     grid = Grid(("skyhook",), conditions, episodes=5, batch=2, duration=1.0)
     merged, _ = sweep(grid, tmp_path / "out")
-    assert merged["missing"] == 0 and json.loads((tmp_path / "out" / "sweep.json").read_text()) == merged
+    assert (
+        merged["missing"] == 0
+        and json.loads((tmp_path / "out" / "sweep.json").read_text()) == merged
+    )
     entry = find("skyhook", heavy, model=plant)
     expected = score([entry], heavy, reference=passive(heavy), episodes=5, duration=1.0)
     own = {r["policy"]: r for r in expected.policies}["skyhook"]
@@ -148,7 +164,13 @@ def test_a_sweep_says_what_the_score_says(tmp_path):
 
 
 def test_shards_of_a_sweep_merge_to_the_whole(tmp_path):
-    grid = Grid(("skyhook",), (Condition("a"), Condition("b", speed=10.0)), episodes=4, batch=2, duration=0.2)
+    grid = Grid(
+        ("skyhook",),
+        (Condition("a"), Condition("b", speed=10.0)),
+        episodes=4,
+        batch=2,
+        duration=0.2,
+    )
     whole, _ = sweep(grid, tmp_path / "whole")
     first, _ = sweep(grid, tmp_path / "parts", which="0/2")
     assert first["missing"] == 4
@@ -158,7 +180,9 @@ def test_shards_of_a_sweep_merge_to_the_whole(tmp_path):
 
 def test_a_drawn_grid_is_the_same_everywhere_and_spread_evenly():
     grid = Grid.load("robust")
-    assert grid.conditions == Grid.load("robust").conditions and len(grid.conditions) == 64
+    assert (
+        grid.conditions == Grid.load("robust").conditions and len(grid.conditions) == 64
+    )
     assert grid.conditions[0].factors == {  # Halton: a half, a third, ...
         "body.mass": pytest.approx(0.8 + 0.5 / 5),
         "seal.level": pytest.approx(0.5 + 1.0 / 7, abs=1e-4),
@@ -183,7 +207,9 @@ def test_what_a_policy_is_made_of_is_part_of_an_item(tmp_path, monkeypatch):
 
 def test_over_all_conditions_each_counts_the_same():
     rows = [{"a": -0.2, "b": -0.1}, {"a": -0.4, "b": -0.2}, {"a": 0.0, "b": -0.3}]
-    policies = [[{"policy": p, "cost": {"change": v}} for p, v in row.items()] for row in rows]
+    policies = [
+        [{"policy": p, "cost": {"change": v}} for p, v in row.items()] for row in rows
+    ]
     conditions = [{"name": str(i), "policies": row} for i, row in enumerate(policies)]
     first, second = overall(conditions, ("a", "b"))
     where, change = {"a": ("2", 0.0), "b": ("0", -0.1)}[first["policy"]]
@@ -209,10 +235,18 @@ def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
     merged, failed = sweep(grid, tmp_path)
     assert not failed and not merged["missing"]
     (row,) = merged["conditions"][0]["policies"]
-    assert row["commands"] == {"given": 2 * 2 * 10, "not_finite": 0, "above_limit": 0, "above_slew": 0}
+    assert row["commands"] == {
+        "given": 2 * 2 * 10,
+        "not_finite": 0,
+        "above_limit": 0,
+        "above_slew": 0,
+    }
     assert row["pitch_acceleration_rms"]["unit"] == "rad/s^2"
     again = []
-    assert sweep(grid, tmp_path, progress=lambda done, of: again.append((done, of)))[0] == merged
+    assert (
+        sweep(grid, tmp_path, progress=lambda done, of: again.append((done, of)))[0]
+        == merged
+    )
     assert again[0] == (2, 2)  # nothing is driven twice
 
 
@@ -232,17 +266,32 @@ def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
             "policies = ['lqg']\n[[conditions]]\nname = 'a'\nfactors = {'body.mas' = 1}",
             "no parameter 'body.mas'",
         ),
-        ("policies = ['lqg']\n[[conditions]]\nname = 'a'\n[[conditions]]\nname = 'a'", "two conditions"),
+        (
+            "policies = ['lqg']\n[[conditions]]\nname = 'a'\n[[conditions]]\nname = 'a'",
+            "two conditions",
+        ),
         ("policies = [", "grid"),
         ("duration = nan\npolicies = ['lqg']", "duration"),
         ("policies = ['lqg']\n[random]\nspeed = [1, 2]", "needs a count"),
-        ("policies = ['lqg']\n[random]\ncount = 2\nspeed = [2, 1]", r"'speed' must be \[low, high\]"),
-        ("policies = ['lqg']\n[random]\ncount = 2\nspeeed = [1, 2]", "did you mean 'speed'"),
+        (
+            "policies = ['lqg']\n[random]\ncount = 2\nspeed = [2, 1]",
+            r"'speed' must be \[low, high\]",
+        ),
+        (
+            "policies = ['lqg']\n[random]\ncount = 2\nspeeed = [1, 2]",
+            "did you mean 'speed'",
+        ),
         ("policies = ['lqg']\n[axes]\nnoise = [-1]", "noise must be"),
         ("policies = ['lqg']\n[axes]\nroad_lag = [-1]", "road_lag must be"),
         ("policies = ['lqg']\nepisodes = 1000000000000", "more than"),
-        (f"policies = ['lqg']\n[axes]\nspeed = {[*range(1, 201)]}\nnoise = {[*range(200)]}", "conditions"),
-        ("policies = ['lqg']\n[[conditions]]\nname = 'a'\nroad = ['C']", "road must be a name"),
+        (
+            f"policies = ['lqg']\n[axes]\nspeed = {[*range(1, 201)]}\nnoise = {[*range(200)]}",
+            "conditions",
+        ),
+        (
+            "policies = ['lqg']\n[[conditions]]\nname = 'a'\nroad = ['C']",
+            "road must be a name",
+        ),
         (f"policies = ['lqg']\nseed = {10**299}", "seed"),
     ],
 )
@@ -281,7 +330,9 @@ def cluster(monkeypatch):
 
     monkeypatch.setenv("RAY_raylet_start_wait_time_s", "120")
     small = {"num_cpus": 1, "object_store_memory": 80_000_000}
-    made = Cluster(initialize_head=True, head_node_args={**small, "include_dashboard": False})
+    made = Cluster(
+        initialize_head=True, head_node_args={**small, "include_dashboard": False}
+    )
     second = made.add_node(**small)
     yield made.address, lambda: made.remove_node(second, allow_graceful=False)
     made.shutdown()
@@ -313,10 +364,20 @@ def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable, clu
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path):
     with pytest.raises(InputError, match=r"no Ray cluster at '127\.0\.0\.1:1'"):
-        engine.run(noted, _items(tmp_path, 1), tmp_path / "out", engine="ray", address="127.0.0.1:1")
+        engine.run(
+            noted,
+            _items(tmp_path, 1),
+            tmp_path / "out",
+            engine="ray",
+            address="127.0.0.1:1",
+        )
 
 
 def test_without_ray_the_engine_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    refused("scale", engine.run, noted, _items(tmp_path, 1), tmp_path / "out", engine="ray")
-    refused("no engine 'cloud'", engine.run, noted, [], tmp_path / "out", engine="cloud")
+    refused(
+        "scale", engine.run, noted, _items(tmp_path, 1), tmp_path / "out", engine="ray"
+    )
+    refused(
+        "no engine 'cloud'", engine.run, noted, [], tmp_path / "out", engine="cloud"
+    )

@@ -44,8 +44,12 @@ def test_a_table_does_what_its_law_does(law, table):
     by_law = simulate(car(law), t, road(t))
     without = simulate(Network.load("quarter-car-isd"), t, road(t))
     # a kink is not smooth
-    for interpolation in ("linear", "smooth") if len(table["force"]) > 3 else ("linear",):
-        by_table = simulate(car(tabulated(interpolation=interpolation, **table)), t, road(t))
+    for interpolation in (
+        ("linear", "smooth") if len(table["force"]) > 3 else ("linear",)
+    ):
+        by_table = simulate(
+            car(tabulated(interpolation=interpolation, **table)), t, road(t)
+        )
         for name in by_law:
             moved = np.abs(by_law[name] - without[name]).max()
             assert moved > 0
@@ -57,7 +61,9 @@ def test_a_smooth_table_is_nearer_to_a_smooth_law_than_lines_are():
     axis = np.linspace(-0.02, 0.02, 101)
     err = {}
     for interpolation in ("linear", "smooth"):
-        element = tabulated(elongation=few, force=np.sin(100 * few), interpolation=interpolation)
+        element = tabulated(
+            elongation=few, force=np.sin(100 * few), interpolation=interpolation
+        )
         e = car(element).element("extra")
         err[interpolation] = np.abs(e.curve(axis) - np.sin(100 * axis)).max()
         assert np.allclose(e.curve(few), np.sin(100 * few))
@@ -68,14 +74,25 @@ def test_beyond_its_ends_a_table_holds_its_force_or_its_slope():
     element = tabulated(rate=[-1.0, 0.0, 1.0], force=[-2.0, 0.0, 4.0])
     axis = np.array([-3.0, 3.0])
     assert np.allclose(car(element).element("extra").curve(axis), [-2.0, 4.0])
-    assert np.allclose(car({**element, "beyond": "slope"}).element("extra").curve(axis), [-6.0, 12.0])
-    assert np.allclose(car({**element, "scale": 0.5}).element("extra").curve(axis), [-1.0, 2.0])
+    assert np.allclose(
+        car({**element, "beyond": "slope"}).element("extra").curve(axis), [-6.0, 12.0]
+    )
+    assert np.allclose(
+        car({**element, "scale": 0.5}).element("extra").curve(axis), [-1.0, 2.0]
+    )
 
 
 def test_a_table_is_written_as_it_was_read():
-    net = car(tabulated(elongation=[0.0, 1.0], rate=[0.0, 1.0, 2.0], force=[[0, 1, 2], [1, 2, 3]]))
+    net = car(
+        tabulated(
+            elongation=[0.0, 1.0], rate=[0.0, 1.0, 2.0], force=[[0, 1, 2], [1, 2, 3]]
+        )
+    )
     assert Network.load(json.loads(net.dumps())) == net
-    assert "elongation" not in car(tabulated(rate=[0, 1], force=[0, 1])).element("extra").to_dict()
+    assert (
+        "elongation"
+        not in car(tabulated(rate=[0, 1], force=[0, 1])).element("extra").to_dict()
+    )
 
 
 @pytest.mark.parametrize(
@@ -84,7 +101,10 @@ def test_a_table_is_written_as_it_was_read():
         ({"force": [1.0]}, "over .elongation., over .rate. or over both"),
         ({"rate": [0.0, 0.0], "force": [0.0, 1.0]}, "each larger than the one before"),
         ({"rate": [0.0, 1.0], "force": [0.0]}, "2 numbers, one a knot, not 1"),
-        ({"rate": [0.0, 1.0], "elongation": [0.0, 1.0], "force": [0.0, 1.0]}, "must be a list"),
+        (
+            {"rate": [0.0, 1.0], "elongation": [0.0, 1.0], "force": [0.0, 1.0]},
+            "must be a list",
+        ),
         ({"rate": [0.0, float("nan")], "force": [0.0, 1.0]}, "finite"),
         ({"rate": "all", "force": [0.0, 1.0]}, "must be a list of at most"),
     ],
@@ -97,8 +117,17 @@ def test_a_table_that_is_none_is_said_in_a_line(table, words):
 def test_the_environment_and_the_controllers_take_a_table():
     knots = np.linspace(-0.5, 0.5, 21)
     net = car(tabulated(rate=knots, force=400.0 * np.tanh(8.0 * knots)))
-    slope = car({"type": "linear_damping", "damping": 400.0 * np.tanh(8.0 * knots[11]) / knots[11]})
-    assert np.allclose(linearise(net).A, linearise(slope).A, atol=1e-6 * np.abs(linearise(slope).A).max())
+    slope = car(
+        {
+            "type": "linear_damping",
+            "damping": 400.0 * np.tanh(8.0 * knots[11]) / knots[11],
+        }
+    )
+    assert np.allclose(
+        linearise(net).A,
+        linearise(slope).A,
+        atol=1e-6 * np.abs(linearise(slope).A).max(),
+    )
     env = gymnasium.make("ISDSuspension-v0", network=net)
     for name in ("passive", "lqg", "mpc"):
         controller = baselines.make(name, net)

@@ -12,7 +12,9 @@ from isd_gym.diagnosis._selection.free_force import _axis, _directions
 from isd_gym.diagnosis._selection.weights import _statement_of_table
 from isd_gym.physics.elements import TabulatedForce
 
-SHAKEN = oscillator("travel displacement mass base", "felt acceleration mass", base="base")
+SHAKEN = oscillator(
+    "travel displacement mass base", "felt acceleration mass", base="base"
+)
 
 
 def test_the_prior_of_a_table_is_zero_at_rest_smooth_and_as_large_as_it_was_said():
@@ -21,21 +23,29 @@ def test_the_prior_of_a_table_is_zero_at_rest_smooth_and_as_large_as_it_was_said
     basis = _directions([x], 0.35, 10.0, 12)
     assert np.allclose(basis[x == 0.0], 0.0, atol=1e-9)
     spread = np.sqrt(np.sum(basis**2, axis=1))
-    assert 9.0 < spread[np.argmax(np.abs(x))] < 10.1  # far from rest nothing is known of it
+    assert (
+        9.0 < spread[np.argmax(np.abs(x))] < 10.1
+    )  # far from rest nothing is known of it
     rough = np.abs(np.diff(basis, 2, axis=0)).max()
     assert rough < 2.0
 
 
-@pytest.mark.parametrize(("over", "kind"), [("elongation", "elastic"), ("rate", "other"), ("both", "other")])
+@pytest.mark.parametrize(
+    ("over", "kind"), [("elongation", "elastic"), ("rate", "other"), ("both", "other")]
+)
 def test_a_table_of_the_distance_alone_is_elastic(over, kind):
-    force = TabulatedForce("missing", ("mass", "base"), force=(-1.0, 0.0, 1.0), elongation=(-1.0, 0.0, 1.0))
+    force = TabulatedForce(
+        "missing", ("mass", "base"), force=(-1.0, 0.0, 1.0), elongation=(-1.0, 0.0, 1.0)
+    )
     network = replace(SHAKEN, elements=(*SHAKEN.elements, force))
     structure = TableStructure(network, (), element="missing", over=over)
     told = _statement_of_table(SimpleNamespace(structure=structure))
     assert (told.place, told.kind) == (("base", "mass"), kind)
 
 
-@pytest.mark.parametrize("law", [lambda x: 5 * np.tanh(2 * x), lambda x: x**3, lambda x: x * np.exp(-(x**2))])
+@pytest.mark.parametrize(
+    "law", [lambda x: 5 * np.tanh(2 * x), lambda x: x**3, lambda x: x * np.exp(-(x**2))]
+)
 def test_a_few_directions_hold_any_smooth_law(law):
     x = _axis(np.linspace(-1.5, 1.5, 1000), 33)
     basis = _directions([x], 0.35, 10.0, 12)

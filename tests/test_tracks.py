@@ -19,7 +19,9 @@ ENTRIES = sorted((Path(__file__).parents[1] / "benchmarks" / "entries").glob("*.
 
 def track_of(found):
     """Return the name of the track of a score file, and its card."""
-    names = [name for name, track in TRACKS.items() if track.network == found["network"]]
+    names = [
+        name for name, track in TRACKS.items() if track.network == found["network"]
+    ]
     card = cards.load(TRACKS[names[0]].card)
     place = cards.match(found, card)["track"]
     return next(name for name in names if TRACKS[name].name == place), card
@@ -39,9 +41,20 @@ def test_a_score_on_a_track_is_compared_with_its_card(tmp_path):
     (tmp_path / "mine.py").write_text(
         "class Mine:\n    def reset(self): pass\n    def act(self, observation): return -2.0 * observation[2]\n"
     )
-    done = run("score", "mine.py:Mine", "--track", "active-bump", "--json", "mine.json", cwd=tmp_path)
+    done = run(
+        "score",
+        "mine.py:Mine",
+        "--track",
+        "active-bump",
+        "--json",
+        "mine.json",
+        cwd=tmp_path,
+    )
     assert done.returncode == 0, done.stderr
-    assert "More: --full." in done.stdout and "road 'bump', 10 m/s, 1 x 20 s" in " ".join(done.stdout.split())
+    assert (
+        "More: --full." in done.stdout
+        and "road 'bump', 10 m/s, 1 x 20 s" in " ".join(done.stdout.split())
+    )
     shown = run("card", "mine.json", cwd=tmp_path)
     assert shown.returncode == 0, shown.stderr
     assert "active-bump" in shown.stdout and "Mine" in shown.stdout
@@ -58,14 +71,20 @@ def test_a_track_that_does_not_exist_is_told_in_one_line():
 
 
 def test_a_track_sets_the_conditions_alone():
-    done = run("score", "passive", "--track", "active-bump", "--road", "A", "--episodes", 2)
+    done = run(
+        "score", "passive", "--track", "active-bump", "--road", "A", "--episodes", 2
+    )
     assert_one_line(done, "--track sets --road, --episodes; leave out one or the other")
 
 
 @pytest.mark.parametrize(
     ("track", "policy", "words"),
     [
-        ("active-c", "lqg-preview", "'lqg-preview' sees 0.25 s of road ahead, but track active-c shows none"),
+        (
+            "active-c",
+            "lqg-preview",
+            "'lqg-preview' sees 0.25 s of road ahead, but track active-c shows none",
+        ),
         ("preview-0.1", "lqg-preview", "track preview-0.1 shows 0.1 s"),
         ("standard", "lqr-full", "'lqr-full' sees the state, which no track shows"),
     ],
@@ -78,17 +97,25 @@ def test_a_controller_that_sees_more_than_the_track_is_refused(track, policy, wo
 
 
 def test_exceeded_limits_are_shares_of_the_time():
-    found = score("passive", "quarter-car-active", road="E", speed=20.0, episodes=2, duration=5.0)
+    found = score(
+        "passive", "quarter-car-active", road="E", speed=20.0, episodes=2, duration=5.0
+    )
     driven = found.runs["passive"]
     shares = measures(driven, found.cost)
     travel, load = driven.suspension_travel, driven.tyre_load
-    assert shares["travel_exceedance"][0] == pytest.approx(np.mean(np.abs(travel) > 0.08, axis=0))
-    assert shares["wheel_lift"][0] == pytest.approx(np.mean(load < -390.0 * 9.81, axis=0))
+    assert shares["travel_exceedance"][0] == pytest.approx(
+        np.mean(np.abs(travel) > 0.08, axis=0)
+    )
+    assert shares["wheel_lift"][0] == pytest.approx(
+        np.mean(load < -390.0 * 9.81, axis=0)
+    )
     assert min(*shares["travel_exceedance"][0], *shares["wheel_lift"][0]) > 0.01
 
 
 def test_the_file_for_envhub_gives_every_car_without_a_network():
-    made = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "envhub" / "env.py"))
+    made = runpy.run_path(
+        str(Path(__file__).parents[1] / "examples" / "envhub" / "env.py")
+    )
     cars = made["make_env"](n_envs=2)["isd_gym"]
     assert len(cars) == len(made["TASKS"])
     for car in (cars[0], cars[4]):

@@ -19,7 +19,12 @@ PPO = {
     "n_epochs": 1,
     "learning_rate": {"start": 1e-3, "end": 0.0, "end_fraction": 1.0},
 }
-SAC = {"learning_starts": 20, "batch_size": 8, "buffer_size": 200, "policy_kwargs": {"net_arch": [8]}}
+SAC = {
+    "learning_starts": 20,
+    "batch_size": 8,
+    "buffer_size": 200,
+    "policy_kwargs": {"net_arch": [8]},
+}
 
 
 def recipe(folder, algorithm="PPO", **changes):
@@ -74,8 +79,12 @@ def test_ranges_are_options_of_the_environment(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore")  # tensorboard warns of itself
-@pytest.mark.parametrize(("algorithm", "car"), [("PPO", "half-car-isd"), ("SAC", "quarter-car-isd")])
-def test_a_training_goes_on_where_ctrl_c_stopped_it(algorithm, car, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("algorithm", "car"), [("PPO", "half-car-isd"), ("SAC", "quarter-car-isd")]
+)
+def test_a_training_goes_on_where_ctrl_c_stopped_it(
+    algorithm, car, tmp_path, monkeypatch
+):
     command = ["train", recipe(tmp_path, algorithm), "--out", "run", "--network", car]
     with monkeypatch.context() as patch:
         patch.setattr(train, "checkpoint", lambda out: Stop())
@@ -91,11 +100,17 @@ def test_a_training_goes_on_where_ctrl_c_stopped_it(algorithm, car, tmp_path, mo
     )
     assert list((tmp_path / "run" / "tensorboard").iterdir())
     model = getattr(library, algorithm).load(tmp_path / "run" / "model.zip")
-    assert model.num_timesteps == model.scores[-1][0] == 64  # a slow machine scores at checkpoints, too
-    assert_one_line(run(*command, "--seed", 1, cwd=tmp_path), "holds another training", "--out")
+    assert (
+        model.num_timesteps == model.scores[-1][0] == 64
+    )  # a slow machine scores at checkpoints, too
+    assert_one_line(
+        run(*command, "--seed", 1, cwd=tmp_path), "holds another training", "--out"
+    )
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_an_argument_that_the_algorithm_lacks_is_one_line(tmp_path):
     file = recipe(tmp_path, arguments={"n_step": 3})
-    assert_one_line(run("train", file, "--out", "run", cwd=tmp_path), "PPO does not take", "n_step")
+    assert_one_line(
+        run("train", file, "--out", "run", cwd=tmp_path), "PPO does not take", "n_step"
+    )

@@ -59,7 +59,9 @@ def without_options(path):
 def assert_drives_as_predicted(policy, model, network, *, steps=400):
     """The policy on measured signals commands what `model.predict` does on histories, step by step."""
     drives = dict(network=network, autoreset_mode="disabled")
-    histories = gym.make_vec("ISDSuspension-v0", 2, observation="history", action="share", **drives)
+    histories = gym.make_vec(
+        "ISDSuspension-v0", 2, observation="history", action="share", **drives
+    )
     signals = gym.make_vec("ISDSuspension-v0", 2, **drives)
     seen, _ = histories.reset(seed=5)
     measured, _ = signals.reset(seed=5)
@@ -98,7 +100,9 @@ def assert_drives_as_predicted(policy, model, network, *, steps=400):
     ],
 )
 @pytest.mark.filterwarnings("ignore")
-def test_a_stock_model_is_scored_as_it_predicts(kind, network, is_stored, is_normalized, tmp_path):
+def test_a_stock_model_is_scored_as_it_predicts(
+    kind, network, is_stored, is_normalized, tmp_path
+):
     from stable_baselines3.common.vec_env import VecNormalize
 
     env = make_vec_env(4, cars_per_road=2, network=network)
@@ -108,8 +112,19 @@ def test_a_stock_model_is_scored_as_it_predicts(kind, network, is_stored, is_nor
     save_model(model, tmp_path / "m.zip")
     if not is_stored:
         without_options(tmp_path / "m.zip")
-    assert_drives_as_predicted(convert(tmp_path / "m.zip", network=network), model, network)
-    drive_ = ["--episodes", 1, "--duration", 1, "--network", network, "--json", tmp_path / "s.json"]
+    assert_drives_as_predicted(
+        convert(tmp_path / "m.zip", network=network), model, network
+    )
+    drive_ = [
+        "--episodes",
+        1,
+        "--duration",
+        1,
+        "--network",
+        network,
+        "--json",
+        tmp_path / "s.json",
+    ]
     code, out, err = run("score", tmp_path / "m.zip", *drive_)
     assert code == 0 and "m " in out, err
     assert ("m_vecnormalize.pkl" in err) == is_normalized
@@ -149,7 +164,9 @@ def test_a_stack_of_observations_is_scored_as_it_predicts(order, env_id, tmp_pat
         for _ in range(20):
             actions, _ = model.predict(seen, deterministic=True)
             raw = seen if order == "stack" else env.get_original_obs()
-            np.testing.assert_allclose(policy.act_batch(raw[:, -6:]), 5 * actions[:, 0], atol=1e-4)
+            np.testing.assert_allclose(
+                policy.act_batch(raw[:, -6:]), 5 * actions[:, 0], atol=1e-4
+            )
             seen = env.step(actions)[0]
 
 
@@ -165,7 +182,9 @@ def test_a_converted_history_is_bounded_before_it_is_normalised(tmp_path):
     loaded = Policy.load(policy.save(tmp_path / "folder"))
     shape = (50, env.observation_space.shape[0])
     features = np.random.default_rng(0).uniform(-40, 40, shape).astype(np.float32)
-    wanted, _ = model.predict(env.normalize_obs(np.clip(features, -10, 10)), deterministic=True)
+    wanted, _ = model.predict(
+        env.normalize_obs(np.clip(features, -10, 10)), deterministic=True
+    )
     for own in (policy, loaded):
         np.testing.assert_allclose(own.share(features), wanted, atol=1e-5)
 
@@ -182,7 +201,9 @@ def test_the_environment_leaves_its_options_in_the_archive(tmp_path):
     assert entry.make().head.mode == "increment"
     # the single environment, made by Stable-Baselines3 itself, leaves them as well
     learner("PPO", "ISDSuspensionLearning-v0").learn(32).save(tmp_path / "n.zip")
-    held = json.loads(zipfile.ZipFile(tmp_path / "n.zip").read("data"))["observation_space"]["isd_gym"]
+    held = json.loads(zipfile.ZipFile(tmp_path / "n.zip").read("data"))[
+        "observation_space"
+    ]["isd_gym"]
     assert held == {
         "network": CAR, "observation": "history", "action": "share", "hold": 1, "control_step": 0.005, "preview": None,
     }  # fmt: skip
@@ -192,10 +213,14 @@ def test_the_environment_leaves_its_options_in_the_archive(tmp_path):
 def test_a_policy_that_learned_nothing_is_told_so(tmp_path, capsys):
     """The default policy of a new model has currents of some mA."""
     callback = ScoreCallback(10_000, roads=2, duration=0.5, references=())
-    learner("PPO", "ISDSuspension-v0").learn(32, callback=callback).save(tmp_path / "m.zip")
+    learner("PPO", "ISDSuspension-v0").learn(32, callback=callback).save(
+        tmp_path / "m.zip"
+    )
     assert "the cost of zero current" in capsys.readouterr().out
     drives_ = ["--episodes", 2, "--duration", 0.5]
-    err = run("score", "passive", "isd-passive", "skyhook", tmp_path / "m.zip", *drives_)[2]
+    err = run(
+        "score", "passive", "isd-passive", "skyhook", tmp_path / "m.zip", *drives_
+    )[2]
     assert err.count("what zero current costs") == 1
     assert "ISDSuspensionLearning-v0" in err
     assert "m.zip" in err or "'m'" in err
@@ -249,13 +274,17 @@ def other_archives(folder):
     whole = (folder / "usual.zip").read_bytes()
     (folder / "short.zip").write_bytes(whole[: len(whole) // 2])
     sb3.PPO("CnnPolicy", Pictures(), n_steps=8, batch_size=8).save(folder / "cnn.zip")
-    sb3.PPO("MultiInputPolicy", Named(), n_steps=8, batch_size=8).save(folder / "dict.zip")
+    sb3.PPO("MultiInputPolicy", Named(), n_steps=8, batch_size=8).save(
+        folder / "dict.zip"
+    )
     learner("PPO", env, use_sde=True).save(folder / "sde.zip")
     learner("SAC", env, use_sde=True).save(folder / "sac-sde.zip")
     learner("PPO", make_vec_env(2, observation="full")).save(folder / "full.zip")
     learner("PPO", make_vec_env(2, network="half-car-isd")).save(folder / "half.zip")
     contrib = pytest.importorskip("sb3_contrib")
-    contrib.RecurrentPPO("MlpLstmPolicy", env, n_steps=8, batch_size=8).save(folder / "lstm.zip")
+    contrib.RecurrentPPO("MlpLstmPolicy", env, n_steps=8, batch_size=8).save(
+        folder / "lstm.zip"
+    )
     return {
         "short": "not a whole one", "cnn": "observations of shape", "dict": "not a Box", "sac-sde": "gSDE",
         "full": "observation 'full'", "half": "history of half-car-isd", "lstm": "recurrent", "sde": None,
@@ -265,7 +294,9 @@ def other_archives(folder):
 @pytest.mark.filterwarnings("ignore")
 def test_other_archives_are_one_line(tmp_path):
     for name, says in other_archives(tmp_path).items():
-        code, _, err = run("score", tmp_path / f"{name}.zip", "--episodes", 1, "--duration", 0.1)
+        code, _, err = run(
+            "score", tmp_path / f"{name}.zip", "--episodes", 1, "--duration", 0.1
+        )
         assert code == (0 if says is None else 2), (name, err)
         if says is not None:
             assert says in err and len(err.splitlines()) == 1, (name, err)
@@ -332,17 +363,27 @@ def test_own_controllers_are_scored_by_file_and_name(own):
     names = [f"{own}:{name}" for name in ("Sky", "Many", "zero")]
     code, out, err = run("score", "isd-passive", *names, *drive_)
     assert code == 0, err
-    rows = {row["policy"]: row for row in json.loads(own.with_name("s.json").read_text())["policies"]}
+    rows = {
+        row["policy"]: row
+        for row in json.loads(own.with_name("s.json").read_text())["policies"]
+    }
     assert list(rows) == ["passive", "isd-passive", "my sky", "Many", "zero"]
     assert rows["zero"]["cost"]["value"] == rows["isd-passive"]["cost"]["value"]
-    assert rows["my sky"]["current_rms"]["value"] > 0.01 > rows["zero"]["current_rms"]["value"]
+    assert (
+        rows["my sky"]["current_rms"]["value"]
+        > 0.01
+        > rows["zero"]["current_rms"]["value"]
+    )
     assert "my sky" in out
 
 
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("", "needs the name of a class or function after a colon: there are Sky, Many"),
+        (
+            "",
+            "needs the name of a class or function after a colon: there are Sky, Many",
+        ),
         (":Skye", "did you mean 'Sky'?"),
         (":nothing", "act returned None, not a current"),
         (":fails", "AttributeError"),
@@ -359,7 +400,10 @@ def test_a_wrong_controller_is_one_line(own, name, says):
 
 def test_a_file_that_does_not_run_is_one_line(tmp_path):
     (tmp_path / "m.py").write_text("x = 1\ny = x +\n")
-    for name, says in (("m.py:A", "m.py:2: SyntaxError"), ("none.py:A", "no Python file")):
+    for name, says in (
+        ("m.py:A", "m.py:2: SyntaxError"),
+        ("none.py:A", "no Python file"),
+    ):
         code, _, err = run("score", tmp_path / name, "--episodes", 1, "--duration", 0.1)
         assert code == 2 and says in err and len(err.splitlines()) == 1
 
@@ -377,7 +421,9 @@ def test_scores_do_not_disturb_the_training(kind, is_normalized, tmp_path):
     weights = []
     for callback in (None, ScoreCallback(100, save=tmp_path / "best", **SHORT)):
         env = make_vec_env(4, cars_per_road=2)
-        model = learner(kind, VecNormalize(env) if is_normalized else env).learn(400, callback=callback)
+        model = learner(kind, VecNormalize(env) if is_normalized else env).learn(
+            400, callback=callback
+        )
         weights.append(model.policy.state_dict())
     for name, value in weights[0].items():
         assert (value == weights[1][name]).all(), name
@@ -387,19 +433,33 @@ def test_scores_do_not_disturb_the_training(kind, is_normalized, tmp_path):
     # the saved model is the best one: driven from its file, it has the best J
     entry = find(str(tmp_path / "best.zip"), Network.load(CAR))
     found = callback._cost(entry)
-    assert found == pytest.approx(min(cost for _, cost, _ in callback.history), rel=1e-4)
+    assert found == pytest.approx(
+        min(cost for _, cost, _ in callback.history), rel=1e-4
+    )
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_scores_are_logged(tmp_path, capsys):
-    tensorboard = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    model = learner("SAC", "ISDSuspensionLearning-v0", tensorboard_log=str(tmp_path))  # one car
+    tensorboard = pytest.importorskip(
+        "tensorboard.backend.event_processing.event_accumulator"
+    )
+    model = learner(
+        "SAC", "ISDSuspensionLearning-v0", tensorboard_log=str(tmp_path)
+    )  # one car
     model.learn(60, callback=ScoreCallback(30, **SHORT | dict(verbose=1)))
-    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("score:")]
-    assert len(lines) == 3 and "skyhook" in lines[0] and "% against passive" in lines[-1]
+    lines = [
+        line
+        for line in capsys.readouterr().out.splitlines()
+        if line.startswith("score:")
+    ]
+    assert (
+        len(lines) == 3 and "skyhook" in lines[0] and "% against passive" in lines[-1]
+    )
     events = tensorboard.EventAccumulator(str(next(tmp_path.glob("SAC*"))))
     events.Reload()
-    assert {"score/J", "score/change_percent", "score/skyhook_percent"} <= set(events.Tags()["scalars"])
+    assert {"score/J", "score/change_percent", "score/skyhook_percent"} <= set(
+        events.Tags()["scalars"]
+    )
     assert [e.step for e in events.Scalars("score/J")] == [30, 60]
 
 
@@ -415,15 +475,25 @@ def test_references_on_validation_roads_are_those_of_drive():
     cost = callback._task.cost
     base = drive(passive(net), net, **drives).cost(cost).mean()
     own = drive(find("skyhook", net, speed=20.0), net, **drives).cost(cost).mean()
-    assert callback.references["skyhook"] == pytest.approx(100 * (own / base - 1), rel=1e-9)
+    assert callback.references["skyhook"] == pytest.approx(
+        100 * (own / base - 1), rel=1e-9
+    )
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_callback_with_wrong_arguments_is_refused(tmp_path):
-    for wrong in (dict(every=0), dict(every=1.5), dict(roads=0), dict(duration=0.0), dict(references="mpc")):
+    for wrong in (
+        dict(every=0),
+        dict(every=1.5),
+        dict(roads=0),
+        dict(duration=0.0),
+        dict(references="mpc"),
+    ):
         refused("", ScoreCallback, **wrong)
     refused("", ScoreCallback, save=tmp_path / "none" / "best.zip")
     with pytest.raises(InputError, match="environments of isd_gym"):
         learner("PPO", "Pendulum-v1").learn(32, callback=ScoreCallback(**SHORT))
     with pytest.raises(InputError, match="no policy 'mpd'"):
-        learner("PPO", make_vec_env(2)).learn(32, callback=ScoreCallback(**SHORT | dict(references=["mpd"])))
+        learner("PPO", make_vec_env(2)).learn(
+            32, callback=ScoreCallback(**SHORT | dict(references=["mpd"]))
+        )

@@ -43,9 +43,13 @@ def test_a_pendulum_swings_as_its_equation_says():
     def rate(volt):  # the motor pulls its terminals together
         return lambda _, x: [x[1], (-G * math.sin(x[0]) - C * x[1] - 0.02 * volt) / J]
 
-    first = solve_ivp(rate(3.0), (0, 1.0), [0, 0], rtol=1e-10, atol=1e-12, t_eval=t[t < 1.0])
+    first = solve_ivp(
+        rate(3.0), (0, 1.0), [0, 0], rtol=1e-10, atol=1e-12, t_eval=t[t < 1.0]
+    )
     begin = solve_ivp(rate(3.0), (0, 1.0), [0, 0], rtol=1e-10, atol=1e-12).y[:, -1]
-    second = solve_ivp(rate(0.0), (1.0, 3.0), begin, rtol=1e-10, atol=1e-12, t_eval=t[t >= 1.0])
+    second = solve_ivp(
+        rate(0.0), (1.0, 3.0), begin, rtol=1e-10, atol=1e-12, t_eval=t[t >= 1.0]
+    )
     angle, speed = np.hstack([first.y, second.y])
     assert np.ptp(angle) > 0.4  # the sine matters
     assert np.allclose(np.radians(out["angle"]), angle, atol=1e-4)
@@ -84,11 +88,20 @@ def changed(**more):
 @pytest.mark.parametrize(
     ("model", "words"),
     [
-        (changed(outputs=[channel("x", "displacement", "arm", unit="mm")]), "'arm' turns, and cannot be"),
-        (changed(outputs=[channel("x", "displacement", "arm", unit="deg")]), 'quantity": "angle"'),
+        (
+            changed(outputs=[channel("x", "displacement", "arm", unit="mm")]),
+            "'arm' turns, and cannot be",
+        ),
+        (
+            changed(outputs=[channel("x", "displacement", "arm", unit="deg")]),
+            'quantity": "angle"',
+        ),
         (changed(masses={"arm": 1.0}), "has a mass already"),
         (changed(inertias={"arm": -1.0}), "positive number of kg m.2"),
-        (changed(masses={"car": 1.0}, elements=[*PENDULUM["elements"], ROD]), "'car' is tied to what turns"),
+        (
+            changed(masses={"car": 1.0}, elements=[*PENDULUM["elements"], ROD]),
+            "'car' is tied to what turns",
+        ),
     ],
 )
 def test_what_turns_is_not_mixed_with_what_moves_along_a_line(model, words):
@@ -97,13 +110,20 @@ def test_what_turns_is_not_mixed_with_what_moves_along_a_line(model, words):
 
 def test_a_damping_that_starts_at_zero_may_be_fitted():
     model = {**PENDULUM, "uncertainty": {"bearing.damping": 0.1}}
-    held = [spring("arm", "ground", G, "gravity"), damper("arm", "ground", 0.0, "bearing")]
+    held = [
+        spring("arm", "ground", G, "gravity"),
+        damper("arm", "ground", 0.0, "bearing"),
+    ]
     model["elements"] = [*held, PENDULUM["elements"][2]]
-    (free,) = base_structure(Network.load({**model, "outputs": model["outputs"][:2]})).free
+    (free,) = base_structure(
+        Network.load({**model, "outputs": model["outputs"][:2]})
+    ).free
     assert free.low == 0.0 and free.sigma == pytest.approx(0.1 * 2 * math.sqrt(G * J))
 
 
 def test_what_starts_at_zero_with_nothing_to_measure_it_by_is_said_in_a_line():
     free = cart(damper("cart", "ground", 0.0, "c"))
-    with pytest.raises(InputError, match=r"'c\.damping' is zero, and nothing in the model says"):
+    with pytest.raises(
+        InputError, match=r"'c\.damping' is zero, and nothing in the model says"
+    ):
         base_structure(Network.load({**free, "uncertainty": {"c.damping": 0.5}}))

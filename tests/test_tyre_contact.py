@@ -23,21 +23,35 @@ def with_lift_off(name):
     content = car.to_dict()
     (load,) = vehicle(car).static_tyre_loads
     values = {"stiffness": 192000.0, "load": load}
-    content["elements"].append(element("lift_off", "tyre_lift_off", "wheel", "road", **values))
+    content["elements"].append(
+        element("lift_off", "tyre_lift_off", "wheel", "road", **values)
+    )
     return content
 
 
-@pytest.mark.parametrize(("name", "ground"), [("quarter-car-passive", "D"), ("half-car-isd", "E")])
+@pytest.mark.parametrize(
+    ("name", "ground"), [("quarter-car-passive", "D"), ("half-car-isd", "E")]
+)
 def test_the_share_is_the_share_of_a_drive(name, ground):
     car = vehicle(Network.load(name))
     cars = gym.make_vec(
-        QUARTER, 16, network=car.network, allow_passive=True, road=ground, max_episode_steps=2001
+        QUARTER,
+        16,
+        network=car.network,
+        allow_passive=True,
+        road=ground,
+        max_episode_steps=2001,
     )
     cars.reset(seed=0)
     idle, loads = np.zeros(cars.action_space.shape, np.float32), []
     for _ in range(2000):
         info = cars.step(idle)[-1]
-        loads.append([info[n] + w for n, w in zip(car.tyre_loads, car.static_tyre_loads, strict=True)])
+        loads.append(
+            [
+                info[n] + w
+                for n, w in zip(car.tyre_loads, car.static_tyre_loads, strict=True)
+            ]
+        )
     share = float(np.mean(np.array(loads) < 0))
     assert share > 0.005
     assert pulling_share(car, road(ground), 20.0) == pytest.approx(share, rel=0.15)
@@ -45,11 +59,19 @@ def test_the_share_is_the_share_of_a_drive(name, ground):
 
 def test_the_share_grows_with_road_and_speed():
     car = vehicle(Network.load("quarter-car-isd"))
-    by_road = [pulling_share(car, road(name), 20.0) for name in ("flat", "A", "C", "D", "E", "F")]
+    by_road = [
+        pulling_share(car, road(name), 20.0)
+        for name in ("flat", "A", "C", "D", "E", "F")
+    ]
     by_speed = [pulling_share(car, road("D"), speed) for speed in (10.0, 20.0, 40.0)]
     assert by_road == sorted(by_road) and by_road[0] == 0.0
     assert by_speed == sorted(by_speed)
-    assert pulling_share(vehicle(Network.load(with_lift_off("quarter-car-isd"))), road("E"), 20.0) == 0.0
+    assert (
+        pulling_share(
+            vehicle(Network.load(with_lift_off("quarter-car-isd"))), road("E"), 20.0
+        )
+        == 0.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -90,8 +112,20 @@ def test_a_program_warns_once():
 
 
 def test_the_command_says_it_in_one_line():
-    words = ["isd-gym", "score", "passive", "--road", "E", "--episodes", "2", "--duration", "1"]
-    done = python(f"import sys; sys.argv = {words}; from isd_gym._commands import main; main()")
+    words = [
+        "isd-gym",
+        "score",
+        "passive",
+        "--road",
+        "E",
+        "--episodes",
+        "2",
+        "--duration",
+        "1",
+    ]
+    done = python(
+        f"import sys; sys.argv = {words}; from isd_gym._commands import main; main()"
+    )
     lines = [line for line in done.stderr.splitlines() if "tyre_lift_off" in line]
     assert len(lines) == 1, done.stderr
     assert lines[0].startswith("isd-gym: on road E")

@@ -31,13 +31,17 @@ STEP = 5e-3
 def linear(name):
     """A built-in car without friction and end stops."""
     net = Network.load(name)
-    kept = tuple(e for e in net.elements if e.type not in ("coulomb_friction", "bump_stop"))
+    kept = tuple(
+        e for e in net.elements if e.type not in ("coulomb_friction", "bump_stop")
+    )
     return replace(net, elements=kept, uncertainty={})
 
 
 def weights(net):
     car = vehicle(net)
-    return CarWeights(StageCost.of(None, car.axes, len(car.corners)), effort=0.01, centring=0.03)
+    return CarWeights(
+        StageCost.of(None, car.axes, len(car.corners)), effort=0.01, centring=0.03
+    )
 
 
 @pytest.mark.parametrize("speed", [20.0, 13.7, 400.0])
@@ -50,8 +54,12 @@ def test_the_model_predicts_what_the_kernel_does(name, speed):
     rises = rng.normal(size=(tracks, steps)) * 1e-3
     heights = np.concatenate([np.zeros((tracks, 1)), np.cumsum(rises, axis=1)], axis=1)
     abscissa = np.arange(steps + 1) * STEP * speed
-    road = Road("own", abscissa=abscissa, profile=heights if tracks == 2 else heights[0])
-    drive = dict(road=road, speed=speed, duration=steps * STEP, autoreset_mode="disabled")
+    road = Road(
+        "own", abscissa=abscissa, profile=heights if tracks == 2 else heights[0]
+    )
+    drive = dict(
+        road=road, speed=speed, duration=steps * STEP, autoreset_mode="disabled"
+    )
     env = ISDSuspensionVectorEnv(1, net, **drive)
     env.reset(seed=0)
     x = np.zeros(model.n)
@@ -68,17 +76,30 @@ def test_the_model_predicts_what_the_kernel_does(name, speed):
     exact = np.allclose(model.delays, np.round(model.delays))
     assert error.max() < (1e-6 if exact else 0.3)
     if not exact:
-        travels = [j for j, c in enumerate(model.car.channels) if c.name.startswith("suspension_travel_")]
-        assert np.sqrt(np.mean((found - predicted)[:, travels] ** 2) / np.mean(found[:, travels] ** 2)) < 0.05
+        travels = [
+            j
+            for j, c in enumerate(model.car.channels)
+            if c.name.startswith("suspension_travel_")
+        ]
+        assert (
+            np.sqrt(
+                np.mean((found - predicted)[:, travels] ** 2)
+                / np.mean(found[:, travels] ** 2)
+            )
+            < 0.05
+        )
 
 
 @pytest.mark.parametrize(
-    ("name", "speed"), [("half-car-isd", 20.0), ("half-car-isd", 33.0), ("full-car-isd", 30.0)]
+    ("name", "speed"),
+    [("half-car-isd", 20.0), ("half-car-isd", 33.0), ("full-car-isd", 30.0)],
 )
 def test_the_optimum_costs_what_the_riccati_equation_says(name, speed):
     model = car_model(linear(name), STEP, speed)
     K, cost = car_regulator(model, weights(model.network))
-    assert simulated_cost(model, weights(model.network), K) == pytest.approx(cost, rel=1e-6)
+    assert simulated_cost(model, weights(model.network), K) == pytest.approx(
+        cost, rel=1e-6
+    )
     for change in (0.98, 1.02):
         assert simulated_cost(model, weights(model.network), change * K) > cost
 
@@ -87,7 +108,10 @@ def test_the_optimum_costs_what_the_riccati_equation_says(name, speed):
 def test_knowledge_of_the_rear_road_lowers_the_optimum(speed):
     """And the less, the shorter the delay is: at 2000 m/s there is a quarter of a control step to know."""
     net = linear("half-car-isd")
-    model, blind = car_model(net, STEP, speed), car_model(net, STEP, speed, wheelbase=False)
+    model, blind = (
+        car_model(net, STEP, speed),
+        car_model(net, STEP, speed, wheelbase=False),
+    )
     _, known = car_regulator(model, weights(net))
     K, believed = car_regulator(blind, weights(net))
     unknown = simulated_cost(model, weights(net), blind_gain(model, blind, K))
@@ -117,7 +141,10 @@ def test_controllers_are_told_the_speed():
     """27 control steps between the axles at 20 m/s, 54 at 10 m/s; the MPC plans with as much road under the rear wheel."""
     net = Network.load("half-car-isd")
     for speed, steps in ((20.0, 27), (10.0, 54), (30.0, 18)):
-        law, plan = (find(f"{name}-wheelbase", net, speed=speed).make() for name in ("lqg", "mpc"))
+        law, plan = (
+            find(f"{name}-wheelbase", net, speed=speed).make()
+            for name in ("lqg", "mpc")
+        )
         for controller in (law, plan):
             assert np.round(controller.prediction.delays).tolist() == [0, steps]
         assert [c.preview for c in plan.corners] == pytest.approx([0.0, STEP * steps])
@@ -127,7 +154,9 @@ def test_controllers_are_told_the_speed():
 def test_a_quarter_car_has_no_wheelbase():
     words = "of a car with two axles, but network 'quarter-car-isd' is a quarter car"
     refused(words, baselines.make, "lqg-wheelbase", "quarter-car-isd")
-    refused("speed must be a positive number", baselines.make, "lqg-wheelbase", speed=0.0)
+    refused(
+        "speed must be a positive number", baselines.make, "lqg-wheelbase", speed=0.0
+    )
 
 
 def test_the_bound_of_a_decoupled_half_car_is_that_of_its_quarter_cars():
@@ -148,7 +177,9 @@ def test_the_bound_of_a_decoupled_half_car_is_that_of_its_quarter_cars():
 
 def test_no_device_is_better_than_any_force():
     forces, device = wheelbase_bound(step=STEP), wheelbase_bound(effort=1e-3, step=STEP)
-    assert forces.change < device.change < 0 and forces.blind_change < device.blind_change
+    assert (
+        forces.change < device.change < 0 and forces.blind_change < device.blind_change
+    )
     assert forces.change < forces.blind_change
 
 

@@ -30,7 +30,12 @@ STEP = 0.01
 def swing(moved=False):
     """A mass on a spring, with its speed measured; hung from a moving base or from the ground."""
     known = {"damper.damping": 0.5, "spring.stiffness": 0.05}
-    parts = {"mass": 1.0, "stiffness": 100.0, "damping": 0.4, "base": "base" if moved else ""}
+    parts = {
+        "mass": 1.0,
+        "stiffness": 100.0,
+        "damping": 0.4,
+        "base": "base" if moved else "",
+    }
     network = builders.oscillator("speed velocity mass", uncertainty=known, **parts)
     return network if moved else replace(network, inputs=())
 
@@ -62,7 +67,9 @@ def test_a_candidate_that_does_not_simulate_a_record_of_the_user_is_not_scored()
     weak = softening(problem, -400.0)
     assert np.isfinite(row_of(known, weak).error)
     # a record that the nominal model cannot simulate either is held against nobody
-    spoiled = replace(whole, measured=np.where(np.arange(3000)[:, None] < 5, 1e90, whole.measured))
+    spoiled = replace(
+        whole, measured=np.where(np.arange(3000)[:, None] < 5, 1e90, whole.measured)
+    )
     blind = HeldOutEvaluator(problem, whole=Problem(network, [spoiled], ["fit"]))
     assert np.isfinite(row_of(blind, strong).error)
 
@@ -100,19 +107,34 @@ def test_a_finished_diagnosis_is_not_lost_where_a_model_does_not_simulate_a_whol
     for name in ("intervals", "draw_law", "next_experiment"):
         monkeypatch.setattr(builder, name, breaks)
     result = diagnose(runs[:1], network, validate=runs[1:])
-    assert result.verdict == "missing_effect" and result.effects[0].effect == "coulomb_friction"
+    assert (
+        result.verdict == "missing_effect"
+        and result.effects[0].effect == "coulomb_friction"
+    )
     assert all(np.isnan(y).all() for t in result.traces for y in t.after.values())
     assert any("no curve is drawn" in n for n in result.notes)
-    assert any("the picture of a law could not be made: singular" in n for n in result.notes)
+    assert any(
+        "the picture of a law could not be made: singular" in n for n in result.notes
+    )
     page = write_report(result, tmp_path / "found")
-    assert page.exists() and json.loads((tmp_path / "found" / "diagnosis.json").read_text())["effects"]
+    assert (
+        page.exists()
+        and json.loads((tmp_path / "found" / "diagnosis.json").read_text())["effects"]
+    )
 
 
 def test_every_held_out_record_with_inputs_gives_segments_to_both_roles():
-    records = [Record(t.source, STEP, {"base": t["base"]}, t["speed"][:, None]) for t in tables(4, 250)[1]]
+    records = [
+        Record(t.source, STEP, {"base": t["base"]}, t["speed"][:, None])
+        for t in tables(4, 250)[1]
+    ]
     pieces, roles = split_records(records[:1], records[1:], [], 10.0)
     for r in records[1:]:
-        own = [role for piece, role in zip(pieces, roles, strict=True) if piece.name == r.name]
+        own = [
+            role
+            for piece, role in zip(pieces, roles, strict=True)
+            if piece.name == r.name
+        ]
         assert sorted(own) == ["choose", "report"]
     # beginnings and ends of runs serve both purposes
     assert {roles[k] for k in range(1, len(roles), 2)} == {"choose", "report"}

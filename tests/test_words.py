@@ -36,14 +36,20 @@ SEEN = replace(GOOD, channels=("travel",), after=(0.02,), explained=0.99)
 def document(found=NAMED, evidence=SEEN, after=0.02, **more):
     """A diagnosis as its JSON has it, with the verdict of the answer."""
     decision = decide(found, evidence)
-    rows = {"before": evidence.before[0], "refit": evidence.refit[0], "after": after, "noise_floor": 0.02}
+    rows = {
+        "before": evidence.before[0],
+        "refit": evidence.refit[0],
+        "after": after,
+        "noise_floor": 0.02,
+    }
     gates = [g.to_dict() for g in decision.gates]
     rejected = {
         "effects": ["coulomb_friction"],
         "where": [["mass", "ground"]],
         "values": [{"level": 3.0}],
         "explained": evidence.explained,
-        "error": {k: {"travel": rows[k]} for k in ("before", "refit")} | {"after": {"travel": 0.07}},
+        "error": {k: {"travel": rows[k]} for k in ("before", "refit")}
+        | {"after": {"travel": 0.07}},
         "failed_gates": [g for g in gates if not g["passed"]],
     }
     return {
@@ -71,7 +77,9 @@ def document(found=NAMED, evidence=SEEN, after=0.02, **more):
 def errors(before=0.3, refit=0.3, after=0.021):
     """Errors on the test records."""
     rows = {"before": before, "refit": refit, "after": after, "noise_floor": 0.01}
-    return {"gap": {"held_out": {k: {"travel": v} for k, v in rows.items()}, "closed": None}}
+    return {
+        "gap": {"held_out": {k: {"travel": v} for k, v in rows.items()}, "closed": None}
+    }
 
 
 def dry(*probabilities):
@@ -84,25 +92,48 @@ def dry(*probabilities):
 
 def tried(explained, moved=0.2, errors=5.0, confirmed=0.9):
     gates = [g.to_dict() for g in table_gates(explained, moved, errors, confirmed)]
-    return {"between": ["mass", "ground"], "over": "elongation", "explained": explained, "gates": gates}
+    return {
+        "between": ["mass", "ground"],
+        "over": "elongation",
+        "explained": explained,
+        "gates": gates,
+    }
 
 
 def law(effect, **parameters):
-    values = {k: {"value": v, "low": v, "high": v, "unit": "N"} for k, v in parameters.items()}
+    values = {
+        k: {"value": v, "low": v, "high": v, "unit": "N"} for k, v in parameters.items()
+    }
     return FRICTION | {"effect": effect, "parameters": values}
 
 
 def rivals(*beside):
     """Two laws with equal predictions, each beside further effects."""
-    names, places = [*beside, "{}"], [["ground", "mass"]] * len(beside) + [["mass", "ground"]]
+    names, places = (
+        [*beside, "{}"],
+        [["ground", "mass"]] * len(beside) + [["mass", "ground"]],
+    )
     return [
-        {"effects": [n.format(name) for n in names], "where": places, "excess": excess, "why_not": ""}
+        {
+            "effects": [n.format(name) for n in names],
+            "where": places,
+            "excess": excess,
+            "why_not": "",
+        }
         for name, excess in (("coulomb_friction", 0.01), ("hysteresis", 0.012))
     ]
 
 
-TABLE = {"between": ["mass", "ground"], "over": "both", "element": "missing_force", "explained": 0.6}
-TABLE |= {"nearest": [{"effect": "gas_spring", "share": 0.88}], "shares": {"elongation": 0.97, "rate": 0.05}}
+TABLE = {
+    "between": ["mass", "ground"],
+    "over": "both",
+    "element": "missing_force",
+    "explained": 0.6,
+}
+TABLE |= {
+    "nearest": [{"effect": "gas_spring", "share": 0.88}],
+    "shares": {"elongation": 0.97, "rate": 0.05},
+}
 WORSE = r"made the model worse on held-out data \(travel: 14.0 % as given, 30.0 % refitted\)"
 BORNE_OUT = f"^(?!.*{re.escape(NOT_BORNE_OUT)})"
 SPEEDS = "two or three constant speeds"
@@ -111,7 +142,10 @@ SPEEDS = "two or three constant speeds"
 DOUBTED = law("coulomb_friction", level=3.0) | {"confidence": 0.64}
 LEANING = law("asymmetric_damping", extension=-450.0, compression=550.0)
 LEANING |= {
-    "totals": {k: {"value": v, "unit": "N s/m"} for k, v in (("extension", 1050.0), ("compression", 2050.0))}
+    "totals": {
+        k: {"value": v, "unit": "N s/m"}
+        for k, v in (("extension", 1050.0), ("compression", 2050.0))
+    }
 }
 
 
@@ -163,10 +197,16 @@ def test_a_model_that_is_completed_without_a_certain_name_says_so():
     said = summary_of(open_law)
     best = "model.json has Coulomb friction between mass and ground, which predicts best: the error in travel falls"
     assert best in said
-    assert "61 % of the gap is closed on the test records." in said and "is not named because" in said
+    assert (
+        "61 % of the gap is closed on the test records." in said
+        and "is not named because" in said
+    )
     open_law["best_candidate"]["explained"] = 0.2
     said = summary_of(open_law)
-    assert "test records, but only 20 % on the validation records: it is not yet the whole cause" in said
+    assert (
+        "test records, but only 20 % on the validation records: it is not yet the whole cause"
+        in said
+    )
     open_law["gap"]["closed"] = 0.38
     assert "The cause is not found; this law is a stopgap." in summary_of(open_law)
 
@@ -181,25 +221,54 @@ def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_expla
     unseen = document(NONE, verdict="unknown_effect", best_table=tried(-0.15))
     unseen["best_candidate"]["explained"] = -0.4
     said = summary_of(unseen)
-    assert "No known effect reduces the error on the validation records." in said and "best" not in said
-    assert "No table of a force between two nodes reduces the held-out error." in said and "-15" not in said
+    assert (
+        "No known effect reduces the error on the validation records." in said
+        and "best" not in said
+    )
+    assert (
+        "No table of a force between two nodes reduces the held-out error." in said
+        and "-15" not in said
+    )
     assert "no force between two nodes explains it" in statements_of(unseen).title
     alone = worse | {"verdict": "ambiguous"}
-    assert "no known effect reduces the error" in summary_of(alone) and "removes" not in summary_of(alone)
+    assert "no known effect reduces the error" in summary_of(
+        alone
+    ) and "removes" not in summary_of(alone)
 
 
 def test_the_title_is_the_finding():
-    assert statements_of(document()).title == "Missing: Coulomb friction between mass and ground"
+    assert (
+        statements_of(document()).title
+        == "Missing: Coulomb friction between mass and ground"
+    )
     for probabilities in ((0.62, 0.02), (0.5, 0.5)):
-        tied = document(NONE, verdict="ambiguous", alternatives=rivals(), findings=dry(*probabilities))
-        assert statements_of(tied).title == "An effect is missing; these data leave 2 candidates"
+        tied = document(
+            NONE,
+            verdict="ambiguous",
+            alternatives=rivals(),
+            findings=dry(*probabilities),
+        )
+        assert (
+            statements_of(tied).title
+            == "An effect is missing; these data leave 2 candidates"
+        )
         assert "equally" not in summary_of(tied)
-    assert statements_of(document(NONE)).title == "An effect is missing; no known law fits"
+    assert (
+        statements_of(document(NONE)).title == "An effect is missing; no known law fits"
+    )
     probable = statements_of(document(NONE, findings=dry(0.9))).title
-    assert probable == "An effect is missing, probably dry friction between mass and ground"
+    assert (
+        probable
+        == "An effect is missing, probably dry friction between mass and ground"
+    )
     told = statements_of(document(OPEN, alternatives=rivals("backlash")))
-    assert told.title == "Probably missing: backlash between ground and mass; a further effect is open"
-    refuted = document(NONE, tabulated=TABLE, gap=errors(after=0.07)["gap"] | {"closed": -0.5})
+    assert (
+        told.title
+        == "Probably missing: backlash between ground and mass; a further effect is open"
+    )
+    refuted = document(
+        NONE, tabulated=TABLE, gap=errors(after=0.07)["gap"] | {"closed": -0.5}
+    )
     assert not statements_of(refuted).title.startswith("Missing: a force")
 
 
@@ -213,7 +282,13 @@ def test_the_title_is_the_finding():
 )  # fmt: skip
 def test_why_nothing_is_missing_is_told_with_its_figures(change, reason, words):
     quiet = replace(SEEN, **({"before": (0.2,), "training_refit": (0.05,)} | change))
-    spring = {"prior": 100.0, "value": 112.0, "low": 111.0, "high": 113.0, "unit": "N/m"}
+    spring = {
+        "prior": 100.0,
+        "value": 112.0,
+        "low": 111.0,
+        "high": 113.0,
+        "unit": "N/m",
+    }
     d = document(answer(row(0.05)), quiet, parameters={"k.stiffness": spring})
     assert (d["verdict"], d["reason"]) == ("parameters_only", reason)
     said = summary_of(d)
@@ -238,12 +313,17 @@ def test_a_figure_that_is_not_finite_does_not_lose_the_result():
 
     def blanked(node):
         if isinstance(node, dict):
-            return {k: v if k in ("criteria", "count") else blanked(v) for k, v in node.items()}
+            return {
+                k: v if k in ("criteria", "count") else blanked(v)
+                for k, v in node.items()
+            }
         if isinstance(node, list | tuple):
             return [blanked(v) for v in node]
         return None if isinstance(node, float) else node
 
-    quiet = document(answer(row(0.021)), replace(SEEN, refit=(0.021,), training_refit=(0.021,)))
+    quiet = document(
+        answer(row(0.021)), replace(SEEN, refit=(0.021,), training_refit=(0.021,))
+    )
     for made in (document(), document(NONE, best_table=tried(0.3)), quiet):
         assert summary_of(blanked(made))
     assert plain_number(None) == "unknown"

@@ -21,26 +21,34 @@ ZOO = {"n_envs", "n_timesteps", "normalize", "env_wrapper"}
 
 @pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
 def test_settings_are_arguments_of_the_algorithm(algorithm):
-    settings = yaml.safe_load((FOLDER / f"{algorithm.lower()}.yml").read_text(encoding="utf-8"))
+    settings = yaml.safe_load(
+        (FOLDER / f"{algorithm.lower()}.yml").read_text(encoding="utf-8")
+    )
     assert set(settings) == ENVIRONMENTS
     known = set(inspect.signature(getattr(sb3, algorithm).__init__).parameters)
     for name, own in settings.items():
         assert set(own) - ZOO <= known, name
         assert isinstance(own["n_timesteps"], float) and own["n_timesteps"] >= 1e6
         # the Zoo evaluates the text with torch.nn as nn
-        policy = eval(own["policy_kwargs"], {"dict": dict, "nn": import_module("torch.nn")})
+        policy = eval(
+            own["policy_kwargs"], {"dict": dict, "nn": import_module("torch.nn")}
+        )
         made = getattr(sb3, algorithm).policy_aliases["MlpPolicy"].__init__
         assert set(policy) <= set(inspect.signature(made).parameters)
 
 
-@pytest.mark.filterwarnings("ignore:.*precision lowered:UserWarning")  # RescaleAction's own space
+@pytest.mark.filterwarnings(
+    "ignore:.*precision lowered:UserWarning"
+)  # RescaleAction's own space
 @pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
 def test_wrapped_cars_take_actions_within_one(name):
     settings = yaml.safe_load((FOLDER / "ppo.yml").read_text(encoding="utf-8"))[name]
     env = gymnasium.make(name)
     limit = env.action_space.high
     for wrapper in settings["env_wrapper"]:
-        path, options = (wrapper, {}) if isinstance(wrapper, str) else next(iter(wrapper.items()))
+        path, options = (
+            (wrapper, {}) if isinstance(wrapper, str) else next(iter(wrapper.items()))
+        )
         module, _, kind = path.rpartition(".")
         env = getattr(import_module(module), kind)(env, **options)
     assert (env.action_space.high == 1.0).all() and (env.action_space.low == -1.0).all()
@@ -49,4 +57,6 @@ def test_wrapped_cars_take_actions_within_one(name):
         observation, *_ = env.step(np.ones_like(limit))
     newest = observation.reshape(4, -1)[-1]
     currents = newest[[s.kind == "current" for s in env.unwrapped.task.measured]]
-    np.testing.assert_allclose(currents, limit, rtol=1e-6)  # the whole range is reached, by 0.5 A in a step
+    np.testing.assert_allclose(
+        currents, limit, rtol=1e-6
+    )  # the whole range is reached, by 0.5 A in a step

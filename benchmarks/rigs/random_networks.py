@@ -56,7 +56,8 @@ def element(rng, name, kind, pair, passive):
 def draw(rng, *, passive=False, kinds=None):
     """A model (`isd-model/1`): a tree of masses and massless nodes on the ground and on a moved node, and laws anywhere."""
     masses = {
-        f"m{i}": float(np.exp(rng.uniform(math.log(5.0), math.log(500.0)))) for i in range(rng.integers(1, 6))
+        f"m{i}": float(np.exp(rng.uniform(math.log(5.0), math.log(500.0))))
+        for i in range(rng.integers(1, 6))
     }
     massless = [f"n{i}" for i in range(rng.integers(0, 3))]
     nodes = ["road", "ground", *masses]
@@ -70,13 +71,22 @@ def draw(rng, *, passive=False, kinds=None):
         add("linear_stiffness", (node, other))
         if rng.random() < 0.8:
             add("linear_damping", (node, other))
-    for node in massless:  # between a spring or damper on one side and something else on the other
+    for node in (
+        massless
+    ):  # between a spring or damper on one side and something else on the other
         a, b = rng.choice(nodes, 2, replace=False)
-        add(str(rng.choice(["linear_stiffness", "linear_damping", "series_compliance"])), (node, str(a)))
+        add(
+            str(
+                rng.choice(["linear_stiffness", "linear_damping", "series_compliance"])
+            ),
+            (node, str(a)),
+        )
         add(str(rng.choice(["linear_stiffness", "linear_damping"])), (node, str(b)))
     everything = nodes + massless
     for kind in (
-        kinds if kinds is not None else rng.choice(PASSIVE if passive else BETWEEN, rng.integers(1, 5))
+        kinds
+        if kinds is not None
+        else rng.choice(PASSIVE if passive else BETWEEN, rng.integers(1, 5))
     ):
         a, b = rng.choice(everything, 2, replace=False)
         if kind == "tyre_lift_off":
@@ -86,18 +96,29 @@ def draw(rng, *, passive=False, kinds=None):
     if rng.random() < 0.3 and not passive:
         a, b = rng.choice([n for n in everything if n != "road"], 2, replace=False)
         elements.append(
-            {"name": "motor", "type": "motor", "between": [str(a), str(b)], "thrust_constant": 200.0}
+            {
+                "name": "motor",
+                "type": "motor",
+                "between": [str(a), str(b)],
+                "thrust_constant": 200.0,
+            }
         )
     inputs = [{"name": "road", "quantity": "displacement", "at": "road", "unit": "m"}]
     if not any("road" in e["between"] for e in elements):
         add("linear_stiffness", ("m0", "road"))
     if elements[-1]["type"] == "motor" or any(e["type"] == "motor" for e in elements):
-        inputs.append({"name": "current", "quantity": "current", "element": "motor", "unit": "A"})
+        inputs.append(
+            {"name": "current", "quantity": "current", "element": "motor", "unit": "A"}
+        )
     if not passive and rng.random() < 0.3:
         inputs.append({"name": "push", "quantity": "force", "at": "m0", "unit": "N"})
-    outputs = [{"name": f"{n}_a", "quantity": "acceleration", "at": n, "unit": "m/s^2"} for n in masses]
+    outputs = [
+        {"name": f"{n}_a", "quantity": "acceleration", "at": n, "unit": "m/s^2"}
+        for n in masses
+    ]
     outputs += [
-        {"name": f"{n}_d", "quantity": "displacement", "at": n, "unit": "m"} for n in [*masses, *massless]
+        {"name": f"{n}_d", "quantity": "displacement", "at": n, "unit": "m"}
+        for n in [*masses, *massless]
     ]
     return {
         "schema": "isd-model/1", "name": "random", "masses": masses, "elements": elements, "inputs": inputs, "outputs": outputs,
@@ -109,8 +130,17 @@ def moves(rng, model, time):
     size = 10.0 ** rng.uniform(-3.0, -1.3)
     out = {}
     for channel in model["inputs"]:
-        phases, rates = rng.uniform(0, 2 * math.pi, 4), 2 * math.pi * rng.uniform(0.3, 8.0, 4)
-        wave = sum(np.sin(w * time + p) - math.sin(p) for w, p in zip(rates, phases, strict=True)) / 4
+        phases, rates = (
+            rng.uniform(0, 2 * math.pi, 4),
+            2 * math.pi * rng.uniform(0.3, 8.0, 4),
+        )
+        wave = (
+            sum(
+                np.sin(w * time + p) - math.sin(p)
+                for w, p in zip(rates, phases, strict=True)
+            )
+            / 4
+        )
         if channel["quantity"] == "displacement":
             out[channel["name"]] = size * wave
         elif channel["quantity"] == "force":

@@ -36,8 +36,20 @@ CONTACT_TIME = 2e-5
 """Ratio of a friction contact's damping to its stiffness [s]."""
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
-MOTOR_EFFECTS = ("thrust_saturation", "actuator_lag", "actuator_delay", "drive_dead_zone", "quadratic_thrust")
-SENSOR_EFFECTS = ("sensor_gain", "sensor_bias", "sensor_delay", "sensor_dead_zone", "sensor_magnitude")
+MOTOR_EFFECTS = (
+    "thrust_saturation",
+    "actuator_lag",
+    "actuator_delay",
+    "drive_dead_zone",
+    "quadratic_thrust",
+)
+SENSOR_EFFECTS = (
+    "sensor_gain",
+    "sensor_bias",
+    "sensor_delay",
+    "sensor_dead_zone",
+    "sensor_magnitude",
+)
 LOGGED = ("temperature", "pressure", "speed")
 SIDES = {"both": 0.0, "extension": 1.0, "compression": -1.0}
 
@@ -78,14 +90,23 @@ STIFFNESS, DAMPER, FED, KNOTS, ROWS = 3, 4, 5, 6, 7
 # no members of the project's library: laws that a diagnosis has to call unknown.
 LAWS: dict[str, tuple[int, dict[str, Any]]] = {
     "coulomb_friction": (FRICTION, {"level": None}),
-    "stribeck_friction": (FRICTION, {"level": None, "static_level": None, "stribeck_velocity": None}),
+    "stribeck_friction": (
+        FRICTION,
+        {"level": None, "static_level": None, "stribeck_velocity": None},
+    ),
     "quadratic_damping": (QUADRATIC, {"damping": None}),
     "asymmetric_damping": (ASYMMETRIC, {"extension": None, "compression": None}),
     "cubic_stiffness": (CUBIC, {"stiffness": None}),
     "gas_spring": (GAS, {"force": None, "length": None, "exponent": None}),
-    "bump_stop": (BUMP, {"clearance": None, "stiffness": None, "damping": 0.0, "side": "both"}),
+    "bump_stop": (
+        BUMP,
+        {"clearance": None, "stiffness": None, "damping": 0.0, "side": "both"},
+    ),
     "backlash": (BACKLASH, {"gap": None, "stiffness": None}),
-    "hysteresis": (HYSTERESIS, {"level": None, "stiffness": None, "exponent": 1.0, "shape": 1.0}),
+    "hysteresis": (
+        HYSTERESIS,
+        {"level": None, "stiffness": None, "exponent": 1.0, "shape": 1.0},
+    ),
     "cogging_force": (COGGING, {"amplitude": None, "pitch": None, "phase": None}),
     "tyre_lift_off": (LIFT, {"stiffness": None, "load": None}),
     "controlled_damper": (CONTROLLED, {"low": None, "high": None, "current": None}),
@@ -94,7 +115,10 @@ LAWS: dict[str, tuple[int, dict[str, Any]]] = {
     "degressive_damping": (DEGRESSIVE, {"damping": None, "knee": None}),
     "gravity_sine": (SINE, {"torque": None, "rest": 0.0}),
     "scheduled_damping": (SCHEDULED, {"slope": None, "reference": 0.0}),
-    "scheduled_friction": (SCHEDULED_FRICTION, {"level": None, "slope": None, "reference": 0.0}),
+    "scheduled_friction": (
+        SCHEDULED_FRICTION,
+        {"level": None, "slope": None, "reference": 0.0},
+    ),
     "load_dependent_friction": (LOADED_FRICTION, {"level": None, "gain": None}),
     "tabulated_force": (TABLE, {"scale": 1.0}),  # RATE_TABLE where its knots are rates
     "x_fading_damping": (FADING, {"damping": None, "energy": None}),
@@ -133,19 +157,25 @@ class _Plant:
         nodes = self.free + self.moved
         r = np.zeros(len(nodes))
         if node in self.tied:
-            return np.asarray(sum((f * self.row(n) for n, f in self.tied[node].items()), r))
+            return np.asarray(
+                sum((f * self.row(n) for n, f in self.tied[node].items()), r)
+            )
         if node != "ground":
             r[nodes.index(node)] = 1.0
         return r
 
 
-def _ties(model: Model, moved: list[str]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+def _ties(
+    model: Model, moved: list[str]
+) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
     """Inertia of the coordinates that bodies add, and what follows them: z_point = z - x pitch + y roll; levers."""
     inertia: dict[str, float] = {}
     tied: dict[str, dict[str, float]] = {}
     for name, body in model.get("bodies", {}).items():
         turns = body.get("inertia", {})
-        inertia |= {name: body["mass"]} | {f"{name}.{axis}": value for axis, value in turns.items()}
+        inertia |= {name: body["mass"]} | {
+            f"{name}.{axis}": value for axis, value in turns.items()
+        }
         for point, at in body.get("points", {}).items():
             arms = {"pitch": -at.get("x", 0.0), "roll": at.get("y", 0.0)}
             tied[point] = {name: 1.0} | {f"{name}.{axis}": arms[axis] for axis in turns}
@@ -159,17 +189,29 @@ def _ties(model: Model, moved: list[str]) -> tuple[dict[str, float], dict[str, d
 
 
 def _plant(model: Model) -> _Plant:
-    moved = [i["at"] for i in model.get("inputs", []) if i["quantity"] == "displacement"]
+    moved = [
+        i["at"] for i in model.get("inputs", []) if i["quantity"] == "displacement"
+    ]
     inertia, tied = _ties(model, moved)
     inertia |= model.get("masses", {}) | model.get("inertias", {})
     nodes = [n for n in inertia if n != "ground"]
     for e in model["elements"]:
         nodes += [n for n in e.get("between", []) if n != "ground" and n not in nodes]
-    nodes += [n for v in model.get("levers", []) for n in v["between"] if n not in nodes]
+    nodes += [
+        n for v in model.get("levers", []) for n in v["between"] if n not in nodes
+    ]
     free = [n for n in dict.fromkeys(nodes) if n not in moved and n not in tied]
     size = len(free) + len(moved)
     plant = _Plant(
-        free, moved, np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size)), [], [], [], tied
+        free,
+        moved,
+        np.zeros((size, size)),
+        np.zeros((size, size)),
+        np.zeros((size, size)),
+        [],
+        [],
+        [],
+        tied,
     )
     for node, mass in inertia.items():
         r = plant.row(node)
@@ -198,7 +240,9 @@ def _plant(model: Model) -> _Plant:
             values = [e.get(k, v) for k, v in defaults.items()]
             values = [SIDES[v] if isinstance(v, str) else v for v in values]
             if None in values:
-                raise ValueError(f"element {e.get('name')}: {kind} needs {', '.join(defaults)}")
+                raise ValueError(
+                    f"element {e.get('name')}: {kind} needs {', '.join(defaults)}"
+                )
             plant.laws.append((e, code, np.array(values, dtype=float), across))
             continue
         else:
@@ -231,16 +275,27 @@ def _column(inputs: Mapping[str, ArrayLike], name: str, size: int) -> Array:
 
 
 def _motion(
-    model: Model, plant: _Plant, time: Array, interval: float, inputs: Any, derivatives: Any
+    model: Model,
+    plant: _Plant,
+    time: Array,
+    interval: float,
+    inputs: Any,
+    derivatives: Any,
 ) -> Array:
     """The moved nodes' motion as polynomials of the time since the sample, (nodes, intervals, 6)."""
     size, T = len(time), interval
     coef = np.zeros((len(plant.moved), size - 1, 6))
-    names = {i["at"]: i["name"] for i in model.get("inputs", []) if i["quantity"] == "displacement"}
+    names = {
+        i["at"]: i["name"]
+        for i in model.get("inputs", [])
+        if i["quantity"] == "displacement"
+    }
     for j, node in enumerate(plant.moved):
         x = _column(inputs, names[node], size)
         extra = (derivatives or {}).get(names[node])
-        inertial = np.any(plant.mass[:, len(plant.free) + j]) or np.any(plant.mass[len(plant.free) + j])
+        inertial = np.any(plant.mass[:, len(plant.free) + j]) or np.any(
+            plant.mass[len(plant.free) + j]
+        )
         if extra is not None:
             v, a = (np.asarray(c, dtype=float) for c in extra)
             x0, x1, v0, v1, a0, a1 = x[:-1], x[1:], v[:-1], v[1:], a[:-1], a[1:]
@@ -249,9 +304,16 @@ def _motion(
                     x0,
                     v0,
                     a0 / 2,
-                    (20 * (x1 - x0) - (8 * v1 + 12 * v0) * T - (3 * a0 - a1) * T**2) / (2 * T**3),
-                    (30 * (x0 - x1) + (14 * v1 + 16 * v0) * T + (3 * a0 - 2 * a1) * T**2) / (2 * T**4),
-                    (12 * (x1 - x0) - 6 * (v1 + v0) * T - (a0 - a1) * T**2) / (2 * T**5),
+                    (20 * (x1 - x0) - (8 * v1 + 12 * v0) * T - (3 * a0 - a1) * T**2)
+                    / (2 * T**3),
+                    (
+                        30 * (x0 - x1)
+                        + (14 * v1 + 16 * v0) * T
+                        + (3 * a0 - 2 * a1) * T**2
+                    )
+                    / (2 * T**4),
+                    (12 * (x1 - x0) - 6 * (v1 + v0) * T - (a0 - a1) * T**2)
+                    / (2 * T**5),
                 ],
                 axis=1,
             )
@@ -263,7 +325,9 @@ def _motion(
     return coef
 
 
-def _initial(plant: _Plant, initial: Mapping[str, tuple[float, float]] | None) -> tuple[Array, Array]:
+def _initial(
+    plant: _Plant, initial: Mapping[str, tuple[float, float]] | None
+) -> tuple[Array, Array]:
     x, v = np.zeros(len(plant.free)), np.zeros(len(plant.free))
     for node, (position, velocity) in (initial or {}).items():
         if node not in plant.free:
@@ -293,7 +357,11 @@ def _contact(level, slope, p, v, z, hg):
     force = np.copysign(level, trial)
     if stiffness == 0.0:
         return force, 0.0, z
-    return force, np.copysign(slope, trial * slope), (force + damping * z / hg) / (stiffness + damping / hg)
+    return (
+        force,
+        np.copysign(slope, trial * slope),
+        (force + damping * z / hg) / (stiffness + damping / hg),
+    )
 
 
 @numba.njit(cache=True)
@@ -504,7 +572,9 @@ def _stage(codes, params, da, q, G, z, hg, t, u, f, z_new, A, r):
             for _ in range(30):
                 for i in range(m):
                     aim = q[i] - _row(G, i, f) + G[i, i] * f[i]
-                    u[i], f[i] = _alone(codes[i], params[i], da[i], z[i], hg, t, aim, G[i, i])
+                    u[i], f[i] = _alone(
+                        codes[i], params[i], da[i], z[i], hg, t, aim, G[i, i]
+                    )
         for i in range(m):
             at = da[i] + hg * u[i]
             f[i], slope, z_new[i] = _law(codes[i], params[i], at, u[i], z[i], hg, t)
@@ -581,8 +651,12 @@ def _moved(motion, segment, tau, w, wv, wa):
     """Displacement w, velocity wv and acceleration wa of the moved nodes, `tau` seconds into a segment."""
     for j in range(len(w)):
         c = motion[j, segment]
-        w[j] = c[0] + tau * (c[1] + tau * (c[2] + tau * (c[3] + tau * (c[4] + tau * c[5]))))
-        wv[j] = c[1] + tau * (2 * c[2] + tau * (3 * c[3] + tau * (4 * c[4] + tau * 5 * c[5])))
+        w[j] = c[0] + tau * (
+            c[1] + tau * (c[2] + tau * (c[3] + tau * (c[4] + tau * c[5])))
+        )
+        wv[j] = c[1] + tau * (
+            2 * c[2] + tau * (3 * c[3] + tau * (4 * c[4] + tau * 5 * c[5]))
+        )
         wa[j] = 2 * c[2] + tau * (6 * c[3] + tau * (12 * c[4] + tau * 20 * c[5]))
 
 
@@ -604,7 +678,12 @@ def _outside(value, zone):
 @numba.njit(cache=True)
 def _drive_motors(sources, laws, stage, step, per_sample, lagged, drive):
     """Take the motors' thrust from `drive`, and feed the laws that hang on a current or a logged channel."""
-    current, motors, at_nodes, drives = sources.current, sources.motor, sources.motor_at, laws.drives
+    current, motors, at_nodes, drives = (
+        sources.current,
+        sources.motor,
+        sources.motor_at,
+        laws.drives,
+    )
     for j in range(len(current)):
         motor = motors[j]
         at = step - 1 - int(motor[0])
@@ -621,10 +700,18 @@ def _drive_motors(sources, laws, stage, step, per_sample, lagged, drive):
 
 
 @numba.njit(cache=True)
-def _integrate(samples, per_sample, h, interval, t0, matrices, laws, sources, x, v, z, offsets, out):
+def _integrate(
+    samples, per_sample, h, interval, t0, matrices, laws, sources, x, v, z, offsets, out
+):
     """March from the state x, v, z and write the samples, each offset steps earlier; the count of failed stages."""
     M, C, K, S, Mw, Cw, Kw, Mpinv, null = matrices
-    D, codes, params, loads, loads_moved = laws.D, laws.codes, laws.params, laws.loads, laws.loads_moved
+    D, codes, params, loads, loads_moved = (
+        laws.D,
+        laws.codes,
+        laws.params,
+        laws.loads,
+        laws.loads_moved,
+    )
     push, push_at = sources.push, sources.push_at
     across, across_moved = D.T.copy(), laws.Dw.T.copy()
     n, m, p = len(x), len(codes), len(sources.motion)
@@ -635,9 +722,22 @@ def _integrate(samples, per_sample, h, interval, t0, matrices, laws, sources, x,
     # momentum at the beginning of a step, at that of a stage and at its end; so are the laws' states
     mu, mu_base, mu_1 = M @ v, np.zeros(n), np.zeros(n)
     z_base, z1 = np.zeros(m), np.zeros(m)
-    xa, V1, v_old, drive, rest = np.zeros(n), np.zeros(n), v.copy(), np.zeros(n), np.zeros(n)
+    xa, V1, v_old, drive, rest = (
+        np.zeros(n),
+        np.zeros(n),
+        v.copy(),
+        np.zeros(n),
+        np.zeros(n),
+    )
     w, wv, wa = np.zeros(p), np.zeros(p), np.zeros(p)
-    u, f, q, da, r, A = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((m, m))
+    u, f, q, da, r, A = (
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros((m, m)),
+    )
     lagged = np.zeros(len(sources.current))
     failures = 0
     for step in range((samples - 1) * per_sample + 1):
@@ -664,12 +764,18 @@ def _integrate(samples, per_sample, h, interval, t0, matrices, laws, sources, x,
                 V1[i] = _row(S, i, rest)
             for e in range(m):
                 q[e] = _row(across, e, V1) + _row(across_moved, e, wv)
-                da[e] = _row(across, e, xa) + _row(across_moved, e, w) - hg * _row(across_moved, e, wv)
+                da[e] = (
+                    _row(across, e, xa)
+                    + _row(across_moved, e, w)
+                    - hg * _row(across_moved, e, wv)
+                )
                 if codes[e] == LOADED_FRICTION:
                     free = _row(loads, e, xa) + hg * _row(loads, e, V1)
                     params[e, FED] = free + _row(loads_moved, e, w)
             time = t0 + (step - 1 + part) * h
-            if m > 0 and not _stage(codes, params, da, q, G, z_base, hg, time, u, f, z1, A, r):
+            if m > 0 and not _stage(
+                codes, params, da, q, G, z_base, hg, time, u, f, z1, A, r
+            ):
                 failures += 1
             for i in range(n):
                 V1[i] -= _row(SD, i, f)
@@ -686,10 +792,14 @@ def _integrate(samples, per_sample, h, interval, t0, matrices, laws, sources, x,
             out.X[o, k], out.V[o, k], out.F[o, k] = x, v, f
             if step == 0:
                 continue
-            for i in range(n):  # the rest of the balance is the rate of change of momentum
+            for i in range(
+                n
+            ):  # the rest of the balance is the rate of change of momentum
                 rest[i] = drive[i] - _row(K, i, x) - _row(C, i, v) - _row(D, i, f)
             for i in range(n):
-                out.A[o, k, i] = _row(Mpinv, i, rest) + (_row(null, i, v) - _row(null, i, v_old)) / h
+                out.A[o, k, i] = (
+                    _row(Mpinv, i, rest) + (_row(null, i, v) - _row(null, i, v_old)) / h
+                )
     return failures
 
 
@@ -710,14 +820,21 @@ class Trajectory:
 def _law_parameters(plant: _Plant) -> Array:
     """Parameters of every law, a row each, with the stiffness and damping of its contact and its table."""
     knots = max(
-        [len(e.get("force", [])) for e, code, *_ in plant.laws if code in (TABLE, RATE_TABLE)], default=0
+        [
+            len(e.get("force", []))
+            for e, code, *_ in plant.laws
+            if code in (TABLE, RATE_TABLE)
+        ],
+        default=0,
     )
     params = np.zeros((len(plant.laws), ROWS + 2 * knots))
     for row, (e, code, values, _) in zip(params, plant.laws, strict=True):
         row[: len(values)] = values
         if code in CONTACTS:
             has_two_levels = code == DIRECTED or e["type"] == "stribeck_friction"
-            row[STIFFNESS] = max(values[:2] if has_two_levels else values[:1]) / PRESLIDING
+            row[STIFFNESS] = (
+                max(values[:2] if has_two_levels else values[:1]) / PRESLIDING
+            )
             row[DAMPER] = row[STIFFNESS] * CONTACT_TIME
         if code in (TABLE, RATE_TABLE):
             count = len(e["force"])
@@ -735,27 +852,36 @@ def _laws(plant: _Plant, params: Array, driven: list[Any]) -> Laws:
     drives = np.full(count, -1, dtype=np.int64)
     for at, (e, code, _, _) in enumerate(plant.laws):
         if code == LOADED_FRICTION:  # the load is a spring
-            loads[at] = sum(s["stiffness"] * a for s, a in plant.linear if s.get("name") == e["load"])
+            loads[at] = sum(
+                s["stiffness"] * a
+                for s, a in plant.linear
+                if s.get("name") == e["load"]
+            )
         feed = e.get("channel", e)
         if feed in driven:
             drives[at] = driven.index(feed)
     codes = np.array([code for _, code, _, _ in plant.laws], dtype=np.int64)
     free, moved = across[:, :n].T.copy(), across[:, n:].T.copy()
-    return Laws(free, moved, codes, params, drives, loads[:, :n].copy(), loads[:, n:].copy())
+    return Laws(
+        free, moved, codes, params, drives, loads[:, :n].copy(), loads[:, n:].copy()
+    )
 
 
 def _motor(model: Model, e: dict[str, Any], h: float) -> list[float]:
     """Delay in steps, decay of the lag over the first stage and the step, limit, dead zone and square reference."""
     effects = {f["type"]: f for f in model["elements"] if f.get("element") == e["name"]}
     tau = effects.get("actuator_lag", {}).get("time_constant", 0.0)
-    decay = [float(np.exp(-part * h / tau)) if tau > 0 else 0.0 for part in (GAMMA, 1.0)]
+    decay = [
+        float(np.exp(-part * h / tau)) if tau > 0 else 0.0 for part in (GAMMA, 1.0)
+    ]
     square = effects.get("quadratic_thrust", {})
     return [
         round(effects.get("actuator_delay", {}).get("delay", 0.0) / h),
         *decay,
         effects.get("thrust_saturation", {}).get("current", 0.0),
         effects.get("drive_dead_zone", {}).get("threshold", 0.0),
-        square.get("reference", 0.0) * (-1.0 if square.get("form") == "square" else 1.0),
+        square.get("reference", 0.0)
+        * (-1.0 if square.get("form") == "square" else 1.0),
     ]
 
 
@@ -772,12 +898,18 @@ def _sources(
                 push.append(row[k] * _column(inputs, i["name"], size))
                 push_at.append(k)
     driven: list[Any] = [e for e, _ in plant.motors]
-    commands = {i["element"]: i["name"] for i in model.get("inputs", []) if i["quantity"] == "current"}
+    commands = {
+        i["element"]: i["name"]
+        for i in model.get("inputs", [])
+        if i["quantity"] == "current"
+    }
     for e, direction in plant.motors:
         name = commands.get(e["name"])
         current.append(_column(inputs, name, size) if name else np.zeros(size))
         motor.append(_motor(model, e, h))
-        motor_at.append(e.get("thrust_constant", 0.0) * e.get("ratio", 1.0) * direction[:n])
+        motor_at.append(
+            e.get("thrust_constant", 0.0) * e.get("ratio", 1.0) * direction[:n]
+        )
     for i in model.get("inputs", []):
         if i["quantity"] in LOGGED:  # feeds laws as a current does, and drives nothing
             driven.append(i["name"])
@@ -805,7 +937,9 @@ def _matrices(plant: _Plant, h: float) -> Matrices:
 
 
 def _blank(delays: int, samples: int, nodes: int, laws: int) -> Samples:
-    return Samples(*(np.zeros((delays, samples, width)) for width in (nodes, nodes, nodes, laws)))
+    return Samples(
+        *(np.zeros((delays, samples, width)) for width in (nodes, nodes, nodes, laws))
+    )
 
 
 def trajectories(
@@ -854,12 +988,26 @@ def trajectories(
     start.X[0, 1] -= 2e-6 * start.V[0, 1]
     start.V[0, 1] -= 2e-6 * start.A[0, 1]
     x, v = start.X[0, 1].copy(), start.V[0, 1].copy()
-    z[contact] = start.F[0, 1, contact] / np.maximum(laws.params[contact, STIFFNESS], 1e-300)
+    z[contact] = start.F[0, 1, contact] / np.maximum(
+        laws.params[contact, STIFFNESS], 1e-300
+    )
 
     offsets = np.array([round(d / h) for d in delays], dtype=np.int64)
     out = _blank(len(offsets), size, n, m)
     failures = _integrate(
-        size, per_sample, h, interval, t[0], _matrices(plant, h), laws, sources, x, v, z, offsets, out
+        size,
+        per_sample,
+        h,
+        interval,
+        t[0],
+        _matrices(plant, h),
+        laws,
+        sources,
+        x,
+        v,
+        z,
+        offsets,
+        out,
     )
     for o, offset in enumerate(offsets):
         for signal, first in zip(out, start, strict=True):
@@ -870,13 +1018,19 @@ def trajectories(
     if failures > 1e-3 * 2 * size * per_sample:
         raise ArithmeticError(f"{failures} stages did not converge")
     return [
-        _trajectory(model, plant, t, sources, offset * h, h, [signal[o] for signal in out])
+        _trajectory(
+            model, plant, t, sources, offset * h, h, [signal[o] for signal in out]
+        )
         for o, offset in enumerate(offsets)
     ]
 
 
 def _element_force(
-    e: dict[str, Any], across: Array, plant: _Plant, motion: tuple[Array, ...], currents: dict[str, Array]
+    e: dict[str, Any],
+    across: Array,
+    plant: _Plant,
+    motion: tuple[Array, ...],
+    currents: dict[str, Array],
 ) -> Array:
     """Force of a linear element (samples,) [N]."""
     x, v, a = motion
@@ -894,7 +1048,13 @@ def _element_force(
 
 
 def _trajectory(
-    model: Model, plant: _Plant, t: Array, sources: Sources, delay: float, h: float, signals: list[Array]
+    model: Model,
+    plant: _Plant,
+    t: Array,
+    sources: Sources,
+    delay: float,
+    h: float,
+    signals: list[Array],
 ) -> Trajectory:
     """Join the free and the moved nodes and evaluate the linear elements."""
     size, interval = len(t), float((t[-1] - t[0]) / (len(t) - 1))
@@ -904,26 +1064,39 @@ def _trajectory(
     coefficients = sources.motion[:, segment]
     moved = []
     for _ in range(3):
-        moved.append(np.einsum("pkc,kc->kp", coefficients, powers[:, : coefficients.shape[2]]))
+        moved.append(
+            np.einsum("pkc,kc->kp", coefficients, powers[:, : coefficients.shape[2]])
+        )
         coefficients = coefficients[:, :, 1:] * np.arange(1, coefficients.shape[2])
     *free, law_forces = signals
-    motion = tuple(np.concatenate(pair, axis=1) for pair in zip(free, moved, strict=True))
+    motion = tuple(
+        np.concatenate(pair, axis=1) for pair in zip(free, moved, strict=True)
+    )
     currents = {
         e["name"]: _actual_current(column, motor, h, since)
-        for (e, _), column, motor in zip(plant.motors, sources.current, sources.motor, strict=False)
+        for (e, _), column, motor in zip(
+            plant.motors, sources.current, sources.motor, strict=False
+        )
     }
-    forces = [(e, _element_force(e, across, plant, motion, currents)) for e, across in plant.linear]
+    forces = [
+        (e, _element_force(e, across, plant, motion, currents))
+        for e, across in plant.linear
+    ]
     forces += [(e, law_forces[:, i]) for i, (e, *_) in enumerate(plant.laws)]
     load = {"ground": np.zeros(size)}
     for node in plant.moved:
-        load[node] = model.get("masses", {}).get(node, 0.0) * (motion[2] @ plant.row(node))
+        load[node] = model.get("masses", {}).get(node, 0.0) * (
+            motion[2] @ plant.row(node)
+        )
     for e, force in forces:
         for node, sign in zip(e["between"], (1.0, -1.0), strict=True):
             if node in load:
                 load[node] = load[node] + sign * force
     nodes = plant.free + plant.moved + list(plant.tied)
     by_node = ({n: signal @ plant.row(n) for n in nodes} for signal in motion)
-    return Trajectory(t, *by_node, {e["name"]: f for e, f in forces if "name" in e}, load)
+    return Trajectory(
+        t, *by_node, {e["name"]: f for e, f in forces if "name" in e}, load
+    )
 
 
 def _actual_current(command: Array, motor: Array, h: float, since: Array) -> Array:
@@ -983,10 +1156,20 @@ def simulate(
     step: the longest step [s]. initial: node -> (displacement [m], velocity [m/s]) of free nodes, others at
     rest at zero. derivatives: input name -> (velocity, acceleration) of a displacement input.
     """
-    delay = {e["channel"]: e["delay"] for e in model["elements"] if e["type"] == "sensor_delay"}
+    delay = {
+        e["channel"]: e["delay"]
+        for e in model["elements"]
+        if e["type"] == "sensor_delay"
+    }
     delays = tuple(sorted({0.0, *delay.values()}))
     runs = trajectories(
-        model, time, inputs, step=step, initial=initial, derivatives=derivatives, delays=delays
+        model,
+        time,
+        inputs,
+        step=step,
+        initial=initial,
+        derivatives=derivatives,
+        delays=delays,
     )
     table = {}
     for output in model["outputs"]:
@@ -997,6 +1180,10 @@ def simulate(
                 y = y * e["gain"] if e["type"] == "sensor_gain" else y
                 y = y + e["bias"] if e["type"] == "sensor_bias" else y
                 y = np.abs(y) if e["type"] == "sensor_magnitude" else y
-                y = y - np.clip(y, -e["width"], e["width"]) if e["type"] == "sensor_dead_zone" else y
+                y = (
+                    y - np.clip(y, -e["width"], e["width"])
+                    if e["type"] == "sensor_dead_zone"
+                    else y
+                )
         table[name] = np.array(y)
     return table

@@ -42,4 +42,6 @@ for _name, _command in (
     ("reproduce", reproduce.command),
     ("warm", warm.command),
 ):
-    app.command(name=_name, cls=SeveralValuesCommand if _name == "diagnose" else FiniteCommand)(_command)
+    app.command(
+        name=_name, cls=SeveralValuesCommand if _name == "diagnose" else FiniteCommand
+    )(_command)

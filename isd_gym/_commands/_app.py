@@ -12,7 +12,16 @@ from .._common.errors import InputError
 
 #: commands by purpose, in the order of the help; commands without a group come last
 GROUPS = {
-    "Drive and score": ("score", "show", "card", "policies", "networks", "sweep", "ceiling", "reproduce"),
+    "Drive and score": (
+        "score",
+        "show",
+        "card",
+        "policies",
+        "networks",
+        "sweep",
+        "ceiling",
+        "reproduce",
+    ),
     "Train": ("train", "convert"),
     "Find missing physics": ("diagnose", "simulate"),
     "Data": ("inspect", "export"),
@@ -26,7 +35,9 @@ class CommandGroup(TyperGroup):
         texts = {}
         for name in self.list_commands(ctx):
             command = self.get_command(ctx, name)
-            texts[name] = " ".join((command.help or "" if command else "").split("\n\n")[0].split())
+            texts[name] = " ".join(
+                (command.help or "" if command else "").split("\n\n")[0].split()
+            )
         for title, names in GROUPS.items():
             rows = [(name, texts.pop(name)) for name in names if name in texts]
             if rows:
@@ -46,7 +57,9 @@ class FiniteCommand(TyperCommand):
             value = ctx.params.get(parameter.name)
             for x in value if isinstance(value, list | tuple) else (value,):
                 if isinstance(x, float) and not math.isfinite(x):
-                    raise InputError(f"{parameter.opts[0]} must be a finite number, not {x}")
+                    raise InputError(
+                        f"{parameter.opts[0]} must be a finite number, not {x}"
+                    )
         return left
 
 
@@ -54,7 +67,9 @@ class SeveralValuesCommand(FiniteCommand):
     """Command whose repeatable options also take several values at once: ``--validate a.csv b.csv``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        several = {o for p in self.params if getattr(p, "multiple", False) for o in p.opts}
+        several = {
+            o for p in self.params if getattr(p, "multiple", False) for o in p.opts
+        }
         out: list[str] = []
         option = ""
         for i, arg in enumerate(args):
@@ -64,7 +79,9 @@ class SeveralValuesCommand(FiniteCommand):
             name, joined, _ = arg.partition("=")
             if arg.startswith("-"):
                 option = name if name in several else ""
-                fresh = bool(option) and not joined  # the first value follows the option as typed
+                fresh = (
+                    bool(option) and not joined
+                )  # the first value follows the option as typed
             elif option:
                 if not fresh:
                     out.append(option)
@@ -89,7 +106,9 @@ def _version(asked: bool) -> None:
         from importlib.metadata import version
         from platform import platform, python_version
 
-        typer.echo(f"isd-gym {version('isd-gym')}, Python {python_version()}, {platform()}")
+        typer.echo(
+            f"isd-gym {version('isd-gym')}, Python {python_version()}, {platform()}"
+        )
         raise typer.Exit
 
 

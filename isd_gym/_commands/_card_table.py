@@ -10,7 +10,9 @@ from ._columns import print_columns
 from .console import printer
 
 
-def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> None:
+def print_track(
+    card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()
+) -> None:
     """Print a track, best first, and the comparisons of each submitted policy."""
     from rich.text import Text
 
@@ -27,11 +29,16 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
             return ""
         return f"{100 * q['change']:+.1f}{gap}[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
 
-    console.print(f"{card['environment']} of {card['date']}, {name}: change against passive [%]")
+    console.print(
+        f"{card['environment']} of {card['date']}, {name}: change against passive [%]"
+    )
     print_columns(
         {
             "": [f"{place:2}" for place in range(1, len(rows) + 1)],
-            "policy": [Text(plain(r["policy"], 40), style="bold" if r["submitted"] else "") for r in rows],
+            "policy": [
+                Text(plain(r["policy"], 40), style="bold" if r["submitted"] else "")
+                for r in rows
+            ],
         },
         {
             head: [f"{100 * r[key]['value']:.2f}" if key in r else "" for r in rows]
@@ -44,14 +51,22 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
         {
             "cost J": [f"{r['cost']['value']:.4f}" for r in rows],
             **(
-                {"regret": ["" if r["regret"] is None else f"{r['regret']:.4f}" for r in rows]}
+                {
+                    "regret": [
+                        "" if r["regret"] is None else f"{r['regret']:.4f}"
+                        for r in rows
+                    ]
+                }
                 if known
                 else {}
             ),
             "change of J": [change(r["cost"]) for r in rows],
         },
         {
-            head: [f"{100 * r[key]['change']:+.1f}" if "change" in r[key] else "" for r in rows]
+            head: [
+                f"{100 * r[key]['change']:+.1f}" if "change" in r[key] else ""
+                for r in rows
+            ]
             for head, key in (
                 ("accel-\neration", "body_acceleration_rms"),
                 ("travel", "suspension_travel_rms"),
@@ -60,7 +75,9 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
         },
     )
     if known:
-        console.print("Regret: J above the causal ceiling, the least J known for causal controllers.")
+        console.print(
+            "Regret: J above the causal ceiling, the least J known for causal controllers."
+        )
     for row in rows:
         for rival, q in row.get("against", {}).items():
             if "change" not in q:
@@ -71,7 +88,9 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
             )
 
 
-def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | None] | None:
+def _ceilings(
+    one: Mapping[str, Any],
+) -> Callable[[float], Mapping[str, Any] | None] | None:
     """Return a function from preview [s] to the causal ceiling of a track; None where no ceiling may stand beside the track."""
     from ..benchmark.ceilings import known_ceilings
     from ..benchmark.comparability import comparable

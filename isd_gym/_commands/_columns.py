@@ -40,7 +40,9 @@ def print_columns(names: Columns, *parts: Columns) -> None:
         if kept < len(columns):
             left.insert(0, dict(islice(columns.items(), kept, None)))
             columns = dict(islice(columns.items(), kept))
-        console.print(_table(names, columns), width=max(console.width, width(columns)), crop=False)
+        console.print(
+            _table(names, columns), width=max(console.width, width(columns)), crop=False
+        )
 
 
 def _table(names: Columns, columns: Columns) -> Table:
@@ -50,7 +52,9 @@ def _table(names: Columns, columns: Columns) -> Table:
 
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for head in (*names, *columns):
-        made.add_column(head, justify="left" if head in names else "right", no_wrap=True)
+        made.add_column(
+            head, justify="left" if head in names else "right", no_wrap=True
+        )
     for row in zip(*names.values(), *columns.values(), strict=True):
         made.add_row(*row)
     return made

@@ -29,7 +29,9 @@ def print_page(page: Path | ReportError, what: str) -> None:
     typer.echo(f"{what}: {page}", err=True)
 
 
-def print_diagnosis(result: Any, json_file: Path | None, page: Path | ReportError) -> None:
+def print_diagnosis(
+    result: Any, json_file: Path | None, page: Path | ReportError
+) -> None:
     """Print summary, clock lags and remaining errors of a diagnosis; write its JSON file."""
     from rich import box
     from rich.table import Table
@@ -40,15 +42,22 @@ def print_diagnosis(result: Any, json_file: Path | None, page: Path | ReportErro
     for lag in getattr(result, "lags", ()):
         console.print(plain(str(lag), 200))
     stages = [s for s in ("before", "refit", "after", "noise_floor") if s in result.gap]
-    console.print("\nRMS error on held-out data, relative to the measured signal's deviation:")
+    console.print(
+        "\nRMS error on held-out data, relative to the measured signal's deviation:"
+    )
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     made.add_column("channel", no_wrap=True)
     for stage in stages:
         made.add_column(stage.replace("_", " "), justify="right", no_wrap=True)
     for channel in result.gap["refit"]:
-        made.add_row(Text(plain(channel, 40)), *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages))
+        made.add_row(
+            Text(plain(channel, 40)),
+            *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages),
+        )
     console.print(made)
     if result.closed is not None and result.closed >= 0:
-        console.print(f"{100 * result.closed:.1f} % of the squared error beyond noise is removed.")
+        console.print(
+            f"{100 * result.closed:.1f} % of the squared error beyond noise is removed."
+        )
     write_json(json_file, result.to_dict())
     print_page(page, "report")

@@ -37,15 +37,20 @@ def main() -> None:
     except Exception as error:
         if stopped:  # an error of the compiler after its callback was interrupted
             code = 130
-        elif "cannot cache function" in str(error):  # installed read-only, and the user has no home
+        elif "cannot cache function" in str(
+            error
+        ):  # installed read-only, and the user has no home
             typer.echo(
                 "isd-gym: no folder for the compiled kernel: set NUMBA_CACHE_DIR to a writable folder",
                 err=True,
             )
             code = 2
-        elif type(error).__module__.startswith("yaml.") and os.path.exists(".numba_config.yaml"):
+        elif type(error).__module__.startswith("yaml.") and os.path.exists(
+            ".numba_config.yaml"
+        ):
             typer.echo(
-                "isd-gym: numba cannot read .numba_config.yaml in this folder: correct or remove it", err=True
+                "isd-gym: numba cannot read .numba_config.yaml in this folder: correct or remove it",
+                err=True,
             )
             code = 2
         elif hasattr(error, "format_message"):  # an error of the command line's parser
@@ -69,15 +74,21 @@ def _warn(
     if issubclass(category, TyreContactWarning):
         typer.echo(f"isd-gym: {message}", err=True)
     else:
-        (file or sys.stderr).write(warnings.formatwarning(message, category, filename, lineno, line))
+        (file or sys.stderr).write(
+            warnings.formatwarning(message, category, filename, lineno, line)
+        )
 
 
 def _broken(error: OSError) -> int:
     """Return the exit status for an error of the system, printed as one line. A closed pipe prints nothing."""
     if not isinstance(error, BrokenPipeError):
         name = f": '{error.filename}'" if error.filename else ""
-        typer.echo(f"isd-gym: {plain(f'{error.strerror or error}{name}', 400)}", err=True)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader of stdout has gone
+        typer.echo(
+            f"isd-gym: {plain(f'{error.strerror or error}{name}', 400)}", err=True
+        )
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+    )  # the reader of stdout has gone
     return 1
 
 
@@ -118,11 +129,17 @@ def _listen() -> list[int]:
 
 def _explain(error: Any) -> int:
     """Print the error of a command line in one line, or the help where no command was given."""
-    context, text = getattr(error, "ctx", None), " ".join(error.format_message().split())
+    context, text = (
+        getattr(error, "ctx", None),
+        " ".join(error.format_message().split()),
+    )
     if not sys.argv[1:]:
         error.show()
     else:
-        known = {c.name or getattr(c.callback, "__name__", "") for c in app.registered_commands}
+        known = {
+            c.name or getattr(c.callback, "__name__", "")
+            for c in app.registered_commands
+        }
         path = " ".join(["isd-gym", *(a for a in sys.argv[1:2] if a in known)])
         path = context.command_path if context is not None else path
         typer.echo(f"{path}: {plain(text, 400)} (see {path} --help)", err=True)

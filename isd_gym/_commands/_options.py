@@ -55,7 +55,8 @@ PoliciesArgument = Annotated[list[str], _POLICY]
 ModelArgument = Annotated[
     str,
     typer.Argument(
-        help="A model file (isd-model/1) or a built-in network.", autocompletion=complete(network_names)
+        help="A model file (isd-model/1) or a built-in network.",
+        autocompletion=complete(network_names),
     ),
 ]
 NetworkOption = Annotated[
@@ -75,7 +76,9 @@ RoadOption = Annotated[
     ),
 ]
 SpeedOption = Annotated[float, option("--speed", "Speed [m/s].", min=0.1)]
-DurationOption = Annotated[float, option("--duration", "Length of an episode [s].", min=0.005)]
+DurationOption = Annotated[
+    float, option("--duration", "Length of an episode [s].", min=0.005)
+]
 SeedOption = Annotated[
     int | None,
     option(
@@ -85,9 +88,14 @@ SeedOption = Annotated[
     ),
 ]
 PreviewOption = Annotated[
-    float | None, option("--preview", "Length of road ahead [s] that policies with preview see.", min=0.0)
+    float | None,
+    option(
+        "--preview", "Length of road ahead [s] that policies with preview see.", min=0.0
+    ),
 ]
-JsonOption = Annotated[Path | None, option("--json FILE", "Write the results to this file.")]
+JsonOption = Annotated[
+    Path | None, option("--json FILE", "Write the results to this file.")
+]
 TrainedOption = Annotated[
     str | None,
     option(
@@ -105,29 +113,49 @@ ColumnsOption = Annotated[
 ]
 RenameOption = Annotated[
     list[str] | None,
-    option("--rename COLUMN=CHANNEL", "Column of the files and the channel of the model. May be repeated."),
+    option(
+        "--rename COLUMN=CHANNEL",
+        "Column of the files and the channel of the model. May be repeated.",
+    ),
 ]
 UnitOption = Annotated[
     list[str] | None,
-    option("--unit CHANNEL=UNIT", "Unit of a channel, or of the time, in the files. May be repeated."),
+    option(
+        "--unit CHANNEL=UNIT",
+        "Unit of a channel, or of the time, in the files. May be repeated.",
+    ),
 ]
 SignOption = Annotated[
     list[str] | None,
-    option("--sign CHANNEL=-1", "Channel that is turned round in the files. May be repeated."),
+    option(
+        "--sign CHANNEL=-1",
+        "Channel that is turned round in the files. May be repeated.",
+    ),
 ]
 FileRateOption = Annotated[
-    float | None, option("--rate HZ", "Sampling rate of files without time stamps [Hz].")
+    float | None,
+    option("--rate HZ", "Sampling rate of files without time stamps [Hz]."),
 ]
 MapOption = Annotated[
     Path | None,
-    option("--map FILE", "File with the column of each channel, written by isd-gym inspect --out."),
+    option(
+        "--map FILE",
+        "File with the column of each channel, written by isd-gym inspect --out.",
+    ),
 ]
 ElementsOption = Annotated[
     list[Path] | None,
-    option("--elements FILE.py", "Python file that registers your own elements. The program runs the file."),
+    option(
+        "--elements FILE.py",
+        "Python file that registers your own elements. The program runs the file.",
+    ),
 ]
-JobsOption = Annotated[int, option("--jobs", "Number of processes on this machine.", min=1)]
-EngineOption = Annotated[str, option("--engine", "Where the work runs: local, or ray for a Ray cluster.")]
+JobsOption = Annotated[
+    int, option("--jobs", "Number of processes on this machine.", min=1)
+]
+EngineOption = Annotated[
+    str, option("--engine", "Where the work runs: local, or ray for a Ray cluster.")
+]
 
 
 def column_names(text: str | None) -> list[str] | None:
@@ -136,7 +164,9 @@ def column_names(text: str | None) -> list[str] | None:
         return None
     names = [name.strip() for name in text.split(",")]
     if "" in names:
-        raise InputError(f"--columns: name {names.index('') + 1} of {len(names)} is empty")
+        raise InputError(
+            f"--columns: name {names.index('') + 1} of {len(names)} is empty"
+        )
     if twice := next((n for n in names if names.count(n) > 1), None):
         raise InputError(f"--columns names {shown(twice)} twice")
     return names
@@ -158,11 +188,16 @@ def check_channels(names: Iterable[str], known: Iterable[str], option: str) -> N
     known = list(known)
     for name in names:
         if name not in known:
-            raise InputError(f"{option}: the model has no channel '{name}'; {hint(name, known)}")
+            raise InputError(
+                f"{option}: the model has no channel '{name}'; {hint(name, known)}"
+            )
 
 
 def read_names(
-    rename: list[str] | None, unit: list[str] | None, columns: str | None, sign: list[str] | None
+    rename: list[str] | None,
+    unit: list[str] | None,
+    columns: str | None,
+    sign: list[str] | None,
 ) -> dict[str, Any]:
     """Return the values of --rename, --unit, --columns and --sign by name of the argument of `records_of`."""
     return {
@@ -191,7 +226,9 @@ def channel_names(
     if map_file is None:
         return named | {"rate": rate}
     if rename or unit or sign:
-        raise InputError("--map replaces --rename, --unit and --sign: write their values into the map")
+        raise InputError(
+            "--map replaces --rename, --unit and --sign: write their values into the map"
+        )
     return {"by": ChannelMap.load(map_file), "columns": named["columns"], "rate": rate}
 
 

@@ -19,7 +19,11 @@ def _sentence(result: Any) -> str:
     q = best["cost"]
     if "change" not in q:
         return f"{plain(best['policy'], 40)} has the smallest cost."
-    interval = f" [{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]" if result.episodes > 1 else ""
+    interval = (
+        f" [{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
+        if result.episodes > 1
+        else ""
+    )
     return f"{plain(best['policy'], 40)}: J {100 * q['change']:+.1f} %{interval} against passive."
 
 
@@ -38,7 +42,9 @@ class _Table:
     def __init__(self, result: Any, *, is_narrow: bool) -> None:
         self.result, self.is_narrow = result, is_narrow
 
-    def changed(self, name: str, digits: int, scale: float = 1.0) -> Callable[[Any], str]:
+    def changed(
+        self, name: str, digits: int, scale: float = 1.0
+    ) -> Callable[[Any], str]:
         """Return the text of a quantity of a row with its change and interval."""
 
         def text(row: Any) -> str:
@@ -68,9 +74,16 @@ class _Table:
         }
 
         def share(name: str) -> Callable[[Any], str]:
-            return lambda row: "" if row[name] is None else f"{round(100 * row[name])} %"
+            return lambda row: (
+                "" if row[name] is None else f"{round(100 * row[name])} %"
+            )
 
-        told = {name for row in self.result.policies for name in heads if row.get(name) is not None}
+        told = {
+            name
+            for row in self.result.policies
+            for name in heads
+            if row.get(name) is not None
+        }
         return {head: share(name) for name, head in heads.items() if name in told}
 
     def motion(self) -> Part:
@@ -87,7 +100,9 @@ class _Table:
         return {
             "exceed-\nances": lambda row: str(sum(row["limit_violations"].values())),
             "fall-\nbacks": lambda row: str(row["fallbacks"]),
-            "processor ms\nper step": lambda row: f"{1e3 * row['control_time']['median']:.3f}",
+            "processor ms\nper step": lambda row: (
+                f"{1e3 * row['control_time']['median']:.3f}"
+            ),
             "\n99.9 %": lambda row: f"{1e3 * row['control_time']['p99_9']:.3f}",
         }
 
@@ -95,13 +110,21 @@ class _Table:
         from ..benchmark.scoring import corner_measures
 
         return [
-            {head: self.changed(name, digits, scale) for name, (head, digits, scale) in group.items()}
+            {
+                head: self.changed(name, digits, scale)
+                for name, (head, digits, scale) in group.items()
+            }
             for group in corner_measures(self.result.policies[0])
         ]
 
     def all(self) -> list[list[Part]]:
         """Return the parts of each table."""
-        main, motion, share, work = self.main(), self.motion(), self.shares(), self.work()
+        main, motion, share, work = (
+            self.main(),
+            self.motion(),
+            self.shares(),
+            self.work(),
+        )
         if self.is_narrow:
             return [[main], [motion], [share, work], self.corners()]
         return [[main, share], [motion, work], self.corners()]
@@ -109,8 +132,12 @@ class _Table:
 
 def _title(result: Any) -> str:
     ahead = sorted({row["preview"]["value"] for row in result.policies} - {0.0})
-    sight = f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
-    interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
+    sight = (
+        f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
+    )
+    interval = (
+        ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
+    )
     return (
         f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
         f"{result.drives}{sight}; RMS, change against passive{interval}"
@@ -125,14 +152,17 @@ def print_score(result: Any, *, full: bool) -> None:
     table = _Table(result, is_narrow=console.width < 106)
     console.print(_title(result))
     if result.model is not None:
-        factors = ", ".join(f"{plain(name)} x {factor:.4g}" for name, factor in result.shift.items())
+        factors = ", ".join(
+            f"{plain(name)} x {factor:.4g}" for name, factor in result.shift.items()
+        )
         console.print(
             f"controllers have the model {plain(result.model.name)}; vehicle against it: {factors or 'other elements'}"
         )
     names = {"policy": [Text(plain(row["policy"], 40)) for row in result.policies]}
     for parts in table.all() if full else [[table.main()]]:
         columns = (
-            {head: [say(row) for row in result.policies] for head, say in part.items()} for part in parts
+            {head: [say(row) for row in result.policies] for head, say in part.items()}
+            for part in parts
         )
         print_columns(names, *columns)
     if not full:

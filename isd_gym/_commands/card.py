@@ -18,7 +18,9 @@ from ._options import option
 def command(
     scores: Annotated[
         list[Path] | None,
-        typer.Argument(help="Scores to compare with the card: files of isd-gym score --json."),
+        typer.Argument(
+            help="Scores to compare with the card: files of isd-gym score --json."
+        ),
     ] = None,
     card: Annotated[
         str | None,
@@ -30,7 +32,8 @@ def command(
     write: Annotated[
         Path | None,
         option(
-            "--write FILE", "Write a card of the scores instead, one track per score, named after its file."
+            "--write FILE",
+            "Write a card of the scores instead, one track per score, named after its file.",
         ),
     ] = None,
 ) -> None:
@@ -54,19 +57,27 @@ def command(
             cards.track(score, path.stem, _command(score))
             for score, path in zip(found, scores or (), strict=True)
         ]
-        made = cards.make(_environment(found), tracks, datetime.date.today().isoformat())
+        made = cards.make(
+            _environment(found), tracks, datetime.date.today().isoformat()
+        )
         write_text(write, json.dumps(made) + "\n")
         typer.echo(
             f"{len(tracks)} track{'' if len(tracks) == 1 else 's'} in {write}, digest {made['digest'][:16]}"
         )
         return
     own = _environment(found) if card is None else card
-    held = cards.load(own if card is not None or own in cards.built_in() else "ISDSuspension-v0")
+    held = cards.load(
+        own if card is not None or own in cards.built_in() else "ISDSuspension-v0"
+    )
     names = [cards.match(score, held)["track"] for score in found]
     for one in held["tracks"]:
         if names and one["track"] not in names:
             continue
-        print_track(held, one["track"], [s for s, n in zip(found, names, strict=True) if n == one["track"]])
+        print_track(
+            held,
+            one["track"],
+            [s for s, n in zip(found, names, strict=True) if n == one["track"]],
+        )
 
 
 def _environment(scores: list[dict[str, Any]]) -> str:
@@ -78,7 +89,9 @@ def _environment(scores: list[dict[str, Any]]) -> str:
 
     names = dict.fromkeys(str(score.get("network")) for score in scores)
     if len(names) > 1:
-        raise InputError(f"the scores are of different cars: {', '.join(map(plain, names))}")
+        raise InputError(
+            f"the scores are of different cars: {', '.join(map(plain, names))}"
+        )
     known = {track.network: track.card for track in TRACKS.values()}
     known |= {network: name for name, network in ENVIRONMENTS.items()}
     return known.get(next(iter(names), ""), "ISDSuspension-v0")

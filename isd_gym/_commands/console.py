@@ -36,7 +36,9 @@ def printer() -> Any:
     """Return a console on stdout with word wrap at the width of the terminal, or at `PIPED` characters."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else PIPED, highlight=False, markup=False)
+    return Console(
+        width=None if sys.stdout.isatty() else PIPED, highlight=False, markup=False
+    )
 
 
 def tell(text: str) -> None:
@@ -63,7 +65,10 @@ def lines() -> Iterator[Callable[[str], None]]:
 
         def say(line: str) -> None:
             console.print(
-                f"{time.monotonic() - begun:6.1f} s  {line}", style="dim", highlight=False, markup=False
+                f"{time.monotonic() - begun:6.1f} s  {line}",
+                style="dim",
+                highlight=False,
+                markup=False,
             )
             status.update("working")
 
@@ -82,7 +87,11 @@ def _seldom() -> Iterator[Callable[[str], None]]:
     def tell_now_and_then() -> None:
         while not ended.wait(SELDOM):
             try:
-                print(f"{time.monotonic() - begun:.0f} s: {latest[0].strip()}", file=sys.stderr, flush=True)
+                print(
+                    f"{time.monotonic() - begun:.0f} s: {latest[0].strip()}",
+                    file=sys.stderr,
+                    flush=True,
+                )
             except (OSError, ValueError):  # closed meanwhile
                 return
 
@@ -164,7 +173,13 @@ def counted(what: str) -> Iterator[Callable[[int, int], None]]:
     import time
 
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+    )
 
     begun = told = time.monotonic()
     if not sys.stderr.isatty():

@@ -13,7 +13,9 @@ from ._options import TrainedOption, option
 def command(
     archive: Annotated[
         Path,
-        typer.Argument(help="A .zip saved by Stable-Baselines3, or a policy folder to check and copy."),
+        typer.Argument(
+            help="A .zip saved by Stable-Baselines3, or a policy folder to check and copy."
+        ),
     ],
     out: Annotated[Path, option("--out DIR", "Folder for the policy.")],
     normalize: Annotated[
@@ -24,7 +26,9 @@ def command(
         ),
     ] = None,
     trained_with: TrainedOption = None,
-    network: Annotated[str, option("--network", "The network it was trained on.")] = "quarter-car-isd",
+    network: Annotated[
+        str, option("--network", "The network it was trained on.")
+    ] = "quarter-car-isd",
 ) -> None:
     """Turn a Stable-Baselines3 PPO, A2C, SAC, TD3, DDPG or TQC archive into a policy folder.
 
@@ -34,12 +38,17 @@ def command(
     from ..agents.policy import Policy
 
     if archive.suffix.lower() == ".zip":
-        given: dict[str, Any] = dict(trained_options(trained_with) if trained_with else {})
+        given: dict[str, Any] = dict(
+            trained_options(trained_with) if trained_with else {}
+        )
         if normalize is not None:
             given["normalize"] = normalize
         policy = convert(archive, network=network, **given)
         if "normalisation" in policy.info and "normalize" not in given:
-            typer.echo(f"{archive}: normalised by '{policy.info['normalisation']}' beside it", err=True)
+            typer.echo(
+                f"{archive}: normalised by '{policy.info['normalisation']}' beside it",
+                err=True,
+            )
     else:
         policy = Policy.load(archive)
     typer.echo(f"policy in '{policy.save(out)}'")

@@ -96,10 +96,16 @@ TimeLimitOption = Annotated[
     ),
 ]
 LagOption = Annotated[
-    float, option("--max-lag", "Largest offset between the clocks of two loggers [s].", min=0.0)
+    float,
+    option(
+        "--max-lag", "Largest offset between the clocks of two loggers [s].", min=0.0
+    ),
 ]
 ThreadsOption = Annotated[
-    int, option("--jobs", "Number of threads. The result is the same for any number.", min=1)
+    int,
+    option(
+        "--jobs", "Number of threads. The result is the same for any number.", min=1
+    ),
 ]
 
 
@@ -121,7 +127,10 @@ def command(
     max_seconds: TimeLimitOption = None,
     max_lag: LagOption = 0.5,
     jobs: ThreadsOption = 2,
-    seed: Annotated[int, option("--seed", "Seed of the bootstrap that gives the probabilities.", min=0)] = 0,
+    seed: Annotated[
+        int,
+        option("--seed", "Seed of the bootstrap that gives the probabilities.", min=0),
+    ] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Find where a model and measurements disagree, and which physical effect is missing.
@@ -146,7 +155,9 @@ def command(
     if len(data) == 1 and data[0].is_dir():
         data, validate, model = _files_of_case(data[0], validate, model)
     if model is None:
-        raise InputError("--model is missing: name the model to compare the records with")
+        raise InputError(
+            "--model is missing: name the model to compare the records with"
+        )
     shares = _shares(uncertain)
     check_records(data, validate)
     about = {"Model": model, "Data": ", ".join(map(str, data))}
@@ -158,10 +169,19 @@ def command(
         network = options["by"].measured(network)
     check_target(out)
     with lines() as say, _time_limit(max_seconds, begun):
-        fitted, held = (_read_records(files, network, cut, options) for files in (data, validate))
+        fitted, held = (
+            _read_records(files, network, cut, options) for files in (data, validate)
+        )
         settings = SearchSettings(max_lag=max_lag, jobs=jobs, max_seconds=max_seconds)
         result = diagnose(
-            fitted, network, validate=held, accept=accept, progress=say, seed=seed, cut=cut, settings=settings
+            fitted,
+            network,
+            validate=held,
+            accept=accept,
+            progress=say,
+            seed=seed,
+            cut=cut,
+            settings=settings,
         )
         say("writing the report")
         page = write_result(result, out, about | {"Seed": str(seed)})
@@ -178,12 +198,16 @@ def _files_of_case(
     held = [p for p in records if p.name.startswith("validation")]
     fitted = [p for p in records if p not in held]
     if not fitted:
-        raise InputError(f"{folder}: holds no records to fit (tables: {' '.join(suffixes())})")
+        raise InputError(
+            f"{folder}: holds no records to fit (tables: {' '.join(suffixes())})"
+        )
     own = folder / "model.json"
     return fitted, validate or held, model or (str(own) if own.is_file() else None)
 
 
-def _load_network(model: str, elements: list[Path] | None, uncertainty: dict[str, float]) -> Network:
+def _load_network(
+    model: str, elements: list[Path] | None, uncertainty: dict[str, float]
+) -> Network:
     """Return the nominal model with the elements of --elements and the uncertainty of --uncertain."""
     from ..physics.elements import register_file
     from ..physics.network import Network
@@ -191,7 +215,11 @@ def _load_network(model: str, elements: list[Path] | None, uncertainty: dict[str
     for file in elements or ():
         register_file(file)
     network = Network.load(model)
-    return replace(network, uncertainty={**network.uncertainty, **uncertainty}) if uncertainty else network
+    return (
+        replace(network, uncertainty={**network.uncertainty, **uncertainty})
+        if uncertainty
+        else network
+    )
 
 
 def _read_records(
@@ -203,16 +231,24 @@ def _read_records(
 
     part = network if cut is None else cut_at(network, cut)
     wanted = (*part.inputs, *part.outputs)
-    return [record for file in files for record in records_of(file, network, wanted, **options)]
+    return [
+        record
+        for file in files
+        for record in records_of(file, network, wanted, **options)
+    ]
 
 
-def _time_limit(max_seconds: float | None, begun: float) -> AbstractContextManager[object]:
+def _time_limit(
+    max_seconds: float | None, begun: float
+) -> AbstractContextManager[object]:
     """Return the context of --max-seconds, without the time that is kept for the report."""
     from ..diagnosis._simulation.time_limit import TimeLimit
 
     if max_seconds is None:
         return nullcontext()
-    return TimeLimit(max_seconds - REPORT * min(max_seconds, 15.0), monotonic, begun).until(inf)
+    return TimeLimit(
+        max_seconds - REPORT * min(max_seconds, 15.0), monotonic, begun
+    ).until(inf)
 
 
 def _shares(uncertain: list[str] | None) -> dict[str, float]:
@@ -220,9 +256,15 @@ def _shares(uncertain: list[str] | None) -> dict[str, float]:
     out = {}
     for name, text in pairs(uncertain, "--uncertain", "PARAMETER=SHARE").items():
         try:
-            out[name] = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+            out[name] = float(text.removesuffix("%")) * (
+                0.01 if text.endswith("%") else 1.0
+            )
         except ValueError:
-            raise InputError(f"--uncertain {name}: wants a share such as 0.05, not {shown(text)}") from None
+            raise InputError(
+                f"--uncertain {name}: wants a share such as 0.05, not {shown(text)}"
+            ) from None
         if not 0.0 <= out[name] <= 1.0:
-            raise InputError(f"--uncertain {name}: wants a share from 0 to 1 (0.05 or 5%), not {shown(text)}")
+            raise InputError(
+                f"--uncertain {name}: wants a share from 0 to 1 (0.05 or 5%), not {shown(text)}"
+            )
     return out

@@ -14,8 +14,15 @@ from .console import tell
 
 def command(
     model: ModelArgument,
-    fmu: Annotated[Path, typer.Option("--fmu", help="File to write. The name ends in .fmu.", metavar="FILE")],
-    step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
+    fmu: Annotated[
+        Path,
+        typer.Option(
+            "--fmu", help="File to write. The name ends in .fmu.", metavar="FILE"
+        ),
+    ],
+    step: Annotated[
+        float, typer.Option(help="Largest physics step [s].", min=1e-6)
+    ] = 1e-3,
 ) -> None:
     """Export a model as an FMU for co-simulation (FMI 2.0).
 

@@ -26,16 +26,26 @@ from .console import check_file, terminal_columns, write_json
 FilesArgument = Annotated[
     list[Path],
     typer.Argument(
-        help="Files of one run, one per logger: CSV, Excel, Parquet, .mat, .mf4, .tdms.", metavar="FILE..."
+        help="Files of one run, one per logger: CSV, Excel, Parquet, .mat, .mf4, .tdms.",
+        metavar="FILE...",
     ),
 ]
 ChannelModelOption = Annotated[
-    str | None, option("--model", "Model with the channels to find: a model file or a built-in network.")
+    str | None,
+    option(
+        "--model",
+        "Model with the channels to find: a model file or a built-in network.",
+    ),
 ]
 MapTargetOption = Annotated[
-    Path | None, option("--out FILE", "Write the column found for each channel to this file, for --map.")
+    Path | None,
+    option(
+        "--out FILE", "Write the column found for each channel to this file, for --map."
+    ),
 ]
-PageOption = Annotated[Path | None, option("--html FILE", "Write a page with a picture of every column.")]
+PageOption = Annotated[
+    Path | None, option("--html FILE", "Write a page with a picture of every column.")
+]
 ColumnUnitOption = Annotated[
     list[str] | None, option("--unit COLUMN=UNIT", "Unit of a column. May be repeated.")
 ]
@@ -50,7 +60,9 @@ def command(
     unit: ColumnUnitOption = None,
     sign: SignOption = None,
     map_file: MapOption = None,
-    stamps: Annotated[str | None, option("--stamps COLUMN", "Column with the time.")] = None,
+    stamps: Annotated[
+        str | None, option("--stamps COLUMN", "Column with the time.")
+    ] = None,
     columns: ColumnsOption = None,
     rate: FileRateOption = None,
     json_file: JsonOption = None,
@@ -73,7 +85,9 @@ def command(
     for target in (out, html, json_file):
         check_file(target, model, *files)
     if out is not None and model is None:
-        raise InputError("--out wants --model: it writes the column of each of the model's channels")
+        raise InputError(
+            "--out wants --model: it writes the column of each of the model's channels"
+        )
     given: dict[str, str] = {}
     for word in unit or []:
         name, joined, value = word.rpartition("=")
@@ -87,23 +101,33 @@ def command(
     turned, by = signs_of(sign), None
     renamed = pairs(rename, "--rename", "COLUMN=CHANNEL")
     if (turned or renamed or map_file) and network is None:
-        raise InputError("--rename, --sign and --map want --model: they are about its channels")
+        raise InputError(
+            "--rename, --sign and --map want --model: they are about its channels"
+        )
     if network is not None:
         known = [c.name for c in (*network.inputs, *network.outputs)]
         check_channels(renamed.values(), ["time", *known], "--rename")
         check_channels(turned, known, "--sign")
         if map_file is not None and (renamed or turned):
-            raise InputError("--map replaces --rename and --sign: write their values into the map")
+            raise InputError(
+                "--map replaces --rename and --sign: write their values into the map"
+            )
         if map_file is not None:
             by = ChannelMap.load(map_file)
             by.check(network)
             turned = {name: column.sign for name, column in by.channels.items()}
         elif renamed:
-            stamps = stamps or next((c for c, name in renamed.items() if name == "time"), None)
-            by = ChannelMap(
-                {name: Column(c) for c, name in renamed.items() if name != "time"}, source="--rename"
+            stamps = stamps or next(
+                (c for c, name in renamed.items() if name == "time"), None
             )
-            given = {next((c for c, n in renamed.items() if n == k), k): u for k, u in given.items()}
+            by = ChannelMap(
+                {name: Column(c) for c, name in renamed.items() if name != "time"},
+                source="--rename",
+            )
+            given = {
+                next((c for c, n in renamed.items() if n == k), k): u
+                for k, u in given.items()
+            }
     found = inspect(
         files,
         network,
@@ -124,4 +148,7 @@ def command(
         made = found.suggestion
         save_map(found.map(str(model)), out)
         doubt = [n for n, (_, sure) in made.channels.items() if sure < 0.9]
-        typer.echo(f"map: {out}" + (f" (look at {', '.join(doubt)})" if doubt else ""), err=True)
+        typer.echo(
+            f"map: {out}" + (f" (look at {', '.join(doubt)})" if doubt else ""),
+            err=True,
+        )

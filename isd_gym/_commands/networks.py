@@ -20,9 +20,15 @@ def command(
             autocompletion=complete(network_names),
         ),
     ] = None,
-    draw: Annotated[Path | None, option("--draw FILE", "Draw the network to this file (.svg).")] = None,
+    draw: Annotated[
+        Path | None, option("--draw FILE", "Draw the network to this file (.svg).")
+    ] = None,
     elements: Annotated[
-        bool, option("--elements", "List the element types: law, parameters with units, and options.")
+        bool,
+        option(
+            "--elements",
+            "List the element types: law, parameters with units, and options.",
+        ),
     ] = False,
 ) -> None:
     """List the built-in networks, print one as a start for your own, or draw one.
@@ -41,7 +47,9 @@ def command(
         from ..view.report.schematic import draw as sketch
 
         if name is None:
-            raise InputError("--draw wants a network: isd-gym networks NAME --draw FILE")
+            raise InputError(
+                "--draw wants a network: isd-gym networks NAME --draw FILE"
+            )
         check_file(draw, name)
         check_suffix(draw)
         sketch(Network.load(name)).save(draw)
@@ -50,7 +58,9 @@ def command(
     if name is not None:
         typer.echo(Network.load(name).dumps(), nl=False)
         return
-    print_names({built: Network.load(built).description for built in builtin_networks()})
+    print_names(
+        {built: Network.load(built).description for built in builtin_networks()}
+    )
 
 
 def _element_types() -> dict[str, str]:
@@ -59,7 +69,11 @@ def _element_types() -> dict[str, str]:
 
     out = {}
     for name, kind in TYPES.items():
-        parameters = [f"{f.name} [{f.metadata['unit']}]" for f in parameter_fields(kind)]
-        options = [f"{key} ({' or '.join(allowed)})" for key, allowed in kind.choices.items()]
+        parameters = [
+            f"{f.name} [{f.metadata['unit']}]" for f in parameter_fields(kind)
+        ]
+        options = [
+            f"{key} ({' or '.join(allowed)})" for key, allowed in kind.choices.items()
+        ]
         out[name] = f"{kind.equation}; {', '.join([*parameters, *options])}"
     return out

@@ -13,12 +13,19 @@ import typer
 
 
 def command(
-    out: Annotated[Path, typer.Option("--out", help="Folder of the page and its figures.", metavar="DIR")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", help="Folder of the page and its figures.", metavar="DIR"
+        ),
+    ],
     quick: Annotated[
-        bool, typer.Option("--quick", help="Few and short episodes: a look in a minute.")
+        bool,
+        typer.Option("--quick", help="Few and short episodes: a look in a minute."),
     ] = False,
     json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
+        Path | None,
+        typer.Option("--json", help="Write the figures to this file.", metavar="FILE"),
     ] = None,
 ) -> None:
     """Compare every table and figure of the paper with computed values, and list the claims that hold.
@@ -60,7 +67,9 @@ def show(result: dict[str, Any]) -> None:
                      show_lines=table["section"] == "The claims")  # fmt: skip
         words = max((len(c) for row in table["rows"] for c in row), default=0) > 40
         for i, head in enumerate(table["heads"]):
-            shown.add_column(head, justify="left" if i == 0 or words else "right", overflow="fold")
+            shown.add_column(
+                head, justify="left" if i == 0 or words else "right", overflow="fold"
+            )
         for row in table["rows"]:
             shown.add_row(*row)
         console.print(shown)

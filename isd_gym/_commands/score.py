@@ -27,7 +27,8 @@ from ._score_table import print_score
 from .console import check_file, progress, warm_up, write_json
 
 EpisodesOption = Annotated[
-    int, option("--episodes", "Number of roads. All policies drive the same roads.", min=1)
+    int,
+    option("--episodes", "Number of roads. All policies drive the same roads.", min=1),
 ]
 CardOption = Annotated[
     str | None,
@@ -44,7 +45,8 @@ SensorsOption = Annotated[
     ),
 ]
 ControllerModelOption = Annotated[
-    str | None, option("--model", "Model of the controllers. Default: the vehicle itself.")
+    str | None,
+    option("--model", "Model of the controllers. Default: the vehicle itself."),
 ]
 TrackOption = Annotated[
     str | None,
@@ -70,7 +72,11 @@ def _refuse_conditions(context: typer.Context) -> None:
     """Raise `InputError` for options beside --track that the track sets."""
     named = context.get_parameter_source("track")
     conditions = [p for p in context.command.params if p.name in SET_BY_TRACK]
-    given = [p.opts[0] for p in conditions if context.get_parameter_source(str(p.name)) == named]
+    given = [
+        p.opts[0]
+        for p in conditions
+        if context.get_parameter_source(str(p.name)) == named
+    ]
     if given:
         raise InputError(f"--track sets {', '.join(given)}; leave out one or the other")
 
@@ -91,11 +97,14 @@ def command(
     network: NetworkOption = "quarter-car-isd",
     model: ControllerModelOption = None,
     point: PointOption = None,
-    report: Annotated[Path | None, option("--report DIR", "Write a page with plots to this folder.")] = None,
+    report: Annotated[
+        Path | None, option("--report DIR", "Write a page with plots to this folder.")
+    ] = None,
     trained_with: TrainedOption = None,
     json_file: JsonOption = None,
     full: Annotated[
-        bool, option("--full", "Print every table, and the bounds and published figures.")
+        bool,
+        option("--full", "Print every table, and the bounds and published figures."),
     ] = False,
 ) -> None:
     """Score policies on the same roads and compare them with the conventional passive car.
@@ -134,10 +143,16 @@ def command(
         check_report(report)
     plant = Network.load(network)
     check_size(vehicle(plant), episodes, duration)
-    ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
+    ground = (
+        find_road(road)
+        if map_file is None
+        else road_of(road, plant, ChannelMap.load(map_file))
+    )
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
-    entries = find_all(policies, plant, model=belief, speed=speed, trained=trained_with, **ahead)
+    entries = find_all(
+        policies, plant, model=belief, speed=speed, trained=trained_with, **ahead
+    )
     if chosen is not None:
         chosen.check(entries)
     drives: dict[str, Any] = {

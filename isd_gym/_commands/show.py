@@ -24,14 +24,21 @@ LONGEST = 3600.0  # duration of a drive [s]
 
 def command(
     policy: PolicyArgument,
-    against: Annotated[str | None, option("--against POLICY", "Second policy, on the same road.")] = None,
+    against: Annotated[
+        str | None, option("--against POLICY", "Second policy, on the same road.")
+    ] = None,
     out: Annotated[
-        Path | None, option("--out FILE", "Write a film (.mp4) instead of opening a window.")
+        Path | None,
+        option("--out FILE", "Write a film (.mp4) instead of opening a window."),
     ] = None,
     road: RoadOption = "paper",
     speed: SpeedOption = 20.0,
-    seconds: Annotated[float, option("--seconds", "Length of the drive [s].", min=0.1)] = 10.0,
-    seed: Annotated[int, option("--seed", "Seed of the road, as in reset(seed=).", min=0)] = 0,
+    seconds: Annotated[
+        float, option("--seconds", "Length of the drive [s].", min=0.1)
+    ] = 10.0,
+    seed: Annotated[
+        int, option("--seed", "Seed of the road, as in reset(seed=).", min=0)
+    ] = 0,
     preview: PreviewOption = None,
     network: NetworkOption = "quarter-car-isd",
     trained_with: TrainedOption = None,
@@ -49,14 +56,21 @@ def command(
 
     check_file(out)
     if seconds > LONGEST:
-        raise InputError(f"--seconds: a drive that is shown lasts at most {LONGEST:g} s, not {seconds:g}")
+        raise InputError(
+            f"--seconds: a drive that is shown lasts at most {LONGEST:g} s, not {seconds:g}"
+        )
     if out is not None and out.suffix.lower() != ".mp4":
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4")
     plant = Network.load(network)
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     names = [name for name in (policy, against) if name is not None]
     entries = find_all(names, plant, speed=speed, trained=trained_with, **ahead)
-    drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
+    drive: dict[str, Any] = {
+        "road": find_road(road),
+        "speed": speed,
+        "seconds": seconds,
+        "seed": seed,
+    }
     if out is None:
         check_window()
         with progress() as update:
@@ -65,5 +79,11 @@ def command(
         return
     with progress() as update:
         warm_up(update)
-        film(entries, plant, out, progress=lambda share: update("filming", share), **drive)
+        film(
+            entries,
+            plant,
+            out,
+            progress=lambda share: update("filming", share),
+            **drive,
+        )
     typer.echo(f"{seconds:g} s of {' and '.join(e.name for e in entries)} in {out}")

@@ -39,7 +39,10 @@ def command(
             "several loggers by +: a.csv+b.mf4."
         ),
     ],
-    out: Annotated[Path | None, option("--out FILE", "File to write. The suffix selects the format.")] = None,
+    out: Annotated[
+        Path | None,
+        option("--out FILE", "File to write. The suffix selects the format."),
+    ] = None,
     compare: Annotated[
         bool,
         option(
@@ -56,7 +59,9 @@ def command(
             "squared error beyond noise that MODEL removes: how far a model found on another rig transfers.",
         ),
     ] = None,
-    step: Annotated[float, option("--step", "Largest physics step [s].", min=1e-6)] = 1e-3,
+    step: Annotated[
+        float, option("--step", "Largest physics step [s].", min=1e-6)
+    ] = 1e-3,
     rename: RenameOption = None,
     unit: UnitOption = None,
     sign: SignOption = None,
@@ -100,7 +105,9 @@ def command(
     named = channel_names(network, rename, unit, map_file, columns, sign, rate)
     if compare:
         if out or initial:
-            raise InputError("--compare writes no simulation: leave out --out and --initial")
+            raise InputError(
+                "--compare writes no simulation: leave out --out and --initial"
+            )
         other = Network.load(against) if against else None
         # a completed model has the name of its nominal model
         if other and against and other.name == network.name:
@@ -110,17 +117,28 @@ def command(
     if against:
         raise InputError("--against goes with --compare")
     if out is None:
-        raise InputError("--out FILE is missing: name the file to write, or give --compare")
+        raise InputError(
+            "--out FILE is missing: name the file to write, or give --compare"
+        )
     if len(data) > 1 or json_file:
-        raise InputError("one DATA with --out; several DATA and --json go with --compare")
+        raise InputError(
+            "one DATA with --out; several DATA and --json go with --compare"
+        )
     _write(network, model, data[0], out, step, named, rate, initial, interpolation)
 
 
 def _compare(
-    network: Network, data: list[Path], named: dict[str, Any], json_file: Path | None, against: Network | None
+    network: Network,
+    data: list[Path],
+    named: dict[str, Any],
+    json_file: Path | None,
+    against: Network | None,
 ) -> None:
     """Print the errors of a model, and of the model to compare with, on records; write them to the file of --json."""
-    from ..diagnosis.simulation._prediction_errors import prediction_errors, removed_share
+    from ..diagnosis.simulation._prediction_errors import (
+        prediction_errors,
+        removed_share,
+    )
     from ..records.loggers.record_reading import records_of
 
     check_records(data, [])
@@ -128,7 +146,9 @@ def _compare(
         network = named["by"].measured(network)
         against = named["by"].measured(against) if against else None
     wanted = (*network.inputs, *network.outputs)
-    if against and {c.name for c in (*against.inputs, *against.outputs)} != {c.name for c in wanted}:
+    if against and {c.name for c in (*against.inputs, *against.outputs)} != {
+        c.name for c in wanted
+    }:
         raise InputError(
             f"models '{shown(network.name)}' and '{shown(against.name)}' need the same inputs and the same outputs"
         )
@@ -142,7 +162,11 @@ def _compare(
         return
     # the order of the channels may differ between the models
     against = replace(
-        against, outputs=tuple(next(c for c in against.outputs if c.name == o.name) for o in network.outputs)
+        against,
+        outputs=tuple(
+            next(c for c in against.outputs if c.name == o.name)
+            for o in network.outputs
+        ),
     )
     other = prediction_errors(records, against)
     for errors in (other, found):
@@ -158,7 +182,9 @@ def _compare(
         else:
             told = f"'{mine}' removes {100 * share:.0f} % of the squared error of '{theirs}' beyond noise in {name}."
         typer.echo(told)
-    write_json(json_file, {**found.to_dict(), "against": other.to_dict(), "removed": removed})
+    write_json(
+        json_file, {**found.to_dict(), "against": other.to_dict(), "removed": removed}
+    )
 
 
 def _print_errors(found: PredictionErrors) -> None:
@@ -215,14 +241,26 @@ def _write(
     by = named.get("by")
     fitted = initial == ["fit"]
     if initial and "fit" in initial and not fitted:
-        raise InputError("--initial fit finds the motion of every node: leave out the other --initial values")
-    measured = outputs_of(data, network, by, named.get("rename"), named["columns"], rate) if fitted else []
-    wanted = (*network.inputs, *network.with_outputs(measured).outputs) if fitted else network.inputs
+        raise InputError(
+            "--initial fit finds the motion of every node: leave out the other --initial values"
+        )
+    measured = (
+        outputs_of(data, network, by, named.get("rename"), named["columns"], rate)
+        if fitted
+        else []
+    )
+    wanted = (
+        (*network.inputs, *network.with_outputs(measured).outputs)
+        if fitted
+        else network.inputs
+    )
     pieces = records_of(data, network, wanted, **named)
     if len(pieces) > 1:
         notes = getattr(pieces[0], "notes", ())
         if not notes:
-            raise InputError(f"{data}: holds {len(pieces)} runs side by side: simulate a file of each")
+            raise InputError(
+                f"{data}: holds {len(pieces)} runs side by side: simulate a file of each"
+            )
         raise InputError(
             f"{data}: there are gaps in time ({notes[0]}): cut the file there and simulate each piece"
         )
@@ -242,13 +280,20 @@ def _write(
         for note in notes:
             typer.echo(note, err=True)
     si = {
-        c.name: convert(np.asarray(table[c.name]), table.units.get(c.name) or c.unit, c.si)
+        c.name: convert(
+            np.asarray(table[c.name]), table.units.get(c.name) or c.unit, c.si
+        )
         for c in network.inputs
     }
     if fitted and start is not None:
         motions = motions_at(network, start, si, table.step)
-        text = "; ".join(f"{n} {m['displacement']:.4g}, {m['velocity']:.4g}/s" for n, m in motions.items())
-        typer.echo(f"initial state fitted to {', '.join(measured)}, in SI: {text}", err=True)
+        text = "; ".join(
+            f"{n} {m['displacement']:.4g}, {m['velocity']:.4g}/s"
+            for n, m in motions.items()
+        )
+        typer.echo(
+            f"initial state fitted to {', '.join(measured)}, in SI: {text}", err=True
+        )
     elif initial:
         start = state_of(network, motions_of(initial), si, table.step)
     outputs = run(
@@ -266,5 +311,7 @@ def _write(
                 f"the model's output {shown(name)} is not finite from {at:g} s on: nothing is written"
             )
     units = {c.name: c.unit for c in network.outputs}
-    write_table(out, Table(time=table.time, columns=outputs, source=network.name, units=units))
+    write_table(
+        out, Table(time=table.time, columns=outputs, source=network.name, units=units)
+    )
     tell(f"{len(table.time)} samples of {', '.join(outputs)} in {out}")

@@ -24,20 +24,26 @@ def command(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", help="Folder of the results. Finished items in the folder are kept.", metavar="DIR"
+            "--out",
+            help="Folder of the results. Finished items in the folder are kept.",
+            metavar="DIR",
         ),
     ],
     jobs: JobsOption = 1,
     which: Annotated[
         str | None,
         typer.Option(
-            "--shard", help="Run every N-th item only: 0/8 ... 7/8 in an array of 8 jobs.", metavar="I/N"
+            "--shard",
+            help="Run every N-th item only: 0/8 ... 7/8 in an array of 8 jobs.",
+            metavar="I/N",
         ),
     ] = None,
     engine: EngineOption = "local",
     address: Annotated[
         str | None,
-        typer.Option("--address", help="Address of the Ray cluster. Default: this machine."),
+        typer.Option(
+            "--address", help="Address of the Ray cluster. Default: this machine."
+        ),
     ] = None,
 ) -> None:
     """Drive policies through a grid of conditions, on many cores or machines.
@@ -82,13 +88,19 @@ def _print(merged: Mapping[str, Any]) -> None:
     names, lines = rows(merged)
     console = printer()
     # in a narrow console the interval goes on the line below
-    room = 34 + sum(max((len(line[k + 1]) for line in lines), default=0) + 4 for k in range(len(names)))
+    room = 34 + sum(
+        max((len(line[k + 1]) for line in lines), default=0) + 4
+        for k in range(len(names))
+    )
     gap = " [" if room <= console.width else "\n["
     if lines:
         console.print("change of J against passive [%]")
         print_columns(
             {"condition": [Text(plain(line[0], 60)) for line in lines]},
-            {plain(name): [line[k].replace(" [", gap) for line in lines] for k, name in enumerate(names, 1)},
+            {
+                plain(name): [line[k].replace(" [", gap) for line in lines]
+                for k, name in enumerate(names, 1)
+            },
         )
     for row in merged["overall"][:1]:
         for rival, q in row["against"].items():

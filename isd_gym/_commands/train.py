@@ -30,18 +30,28 @@ SCHEMA = "isd-training/2"
 ALGORITHMS = ("PPO", "A2C", "SAC", "TD3", "DDPG")
 REPLAY = "replay_buffer.pkl"
 #: kind, mark and parts of the folder of a training
-FOLDER = ("training", "run.json", ("run.json", "model.zip", "best.zip", REPLAY, "tensorboard", "policy"))
+FOLDER = (
+    "training",
+    "run.json",
+    ("run.json", "model.zip", "best.zip", REPLAY, "tensorboard", "policy"),
+)
 CHECKPOINT_SECONDS = 60.0
 #: first roads of two training seeds
 SEED_DISTANCE = 1_000_003
 
 
 def command(
-    recipe: Annotated[str, typer.Argument(help="ppo, sac, ppo-model-free, or a JSON file of your own.")],
-    out: Annotated[Path, option("--out DIR", "Folder of the training; an unfinished one goes on.")],
+    recipe: Annotated[
+        str,
+        typer.Argument(help="ppo, sac, ppo-model-free, or a JSON file of your own."),
+    ],
+    out: Annotated[
+        Path, option("--out DIR", "Folder of the training; an unfinished one goes on.")
+    ],
     seed: Annotated[int, option("--seed", "Seed of the training.", min=0)] = 0,
     steps: Annotated[
-        int | None, option("--steps", "Decisions of all cars; default: the recipe's.", min=1)
+        int | None,
+        option("--steps", "Decisions of all cars; default: the recipe's.", min=1),
     ] = None,
     network: NetworkOption = "quarter-car-isd",
     road: RoadOption = "paper",
@@ -68,33 +78,51 @@ def command(
     Example: isd-gym train ppo --out runs/ppo
     """
     if not (find_spec("stable_baselines3") and find_spec("torch")):
-        raise InputError(f"training needs Stable-Baselines3 and torch: {how_to_install('agents')}")
+        raise InputError(
+            f"training needs Stable-Baselines3 and torch: {how_to_install('agents')}"
+        )
     from ..physics.network import Network
 
     plan = read_recipe(recipe)
     if steps is not None:
         plan["steps"] = steps
-    car: dict[str, Any] = {"network": Network.load(network).to_dict(), "road": road, "speed": speed}
+    car: dict[str, Any] = {
+        "network": Network.load(network).to_dict(),
+        "road": road,
+        "speed": speed,
+    }
     car |= ranges(randomize) if randomize is not None else {}
     train(plan, car, seed, out)
 
 
 def read_recipe(name: str) -> dict[str, Any]:
     """Return a recipe: a shipped one by its name, or the content of a JSON file."""
-    shipped = json.loads(files(__package__).joinpath("recipes.json").read_text(encoding="utf-8"))
+    shipped = json.loads(
+        files(__package__).joinpath("recipes.json").read_text(encoding="utf-8")
+    )
     if name not in shipped and not name.endswith(".json"):
-        raise InputError(f"the recipe must be {', '.join(shipped)} or a .json file, not {shown(name)}")
+        raise InputError(
+            f"the recipe must be {', '.join(shipped)} or a .json file, not {shown(name)}"
+        )
     found = shipped[name] if name in shipped else read_json(name)
     fields = shipped["ppo"]
     if not isinstance(found, dict) or set(found) != set(fields):
-        raise InputError(f"recipe {shown(name)} must have the fields {', '.join(fields)}")
+        raise InputError(
+            f"recipe {shown(name)} must have the fields {', '.join(fields)}"
+        )
     for field, usual in fields.items():
         if type(found[field]) is not type(usual):
-            raise InputError(f"recipe {shown(name)}: {field} must be like {shown(usual)}")
+            raise InputError(
+                f"recipe {shown(name)}: {field} must be like {shown(usual)}"
+            )
     if taken := {"network", "road", "speed", "randomize"} & set(found["environment"]):
-        raise InputError(f"recipe {shown(name)}: give --{min(taken)} to the command, not in environment")
+        raise InputError(
+            f"recipe {shown(name)}: give --{min(taken)} to the command, not in environment"
+        )
     if found["algorithm"] not in ALGORITHMS:
-        raise InputError(f"recipe {shown(name)}: algorithm must be one of {', '.join(ALGORITHMS)}")
+        raise InputError(
+            f"recipe {shown(name)}: algorithm must be one of {', '.join(ALGORITHMS)}"
+        )
     return found
 
 
@@ -104,7 +132,11 @@ def ranges(given: str) -> dict[str, Any]:
         return {"randomize": read_json(given)}
     if given != "robust":
         return {"randomize": given}
-    grid = files("isd_gym.benchmark").joinpath("grids/robust.toml").read_text(encoding="utf-8")
+    grid = (
+        files("isd_gym.benchmark")
+        .joinpath("grids/robust.toml")
+        .read_text(encoding="utf-8")
+    )
     track = tomllib.loads(grid)["random"]
     drawn = {**track["factors"], "speed": track["speed"], "road": track["road"]}
     return {"randomize": drawn, "sensors": {"noise": track["noise"]}, "per_level": True}
@@ -125,23 +157,39 @@ def train(plan: dict[str, Any], car: dict[str, Any], seed: int, out: Path) -> No
     name = BY_CORNERS[len(vehicle(plant).corners)].replace("-v0", "Learning-v0")
     cars = make_vec_env(name, plan["cars"], **plan["environment"], **car)
     claim_folder(out, *FOLDER)
-    claim(out / "run.json", {"schema": SCHEMA, "seed": seed, "recipe": plan, "environment": car})
+    claim(
+        out / "run.json",
+        {"schema": SCHEMA, "seed": seed, "recipe": plan, "environment": car},
+    )
     callback = ScoreCallback(save=out / "best.zip")
-    model: Any = learner(getattr(stable_baselines3, plan["algorithm"]), plan, seed, cars, out)
-    callback.history = model.scores = [tuple(row) for row in getattr(model, "scores", [])]
+    model: Any = learner(
+        getattr(stable_baselines3, plan["algorithm"]), plan, seed, cars, out
+    )
+    callback.history = model.scores = [
+        tuple(row) for row in getattr(model, "scores", [])
+    ]
     # other roads after a pause than at the beginning
     cars.seed(seed * SEED_DISTANCE + model.num_timesteps)
     left = plan["steps"] - model.num_timesteps
     if left > 0:
         if model.num_timesteps:
-            typer.echo(f"going on after {model.num_timesteps:,} of {plan['steps']:,} decisions", err=True)
+            typer.echo(
+                f"going on after {model.num_timesteps:,} of {plan['steps']:,} decisions",
+                err=True,
+            )
         try:
             model.learn(
-                left, [callback, checkpoint(out)], reset_num_timesteps=False, progress_bar=sys.stderr.isatty()
+                left,
+                [callback, checkpoint(out)],
+                reset_num_timesteps=False,
+                progress_bar=sys.stderr.isatty(),
             )
         except KeyboardInterrupt:
             save(model, out)
-            typer.echo(f"saved after {model.num_timesteps:,} decisions; the same command goes on", err=True)
+            typer.echo(
+                f"saved after {model.num_timesteps:,} decisions; the same command goes on",
+                err=True,
+            )
             raise
         save(model, out)
     cars.close()
@@ -154,10 +202,14 @@ def claim(file: Path, request: dict[str, Any]) -> None:
     if not file.exists():
         write_text(file, text)
     elif read_json(file) != json.loads(text):
-        raise InputError(f"'{file.parent}' holds another training ('{file}'): name another folder with --out")
+        raise InputError(
+            f"'{file.parent}' holds another training ('{file}'): name another folder with --out"
+        )
 
 
-def learner(kind: Any, plan: dict[str, Any], seed: int, cars: BatchedVecEnv, out: Path) -> BaseAlgorithm:
+def learner(
+    kind: Any, plan: dict[str, Any], seed: int, cars: BatchedVecEnv, out: Path
+) -> BaseAlgorithm:
     """Return the model of the last checkpoint, or a new one."""
     if (out / "model.zip").exists():
         model = kind.load(out / "model.zip", cars, device="cpu")
@@ -174,7 +226,9 @@ def learner(kind: Any, plan: dict[str, Any], seed: int, cars: BatchedVecEnv, out
             **arguments(plan),
         )
     except (AssertionError, TypeError, ValueError) as error:
-        raise InputError(f"{plan['algorithm']} does not take these arguments: {error}") from None
+        raise InputError(
+            f"{plan['algorithm']} does not take these arguments: {error}"
+        ) from None
 
 
 def arguments(plan: dict[str, Any]) -> dict[str, Any]:
@@ -224,7 +278,9 @@ def finish(out: Path, plant: Network) -> None:
     run = read_json(out / "run.json")
     policy = convert(out / "best.zip", network=plant, name=out.name)
     condition = {name: run["environment"][name] for name in ("road", "speed")}
-    result = score([Entry(policy.name, policy.copy)], plant, reference=passive(plant), **condition)
+    result = score(
+        [Entry(policy.name, policy.copy)], plant, reference=passive(plant), **condition
+    )
     row = result.policies[-1]
     policy.info |= {"training": {**run, "versions": versions()}, "score": row}
     policy.save(out / "policy")
@@ -236,4 +292,7 @@ def finish(out: Path, plant: Network) -> None:
 
 def versions() -> dict[str, str]:
     """Return the versions of the packages that make a policy."""
-    return {name: version(name) for name in ("isd-gym", "stable-baselines3", "torch", "numpy")}
+    return {
+        name: version(name)
+        for name in ("isd-gym", "stable-baselines3", "torch", "numpy")
+    }

@@ -28,7 +28,12 @@ def command() -> None:
     plant = Network.load("quarter-car-isd")
     # the kernel with every law: own models and the diagnosis need it
     more = plant.with_element(
-        {"name": "more", "type": "cubic_stiffness", "between": ["body", "wheel"], "stiffness": 1.0}
+        {
+            "name": "more",
+            "type": "cubic_stiffness",
+            "between": ["body", "wheel"],
+            "stiffness": 1.0,
+        }
     )
     times = np.linspace(0.0, 0.05, 51)
     for what, network in (("simulation", plant), ("simulation with every law", more)):

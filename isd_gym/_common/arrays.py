@@ -29,10 +29,14 @@ def rms(values: Array) -> float:
 def channel_rms(parts: Sequence[Array]) -> Array:
     """Return the root mean square of every channel over several parts."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)), dtype=np.float64)
+        return np.asarray(
+            np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)), dtype=np.float64
+        )
 
 
-def is_smooth(values: Array, step: float, slope: Array | None = None, order: int = 1) -> bool:
+def is_smooth(
+    values: Array, step: float, slope: Array | None = None, order: int = 1
+) -> bool:
     """Return whether noise and jumps are a small share of a derivative of a cubic spline through samples."""
     if slope is None:
         slope = np.gradient(values, step)

@@ -22,7 +22,9 @@ def plain(text: str, limit: int = NAME_LIMIT) -> str:
         text = f"{text[: limit - tail - 1]}…{text[-tail:]}"
     if text.isprintable():
         return text
-    return "".join(c if harmless(c) else c.encode("unicode_escape").decode("ascii") for c in text)
+    return "".join(
+        c if harmless(c) else c.encode("unicode_escape").decode("ascii") for c in text
+    )
 
 
 def harmless(text: str) -> bool:
@@ -83,7 +85,9 @@ class ReportError(Exception):
 
     def __init__(self, what: str, error: BaseException, where: str) -> None:
         line = f"{type(error).__name__}: {error}"
-        super().__init__(plain(f"{what} could not be drawn ({line}); {where}", MESSAGE_LIMIT))
+        super().__init__(
+            plain(f"{what} could not be drawn ({line}); {where}", MESSAGE_LIMIT)
+        )
 
 
 class TyreContactWarning(UserWarning):

@@ -20,7 +20,9 @@ from .errors import InputError, shown
 
 try:
     import fcntl
-except ImportError:  # Windows: workshops of killed processes stay until a user removes the folders
+except (
+    ImportError
+):  # Windows: workshops of killed processes stay until a user removes the folders
     fcntl = None  # type: ignore[assignment]
 
 _PREFIX = ".isd-gym-"
@@ -35,7 +37,11 @@ def writing(path: str | Path, place: str | Path) -> Iterator[None]:
     except BrokenPipeError:  # the reader of stdout has gone
         raise
     except OSError as error:
-        named = [Path(os.fsdecode(name)) for name in (error.filename, error.filename2) if name is not None]
+        named = [
+            Path(os.fsdecode(name))
+            for name in (error.filename, error.filename2)
+            if name is not None
+        ]
         if named and not any(Path(place) in file.parents for file in named):
             raise  # a file that is read meanwhile
         raise _cannot(Path(path), error) from None
@@ -52,7 +58,9 @@ def whole(path: str | Path) -> Iterator[Path]:
     check_file(path)
     if os.path.islink(path) and os.path.isfile(path) and path.parent != Path("/dev"):
         path = path.resolve()
-    elif os.path.exists(path) and not (os.path.isfile(path) and not os.path.islink(path)):
+    elif os.path.exists(path) and not (
+        os.path.isfile(path) and not os.path.islink(path)
+    ):
         with tempfile.TemporaryDirectory() as folder:
             temporary = Path(folder) / f"out{path.suffix}"
             with writing(folder, folder):
@@ -87,7 +95,9 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 @contextmanager
-def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[str] = ()) -> Iterator[Path]:
+def whole_folder(
+    path: str | Path, kind: str, mark: str = "", parts: Sequence[str] = ()
+) -> Iterator[Path]:
     """Give a temporary folder that replaces `path` when the block succeeds, and is deleted when the block fails.
 
     The path may be free, an empty folder, or an earlier result of the same kind. An earlier result holds the
@@ -102,7 +112,9 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
         with writing(path, shop):
             made.mkdir()
             yield made
-        check_folder(path, kind, mark, parts)  # the folder may have changed during a long computation
+        check_folder(
+            path, kind, mark, parts
+        )  # the folder may have changed during a long computation
         try:
             if not path.exists():
                 os.replace(made, path)
@@ -120,7 +132,9 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
             raise _cannot(path, error) from None
 
 
-def claim_folder(path: str | Path, kind: str, mark: str | None, parts: Sequence[str]) -> Path:
+def claim_folder(
+    path: str | Path, kind: str, mark: str | None, parts: Sequence[str]
+) -> Path:
     """Create a folder for a result that grows in place, under the rules of `whole_folder`."""
     check_folder(path, kind, mark, parts)
     return make_folder(path)
@@ -150,10 +164,14 @@ def check_file(path: str | Path, *read: str | Path | None) -> None:
             and os.path.isfile(source)
             and os.path.realpath(source) == os.path.realpath(path)
         ):
-            raise InputError(f"cannot write '{path}': it is an input file; give another name")
+            raise InputError(
+                f"cannot write '{path}': it is an input file; give another name"
+            )
 
 
-def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequence[str] = ()) -> None:
+def check_folder(
+    path: str | Path, kind: str, mark: str | None = "", parts: Sequence[str] = ()
+) -> None:
     """Check before long work that `whole_folder` would write; with `mark` None, an earlier result is recognised by `parts` alone."""
     path = Path(path)
     _nameable(path)
@@ -164,7 +182,10 @@ def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequ
     if not os.path.isdir(path):
         return
     try:
-        there = sorted((p for p in path.iterdir() if not p.name.startswith(_PREFIX)), key=lambda p: p.name)
+        there = sorted(
+            (p for p in path.iterdir() if not p.name.startswith(_PREFIX)),
+            key=lambda p: p.name,
+        )
     except OSError as error:
         raise _cannot(path, error) from None
     if there and mark is not None and mark not in {p.name for p in there}:
@@ -251,7 +272,9 @@ def _clear(folder: Path) -> None:
         if handle is None:
             continue
         try:
-            for taken in (shop / _EARLIER).iterdir() if (shop / _EARLIER).is_dir() else ():
+            for taken in (
+                (shop / _EARLIER).iterdir() if (shop / _EARLIER).is_dir() else ()
+            ):
                 if not (folder / taken.name).exists():
                     os.replace(taken, folder / taken.name)
             shutil.rmtree(shop, ignore_errors=True)
@@ -274,8 +297,13 @@ def _exchange(one: Path, other: Path) -> bool:
     except (OSError, AttributeError):
         return False
     first, second = os.fsencode(one.absolute()), os.fsencode(other.absolute())
-    swap, here = ctypes.c_uint(2), ctypes.c_int(-100)  # RENAME_EXCHANGE, RENAME_SWAP; AT_FDCWD
-    return call(*((here, first, here, second, swap) if at else (first, second, swap))) == 0
+    swap, here = (
+        ctypes.c_uint(2),
+        ctypes.c_int(-100),
+    )  # RENAME_EXCHANGE, RENAME_SWAP; AT_FDCWD
+    return (
+        call(*((here, first, here, second, swap) if at else (first, second, swap))) == 0
+    )
 
 
 def _pour(source: Path, target: Path) -> None:

@@ -34,7 +34,9 @@ def memory_limit() -> int:
     except ValueError:
         size = math.nan
     if not 0 < size < 1e6:
-        raise InputError(f"{LIMIT_VARIABLE} must be a number of gigabytes > 0, not {shown(text)}")
+        raise InputError(
+            f"{LIMIT_VARIABLE} must be a number of gigabytes > 0, not {shown(text)}"
+        )
     return int(size * 2**30)
 
 
@@ -76,7 +78,9 @@ def read_bytes(path: str | Path, limit: int = JSON_LIMIT) -> bytes:
     """Return the content of a regular file of limited size."""
     size = plain_file(path)
     if size > limit:
-        raise InputError(f"{path}: has {size / 2**20:.4g} MB, at most {limit / 2**20:.4g} are read")
+        raise InputError(
+            f"{path}: has {size / 2**20:.4g} MB, at most {limit / 2**20:.4g} are read"
+        )
     try:
         with open(path, "rb") as stream:
             data = stream.read(limit + 1)
@@ -90,9 +94,15 @@ def read_bytes(path: str | Path, limit: int = JSON_LIMIT) -> bytes:
 def parse_json(data: bytes | str, where: str) -> Any:
     """Return the content of a JSON text, without its byte order mark."""
     try:
-        text = data.decode("utf-8-sig") if isinstance(data, bytes) else data.removeprefix("\ufeff")
+        text = (
+            data.decode("utf-8-sig")
+            if isinstance(data, bytes)
+            else data.removeprefix("\ufeff")
+        )
     except UnicodeDecodeError as error:
-        raise InputError(f"{where}: not JSON (byte {error.start} is no UTF-8)") from None
+        raise InputError(
+            f"{where}: not JSON (byte {error.start} is no UTF-8)"
+        ) from None
 
     def whole(digits: str) -> int:
         if len(digits) > DIGITS:
@@ -113,15 +123,23 @@ def parse_json(data: bytes | str, where: str) -> Any:
         if len(found) < len(pairs):
             names = [name for name, _ in pairs]
             twice = next(name for name in names if names.count(name) > 1)
-            raise InputError(f"{where}: an object has the key {shown(twice)} twice: delete or rename one")
+            raise InputError(
+                f"{where}: an object has the key {shown(twice)} twice: delete or rename one"
+            )
         return found
 
     try:
         found = json.loads(
-            text, parse_int=whole, parse_float=real, parse_constant=constant, object_pairs_hook=single
+            text,
+            parse_int=whole,
+            parse_float=real,
+            parse_constant=constant,
+            object_pairs_hook=single,
         )
     except json.JSONDecodeError as error:
-        raise InputError(f"{where}: not JSON, line {error.lineno}: {error.msg}") from None
+        raise InputError(
+            f"{where}: not JSON, line {error.lineno}: {error.msg}"
+        ) from None
     except RecursionError:
         raise InputError(f"{where}: more than {DEPTH} nested levels") from None
     _check_tree(found, where)
@@ -142,7 +160,9 @@ def _check_tree(found: Any, where: str) -> None:
                 try:
                     value.encode()
                 except UnicodeEncodeError:
-                    raise InputError(f"{where}: {shown(value)} is no Unicode text") from None
+                    raise InputError(
+                        f"{where}: {shown(value)} is no Unicode text"
+                    ) from None
         if not below:
             return
         level = below
@@ -156,12 +176,20 @@ def read_json(path: str | Path, where: str | None = None) -> Any:
 
 def is_number(value: Any) -> bool:
     """Return whether a value is a finite number; truth values are not numbers."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and abs(value) <= sys.float_info.max
+    )
 
 
 def is_whole(value: Any, least: int, most: float = math.inf) -> bool:
     """Return whether a value is a whole number within limits; truth values and NumPy's whole numbers are none."""
-    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+    return (
+        isinstance(value, int)
+        and not isinstance(value, bool)
+        and least <= value <= most
+    )
 
 
 def number(value: Any, where: str) -> float:

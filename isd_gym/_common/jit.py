@@ -39,7 +39,9 @@ class _Files(IndexDataCacheFile):
             raise OSError(errno.EIO, "damaged", path)  # numba compiles again
         try:
             return pickle.loads(data)
-        except ImportError as error:  # compiled with a law whose module this process has not
+        except (
+            ImportError
+        ) as error:  # compiled with a law whose module this process has not
             raise OSError(errno.EIO, str(error), path) from error
 
     def _save_data(self, name: str, data: Any) -> None:

@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+def lazy(
+    package: str, homes: Mapping[str, str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` of a package: public names from their modules (`homes`), and its public modules."""
 
     def get(name: str) -> Any:

@@ -16,7 +16,9 @@ _SCORING = 0x15D
 
 def scoring_generator(index: int) -> np.random.Generator:
     """Return the generator of a scoring road; no seed of ``reset(seed=)`` gives the same draws."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(index, spawn_key=(_SCORING,))))
+    return np.random.Generator(
+        np.random.PCG64(np.random.SeedSequence(index, spawn_key=(_SCORING,)))
+    )
 
 
 def generators(seed: int | None, first: int, count: int) -> list[np.random.Generator]:

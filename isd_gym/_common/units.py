@@ -9,7 +9,13 @@ from typing import Any, TypeVar
 from .errors import InputError, shown
 
 #: SI unit of each translational quantity
-UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", "current": "A"}
+UNITS = {
+    "displacement": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s^2",
+    "force": "N",
+    "current": "A",
+}
 #: quantity in a model file -> (quantity in the equations, SI unit)
 QUANTITIES = {name: (name, unit) for name, unit in UNITS.items()} | {
     "angle": ("displacement", "rad"),
@@ -23,7 +29,9 @@ QUANTITIES = {name: (name, unit) for name, unit in UNITS.items()} | {
     "speed": ("condition", "m/s"),
 }
 #: input quantities of a model file that act on no node
-CONDITIONS = tuple(name for name, (quantity, _) in QUANTITIES.items() if quantity == "condition")
+CONDITIONS = tuple(
+    name for name, (quantity, _) in QUANTITIES.items() if quantity == "condition"
+)
 #: input quantities of the equations that are held from one sample to the next
 HELD = ("current", "condition")
 #: SI units of rotational quantities
@@ -47,7 +55,11 @@ _FACTORS = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
 #: unit -> (SI unit, factor)
-TABLE = {unit: (si, factor) for si, factors in _FACTORS.items() for unit, factor in factors.items()}
+TABLE = {
+    unit: (si, factor)
+    for si, factors in _FACTORS.items()
+    for unit, factor in factors.items()
+}
 #: other spellings of units
 _SPELLINGS = {
     spelling: unit
@@ -86,7 +98,10 @@ def practical(value: float, unit: str) -> tuple[float, str]:
         return 1.0, unit
     if unit[:1] == "N":
         large = ((1e6, 1e-6, "M"), (1e4, 1e-3, "k"))
-        return next(((f, prefix + unit) for least, f, prefix in large if size >= least), (1.0, unit))
+        return next(
+            ((f, prefix + unit) for least, f, prefix in large if size >= least),
+            (1.0, unit),
+        )
     if unit in ("m", "s"):
         steps = ((0.1, 1.0, ""), (1e-4, 1e3, "m"), (0.0, 1e6, "u"))
         return next((f, prefix + unit) for least, f, prefix in steps if size >= least)

@@ -38,12 +38,16 @@ def entry_of_file(name: str) -> Entry | None:
         raise InputError(f"no Python file {shown(path, 200)}")
     module = _load(file)
     offered = [
-        k for k, v in vars(module).items() if callable(v) and getattr(v, "__module__", "") == module.__name__
+        k
+        for k, v in vars(module).items()
+        if callable(v) and getattr(v, "__module__", "") == module.__name__
     ]
     made = getattr(module, attribute, None) if attribute else None
     if not callable(made):
         there = hint(attribute, offered) if offered else "there is none"
-        raise InputError(f"{shown(path, 200)} needs the name of a class or function after a colon: {there}")
+        raise InputError(
+            f"{shown(path, 200)} needs the name of a class or function after a colon: {there}"
+        )
 
     def make() -> Any:
         own = _call(file, made) if isinstance(made, type) else SimpleNamespace(act=made)
@@ -74,7 +78,11 @@ def _call(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:
     except InputError:
         raise
     except Exception as error:
-        frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file]
+        frames = [
+            f
+            for f in traceback.extract_tb(error.__traceback__)
+            if Path(f.filename) == file
+        ]
         line = frames[-1].lineno if frames else getattr(error, "lineno", None)
         place = f"{file}:{line}" if line else str(file)
         raise InputError(f"{place}: {type(error).__name__}: {error}") from None

@@ -33,7 +33,9 @@ def load(name: str | Path) -> dict[str, Any]:
     path = Path(name)
     if str(name) in built_in():
         path = BUILT_IN / f"{name}.json"
-    data = read_json(path, f"cannot read card {shown(str(name))} (built in: {', '.join(built_in())})")
+    data = read_json(
+        path, f"cannot read card {shown(str(name))} (built in: {', '.join(built_in())})"
+    )
     if not (isinstance(data, dict) and data.get("schema") == SCHEMA):
         raise InputError(f"card {shown(str(name))}: its schema is not '{SCHEMA}'")
     if data.get("digest") != digest(data):
@@ -58,7 +60,9 @@ def read_score(path: str | Path) -> dict[str, Any]:
     check(data, SCORE, where)
     for key in (*SAME, "version"):
         if key not in data:
-            raise InputError(f"{where} has no {shown(key)}; score again with this version")
+            raise InputError(
+                f"{where} has no {shown(key)}; score again with this version"
+            )
     return data
 
 
@@ -85,7 +89,11 @@ def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
         "policies": {
             policy: {
                 "preview": rows.get(policy, {}).get("preview", {}).get("value", 0.0),
-                "units": {k: rows[policy][k]["unit"] for k in values if k in rows.get(policy, {})},
+                "units": {
+                    k: rows[policy][k]["unit"]
+                    for k in values
+                    if k in rows.get(policy, {})
+                },
                 "episodes": values,
             }
             for policy, values in raw.items()
@@ -93,7 +101,9 @@ def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
     }
 
 
-def make(environment: str, tracks: Sequence[Mapping[str, Any]], date: str) -> dict[str, Any]:
+def make(
+    environment: str, tracks: Sequence[Mapping[str, Any]], date: str
+) -> dict[str, Any]:
     """Return a card with its digest."""
     card = {
         "schema": SCHEMA,
@@ -108,15 +118,23 @@ def make(environment: str, tracks: Sequence[Mapping[str, Any]], date: str) -> di
 def _episodes(score: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
     raw = score.get("raw")
     if not (isinstance(raw, dict) and isinstance(score.get("roads"), list)):
-        raise InputError("the score holds no single episodes; score again with this version and --json")
+        raise InputError(
+            "the score holds no single episodes; score again with this version and --json"
+        )
     count = score.get("episodes")
     for policy, values in raw.items():
         if not isinstance(values, dict) or not values or "cost" not in values:
             raise InputError(f"the episodes of {shown(policy)} have no cost")
         for name, own in values.items():
-            good = isinstance(own, list) and len(own) == count and all(type(v) in (int, float) for v in own)
+            good = (
+                isinstance(own, list)
+                and len(own) == count
+                and all(type(v) in (int, float) for v in own)
+            )
             if not (good and np.isfinite(own).all()):
-                raise InputError(f"{shown(policy)}: {shown(name)} must be {count} finite numbers")
+                raise InputError(
+                    f"{shown(policy)}: {shown(name)} must be {count} finite numbers"
+                )
     return raw
 
 
@@ -151,9 +169,13 @@ def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
         if own.shape != other.shape or not np.allclose(
             own, other, rtol=CLOSE, atol=CLOSE * np.abs(other).max()
         ):
-            raise InputError(f"the score's roads are not those of {card['environment']}")
+            raise InputError(
+                f"the score's roads are not those of {card['environment']}"
+            )
         return one
-    raise InputError(f"the score is on no track of {card['environment']} ({'; '.join(whys)})")
+    raise InputError(
+        f"the score is on no track of {card['environment']} ({'; '.join(whys)})"
+    )
 
 
 def regret(cost: Mapping[str, float], ceiling: float) -> float:
@@ -178,15 +200,22 @@ def ranking(
             f"the card has no track {shown(name)}: {', '.join(t['track'] for t in card['tracks'])}"
         )
     ground = one["policies"]["passive"]["episodes"]
-    units = {k: unit for p in one["policies"].values() for k, unit in p["units"].items()}
+    units = {
+        k: unit for p in one["policies"].values() for k, unit in p["units"].items()
+    }
     held = {policy: p["episodes"] for policy, p in one["policies"].items()}
     ahead = {policy: p["preview"] for policy, p in one["policies"].items()}
     theirs: list[str] = []
     for score in scores:
         match(score, {**card, "tracks": [one]})
-        shown_road = {row["policy"]: row.get("preview", {}).get("value", 0.0) for row in score["policies"]}
+        shown_road = {
+            row["policy"]: row.get("preview", {}).get("value", 0.0)
+            for row in score["policies"]
+        }
         for policy, values in _episodes(score).items():
-            if policy in held and np.allclose(values["cost"], held[policy]["cost"], rtol=CLOSE, atol=0.0):
+            if policy in held and np.allclose(
+                values["cost"], held[policy]["cost"], rtol=CLOSE, atol=0.0
+            ):
                 continue  # a reference that was driven again, possibly on another machine
             label = policy if policy not in held else f"{policy} (submitted)"
             held[label], ahead[label] = values, shown_road.get(policy, 0.0)
@@ -195,16 +224,22 @@ def ranking(
     for policy, values in held.items():
         row: dict[str, Any] = {"policy": policy, "submitted": policy in theirs}
         row |= {
-            k: compare(k, np.array(v, float), np.array(ground[k], float), units.get(k, ""))
+            k: compare(
+                k, np.array(v, float), np.array(ground[k], float), units.get(k, "")
+            )
             for k, v in values.items()
             if k in ground
         }
         bound = ceiling(ahead[policy]) if ceiling else None
         known = bound and "change" in row["cost"]
-        row["regret"] = regret(row["cost"], bound["change"]) if bound and known else None
+        row["regret"] = (
+            regret(row["cost"], bound["change"]) if bound and known else None
+        )
         if policy in theirs:
             own = np.array(values["cost"], float)
-            costs = {q: np.array(v["cost"], float) for q, v in held.items() if q != policy}
+            costs = {
+                q: np.array(v["cost"], float) for q, v in held.items() if q != policy
+            }
             row["against"] = {q: compare("cost", own, c, "-") for q, c in costs.items()}
         rows.append(row)
     return sorted(rows, key=lambda row: row["cost"]["value"])

@@ -47,7 +47,9 @@ FIGURES = ("value", "lower", "acceleration", "travel", "tyre_load")
 @functools.cache
 def _stored(name: str) -> dict[str, Any]:
     """Return the content of a file in the folder `bounds`."""
-    data: dict[str, Any] = json.loads((resources.files(__package__) / "bounds" / name).read_text())
+    data: dict[str, Any] = json.loads(
+        (resources.files(__package__) / "bounds" / name).read_text()
+    )
     return data
 
 
@@ -124,7 +126,11 @@ class Ceiling:
 
 def _standard_error(values: np.ndarray) -> float:
     """Return the standard error of the mean over roads."""
-    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
+    return (
+        float(values.std(ddof=1) / math.sqrt(len(values)))
+        if len(values) > 1
+        else math.nan
+    )
 
 
 def passive_cost(
@@ -163,15 +169,24 @@ def passive_cost(
 
 
 def _episode_key(
-    network: Network, road: Road, speed: float, duration: float, cost: StageCost, **more: Any
+    network: Network,
+    road: Road,
+    speed: float,
+    duration: float,
+    cost: StageCost,
+    **more: Any,
 ) -> str:
     """Return a key of everything except the seed on which the values of a road depend: 16 hexadecimal digits."""
     model = network.to_dict()
     car = {k: model[k] for k in ("masses", "elements", "inputs")}
     ground: list[Any] = [road.roughness, road.cutoff, road.over_time, road.shift]
-    ground += [None if x is None else np.asarray(x).tolist() for x in (road.abscissa, road.profile)]
+    ground += [
+        None if x is None else np.asarray(x).tolist()
+        for x in (road.abscissa, road.profile)
+    ]
     text = json.dumps(
-        [car, ground, speed, duration, cost.quadratic, *([more] if more else [])], sort_keys=True
+        [car, ground, speed, duration, cost.quadratic, *([more] if more else [])],
+        sort_keys=True,
     )
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -197,7 +212,15 @@ def ceiling(
         The ceiling; None if fewer than `FEWEST` roads are known.
     """
     network, ground, cost = Network.load(network), find_road(road), StageCost()
-    key = _episode_key(network, ground, speed, duration, cost, preview=float(preview), settings=SETTINGS)
+    key = _episode_key(
+        network,
+        ground,
+        speed,
+        duration,
+        cost,
+        preview=float(preview),
+        settings=SETTINGS,
+    )
     seeds = _stored("ceiling.json").get(key, {}).get("seeds", {})
     roads: list[dict[str, Any]] = []
     while (seed := str(SEED + len(roads))) in seeds:
@@ -243,14 +266,19 @@ def reachable(
     if any(s not in seeds for s in wanted):
         return None
     names = {"acceleration": "body_acceleration", "travel": "suspension_travel"}
-    return {names.get(n, n): np.array([seeds[s][n] for s in wanted], dtype=np.float64) for n in FIGURES}
+    return {
+        names.get(n, n): np.array([seeds[s][n] for s in wanted], dtype=np.float64)
+        for n in FIGURES
+    }
 
 
 def known_ceilings(
     plant: Any, road: Any, speed: float, duration: float
 ) -> Callable[[float], dict[str, Any] | None]:
     """Return a function from preview [s] to the causal ceiling of controllers with that preview, or None."""
-    return functools.cache(lambda preview: known(plant, road, speed, duration, preview=preview))
+    return functools.cache(
+        lambda preview: known(plant, road, speed, duration, preview=preview)
+    )
 
 
 def known(
@@ -270,7 +298,9 @@ def known(
 
 
 def bounds_beside(
-    result: Any, optimum: dict[str, Any] | None, ceilings: Callable[[float], dict[str, Any] | None]
+    result: Any,
+    optimum: dict[str, Any] | None,
+    ceilings: Callable[[float], dict[str, Any] | None],
 ) -> dict[str, Any]:
     """Return one line per bound of a score, and one line about the bounds left out."""
     lines: dict[str, Any] = {}
@@ -283,8 +313,15 @@ def bounds_beside(
     if not allowed.lq_bound and (line := _wheelbase_bound(result) or _lq_bound(result)):
         lines["causal_bound"] = line
     if not allowed.ceiling:
-        found = {s: ceilings(s) for s in sorted({row["preview"]["value"] for row in result.policies})}
-        lines |= {f"ceiling_{s:g}": bound["sentence"] for s, bound in found.items() if bound is not None}
+        found = {
+            s: ceilings(s)
+            for s in sorted({row["preview"]["value"] for row in result.policies})
+        }
+        lines |= {
+            f"ceiling_{s:g}": bound["sentence"]
+            for s, bound in found.items()
+            if bound is not None
+        }
         if not any(found.values()):
             allowed = replace(allowed, ceiling=not_computed)
     if allowed.left_out:
@@ -300,8 +337,25 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     """
     if score.plant is None or score.comparable.lq_bound:
         return []
-    travel = [-0.5, -0.4, -0.35, -0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3]
-    conditions: dict[str, Any] = {"network": score.plant, "speed": score.speed, "road": score.ground}
+    travel = [
+        -0.5,
+        -0.4,
+        -0.35,
+        -0.3,
+        -0.26,
+        -0.22,
+        -0.18,
+        -0.14,
+        -0.1,
+        -0.05,
+        0.0,
+        0.3,
+    ]
+    conditions: dict[str, Any] = {
+        "network": score.plant,
+        "speed": score.speed,
+        "road": score.ground,
+    }
     try:
         curves = [(tyre, lq_front(tyre, travel, **conditions)) for tyre in (0.0, 0.03)]
     except InputError:  # a road or a car without such a bound
@@ -313,7 +367,8 @@ def _optimum(result: Any, optimum: dict[str, Any]) -> dict[str, Any]:
     """Return the clairvoyant optimum as a line, and the changes of its RMS against passive over all episodes."""
     own = result.runs["passive"]
     cost, least, proven = (
-        float(v.mean()) for v in (own.cost(result.cost), optimum["value"], optimum["lower"])
+        float(v.mean())
+        for v in (own.cost(result.cost), optimum["value"], optimum["lower"])
     )
     line = (
         f"Clairvoyant optimum, these very roads known in advance (searched): cost J {least:.3f} "
@@ -323,7 +378,9 @@ def _optimum(result: Any, optimum: dict[str, Any]) -> dict[str, Any]:
         line += f"; proven, without end stops: not below {proven:.3f} ({100 * (proven / cost - 1):+.1f} %)"
     line += "."
     changes = {
-        f"{n}_change": float(np.sqrt(np.mean(optimum[n] ** 2) / np.mean(getattr(own, n) ** 2)) - 1)
+        f"{n}_change": float(
+            np.sqrt(np.mean(optimum[n] ** 2) / np.mean(getattr(own, n) ** 2)) - 1
+        )
         for n in ("body_acceleration", "suspension_travel", "tyre_load")
     }
     return {"clairvoyant": line, "clairvoyant_point": changes}
@@ -334,7 +391,9 @@ def _wheelbase_bound(result: Any) -> str | None:
     if not result.plant.bodies:
         return None
     try:
-        bound = wheelbase_bound(result.plant, speed=result.speed, road=result.ground, cost=result.cost)
+        bound = wheelbase_bound(
+            result.plant, speed=result.speed, road=result.ground, cost=result.cost
+        )
     except InputError:  # no bound for this road or this car
         return None
     for row in result.policies:
@@ -352,13 +411,20 @@ def _lq_bound(result: Any) -> str | None:
     if not blind:
         return None
     best = min(blind, key=lambda row: row["cost"]["value"])
-    rows = [best[f"{k}_rms"] for k in ("body_acceleration", "suspension_travel", "tyre_load")]
+    rows = [
+        best[f"{k}_rms"]
+        for k in ("body_acceleration", "suspension_travel", "tyre_load")
+    ]
     changes = [row.get("change") for row in rows]
     if best["policy"] == "passive" or None in changes:
         return None
     try:
         front = lq_front(
-            changes[2], [changes[1]], network=result.plant, speed=result.speed, road=result.ground
+            changes[2],
+            [changes[1]],
+            network=result.plant,
+            speed=result.speed,
+            road=result.ground,
         )
     except InputError:  # no bound for this car
         return None

@@ -48,7 +48,11 @@ class Comparable:
                 by_reason.setdefault(reason, []).append(NAMES[f.name])
         if not by_reason:
             return None
-        return "Left out: " + "; ".join(f"{_listed(n)} ({reason})" for reason, n in by_reason.items()) + "."
+        return (
+            "Left out: "
+            + "; ".join(f"{_listed(n)} ({reason})" for reason, n in by_reason.items())
+            + "."
+        )
 
 
 #: names of the statements in `Comparable.left_out`
@@ -74,9 +78,13 @@ def comparable(
     """Decide which statements may be shown beside a score."""
     ground = find_road(road)
     if reference != "passive":
-        return Comparable(*[f"changes are against {reference}, not passive"] * len(fields(Comparable)))
+        return Comparable(
+            *[f"changes are against {reference}, not passive"] * len(fields(Comparable))
+        )
     if randomize:
-        return Comparable(*["cars or roads vary from episode to episode"] * len(fields(Comparable)))
+        return Comparable(
+            *["cars or roads vary from episode to episode"] * len(fields(Comparable))
+        )
     few = ""
     if episodes < EPISODES or duration < DURATION:
         few = f"{episodes} x {duration:g} s is too small a sample: {EPISODES} x {DURATION:g} s at least"
@@ -87,13 +95,20 @@ def comparable(
         ceiling = clairvoyant = "known of quarter cars only"
         if vehicle(network).wheels.tracks > 1:
             bound = "known of cars whose wheels run in one track"
-    return Comparable(_tables(network, ground, speed, sensors) or few, bound, ceiling, clairvoyant)
+    return Comparable(
+        _tables(network, ground, speed, sensors) or few, bound, ceiling, clairvoyant
+    )
 
 
-def _tables(network: Network, ground: Road, speed: float, sensors: Sensors | None) -> str:
+def _tables(
+    network: Network, ground: Road, speed: float, sensors: Sensors | None
+) -> str:
     """Return the reason against the paper's tables; '' for the conditions of the paper."""
     paper = paper_road()
-    if ground.profile is not None or (ground.roughness, ground.cutoff) != (paper.roughness, paper.cutoff):
+    if ground.profile is not None or (ground.roughness, ground.cutoff) != (
+        paper.roughness,
+        paper.cutoff,
+    ):
         return "another road"
     if abs(speed - PAPER_SPEED) > 1e-9:
         return "another speed"

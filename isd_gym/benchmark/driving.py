@@ -94,7 +94,11 @@ class Driver:
         if self._act is None and not self.is_batched:
             raise InputError(f"controller '{name}' has no method act(observation)")
         self.observation: str = getattr(controller, "observation", "measured")
-        self.preview = float(getattr(controller, "preview", 0.25)) if self.observation == "preview" else 0.0
+        self.preview = (
+            float(getattr(controller, "preview", 0.25))
+            if self.observation == "preview"
+            else 0.0
+        )
         self.times: list[float] = []
 
     @property
@@ -113,7 +117,11 @@ class Driver:
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Return the commanded currents [A] for an observation (signals,)."""
         begin = clock.process_time()
-        value = self._act(observation) if self._act else self._controller.act_batch(observation[None])[0]
+        value = (
+            self._act(observation)
+            if self._act
+            else self._controller.act_batch(observation[None])[0]
+        )
         self.times.append(clock.process_time() - begin)
         return self._currents(value, "act")
 
@@ -127,7 +135,9 @@ class Driver:
         except (TypeError, ValueError):
             found = np.array(np.nan)
         if not np.isfinite(found).all():
-            raise InputError(f"'{self._name}': {method} returned {shown(value)}, not a current [A]")
+            raise InputError(
+                f"'{self._name}': {method} returned {shown(value)}, not a current [A]"
+            )
         return found
 
 
@@ -159,7 +169,9 @@ class Idle:
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
         """Return zero current for each motor of each car: (n,) or (n, currents)."""
         count = len(observations)
-        return np.zeros(count) if self.currents == 1 else np.zeros((count, self.currents))
+        return (
+            np.zeros(count) if self.currents == 1 else np.zeros((count, self.currents))
+        )
 
 
 class Crew:
@@ -172,7 +184,11 @@ class Crew:
         first = entry.driver()
         self.name, self.cars, self.batched = entry.name, cars, first.is_batched
         self.observation, self.preview = first.observation, first.preview
-        self._drivers = [first] if self.batched else [first, *(entry.driver() for _ in range(cars - 1))]
+        self._drivers = (
+            [first]
+            if self.batched
+            else [first, *(entry.driver() for _ in range(cars - 1))]
+        )
 
     def reset(self) -> None:
         """Clear the memory: new roads begin."""
@@ -223,19 +239,27 @@ def travel(
     limited to the action space; `progress` is called now and then with the finished share.
     """
     crew.reset()
-    obs, _ = env.reset(options={"scoring_road": first}) if seed is None else env.reset(seed=seed + first)
+    obs, _ = (
+        env.reset(options={"scoring_road": first})
+        if seed is None
+        else env.reset(seed=seed + first)
+    )
     for k in range(steps):
         seen = obs
         actions = _commands(crew, seen, env, dtype)
         obs, rewards, terminated, _, _ = env.step(actions)
         if terminated.any():
-            raise InputError(f"'{crew.name}' broke the car in episode {int(np.argmax(terminated))}")
+            raise InputError(
+                f"'{crew.name}' broke the car in episode {int(np.argmax(terminated))}"
+            )
         yield _Leg(k, seen, actions, rewards, obs)
         if progress is not None and (k % 100 == 99 or k == steps - 1):
             progress((k + 1) / steps)
 
 
-def _commands(crew: Crew, seen: np.ndarray, env: ISDSuspensionVectorEnv, dtype: DTypeLike) -> np.ndarray:
+def _commands(
+    crew: Crew, seen: np.ndarray, env: ISDSuspensionVectorEnv, dtype: DTypeLike
+) -> np.ndarray:
     """Return the commands of a crew within the action space (cars, currents) [A]."""
     count = len(env.task.vehicle.driven)
     found = np.asarray(crew.act(seen), dtype)
@@ -271,7 +295,12 @@ def cost_of(
     import gymnasium
 
     env = gymnasium.make_vec(
-        name, roads, duration=duration, reward="cost", autoreset_mode="disabled", **options
+        name,
+        roads,
+        duration=duration,
+        reward="cost",
+        autoreset_mode="disabled",
+        **options,
     )
     observations, _ = env.reset(options={"scoring_road": 0})
     costs, over = [], False

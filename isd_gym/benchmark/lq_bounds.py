@@ -127,7 +127,9 @@ def ideal(network: Network | str | Path) -> Network:
     stay = tuple(
         e
         for e in network.elements
-        if e.place == "between" and (set(e.where) <= kept) and set(e.where) != {body, wheel}
+        if e.place == "between"
+        and (set(e.where) <= kept)
+        and set(e.where) != {body, wheel}
     )
     actuator = el.Motor("actuator", (body, wheel), thrust_constant=1.0, ratio=1.0)  # type: ignore[call-arg]
     road = next(c for c in network.inputs if c.quantity == "displacement")
@@ -139,7 +141,9 @@ def ideal(network: Network | str | Path) -> Network:
     )
 
 
-def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str | Road = "paper") -> Linear:
+def linear_car(
+    network: Network | str | Path, *, speed: float = 20.0, road: str | Road = "paper"
+) -> Linear:
     """Return a car on a rough road without friction and stops, with other laws by their slope at rest.
 
     Args:
@@ -157,15 +161,21 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
     require_quarter_car(network, "the causal bound is that")
     ground = find_road(road)
     if not ground.roughness > 0:
-        raise InputError(f"road '{ground.name}' is not random: the causal bound needs a rough road")
+        raise InputError(
+            f"road '{ground.name}' is not random: the causal bound needs a rough road"
+        )
     moving = [
         e
         for e in network.elements
-        if e.place == "between" and e.bound is None and not isinstance(e, el.BumpStop | el.TyreLiftOff)
+        if e.place == "between"
+        and e.bound is None
+        and not isinstance(e, el.BumpStop | el.TyreLiftOff)
     ]
     bare = Network(network.name, network.masses, tuple(moving), network.inputs)
     channels = [
-        c for c in vehicle(bare).channels if c.name in ("body_acceleration", "suspension_travel", "tyre_load")
+        c
+        for c in vehicle(bare).channels
+        if c.name in ("body_acceleration", "suspension_travel", "tyre_load")
     ]
     ss = linearise(bare, outputs=channels)
     name = next(c.name for c in network.inputs if c.quantity == "displacement")
@@ -193,11 +203,19 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
     seen = null_space(unseen.T) if unseen.size else np.eye(n)
     A, B, G, C = seen.T @ ss.A @ seen, seen.T @ B, seen.T @ G, ss.C @ seen
     n = len(A)
-    if ground.cutoff > 0:  # coloured road: the height of the road is an additional state
+    if (
+        ground.cutoff > 0
+    ):  # coloured road: the height of the road is an additional state
         pole = 2 * math.pi * ground.cutoff * speed
         A = np.block([[A, -pole * G[:, None]], [np.zeros((1, n)), np.array([[-pole]])]])
-        B, G, C = np.vstack([B, [[0.0]]]), np.append(G, 1.0), np.hstack([C, np.zeros((3, 1))])
-    intensity = (2 * math.pi) ** 2 * 0.5 * ground.roughness * REFERENCE_FREQUENCY**2 * speed
+        B, G, C = (
+            np.vstack([B, [[0.0]]]),
+            np.append(G, 1.0),
+            np.hstack([C, np.zeros((3, 1))]),
+        )
+    intensity = (
+        (2 * math.pi) ** 2 * 0.5 * ground.roughness * REFERENCE_FREQUENCY**2 * speed
+    )
     return Linear(A, B, G, C, D, intensity, seen, T)
 
 
@@ -212,7 +230,9 @@ def stationary(car: Linear, gain: np.ndarray | None = None) -> tuple[np.ndarray,
         RMS (3,) of acceleration [m/s^2], travel [m] and tyre load [N], and RMS of F.
     """
     k = np.zeros(len(car.A)) if gain is None else gain
-    X = solve_continuous_lyapunov(car.A - np.outer(car.B[:, 0], k), -car.intensity * np.outer(car.G, car.G))
+    X = solve_continuous_lyapunov(
+        car.A - np.outer(car.B[:, 0], k), -car.intensity * np.outer(car.G, car.G)
+    )
     Y = car.C - np.outer(car.D, k)
     return np.sqrt(np.einsum("ij,jk,ik->i", Y, X, Y)), math.sqrt(max(k @ X @ k, 0.0))
 
@@ -229,7 +249,13 @@ def _solve(car: Linear, weights: np.ndarray, effort: float) -> LQPoint:
     gain = ((car.B.T @ P + N.T) / scale)[0]
     rms, force = stationary(car, gain)
     return LQPoint(
-        float(rms[0]), float(rms[1]), float(rms[2]), force, float(car.G @ P @ car.G) * car.intensity, w, gain
+        float(rms[0]),
+        float(rms[1]),
+        float(rms[2]),
+        force,
+        float(car.G @ P @ car.G) * car.intensity,
+        w,
+        gain,
     )
 
 
@@ -263,13 +289,18 @@ def lq_bound(
     base = reference(network, speed=speed, road=road)
     w = np.asarray(weights, float)
     if w.shape != (3,) or not np.all(w >= 0) or not w[0] > 0:
-        raise InputError(f"weights must be three numbers >= 0, the first > 0, not {weights!r}")
+        raise InputError(
+            f"weights must be three numbers >= 0, the first > 0, not {weights!r}"
+        )
     plant = ideal(network) if effort is None else network
     return _solve(linear_car(plant, speed=speed, road=road), w / base**2, effort or 0.0)
 
 
 def reference(
-    network: Network | str | Path = "quarter-car-isd", *, speed: float = 20.0, road: str | Road = "paper"
+    network: Network | str | Path = "quarter-car-isd",
+    *,
+    speed: float = 20.0,
+    road: str | Road = "paper",
 ) -> np.ndarray:
     """Return the expected RMS of the conventional passive car.
 
@@ -286,7 +317,9 @@ def reference(
     """
     from .policies import conventional
 
-    return stationary(linear_car(conventional(Network.load(network)), speed=speed, road=road))[0]
+    return stationary(
+        linear_car(conventional(Network.load(network)), speed=speed, road=road)
+    )[0]
 
 
 @dataclass(frozen=True)
@@ -337,7 +370,11 @@ def best_acceleration(
         InputError: No causal controller reaches the changes, or the bound does not exist for the car or the
             road.
     """
-    base = reference(network, speed=speed, road=road) if against is None else np.asarray(against, float)
+    base = (
+        reference(network, speed=speed, road=road)
+        if against is None
+        else np.asarray(against, float)
+    )
     car = linear_car(ideal(network), speed=speed, road=road)
     allowed = [1 + c if c is not None else None for c in (travel_change, tyre_change)]
     if any(a is not None and not a > 0 for a in allowed):
@@ -372,7 +409,9 @@ def best_acceleration(
     )
     point = at(found.x)
     change = point.triple / base - 1
-    if np.any((found.x > 8.5) & bound) or np.any((change[1:] > limit - 1 + 1e-3) & bound):
+    if np.any((found.x > 8.5) & bound) or np.any(
+        (change[1:] > limit - 1 + 1e-3) & bound
+    ):
         raise InputError(
             f"no causal controller reaches travel {100 * (limit[0] - 1):+.1f} % with tyre load {100 * (limit[1] - 1):+.1f} %"
         )
@@ -395,7 +434,9 @@ def lq_front(
         Pairs (k, 2) of travel change and acceleration change; unreachable changes are omitted.
     """
     rows = []
-    for change in np.linspace(-0.35, 0.3, 27) if travel_changes is None else travel_changes:
+    for change in (
+        np.linspace(-0.35, 0.3, 27) if travel_changes is None else travel_changes
+    ):
         try:
             best = best_acceleration(float(change), tyre_change, **options)
         except InputError:
@@ -451,15 +492,19 @@ def ideal_car(network: Network | str | Path) -> Network:
     tyres = [
         e
         for e in network.elements
-        if e.place == "between" and set(e.where) in [{c.wheel, c.road} for c in car.corners]
+        if e.place == "between"
+        and set(e.where) in [{c.wheel, c.road} for c in car.corners]
     ]
     actuators = [
-        el.Motor(f"actuator_{c.name}", (c.body, c.wheel), thrust_constant=1.0, ratio=1.0)  # type: ignore[call-arg]
+        el.Motor(
+            f"actuator_{c.name}", (c.body, c.wheel), thrust_constant=1.0, ratio=1.0
+        )  # type: ignore[call-arg]
         for c in car.corners
     ]
     roads = [c for c in network.inputs if c.quantity == "displacement"]
     currents = [
-        Channel(f"current_{c.name}", "current", "A", element=f"actuator_{c.name}") for c in car.corners
+        Channel(f"current_{c.name}", "current", "A", element=f"actuator_{c.name}")
+        for c in car.corners
     ]
     return replace(
         network,
@@ -503,18 +548,25 @@ def wheelbase_bound(
     network, ground = Network.load(network), find_road(road)
     car = vehicle(network)
     if not ground.roughness > 0 or ground.profile is not None or ground.cutoff > 0:
-        raise InputError(f"road '{ground.name}': the bound of a whole car needs a rough road without cut-off")
+        raise InputError(
+            f"road '{ground.name}': the bound of a whole car needs a rough road without cut-off"
+        )
     if len(car.corners) < 2 or car.wheels.tracks != 1:
         raise InputError(
             f"network '{network.name}': the wheelbase bound is that of axles in one track, as of a half car; the coherence of a "
             "left and a right track is not part of its model"
         )
-    intensity = (2 * math.pi) ** 2 * 0.5 * ground.roughness * REFERENCE_FREQUENCY**2 * speed
+    intensity = (
+        (2 * math.pi) ** 2 * 0.5 * ground.roughness * REFERENCE_FREQUENCY**2 * speed
+    )
     stage = StageCost.of(cost, car.axes, len(car.corners))
     plant = ideal_car(network) if effort is None else _linear_device(network)
-    weights = CarWeights(stage, effort=effort or 1e-14, centring=0.0 if effort is None else 1e-4)
+    weights = CarWeights(
+        stage, effort=effort or 1e-14, centring=0.0 if effort is None else 1e-4
+    )
     known, blind = (
-        car_model(plant, step, speed, wheelbase=way, road_intensity=intensity) for way in (True, False)
+        car_model(plant, step, speed, wheelbase=way, road_intensity=intensity)
+        for way in (True, False)
     )
     _, best = car_regulator(known, weights)
     K, _ = car_regulator(blind, weights)
@@ -565,6 +617,8 @@ def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float
 
 def _linear_device(network: Network) -> Network:
     """Return a network without dry friction and end stops."""
-    kept = tuple(e for e in network.elements if e.place == "between" and e.bound is None)
+    kept = tuple(
+        e for e in network.elements if e.place == "between" and e.bound is None
+    )
     kept = tuple(e for e in kept if not isinstance(e, el.BumpStop | el.TyreLiftOff))
     return replace(network, elements=kept, outputs=(), uncertainty={})

@@ -51,13 +51,22 @@ def conventional(network: Network) -> Network:
     parameters = network.parameters
     shared = {k: parameters[k] for k in car.parameters if k in parameters}
     if count == 1:
-        masses = {f"{k}.mass": network.masses[o] for k, o in zip(car.masses, network.masses, strict=False)}
+        masses = {
+            f"{k}.mass": network.masses[o]
+            for k, o in zip(car.masses, network.masses, strict=False)
+        }
         return car.with_parameters(shared | masses)
     corners = list(zip(vehicle(car).corners, own.corners, strict=True))
-    masses = {f"{one.wheel}.mass": network.masses[other.wheel] for one, other in corners}
+    masses = {
+        f"{one.wheel}.mass": network.masses[other.wheel] for one, other in corners
+    }
     given = network.bodies[0]
     held = {one.body: Point(one.body, other.x, other.y) for one, other in corners}
-    free = [p for p in given.points if p.name not in held and p.name not in {c.body for c in own.corners}]
+    free = [
+        p
+        for p in given.points
+        if p.name not in held and p.name not in {c.body for c in own.corners}
+    ]
     body = replace(given, name=car.bodies[0].name, points=(*held.values(), *free))
     known = set(car.parameters)
     return replace(
@@ -129,7 +138,9 @@ def find(
     if speed is not None and len(car.corners) > 1:
         options["speed"] = speed
     for point in plugins(POLICIES):
-        if (entry := point.load()(name, belief, cost, control_step, options)) is not None:
+        if (
+            entry := point.load()(name, belief, cost, control_step, options)
+        ) is not None:
             return entry
     known = list(available())
     near = get_close_matches(name[:80], known, 1)
@@ -139,7 +150,9 @@ def find(
     )
 
 
-def find_all(policies: Sequence[str | Entry], network: Network, **how: Any) -> list[Entry]:
+def find_all(
+    policies: Sequence[str | Entry], network: Network, **how: Any
+) -> list[Entry]:
     """Return policies by their names, each under a name of its own where that is possible.
 
     A trained policy brings its name along. Where two policies have the same name, or a trained policy has the
@@ -160,7 +173,9 @@ def find_all(policies: Sequence[str | Entry], network: Network, **how: Any) -> l
     entries = [find(p, network, **how) if isinstance(p, str) else p for p in policies]
     count = Counter([_REFERENCE, *(e.name for e in entries)])
     return [
-        entry if count[entry.name] == 1 or entry.name == name else replace(entry, name=name)
+        entry
+        if count[entry.name] == 1 or entry.name == name
+        else replace(entry, name=name)
         for name, entry in zip(asked, entries, strict=True)
     ]
 

@@ -68,7 +68,8 @@ def _of_corners(kind: str, unit: str) -> property:
         return found[0] if len(found) == 1 else np.stack(found, axis=-1)
 
     return property(
-        joined, doc=f"{kind} [{unit}] (steps, episodes), of several corners (steps, episodes, corners)."
+        joined,
+        doc=f"{kind} [{unit}] (steps, episodes), of several corners (steps, episodes, corners).",
     )
 
 
@@ -121,7 +122,10 @@ class Run:
             InputError: The body has no such point.
         """
         where = _position(self.car, point)
-        motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
+        motions = [
+            self.body_acceleration,
+            *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes),
+        ]
         total = np.zeros_like(self.body_acceleration)
         for arm, motion in zip(self.car.arms(*where), motions, strict=True):
             total += arm * motion
@@ -132,8 +136,12 @@ class Run:
         """Number of samples beyond each of the `LIMITS`."""
         slew = np.abs(np.diff(self.current, axis=0, prepend=0.0))
         return {
-            "body_acceleration": int(np.sum(np.abs(self.body_acceleration) > LIMITS["body_acceleration"])),
-            "suspension_travel": int(np.sum(np.abs(self.suspension_travel) > LIMITS["suspension_travel"])),
+            "body_acceleration": int(
+                np.sum(np.abs(self.body_acceleration) > LIMITS["body_acceleration"])
+            ),
+            "suspension_travel": int(
+                np.sum(np.abs(self.suspension_travel) > LIMITS["suspension_travel"])
+            ),
             "current": int(np.sum(np.abs(self.current) > LIMITS["current"] + 1e-9)),
             "current_change": int(np.sum(slew > LIMITS["current_change"] + 1e-9)),
         }
@@ -147,9 +155,17 @@ class Run:
         Returns:
             Mean cost (episodes,) [-].
         """
-        motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
+        motions = [
+            self.body_acceleration,
+            *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes),
+        ]
         currents = self.of("current")
-        all_signals = [*motions, *self.of("suspension_travel"), *self.of("tyre_load"), *currents]
+        all_signals = [
+            *motions,
+            *self.of("suspension_travel"),
+            *self.of("tyre_load"),
+            *currents,
+        ]
         factors = cost.factors(self.car.axes, len(self.car.corners), len(currents))
         total = square(factors[0], all_signals[0])
         for factor, signal in zip(factors[1:], all_signals[1:], strict=True):
@@ -214,7 +230,9 @@ def weighted_rms(acceleration: np.ndarray, step: float) -> np.ndarray:
     """
     n = len(acceleration)
     spectrum = np.fft.rfft(acceleration, axis=0)
-    gain = frequency_weighting(np.fft.rfftfreq(n, step)).reshape(-1, *[1] * (acceleration.ndim - 1))
+    gain = frequency_weighting(np.fft.rfftfreq(n, step)).reshape(
+        -1, *[1] * (acceleration.ndim - 1)
+    )
     return np.sqrt(np.mean(np.fft.irfft(spectrum * gain, n, axis=0) ** 2, axis=0))
 
 
@@ -227,7 +245,9 @@ def check_size(car: Vehicle, episodes: int, duration: float) -> None:
         raise InputError(f"episodes must be at least 1, not {episodes}")
     if not 0 < duration < math.inf:
         raise InputError(f"duration must be positive and finite, not {duration}")
-    signals = 2 * (len(car.channels) + len(car.driven))  # twice: the signals and their measures
+    signals = 2 * (
+        len(car.channels) + len(car.driven)
+    )  # twice: the signals and their measures
     what = f"{shown(episodes)} episode{'s' * (episodes != 1)} of {duration:g} s"
     # huge integers have no float
     size = 8.0 * signals * duration / CONTROL_STEP * min(episodes, 10**30)
@@ -339,13 +359,19 @@ def units(car: Vehicle) -> dict[str, str]:
     """Return the unit of each measure of a car: `MEASURES`, and the measures of axes and corners."""
     own = {f"{axis}_acceleration_rms": "rad/s^2" for axis in car.axes}
     if len(car.corners) > 1:
-        for kind, unit in (("suspension_travel", "m"), ("tyre_load", "N"), ("current", "A")):
+        for kind, unit in (
+            ("suspension_travel", "m"),
+            ("tyre_load", "N"),
+            ("current", "A"),
+        ):
             corners = car.driven if kind == "current" else car.corners
             own |= {f"{c.named(kind)}_rms": unit for c in corners}
     return MEASURES | own
 
 
-def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, tuple[np.ndarray, str]]:
+def measures(
+    run: Run, cost: StageCost, point: str | None = None
+) -> dict[str, tuple[np.ndarray, str]]:
     """Return mean squares (means for cost and energy, maxima for peaks) by episode (episodes,), and units,
     for the names of `units`.
 
@@ -366,22 +392,33 @@ def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, t
 
     energy = np.zeros(run.body_acceleration.shape[1])
     for corner in car.driven:
-        current, rate = run.signals[corner.named("current")], run.signals[corner.named("device_travel_rate")]
+        current, rate = (
+            run.signals[corner.named("current")],
+            run.signals[corner.named("device_travel_rate")],
+        )
         power = _RESISTANCE * current**2 - car.thrust(corner) * current * rate
         energy = energy + np.sum(power, axis=0) * dt
     found = {
         "cost": run.cost(cost),
-        "weighted_acceleration_rms": weighted_rms(run.acceleration_at(point or comfort_point(car)), dt) ** 2,
+        "weighted_acceleration_rms": weighted_rms(
+            run.acceleration_at(point or comfort_point(car)), dt
+        )
+        ** 2,
         "energy": energy,
         "peak_body_acceleration": peak([run.body_acceleration]),
         "peak_suspension_travel": peak(run.of("suspension_travel")),
         "travel_exceedance": share(
-            [np.abs(l) > LIMITS["suspension_travel"] for l in run.of("suspension_travel")]
+            [
+                np.abs(l) > LIMITS["suspension_travel"]
+                for l in run.of("suspension_travel")
+            ]
         ),
         "wheel_lift": share(
             [
                 np.zeros_like(load, bool) if static is None else load < -static
-                for load, static in zip(run.of("tyre_load"), car.static_tyre_loads, strict=True)
+                for load, static in zip(
+                    run.of("tyre_load"), car.static_tyre_loads, strict=True
+                )
             ]
         ),
     }
@@ -389,7 +426,9 @@ def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, t
     for name, unit in units(car).items():
         if name not in found:
             kind = name.removesuffix("_rms")
-            found[name] = mean_square([run.signals[kind]] if kind in run.signals else run.of(kind))
+            found[name] = mean_square(
+                [run.signals[kind]] if kind in run.signals else run.of(kind)
+            )
         out[name] = (found[name], unit)
     return out
 
@@ -412,11 +451,22 @@ def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float
     for kinds in PRINTED:
         group = {}
         for name in row:
-            kind = next((k for k in kinds if name.startswith(k) and name not in MEASURES), None)
+            kind = next(
+                (k for k in kinds if name.startswith(k) and name not in MEASURES), None
+            )
             if kind is not None:
                 head, unit, scale, digits = kinds[kind]
-                corner = name.removeprefix(kind).removesuffix("_rms").replace("_", " ").strip()
-                group[name] = (f"{head}\n{f'{corner}, ' if corner else ''}{unit}", digits, scale)
+                corner = (
+                    name.removeprefix(kind)
+                    .removesuffix("_rms")
+                    .replace("_", " ")
+                    .strip()
+                )
+                group[name] = (
+                    f"{head}\n{f'{corner}, ' if corner else ''}{unit}",
+                    digits,
+                    scale,
+                )
         out += [group] if group else []
     return out
 
@@ -428,7 +478,9 @@ def _pool(name: str, values: np.ndarray) -> np.ndarray:
     return values.max(axis=-1) if name.startswith("peak") else values.mean(axis=-1)
 
 
-def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dict[str, Any]:
+def compare(
+    name: str, values: np.ndarray, ground: np.ndarray, unit: str
+) -> dict[str, Any]:
     """Return value, unit, change, low and high of a quantity of a score, from values (episodes,) of a policy
     and of its reference.
 
@@ -456,7 +508,10 @@ def _policy_row(
 ) -> dict[str, Any]:
     """Return the row of a policy in a score, from its `measures` and those of the reference."""
     row: dict[str, Any] = {"policy": name}
-    row |= {key: compare(key, values, reference[key][0], unit) for key, (values, unit) in own.items()}
+    row |= {
+        key: compare(key, values, reference[key][0], unit)
+        for key, (values, unit) in own.items()
+    }
     reachable = None
     if clairvoyant is not None:
         before, after = reference["cost"][0].mean(), own["cost"][0].mean()
@@ -471,7 +526,9 @@ def _policy_row(
         },
         "share_of_reachable_gain": reachable,
         "preview": {"value": run.preview, "unit": "s"},
-        "share_of_causal_gain": row["cost"]["change"] / bound["change"] + 0.0 if bound else None,
+        "share_of_causal_gain": row["cost"]["change"] / bound["change"] + 0.0
+        if bound
+        else None,
     }
 
 
@@ -509,11 +566,17 @@ class Score:
     raw: dict[str, dict[str, list[float]]] = field(repr=False, default_factory=dict)
     #: fingerprint of each road, see `fingerprints`
     roads: list[list[float]] = field(repr=False, default_factory=list)
-    runs: dict[str, Run] = field(repr=False, default_factory=dict)  # signals by policy, for reports
-    references: dict[str, Any] = field(default_factory=dict)  # bounds and published figures, as sentences
+    runs: dict[str, Run] = field(
+        repr=False, default_factory=dict
+    )  # signals by policy, for reports
+    references: dict[str, Any] = field(
+        default_factory=dict
+    )  # bounds and published figures, as sentences
     plant: Network | None = field(repr=False, default=None)  # the network
     ground: Road | None = field(repr=False, default=None)  # the road
-    comparable: Comparable = field(default_factory=Comparable)  # allowed bounds and published figures
+    comparable: Comparable = field(
+        default_factory=Comparable
+    )  # allowed bounds and published figures
     cost: StageCost = field(default_factory=StageCost)  # stage cost of the car
     point: str = ""  # point of the body of the evaluation by ISO 2631-1
     model: Network | None = field(
@@ -525,7 +588,9 @@ class Score:
         """Parameters of the plant over those of the controllers' model, where both have them and differ [-]."""
         if self.model is None or self.plant is None:
             return {}
-        assumed = {name: value for name, value in self.model.parameters.items() if value}
+        assumed = {
+            name: value for name, value in self.model.parameters.items() if value
+        }
         true = self.plant.parameters
         return {
             name: true[name] / assumed[name]
@@ -560,7 +625,11 @@ class Score:
             "seed": self.seed,
             **({} if self.sensors.perfect else {"sensors": self.sensors.to_dict()}),
             **({"comfort_point": self.comfort} if self.comfort else {}),
-            **({"model": {"name": self.model.name, "shift": self.shift}} if self.model else {}),
+            **(
+                {"model": {"name": self.model.name, "shift": self.shift}}
+                if self.model
+                else {}
+            ),
             "policies": self.policies,
             "references": self.references,
             "roads": self.roads,
@@ -580,7 +649,10 @@ def unscored(
     sensors: Sensors | None = None,
 ) -> Score:
     """Return the conditions of a score before driving, without quantities and episodes."""
-    rows = [{"policy": e.name, "preview": {"value": Crew(e, 1).preview, "unit": "s"}} for e in entries]
+    rows = [
+        {"policy": e.name, "preview": {"value": Crew(e, 1).preview, "unit": "s"}}
+        for e in entries
+    ]
     return Score(
         road=getattr(road, "name", str(road)),
         speed=speed,
@@ -611,12 +683,27 @@ def idle_policies(result: Score, **drives: Any) -> list[str]:
         Names; none for a network without motors.
     """
     network = result.plant
-    acting = [row for row in result.policies if row["policy"] not in ("passive", "isd-passive")]
-    if network is None or not acting or all(corner.motor is None for corner in vehicle(network).corners):
+    acting = [
+        row
+        for row in result.policies
+        if row["policy"] not in ("passive", "isd-passive")
+    ]
+    if (
+        network is None
+        or not acting
+        or all(corner.motor is None for corner in vehicle(network).corners)
+    ):
         return []
-    still = drive(Entry("isd-passive", lambda: Idle("isd-passive", network)), network, timed=0, **drives)
+    still = drive(
+        Entry("isd-passive", lambda: Idle("isd-passive", network)),
+        network,
+        timed=0,
+        **drives,
+    )
     cost = float(still.cost(result.cost).mean())
-    return [row["policy"] for row in acting if abs(row["cost"]["value"] / cost - 1.0) < IDLE]
+    return [
+        row["policy"] for row in acting if abs(row["cost"]["value"] / cost - 1.0) < IDLE
+    ]
 
 
 def score(
@@ -669,7 +756,12 @@ def score(
     cost = StageCost.of(cost, car.axes, len(car.corners))
     point = point or comfort_point(car)
     _position(car, point)
-    conditions: dict[str, Any] = {"speed": speed, "episodes": episodes, "duration": duration, "seed": seed}
+    conditions: dict[str, Any] = {
+        "speed": speed,
+        "episodes": episodes,
+        "duration": duration,
+        "seed": seed,
+    }
     named = [policies] if isinstance(policies, str | Entry) else policies
     entries = find_all(named, network, cost=cost, speed=speed)
     reference = reference or passive(network)
@@ -715,7 +807,8 @@ def score(
         policies=rows,
         sensors=sensors or Sensors(),
         raw={
-            name: {key: _rounded(values) for key, (values, _) in own.items()} for name, own in found.items()
+            name: {key: _rounded(values) for key, (values, _) in own.items()}
+            for name, own in found.items()
         },
         roads=[] if randomize else fingerprints(road, **conditions),
         runs=runs,

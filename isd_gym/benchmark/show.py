@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 #: size of a picture [px] by number of cars
 SIZE = {1: (960, 600), 2: (1200, 640)}
-WIDE = (1400, 600)  # of two cars with a left and a right track, which have two views each
+WIDE = (
+    1400,
+    600,
+)  # of two cars with a left and a right track, which have two views each
 FPS = 50.0  # frames of a film per second
 
 
@@ -62,9 +65,13 @@ def snapshots(
     for k in range(round(seconds / CONTROL_STEP)):
         for car in cars:
             name, controller, env, observation = car
-            car[3], _, terminated, _, _ = env.step(np.atleast_1d(controller.act(observation)))
+            car[3], _, terminated, _, _ = env.step(
+                np.atleast_1d(controller.act(observation))
+            )
             if terminated:
-                raise InputError(f"'{name}' broke the car after {(k + 1) * CONTROL_STEP:.2f} s")
+                raise InputError(
+                    f"'{name}' broke the car after {(k + 1) * CONTROL_STEP:.2f} s"
+                )
         yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
 
 

@@ -68,11 +68,17 @@ def _on_each_road(network: str, prefix: str) -> dict[str, Track]:
 #: tracks by the name on the command line
 TRACKS = {
     "standard": Track("ISDSuspension-v0", "standard", "quarter-car-isd"),
-    "preview-0.1": Track("ISDSuspension-v0", "preview-0.1", "quarter-car-isd", preview=0.1),
-    "preview-0.2": Track("ISDSuspension-v0", "preview-0.2", "quarter-car-isd", preview=0.2),
+    "preview-0.1": Track(
+        "ISDSuspension-v0", "preview-0.1", "quarter-car-isd", preview=0.1
+    ),
+    "preview-0.2": Track(
+        "ISDSuspension-v0", "preview-0.2", "quarter-car-isd", preview=0.2
+    ),
     "half-car": Track("ISDHalfCar-v0", "standard", "half-car-isd"),
     "full-car": Track("ISDFullCar-v0", "standard", "full-car-isd"),
-    "full-car-preview-0.2": Track("ISDFullCar-v0", "preview-0.2", "full-car-isd", preview=0.2),
+    "full-car-preview-0.2": Track(
+        "ISDFullCar-v0", "preview-0.2", "full-car-isd", preview=0.2
+    ),
     **_on_each_road("quarter-car-active", "active"),
     **_on_each_road("quarter-car-semiactive", "semiactive"),
 }

@@ -11,7 +11,12 @@ import numpy as np
 
 from ._estimation.gauss_newton import Fitter
 from ._estimation.noise import white_weights
-from ._estimation.structure import base_structure, owner_pair, parameter_values, with_sensor_offsets
+from ._estimation.structure import (
+    base_structure,
+    owner_pair,
+    parameter_values,
+    with_sensor_offsets,
+)
 from ._hypotheses.library import hypotheses
 from ._hypotheses.motion import loads_of, tell_gain
 from ._planning.design import next_experiment, played
@@ -80,15 +85,22 @@ class ResultBuilder:
         verdict, refit, foremost = decision.verdict, answer.refit, answer.foremost
         is_named, is_ambiguous = verdict == "missing_effect", verdict == "ambiguous"
         free = self._free_force() if verdict == "unknown_effect" else FreeForce()
-        findings = self._attempt("the probabilities", self._findings, verdict, free) or ()
+        findings = (
+            self._attempt("the probabilities", self._findings, verdict, free) or ()
+        )
         completes = verdict == "unknown_effect" and self._is_supported(free)
         if completes:
             free = FreeForce(free.best)
         # the likeliest law of several that the records do not tell apart, or the best supported one
-        final = free.row or (foremost if is_named or is_ambiguous or completes else refit)
+        final = free.row or (
+            foremost if is_named or is_ambiguous or completes else refit
+        )
         quantities = posterior = measured.quantities
         if not is_named:
-            quantities = self._attempt("the intervals", intervals, search.evaluator, refit.fit) or {}
+            quantities = (
+                self._attempt("the intervals", intervals, search.evaluator, refit.fit)
+                or {}
+            )
         if final is not foremost:
             posterior = quantities if final is refit else {}
         effects = self._effects(measured.quantities, findings) if is_named else []
@@ -111,9 +123,13 @@ class ResultBuilder:
             contenders=tuple(self._contenders(rivals if is_ambiguous else rivals[1:])),
             findings=findings,
             sets=tuple(s for s, _ in self.sets),
-            where=() if verdict == "no_discrepancy" else locate_errors(p, refit.fit, noise),
+            where=()
+            if verdict == "no_discrepancy"
+            else locate_errors(p, refit.fit, noise),
             places=self._places(),
-            parameters={path: q for path, q in quantities.items() if path in network.parameters},
+            parameters={
+                path: q for path, q in quantities.items() if path in network.parameters
+            },
             gap={stage: self._by_channel(row) for stage, row in rows.items()},
             closed=None if final is refit else closed(rows),
             gates=decision.gates,
@@ -121,7 +137,9 @@ class ResultBuilder:
             test=inputs,
             base=network,
             refitted=refit.fit.network,
-            model=self._described(with_posterior(fitted, posterior), decision, completes),
+            model=self._described(
+                with_posterior(fitted, posterior), decision, completes
+            ),
             traces=self._traces(final),
             laws=self._laws(final.fit, effects, free.tabulated),
             notes=tuple(dict.fromkeys((*self.flow.notes, *self._tried(), *self.lost))),
@@ -144,15 +162,21 @@ class ResultBuilder:
         if not best.members or not best.is_sound or best.error >= refit.error:
             return False
         falls = refit.test**2 - best.test**2
-        is_material = np.sum(falls) > 0.0 and np.max(falls) >= self.search.criteria.material**2
+        is_material = (
+            np.sum(falls) > 0.0 and np.max(falls) >= self.search.criteria.material**2
+        )
         return bool(is_material) and (free.row is None or best.error < free.row.error)
 
-    def _described(self, network: Network, decision: Decision, completes: bool) -> Network:
+    def _described(
+        self, network: Network, decision: Decision, completes: bool
+    ) -> Network:
         """Return a model with a description of its law as uncertain."""
         if decision.verdict != "ambiguous" and not completes:
             return network
         law = "; ".join(h.label for h in self.answer.foremost.fit.hypotheses)
-        text = f"{'Best supported' if completes else 'Likeliest'} law, not certain: {law}."
+        text = (
+            f"{'Best supported' if completes else 'Likeliest'} law, not certain: {law}."
+        )
         return replace(network, description=f"{network.description} {text}".strip())
 
     def _attempt(self, what: str, make: Callable[..., T], *args: Any) -> T | None:
@@ -174,17 +198,27 @@ class ResultBuilder:
             return FreeForce()
         self.flow.say("no known law explains it: following the missing force")
         given = self.search.evaluator, self.answer.refit, self.search.criteria
-        return self._attempt("a table of the missing force", fit_free_force, *given) or FreeForce()
+        return (
+            self._attempt("a table of the missing force", fit_free_force, *given)
+            or FreeForce()
+        )
 
     def _findings(self, verdict: str, free: FreeForce) -> tuple[Finding, ...]:
         """Return the findings, with the free force among the sets where one was fitted."""
         answer = self.answer
-        if verdict in ("no_discrepancy", "parameters_only") or not answer.foremost.members:
+        if (
+            verdict in ("no_discrepancy", "parameters_only")
+            or not answer.foremost.members
+        ):
             return ()
         named: frozenset[Statement] = frozenset()
         if verdict == "missing_effect":
             certain = zip(answer.simplest.members, answer.certain, strict=True)
-            named = frozenset(Statement(m.place, m.mechanism, m.effect) for m, is_so in certain if is_so)
+            named = frozenset(
+                Statement(m.place, m.mechanism, m.effect)
+                for m, is_so in certain
+                if is_so
+            )
         # a name under feedback is no multiple of the controller's input
         is_doubted = not answer.band or (bool(self.flow.feedback) and not named)
         found = Finder(
@@ -206,10 +240,14 @@ class ResultBuilder:
     def sets(self) -> list[tuple[LawSet, frozenset[tuple[str, tuple[str, ...]]]]]:
         """The sets of the band, the simplest first, at most `MOST_SETS`, each with its kinds and places."""
         answer, out = self.answer, []
-        for k, (row, weight) in enumerate(zip(answer.band[:MOST_SETS], answer.weights, strict=False)):
+        for k, (row, weight) in enumerate(
+            zip(answer.band[:MOST_SETS], answer.weights, strict=False)
+        ):
             members = tuple((m.effect, m.place) for m in row.members)
             file = f"set_{k + 1}.json" if k else "model.json"
-            out.append((LawSet(members, weight, row.error, file, row.fit.network), row.kinds))
+            out.append(
+                (LawSet(members, weight, row.error, file, row.fit.network), row.kinds)
+            )
         return out
 
     # -- parts of the result ------------------------------------------------------------------------------
@@ -220,11 +258,15 @@ class ResultBuilder:
             "before": evaluator.nominal_nrmse[1],
             "refit": self.answer.refit.test,
             "after": final.test,
-            "noise_floor": np.minimum(evaluator.test_noise(self.measured.noise), final.test),
+            "noise_floor": np.minimum(
+                evaluator.test_noise(self.measured.noise), final.test
+            ),
         }
 
     def _by_channel(self, row: Array) -> dict[str, float]:
-        return {n: float(v) for n, v in zip(self.search.problem.channels, row, strict=True)}
+        return {
+            n: float(v) for n, v in zip(self.search.problem.channels, row, strict=True)
+        }
 
     def _tried(self) -> list[str]:
         """Return what was tried, in words."""
@@ -232,7 +274,9 @@ class ResultBuilder:
         every = list(hypotheses(p.network))
         loads = loads_of(p, self.answer.refit.fit, every)
         told = {name for name, load in loads.items() if tell_gain(load)}
-        every = [h for h in every if not h.kind.loaded or dict(h.options)["load"] in told]
+        every = [
+            h for h in every if not h.kind.loaded or dict(h.options)["load"] in told
+        ]
         where = dict.fromkeys("-".join(h.where) for h in every)
         return [
             f"tried {len({h.effect for h in every})} effects at {len(where)} places: {', '.join(where)}",
@@ -246,15 +290,23 @@ class ResultBuilder:
             (member,) = row.members
             share = 1.0 - (row.error / max(answer.refit.error, 1e-300)) ** 2
             if share > 0.0:
-                out.setdefault(member.place, ScreenedPlace(member.place, member.effect, share))
+                out.setdefault(
+                    member.place, ScreenedPlace(member.place, member.effect, share)
+                )
         return tuple(out.values())
 
-    def _effects(self, quantities: Mapping[str, Quantity], findings: Sequence[Finding]) -> list[Effect]:
+    def _effects(
+        self, quantities: Mapping[str, Quantity], findings: Sequence[Finding]
+    ) -> list[Effect]:
         """Return the certain effects of the foremost set."""
         row, network, out = self.answer.simplest, self.search.problem.network, []
         fit = row.fit
         for h, element, m, is_certain in zip(
-            fit.hypotheses, fit.structure.names, row.members, self.answer.certain, strict=True
+            fit.hypotheses,
+            fit.structure.names,
+            row.members,
+            self.answer.certain,
+            strict=True,
         ):
             if not is_certain:
                 continue
@@ -264,23 +316,43 @@ class ResultBuilder:
             totals = {key: q for key, q in sums.items() if q is not None}
             channel = h.where[0] if h.place == "channel" else None
             laws = [
-                x for f in findings if (f.kind, f.place) == m.kind for x in f.laws if x.effect == h.effect
+                x
+                for f in findings
+                if (f.kind, f.place) == m.kind
+                for x in f.laws
+                if x.effect == h.effect
             ]
             chance = laws[0].probability if laws else math.nan
             out.append(
-                Effect(h.effect, owner_pair(network, h), channel, chance, own, element, h.behind, totals)
+                Effect(
+                    h.effect,
+                    owner_pair(network, h),
+                    channel,
+                    chance,
+                    own,
+                    element,
+                    h.behind,
+                    totals,
+                )
             )
         return out
 
-    def _laws(self, final: Fit, effects: Sequence[Effect], tabulated: Tabulated | None) -> tuple[Law, ...]:
+    def _laws(
+        self, final: Fit, effects: Sequence[Effect], tabulated: Tabulated | None
+    ) -> tuple[Law, ...]:
         """Return the laws of the found effects and of the table of a free force, each as a curve."""
         p, what = self.search.problem, "the picture of a law"
-        laws = [self._attempt(what, draw_law, p, final, e.element, e.parameters) for e in effects]
+        laws = [
+            self._attempt(what, draw_law, p, final, e.element, e.parameters)
+            for e in effects
+        ]
         if tabulated:
             laws.append(self._attempt(what, draw_table, p, final, tabulated))
         return tuple(law for law in laws if law is not None)
 
-    def _next_test(self, rows: Sequence[Row], noise: Array) -> tuple[dict[str, Any] | None, Table | None]:
+    def _next_test(
+        self, rows: Sequence[Row], noise: Array
+    ) -> tuple[dict[str, Any] | None, Table | None]:
         """Return the test that would decide between sets, and its inputs."""
         self.flow.say("designing the test that would decide")
 
@@ -315,7 +387,11 @@ class ResultBuilder:
         for row in rows:
             left = (beyond_noise(row, answer.noise) / before) ** 2
             options = tuple(h.choices for h in row.fit.hypotheses)
-            out.append(Contender(**_effects_of(row.fit), score=left, why_not=ALIKE, options=options))
+            out.append(
+                Contender(
+                    **_effects_of(row.fit), score=left, why_not=ALIKE, options=options
+                )
+            )
         return out
 
     def _remainder(self, noise: Array, rows: Mapping[str, Array]) -> Remainder | None:
@@ -326,10 +402,17 @@ class ResultBuilder:
         if beyond[j] < self.search.criteria.wide_gap**2:
             return None
         channel = p.channels[j]
-        place = next(x for x in locate_errors(p, found.fit, noise) if x.channel == channel)
-        left = Remainder(channel, float(rows["after"][j]), float(rows["noise_floor"][j]), place.when)
+        place = next(
+            x for x in locate_errors(p, found.fit, noise) if x.channel == channel
+        )
+        left = Remainder(
+            channel, float(rows["after"][j]), float(rows["noise_floor"][j]), place.when
+        )
         more = [h for h in best.fit.hypotheses if h not in found.fit.hypotheses]
-        if len(more) != len(best.members) - len(found.members) or not best.test[j] < found.test[j]:
+        if (
+            len(more) != len(best.members) - len(found.members)
+            or not best.test[j] < found.test[j]
+        ):
             return left
         effects, where = tuple(h.effect for h in more), tuple(h.where for h in more)
         return replace(left, effects=effects, where=where, error=float(best.test[j]))
@@ -338,32 +421,59 @@ class ResultBuilder:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
         whole, evaluator, out = self.flow.whole, self.search.evaluator, []
         nominal = base_structure(whole.network)
-        models: list[tuple[Structure, Array, Mapping[int, Array]]] = [(nominal, nominal.start, {})]
+        models: list[tuple[Structure, Array, Mapping[int, Array]]] = [
+            (nominal, nominal.start, {})
+        ]
         for row in (self.answer.refit, final):
-            models.append((row.fit.structure, row.fit.x, evaluator.first_states(row.fit, row.held)))
+            models.append(
+                (
+                    row.fit.structure,
+                    row.fit.x,
+                    evaluator.first_states(row.fit, row.held),
+                )
+            )
         for i, record in enumerate(whole.records):
             before, refit, after = (
-                dict(zip(whole.channels, self._trace(*model, i).T, strict=True)) for model in models
+                dict(zip(whole.channels, self._trace(*model, i).T, strict=True))
+                for model in models
             )
             measured = {c: record.measured[:, j] for j, c in enumerate(whole.channels)}
             inputs = {k: record.seen(v) for k, v in record.inputs.items()}
             since = self.flow.held_from[i]
             cut = since if math.isfinite(since) else None
             held_out = since == -math.inf
-            out.append(Trace(record.name, held_out, record.time, inputs, measured, before, refit, after, cut))
+            out.append(
+                Trace(
+                    record.name,
+                    held_out,
+                    record.time,
+                    inputs,
+                    measured,
+                    before,
+                    refit,
+                    after,
+                    cut,
+                )
+            )
         return tuple(out)
 
-    def _trace(self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int) -> Array:
+    def _trace(
+        self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int
+    ) -> Array:
         """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""
         fitter = Fitter(self.flow.whole, white_weights(self.search.least_noise))
         for begun in ({}, {k: v for k, v in initial.items() if k == index}):
             try:
-                fit = fitter.fit(structure, x, begun, records=[index], frozen=True, iterations=3)
+                fit = fitter.fit(
+                    structure, x, begun, records=[index], frozen=True, iterations=3
+                )
             except BROKEN:
                 continue
             return fit.outputs[index]
         name = self.flow.whole.records[index].name
-        self.lost.append(f"a model does not simulate the whole record {name}: no curve is drawn there")
+        self.lost.append(
+            f"a model does not simulate the whole record {name}: no curve is drawn there"
+        )
         return np.full_like(self.flow.whole.records[index].measured, np.nan)
 
 
@@ -382,7 +492,9 @@ def closed(rows: Mapping[str, Array]) -> float | None:
     None where the refitted model errs more than a constant: any model that errs less would close most of the gap.
     """
     top = float(np.sum(rows["refit"] ** 2 - rows["after"] ** 2))
-    bottom = float(np.sum(np.maximum(rows["refit"] ** 2 - rows["noise_floor"] ** 2, 0.0)))
+    bottom = float(
+        np.sum(np.maximum(rows["refit"] ** 2 - rows["noise_floor"] ** 2, 0.0))
+    )
     is_worse_than_constant = not np.mean(rows["refit"] ** 2) < 1.0
     if not bottom > 0 or not math.isfinite(top) or (top > 0 and is_worse_than_constant):
         return None

@@ -88,20 +88,33 @@ def diagnose(
     network = Network.load(model)
     if not network.outputs:
         raise InputError(f"model '{network.name}' has no outputs to compare with")
-    sources = _several(data, "data"), _several(validate, "validate") if len(validate) else []
+    sources = (
+        _several(data, "data"),
+        _several(validate, "validate") if len(validate) else [],
+    )
     part = network if cut is None else network_cut(network, cut)
     if cut is not None:
-        left = [e.name for e in network.elements if e.name not in {x.name for x in part.elements}]
-        notes.append(f"cut at {cut}, which {part.inputs[0].name} moves; left out: {', '.join(left)}")
+        left = [
+            e.name
+            for e in network.elements
+            if e.name not in {x.name for x in part.elements}
+        ]
+        notes.append(
+            f"cut at {cut}, which {part.inputs[0].name} moves; left out: {', '.join(left)}"
+        )
     with _answering(limit, steps):
-        fit, held = ([read_record(d, part, notes, accept) for d in side] for side in sources)
+        fit, held = (
+            [read_record(d, part, notes, accept) for d in side] for side in sources
+        )
         _check_copies([*fit, *held])
         records = [thin_long_record(r, part, notes) for r in (*fit, *held)]
         for record in records:
             check_sampling_rates(record, part)
         with limit.until(SEARCH):
             records, lags = align_clocks(records, part, steps.max_lag)
-            direct = prefer_direct_problem(records, part, len(fit), steps.input_noise, steps.swapped_error)
+            direct = prefer_direct_problem(
+                records, part, len(fit), steps.input_noise, steps.swapped_error
+            )
         if direct is not None:
             records, part, note = direct
             notes.append(note)
@@ -114,7 +127,16 @@ def diagnose(
                 raise InputError(f"{misreading} (--accept sign goes on)")
             notes.append(misreading)
         say = progress or (lambda line: None)
-        flow = Workflow(*_split(whole, notes), notes, say, seed, steps, criteria, feedback, clock=limit)
+        flow = Workflow(
+            *_split(whole, notes),
+            notes,
+            say,
+            seed,
+            steps,
+            criteria,
+            feedback,
+            clock=limit,
+        )
         # one thread for linear algebra: sums do not depend on the number of cores
         with threadpool_limits(1):
             # where a closed loop is found, brief stretches of the motion come first
@@ -149,7 +171,11 @@ def _answering(limit: TimeLimit, steps: SearchSettings) -> Iterator[None]:
 
 
 def _aligned_again(
-    found: Diagnosis, records: list[Record], network: Network, lags: list[Lag], limit: TimeLimit
+    found: Diagnosis,
+    records: list[Record],
+    network: Network,
+    lags: list[Lag],
+    limit: TimeLimit,
 ) -> list[Lag]:
     """Return the lags under a completed model, since the missing effect had a part in them; those of the nominal model where the new
     ones cannot be found in time."""
@@ -167,7 +193,9 @@ def _whole(records: list[Record], network: Network, training: int) -> Problem:
     return Problem(network, differentiate_inputs(records, network), kept)
 
 
-def _split(whole: Problem, notes: list[str]) -> tuple[Problem, Problem, tuple[float, ...]]:
+def _split(
+    whole: Problem, notes: list[str]
+) -> tuple[Problem, Problem, tuple[float, ...]]:
     """Return training, validation and test records, the whole records, and the time [s] from which each of these is held out; how they
     are split is added to the notes."""
     training = len(whole.estimation)
@@ -197,10 +225,14 @@ def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None
             f"and the simulated one errs by {error:.0%}"
         )
         own = [*flow.notes, note]
-        whole = _whole(inverse.records(records), inverse.network, len(flow.whole.estimation))
+        whole = _whole(
+            inverse.records(records), inverse.network, len(flow.whole.estimation)
+        )
         problem, _, held = _split(whole, own)
         # a controller that sets the force changes nothing in the force that a motion needs
-        turned = replace(flow, problem=problem, whole=whole, held_from=held, notes=own, feedback=())
+        turned = replace(
+            flow, problem=problem, whole=whole, held_from=held, notes=own, feedback=()
+        )
         with limit.until(EVIDENCE):
             found = turned.run()
     except TimeUp:
@@ -208,7 +240,10 @@ def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None
         return None
     except (InputError, *BROKEN):
         return None
-    left = (*found.gap["after"].values(), *(found.evidence.after if found.evidence else ()))
+    left = (
+        *found.gap["after"].values(),
+        *(found.evidence.after if found.evidence else ()),
+    )
     if found.verdict != "missing_effect" or max(left) > flow.settings.drifted:
         return None
     return replace(found, whole=inverse.restore(found.model))
@@ -219,15 +254,22 @@ def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
     fitted = len(problem.estimation)
     if len(whole.records) == fitted == 1:
         return (float(problem.records[1].time[0]),)
-    return tuple(math.inf if i < fitted else -math.inf for i in range(len(whole.records)))
+    return tuple(
+        math.inf if i < fitted else -math.inf for i in range(len(whole.records))
+    )
 
 
 def _check_copies(records: Sequence[Record]) -> None:
     """Raise `InputError` for a record whose samples are those of another record: a copy confirms nothing."""
     for one, other in itertools.combinations(records, 2):
-        pairs = [(one.measured, other.measured), *((x, other.inputs[n]) for n, x in one.inputs.items())]
+        pairs = [
+            (one.measured, other.measured),
+            *((x, other.inputs[n]) for n, x in one.inputs.items()),
+        ]
         if all(np.array_equal(a, b) for a, b in pairs):
-            raise InputError(f"{other.name} has the samples of {one.name}: give each record once")
+            raise InputError(
+                f"{other.name} has the samples of {one.name}: give each record once"
+            )
 
 
 def _several(data: Any, name: str) -> list[Any]:
@@ -262,7 +304,9 @@ class Workflow:
     def __post_init__(self) -> None:
         self.network = self.problem.network
         evaluator = HeldOutEvaluator(self.problem, self.whole)
-        self.search = Search(evaluator, self.settings, self.criteria, self.say, self.clock)
+        self.search = Search(
+            evaluator, self.settings, self.criteria, self.say, self.clock
+        )
 
     def run(self) -> Diagnosis:
         """Run the diagnosis of whole records; where the refitted model loses the measured motion, that of segments first, each from an
@@ -294,7 +338,9 @@ class Workflow:
                 measured = collect_evidence(evaluator, answer, c)
         decision = decide(answer, measured.evidence, c)
         fit = answer.foremost.fit
-        decision = decide_under_feedback(decision, self.problem, fit, self.feedback, self.is_segmented, c)
+        decision = decide_under_feedback(
+            decision, self.problem, fit, self.feedback, self.is_segmented, c
+        )
         return answer, measured, decision
 
     # -- segments -----------------------------------------------------------------------------------------
@@ -322,7 +368,11 @@ class Workflow:
     def _segmented(self) -> Problem:
         """Return the problem with the records in segments, each from an initial state of its own."""
         p, s = self.problem, self.settings
-        slowest = max(pace(r.measured[:, j], r.interval) for r in p.records for j in range(len(p.channels)))
+        slowest = max(
+            pace(r.measured[:, j], r.interval)
+            for r in p.records
+            for j in range(len(p.channels))
+        )
         seconds = max(s.segment * p.time, s.least_segment * slowest)
         pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
         for r, role in zip(p.records, p.roles, strict=True):
@@ -345,8 +395,21 @@ class Workflow:
             return None  # no record is long enough to be cut
         lengths = [len(r) * r.interval for r in flow.problem.records]
         reason: Literal["diverges", "astray", "feedback"]
-        reason = "feedback" if self.feedback else "astray" if math.isfinite(error) else "diverges"
-        over = Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)
+        reason = (
+            "feedback"
+            if self.feedback
+            else "astray"
+            if math.isfinite(error)
+            else "diverges"
+        )
+        over = Stretches(
+            len(lengths),
+            min(lengths),
+            max(lengths),
+            reason,
+            error,
+            self.settings.astray,
+        )
         self.say(
             f"comparing over {over.count} stretches of {over.shortest:.2g} to {over.longest:.2g} s, each from its own state"
         )
@@ -361,4 +424,8 @@ class Workflow:
             return None
         # under feedback whole records are no valid comparison
         is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
-        return ResultBuilder(flow.search, answer, measured, flow).build(decision, over) if is_final else None
+        return (
+            ResultBuilder(flow.search, answer, measured, flow).build(decision, over)
+            if is_final
+            else None
+        )

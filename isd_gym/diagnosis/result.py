@@ -51,7 +51,14 @@ Over = Literal["rate", "elongation", "both"]
 FOLDER = (
     "diagnosis",
     "diagnosis.json",
-    ("report.html", "diagnosis.json", "model.json", "next_experiment.csv", "set_*.json", "*.svg"),
+    (
+        "report.html",
+        "diagnosis.json",
+        "model.json",
+        "next_experiment.csv",
+        "set_*.json",
+        "*.svg",
+    ),
 )
 
 
@@ -73,7 +80,12 @@ class Quantity:
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
         head = {} if self.prior is None else {"prior": self.prior}
-        return head | {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
+        return head | {
+            "value": self.value,
+            "low": self.low,
+            "high": self.high,
+            "unit": self.unit,
+        }
 
 
 @dataclass(frozen=True)
@@ -135,7 +147,12 @@ class LawSet:
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
         members = [{"effect": effect, "place": place} for effect, place in self.members]
-        return {"members": members, "weight": self.weight, "error": self.error, "model": self.file}
+        return {
+            "members": members,
+            "weight": self.weight,
+            "error": self.error,
+            "model": self.file,
+        }
 
 
 @dataclass(frozen=True)
@@ -265,12 +282,20 @@ class Tabulated:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        axes = {k: list(v) for k, v in (("elongation", self.elongation), ("rate", self.rate)) if v}
+        axes = {
+            k: list(v)
+            for k, v in (("elongation", self.elongation), ("rate", self.rate))
+            if v
+        }
         return {
-            **{k: getattr(self, k) for k in ("between", "over", "element", "explained")},
+            **{
+                k: getattr(self, k) for k in ("between", "over", "element", "explained")
+            },
             **axes,
             **{k: getattr(self, k) for k in ("force", "low", "high")},
-            "nearest": [{"effect": name, "share": share} for name, share in self.nearest],
+            "nearest": [
+                {"effect": name, "share": share} for name, share in self.nearest
+            ],
             "shares": dict(self.shares),
         }
 
@@ -441,7 +466,10 @@ class Diagnosis:
     closed_loop: tuple[Feedback, ...] = ()
 
     def __repr__(self) -> str:
-        found = [f"{e.effect} {e.channel or '-'.join(e.between or ())}".strip() for e in self.effects]
+        found = [
+            f"{e.effect} {e.channel or '-'.join(e.between or ())}".strip()
+            for e in self.effects
+        ]
         if self.tabulated is not None:
             found = [f"force without a name {'-'.join(self.tabulated.between)}"]
         closed = "" if self.closed is None else f", closed={self.closed:.3g}"
@@ -467,7 +495,9 @@ class Diagnosis:
         ]
         # infinite evidence, such as the loss ratio without a rival, is left out
         evidence = self.evidence and {
-            k: v for k, v in vars(self.evidence).items() if not (isinstance(v, float) and math.isinf(v))
+            k: v
+            for k, v in vars(self.evidence).items()
+            if not (isinstance(v, float) and math.isinf(v))
         }
         made = {
             "schema": SCHEMA, "alternatives": self.contenders, "gap": {"held_out": self.gap, "closed": self.closed},
@@ -495,7 +525,10 @@ class Diagnosis:
             write_report(self, folder)
             return
         folder = claim_folder(folder, *FOLDER)
-        write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_text(
+            folder / "diagnosis.json",
+            json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n",
+        )
         (self.whole or self.model).save(folder / "model.json")
         for other in self.sets[1:]:
             other.model.save(folder / other.file)

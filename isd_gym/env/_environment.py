@@ -50,7 +50,9 @@ def _check_options(options: Mapping[str, Any], known: Sequence[str]) -> None:
     """Raise `InputError` for an option that a reset does not have."""
     unknown = [shown(name) for name in options if name not in known]
     if unknown:
-        raise InputError(f"reset has the options {', '.join(known)}, not {', '.join(unknown)}")
+        raise InputError(
+            f"reset has the options {', '.join(known)}, not {', '.join(unknown)}"
+        )
 
 
 def _check_render_mode(mode: str | None, known: list[str]) -> None:
@@ -60,7 +62,9 @@ def _check_render_mode(mode: str | None, known: list[str]) -> None:
     if mode not in known:
         raise InputError(f"render_mode must be {' or '.join(known)}, not {mode!r}")
     if not _can_draw():
-        raise gym.error.DependencyNotInstalled(f"pictures need pygame-ce: {how_to_install('render')}")
+        raise gym.error.DependencyNotInstalled(
+            f"pictures need pygame-ce: {how_to_install('render')}"
+        )
 
 
 class _KnowsItsLength:
@@ -196,10 +200,17 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
         DependencyNotInstalled: A `render_mode` needs pygame-ce; an error of Gymnasium.
     """
 
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES if _can_draw() else [], "render_fps": 200}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": RENDER_MODES if _can_draw() else [],
+        "render_fps": 200,
+    }
 
     def __init__(
-        self, network: Any = Options.network, *, render_mode: str | None = None, **options: Any
+        self,
+        network: Any = Options.network,
+        *,
+        render_mode: str | None = None,
+        **options: Any,
     ) -> None:
         _check_render_mode(render_mode, RENDER_MODES)
         chosen = Options.of({"network": network, **options})
@@ -238,7 +249,9 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
         _check_options(options, RESET_OPTIONS)
         self.task.drive_on(options)
         if "scoring_road" in options:
-            self._np_random = scoring_generator(road_index(options["scoring_road"], "scoring_road"))
+            self._np_random = scoring_generator(
+                road_index(options["scoring_road"], "scoring_road")
+            )
             self._np_random_seed = -1  # as Gymnasium says where the seed is not known
         batch = self.task.batch
         self.task.begin(0, self.np_random)
@@ -254,12 +267,16 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
         numbers = dict.fromkeys(("cost", *self.task.step_info), 0.0)
         return self.task.first()[0], {"speed": self._speed, **numbers, **self._drawn}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if not self._ready:
             raise gym.error.ResetNeeded("call reset() before step()")
         batch = self.task.batch
         try:
-            targets = action.tolist() if isinstance(action, np.ndarray) else _listed(action)
+            targets = (
+                action.tolist() if isinstance(action, np.ndarray) else _listed(action)
+            )
             if len(targets) != self._n_currents:
                 raise TypeError
             for i, target in enumerate(targets):
@@ -279,11 +296,17 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
             batch.step()
             told = batch.alone()
             reward, broken = told[0], told[-1] != 0.0
-            obs = self.task.observe()[0] if broken or self.task.is_faulty else batch.first_seen.copy()
+            obs = (
+                self.task.observe()[0]
+                if broken or self.task.is_faulty
+                else batch.first_seen.copy()
+            )
         else:
             if self._is_direct:
                 batch.step()
-                reward = self.task.options.reward_scale * float(batch.results[self.task.reward_row, 0])
+                reward = self.task.options.reward_scale * float(
+                    batch.results[self.task.reward_row, 0]
+                )
             else:
                 reward = float(self.task.advance()[0])
             told = batch.alone()
@@ -322,7 +345,10 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
         """
         if not self._ready:
             raise gym.error.ResetNeeded("call reset() before get_state()")
-        return self.task.get_state(0) | {"steps": self._steps, "rng": copy.deepcopy(self.np_random)}
+        return self.task.get_state(0) | {
+            "steps": self._steps,
+            "rng": copy.deepcopy(self.np_random),
+        }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Continue from a state: the same actions give the same observations and rewards, to the last bit.
@@ -334,9 +360,15 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
             InputError: The state is of another network, or of an environment with other options.
         """
         self.task.set_state(0, state)
-        self._np_random, self._steps, self._ready = copy.deepcopy(state["rng"]), state["steps"], True
+        self._np_random, self._steps, self._ready = (
+            copy.deepcopy(state["rng"]),
+            state["steps"],
+            True,
+        )
         self._speed = float(self.task.batch.speeds[0])
-        self._drawn = {name: values[0] for name, values in self.task.batch.drawn.items()}
+        self._drawn = {
+            name: values[0] for name, values in self.task.batch.drawn.items()
+        }
         if self._onlooker is not None:
             self._onlooker.start()
 
@@ -358,9 +390,11 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
             self._renderer = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k not in ("_make_info", "_actions")} | {
-            "_renderer": None
-        }
+        return {
+            k: v
+            for k, v in self.__dict__.items()
+            if k not in ("_make_info", "_actions")
+        } | {"_renderer": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -369,7 +403,9 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
 
     def _bind(self) -> None:
         """Let actions be written where the car, or the task, reads them."""
-        self._actions = (self.task.batch.target if self._is_direct else self.task.actions)[:, 0]
+        self._actions = (
+            self.task.batch.target if self._is_direct else self.task.actions
+        )[:, 0]
 
 
 def _time_limit_around(env: ISDSuspensionEnv) -> int | None:
@@ -436,7 +472,9 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         InputError: An argument or option is invalid.
     """
 
-    _renderers: Sequence[Renderer] = ()  # Gymnasium closes an environment whose arguments were refused
+    _renderers: Sequence[
+        Renderer
+    ] = ()  # Gymnasium closes an environment whose arguments were refused
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"] if _can_draw() else [],
         "render_fps": 200,
@@ -459,15 +497,31 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         for name, value in (
             ("num_envs", num_envs),
             ("cars_per_road", cars_per_road),
-            *([("max_episode_steps", max_episode_steps)] if max_episode_steps is not None else []),
+            *(
+                [("max_episode_steps", max_episode_steps)]
+                if max_episode_steps is not None
+                else []
+            ),
             *([("threads", threads)] if threads is not None else []),
         ):
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-                raise InputError(f"{name} must be a positive whole number, not {shown(value)}")
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | np.integer)
+                or value < 1
+            ):
+                raise InputError(
+                    f"{name} must be a positive whole number, not {shown(value)}"
+                )
         if num_envs % cars_per_road:
-            raise InputError(f"{num_envs} cars cannot be shared out to roads of {cars_per_road} cars each")
+            raise InputError(
+                f"{num_envs} cars cannot be shared out to roads of {cars_per_road} cars each"
+            )
         try:
-            mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else _MODES[autoreset_mode]
+            mode = (
+                autoreset_mode
+                if isinstance(autoreset_mode, AutoresetMode)
+                else _MODES[autoreset_mode]
+            )
         except (KeyError, TypeError):
             raise InputError(
                 f"autoreset_mode must be one of {', '.join(_MODES)}, not {autoreset_mode!r}"
@@ -484,7 +538,9 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
             group=cars_per_road,
         )
         self.cars_per_road = cars_per_road
-        self.max_episode_steps = self.task.episode if max_episode_steps is None else max_episode_steps
+        self.max_episode_steps = (
+            self.task.episode if max_episode_steps is None else max_episode_steps
+        )
         self.metadata = {
             **self.metadata,
             "autoreset_mode": mode,
@@ -492,15 +548,22 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         }
         self.single_action_space = self.task.action_space
         self.single_observation_space = self.task.observation_space
-        self.action_space = gym.vector.utils.batch_space(self.single_action_space, num_envs)
-        self.observation_space = gym.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gym.vector.utils.batch_space(
+            self.single_action_space, num_envs
+        )
+        self.observation_space = gym.vector.utils.batch_space(
+            self.single_observation_space, num_envs
+        )
         self._rngs: list[np.random.Generator] = []
         self.steps = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
         self._any_done = False
         self._last = np.zeros((num_envs, self.task.width), np.float32)
         self._oldest = 0
-        self._onlookers = [Onlooker(self.task, i) for i in range(num_envs if render_mode is not None else 0)]
+        self._onlookers = [
+            Onlooker(self.task, i)
+            for i in range(num_envs if render_mode is not None else 0)
+        ]
         self._zeros = np.zeros(num_envs)
         names = ("speed", "cost", *self.task.step_info, *self.task.batch.drawn)
         self._info_names = (*names, *(f"_{name}" for name in names))
@@ -512,7 +575,10 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         return self.task.network
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | list[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         with self._alone():
             options = options or {}
@@ -532,12 +598,18 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
             return np.ones(self.num_envs, bool)
         mask = np.asarray(given)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise InputError(f"reset_mask must be {self.num_envs} booleans, at least one of them true")
+            raise InputError(
+                f"reset_mask must be {self.num_envs} booleans, at least one of them true"
+            )
         if not self._rngs and not mask.all():
-            raise InputError("the first reset must start all cars: call reset() without a reset_mask")
+            raise InputError(
+                "the first reset must start all cars: call reset() without a reset_mask"
+            )
         by_road = mask.reshape(-1, self.cars_per_road)
         if (by_road.any(axis=1) != by_road.all(axis=1)).any():
-            raise InputError("reset_mask must restart all cars of a road or none: they are compared")
+            raise InputError(
+                "reset_mask must restart all cars of a road or none: they are compared"
+            )
         return mask
 
     def _generators(self, seed: Any, scoring: Any) -> list[np.random.Generator]:
@@ -550,7 +622,10 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         if seed is None:
             if self._rngs:
                 return self._rngs
-            seeds: list[Any] = [int(s) for s in np.random.SeedSequence().generate_state(roads, np.uint64)]
+            seeds: list[Any] = [
+                int(s)
+                for s in np.random.SeedSequence().generate_state(roads, np.uint64)
+            ]
             seeds = [seeds[i // each] for i in range(count)]
         elif isinstance(seed, int | np.integer):
             seeds = [int(seed) + i // each for i in range(count)]
@@ -565,7 +640,9 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
                 raise InputError(f"{len(seeds)} seeds for {count} environments")
             for road in np.reshape(np.array(seeds, object), (roads, each)):
                 if any(s != road[0] for s in road):
-                    raise InputError("the cars of a road must have the same seed: they are compared")
+                    raise InputError(
+                        "the cars of a road must have the same seed: they are compared"
+                    )
             if not self._rngs and each > 1 and None in seeds:
                 raise InputError("give all seeds of the first reset, or none")
         return [
@@ -590,7 +667,9 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         batch = self.task.batch
         judged = batch.judged.copy()
         drawn = [values.copy() for values in batch.drawn.values()]
-        masks = np.ones((len(self._info_names) // 2, self.num_envs), bool)  # every car has every number
+        masks = np.ones(
+            (len(self._info_names) // 2, self.num_envs), bool
+        )  # every car has every number
         values = (batch.speeds.copy(), -judged[0], *judged[1:], *drawn, *masks)
         return dict(zip(self._info_names, values, strict=True))
 
@@ -620,7 +699,9 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         target = _currents(actions)
         task, batch = self.task, self.task.batch
         if target.shape != self.action_space.shape:
-            raise InputError(f"the actions must have shape {self.action_space.shape}, not {target.shape}")
+            raise InputError(
+                f"the actions must have shape {self.action_space.shape}, not {target.shape}"
+            )
         task.actions[:] = target.T
         sums = [
             row.dot(self._zeros) for row in task.actions
@@ -652,7 +733,9 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
             np.flatnonzero(self.steps) if self._onlookers else ()
         ):  # except for cars that have just restarted
             self._onlookers[i].see(int(self.steps[i]), -float(info["cost"][i]))
-        if self._oldest >= self.max_episode_steps or (batch.broken and terminated.any()):
+        if self._oldest >= self.max_episode_steps or (
+            batch.broken and terminated.any()
+        ):
             over = self.steps >= self.max_episode_steps
             if self.cars_per_road > 1:  # a road ends for all of its cars
                 ended = terminated.reshape(-1, self.cars_per_road).any(axis=1)
@@ -678,7 +761,12 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         self._restart(which)
         obs[which] = self.task.first(which)
         info |= self._info()
-        info |= {"final_obs": final, "final_info": last, "_final_obs": done, "_final_info": done.copy()}
+        info |= {
+            "final_obs": final,
+            "final_info": last,
+            "_final_obs": done,
+            "_final_info": done.copy(),
+        }
 
     def get_state(self, car: int) -> dict[str, Any]:
         """Return the state of a car's episode, see `ISDSuspensionEnv.get_state`.
@@ -724,14 +812,19 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
             Pictures (height, width, 3) uint8; None, with a warning, without a `render_mode`.
         """
         if self.render_mode is None:
-            gym.logger.warn('render() needs a render_mode, e.g. make_vec(..., render_mode="rgb_array")')
+            gym.logger.warn(
+                'render() needs a render_mode, e.g. make_vec(..., render_mode="rgb_array")'
+            )
             return None
         if not self._rngs:
             raise gym.error.ResetNeeded("call reset() before render()")
         from ..view.rendering import Renderer
 
         if not self._renderers:
-            self._renderers = [Renderer(self.render_mode, fps=PICTURES) for _ in range(self.num_envs)]  # type: ignore[arg-type]
+            self._renderers = [
+                Renderer(self.render_mode, fps=PICTURES)  # type: ignore[arg-type]
+                for _ in range(self.num_envs)
+            ]
         pairs = zip(self._renderers, self._onlookers, strict=True)
         return tuple(renderer.draw(onlooker.snapshot()) for renderer, onlooker in pairs)  # type: ignore[misc]
 
@@ -741,7 +834,9 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         self._renderers = ()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k != "_lock"} | {"_renderers": ()}
+        return {k: v for k, v in self.__dict__.items() if k != "_lock"} | {
+            "_renderers": ()
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -750,7 +845,11 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
 
 def _threads(cars: int) -> int:
     """Return the useful number of threads: handing over work takes as long as some hundred cars."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1
+    )
     return max(1, min(cores, cars // 2048))
 
 

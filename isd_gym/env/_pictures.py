@@ -30,7 +30,9 @@ class Onlooker:
         step = task.decision
         window = PICTURE_WINDOW + max(task.vehicle.wheels.behind)
         #: heights of the tracks under their first wheels [m], one row per decision
-        self._trail: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(window / (task.slowest * step)))
+        self._trail: deque[tuple[float, ...]] = deque(
+            maxlen=1 + math.ceil(window / (task.slowest * step))
+        )
         #: time [s] and values of the curves [SI], one row per decision
         self._past: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(PAST / step))
         self._static = task.vehicle.static_tyre_loads
@@ -52,7 +54,9 @@ class Onlooker:
         self._trail.append(tuple(batch.track_heights[:, self.car].tolist()))
         # signals with a curve: a quarter car shows its travel, too
         curves = batch.of.accelerations + (not self.task.network.bodies)
-        self._past.append((steps * self.task.decision, *batch.out[:curves, self.car].tolist()))
+        self._past.append(
+            (steps * self.task.decision, *batch.out[:curves, self.car].tolist())
+        )
 
     def snapshot(self) -> CarSnapshot:
         """Return the content of a picture of the car."""
@@ -66,7 +70,11 @@ class Onlooker:
         angles = {axis: places[node] for axis, node in car.angles.items()}
         corners = []
         for number, corner in enumerate(car.corners):
-            above = heave - corner.x * angles.get("pitch", 0.0) + corner.y * angles.get("roll", 0.0)
+            above = (
+                heave
+                - corner.x * angles.get("pitch", 0.0)
+                + corner.y * angles.get("roll", 0.0)
+            )
             corners.append(self._corner(number, corner, places, above))
         carried = {car.body, *(corner.body for corner in car.corners)}
         speed = float(batch.speeds[self.car])
@@ -77,15 +85,21 @@ class Onlooker:
             pitch=angles.get("pitch"),
             roll=angles.get("roll"),
             corners=tuple(corners),
-            points={name: place for name, place in car.points.items() if name not in carried},
-            road_profiles=np.array([self._road(track) for track in range(batch.of.tracks)]),
+            points={
+                name: place for name, place in car.points.items() if name not in carried
+            },
+            road_profiles=np.array(
+                [self._road(track) for track in range(batch.of.tracks)]
+            ),
             road_step=step,
             road_behind=(len(self._trail) - 1) * step,
             speed=speed,
             body_acceleration=accelerations["vertical"],
             pitch_acceleration=accelerations.get("pitch"),
             roll_acceleration=accelerations.get("roll"),
-            suspension_travel=None if self.task.network.bodies else values[batch.of.accelerations],
+            suspension_travel=None
+            if self.task.network.bodies
+            else values[batch.of.accelerations],
             cost=self._cost / max(self._steps, 1),
             label=self.task.network.name,
             past=tuple(self._past),
@@ -100,16 +114,26 @@ class Onlooker:
             if channel.name.endswith("_displacement")
         }
 
-    def _corner(self, number: int, corner: Corner, places: dict[str, float], body: float) -> CornerSnapshot:
+    def _corner(
+        self, number: int, corner: Corner, places: dict[str, float], body: float
+    ) -> CornerSnapshot:
         from ..view.rendering import CornerSnapshot
 
         batch, net = self.task.batch, self.task.network
         first, second = (
-            (n if n != GROUND else None for n in corner.device) if corner.motor is not None else (None, None)
+            (n if n != GROUND else None for n in corner.device)
+            if corner.motor is not None
+            else (None, None)
         )
-        stops = [e for e in net.elements if isinstance(e, el.BumpStop) and e.between == (first, second)]
+        stops = [
+            e
+            for e in net.elements
+            if isinstance(e, el.BumpStop) and e.between == (first, second)
+        ]
         driven = self.task.vehicle.driven
-        current = batch.currents[driven.index(corner), self.car] if corner in driven else 0.0
+        current = (
+            batch.currents[driven.index(corner), self.car] if corner in driven else 0.0
+        )
         return CornerSnapshot(
             name=corner.name,
             x=corner.x,

@@ -48,20 +48,34 @@ class Sensors:
     noise: float | tuple[float, float] = 0.0
     delay: int = 0  # delay of the measured signals [control steps]
     road_error: float = 0.0  # standard deviation of the white error of each height of the road ahead [m]
-    road_lag: float = 0.0  # age of the picture of the road [s], which is not compensated
-    road_range: float = math.inf  # range of the road sensor [m]; beyond, the road appears level
+    road_lag: float = (
+        0.0  # age of the picture of the road [s], which is not compensated
+    )
+    road_range: float = (
+        math.inf
+    )  # range of the road sensor [m]; beyond, the road appears level
 
     def __post_init__(self) -> None:
         noise = self.noise
         if isinstance(noise, list | tuple):
-            if not (len(noise) == 2 and all(map(is_number, noise)) and 0 <= noise[0] <= noise[1]):
-                raise InputError(f"noise must be 0 or more, or such a (low, high), not {shown(noise)}")
+            if not (
+                len(noise) == 2
+                and all(map(is_number, noise))
+                and 0 <= noise[0] <= noise[1]
+            ):
+                raise InputError(
+                    f"noise must be 0 or more, or such a (low, high), not {shown(noise)}"
+                )
             object.__setattr__(self, "noise", (float(noise[0]), float(noise[1])))
         elif not (is_number(noise) and noise >= 0):
-            raise InputError(f"noise must be 0 or more, or such a (low, high), not {shown(noise)}")
+            raise InputError(
+                f"noise must be 0 or more, or such a (low, high), not {shown(noise)}"
+            )
         delay = self.delay
         if not is_whole(delay, 0, MOST_LATE):
-            raise InputError(f"delay must be 0 to {MOST_LATE} whole control steps, not {shown(delay)}")
+            raise InputError(
+                f"delay must be 0 to {MOST_LATE} whole control steps, not {shown(delay)}"
+            )
         for name, unit in (("road_error", "m"), ("road_lag", "s")):
             if not (is_number(value := getattr(self, name)) and value >= 0):
                 raise InputError(f"{name} must be 0 {unit} or more, not {shown(value)}")
@@ -87,7 +101,9 @@ class Sensors:
         known = [f.name for f in fields(cls)]
         for key in given or {}:
             if key not in known:
-                raise InputError(f"sensors: no {shown(key)}, there are {', '.join(known)}")
+                raise InputError(
+                    f"sensors: no {shown(key)}, there are {', '.join(known)}"
+                )
         return cls(**(given or {}))
 
     @property
@@ -98,7 +114,11 @@ class Sensors:
     def to_dict(self) -> dict[str, Any]:
         """Return the attributes that differ from exact sensors, as plain data."""
         usual = asdict(Sensors())
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items() if v != usual[k]}
+        return {
+            k: list(v) if isinstance(v, tuple) else v
+            for k, v in asdict(self).items()
+            if v != usual[k]
+        }
 
 
 def _parse(text: str) -> dict[str, Any]:
@@ -110,23 +130,27 @@ def _parse(text: str) -> dict[str, Any]:
         except ValueError:
             bounds = []
         if not (joined and len(bounds) in (1, 2)):
-            raise InputError(f"sensors: {shown(part)} is not such as noise=1, noise=0:2 or road_error=0.001")
+            raise InputError(
+                f"sensors: {shown(part)} is not such as noise=1, noise=0:2 or road_error=0.001"
+            )
         value: Any = tuple(bounds) if len(bounds) == 2 else bounds[0]
         out[key] = int(value) if key == "delay" and value == int(value) else value
     return out
 
 
 @compiled()
-def _add_noise(seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int, sigma: np.ndarray) -> None:
+def _add_noise(
+    seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int, sigma: np.ndarray
+) -> None:
     """Add Gaussian noise sigma (cars, n) to the columns from `first` of seen (cars, width): two numbers per pair
     of hashes (splitmix64)."""
     for i in range(len(seen)):
         for j in range(0, sigma.shape[1], 2):
             u = np.empty(2)
             for k in range(2):
-                x = keys[i] + (steps[i] * np.uint64(4096) + np.uint64(first + j + k + 1)) * np.uint64(
-                    0x9E3779B97F4A7C15
-                )
+                x = keys[i] + (
+                    steps[i] * np.uint64(4096) + np.uint64(first + j + k + 1)
+                ) * np.uint64(0x9E3779B97F4A7C15)
                 x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
                 x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
                 x ^= x >> np.uint64(31)
@@ -174,7 +198,9 @@ class Sight:
         self.count[i] = 0
         self.keys[i] = rng.integers(2**64, dtype=np.uint64)
         noise = self.sensors.noise
-        self.sigma[i] = self._usual * (rng.uniform(*noise) if isinstance(noise, tuple) else noise)
+        self.sigma[i] = self._usual * (
+            rng.uniform(*noise) if isinstance(noise, tuple) else noise
+        )
 
     def get_state(self, i: int) -> tuple[np.ndarray, ...]:
         """Return the memory of a car's sensors."""
@@ -191,13 +217,21 @@ class Sight:
         return self.keys, self.count, self.sigma, past, roads
 
     def see(
-        self, obs: np.ndarray, speeds: np.ndarray, which: np.ndarray | slice, *, first: bool
+        self,
+        obs: np.ndarray,
+        speeds: np.ndarray,
+        which: np.ndarray | slice,
+        *,
+        first: bool,
     ) -> np.ndarray:
         """Return the reported values of exact observations (cars, width); `first` at the start of a road."""
         n, out = self.sigma.shape[1], obs.copy()
         for past, columns in (
             (self._past, slice(0, n)),
-            (self._roads, slice(self.signals, self.signals + self.tracks * self.points)),
+            (
+                self._roads,
+                slice(self.signals, self.signals + self.tracks * self.points),
+            ),
         ):
             if first:  # the car stood still before
                 past[:, which] = obs[:, columns]
@@ -213,7 +247,9 @@ class Sight:
             if self.sensors.road_error:
                 _add_noise(out, keys, count, self.signals, self._road_sigma[which])
             if math.isfinite(self.sensors.road_range):
-                reach = (self.sensors.road_range / (speeds * self.step) + 1e-9).astype(int)
+                reach = (self.sensors.road_range / (speeds * self.step) + 1e-9).astype(
+                    int
+                )
                 last = np.clip(reach - 1, 0, self.points - 1)
                 beyond = np.arange(self.points) > last[:, None]
                 for begin in range(self.signals, out.shape[1], self.points):

@@ -25,7 +25,10 @@ class _AfterGymnasium:
     """A finder that loads ``gymnasium.envs`` as usual and then registers the environments."""
 
     def find_spec(
-        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+        self,
+        name: str,
+        path: Sequence[str] | None = None,
+        target: ModuleType | None = None,
     ) -> ModuleSpec | None:
         return spec_of(name) if name == "gymnasium.envs" else None
 
@@ -50,7 +53,10 @@ def spec_of(name: str) -> ModuleSpec | None:
 
 
 def _is_own(finder: object) -> bool:
-    return isinstance(finder, _AfterGymnasium) or getattr(finder, "__name__", "") == AT_START
+    return (
+        isinstance(finder, _AfterGymnasium)
+        or getattr(finder, "__name__", "") == AT_START
+    )
 
 
 if "gymnasium.envs" in sys.modules:

@@ -59,7 +59,9 @@ class History:
 
     def __post_init__(self) -> None:
         if not 0 <= self.order <= ORDERS:
-            raise InputError(f"memory: order must be 0 to {ORDERS}, not {shown(self.order)}")
+            raise InputError(
+                f"memory: order must be 0 to {ORDERS}, not {shown(self.order)}"
+            )
         if max(len(self.scale), len(self.change), len(self.leak)) > SIGNALS:
             raise InputError(f"memory: more than {SIGNALS} signals or leaks")
         if self.order > 0 and len(self.change) != len(self.scale):
@@ -67,10 +69,14 @@ class History:
         if any(not 1 / LARGEST < s < LARGEST for s in (*self.scale, *self.change)):
             raise InputError(f"memory: scales must be > 0, at most {LARGEST:g}")
         if not 0 < self.step <= 10:
-            raise InputError(f"memory: step must be > 0 and at most 10 s, not {self.step:g}")
+            raise InputError(
+                f"memory: step must be > 0 and at most 10 s, not {self.step:g}"
+            )
         for signal, tau, scale in self.leak:
             if not (
-                0 <= signal < len(self.scale) and self.step < tau < LARGEST and 1 / LARGEST < scale < LARGEST
+                0 <= signal < len(self.scale)
+                and self.step < tau < LARGEST
+                and 1 / LARGEST < scale < LARGEST
             ):
                 raise InputError(
                     f"memory: leak ({signal}, {tau:g}, {scale:g}) is not (signal, seconds, scale)"
@@ -78,11 +84,16 @@ class History:
         if len(self.late) > SIGNALS:
             raise InputError(f"memory: more than {SIGNALS} late numbers")
         if not 1e-3 <= self.speed <= 1e3:
-            raise InputError(f"memory: speed must be 0.001 to 1000 m/s, not {self.speed:g}")
+            raise InputError(
+                f"memory: speed must be 0.001 to 1000 m/s, not {self.speed:g}"
+            )
         columns = self.numbers(len(self.scale)) - len(self.late)
         for column, distance, lead in self.late:
             if not (
-                isinstance(column, int) and 0 <= column < columns and 0 < distance <= 1e3 and 0 <= lead <= 1e3
+                isinstance(column, int)
+                and 0 <= column < columns
+                and 0 < distance <= 1e3
+                and 0 <= lead <= 1e3
             ):
                 raise InputError(
                     f"memory: late ({column}, {distance:g}, {lead:g}) is not (column, metres behind, seconds before)"
@@ -98,7 +109,8 @@ class History:
     def ages(self) -> tuple[int, ...]:
         """Age of each late number [control steps]; 0 where the front wheel passes when the number is wanted."""
         return tuple(
-            max(round((distance / self.speed - lead) / self.step), 0) for _, distance, lead in self.late
+            max(round((distance / self.speed - lead) / self.step), 0)
+            for _, distance, lead in self.late
         )
 
     def numbers(self, signals: int) -> int:
@@ -108,8 +120,13 @@ class History:
     def labels(self, names: list[str]) -> list[str]:
         """Return a name for each number."""
         changes = ["", "change of ", "second change of "]
-        of = [changes[k] if k < 3 else f"change of order {k} of " for k in range(self.order + 1)]
-        kept = [f"leaky integral of {names[i]} over {tau:g} s" for i, tau, _ in self.leak]
+        of = [
+            changes[k] if k < 3 else f"change of order {k} of "
+            for k in range(self.order + 1)
+        ]
+        kept = [
+            f"leaky integral of {names[i]} over {tau:g} s" for i, tau, _ in self.leak
+        ]
         labels = [f"{what}{name}" for what in of for name in names] + kept
         labels += [
             f"{labels[column]}, {1e3 * lead:g} ms before the rear wheel arrives"
@@ -128,7 +145,11 @@ def history_of(car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> History
     kinds = [signal.kind for signal in car.measured]
     scale = tuple(SCALES[kind][0] for kind in kinds)
     change = tuple(SCALES[kind][1] * (step / 5e-3) for kind in kinds)
-    leak = tuple((i, tau, share * scale[i]) for i in range(1 + len(car.axes)) for tau, share in LEAKS)
+    leak = tuple(
+        (i, tau, share * scale[i])
+        for i in range(1 + len(car.axes))
+        for tau, share in LEAKS
+    )
     axes, n = 1 + len(car.axes), len(kinds)
     travels = [i for i, kind in enumerate(kinds) if kind == "suspension_travel"]
     rates = [i for i, kind in enumerate(kinds) if kind == "suspension_travel_rate"]
@@ -139,63 +160,104 @@ def history_of(car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> History
     ]  # with the middle time constant
     for follower, distance in enumerate(wheels.behind):
         if distance:
-            track = [w for w, t in enumerate(wheels.track) if t == wheels.track[follower]]
+            track = [
+                w for w, t in enumerate(wheels.track) if t == wheels.track[follower]
+            ]
             leader = min(track, key=wheels.behind.__getitem__)
             own = [travels[leader], rates[leader], n + rates[leader]]
-            late += [(c, distance - wheels.behind[leader], lead) for c in body + own for lead in LEADS]
+            late += [
+                (c, distance - wheels.behind[leader], lead)
+                for c in body + own
+                for lead in LEADS
+            ]
             body = []
-    return History(scale, change, order=2, leak=leak, step=step, late=tuple(late), speed=speed)
+    return History(
+        scale, change, order=2, leak=leak, step=step, late=tuple(late), speed=speed
+    )
 
 
 class Remembered:
     """The histories of several cars; `features` (count, width) float32 are the present ones, not clipped, in
     the first of `width` columns."""
 
-    def __init__(self, history: History, count: int, signals: int, width: int | None = None) -> None:
+    def __init__(
+        self, history: History, count: int, signals: int, width: int | None = None
+    ) -> None:
         self.signals, self.order = signals, history.order
         own = history.numbers(signals)
         self.features = np.zeros((count, own if width is None else width), np.float32)
         self.scale = np.array(history.scale or [1.0] * signals, np.float32)
         #: factors that turn differences of scaled signals into scaled differences
-        self.ratio = self.scale / np.array(history.change or [1.0] * signals, np.float32)
+        self.ratio = self.scale / np.array(
+            history.change or [1.0] * signals, np.float32
+        )
         self.leaks = np.array([i for i, _, _ in history.leak], np.int64)
-        self.keep = np.array([1 - history.step / tau for _, tau, _ in history.leak], np.float32)
-        self.gain = np.array([history.step / scale for _, _, scale in history.leak], np.float32)
+        self.keep = np.array(
+            [1 - history.step / tau for _, tau, _ in history.leak], np.float32
+        )
+        self.gain = np.array(
+            [history.step / scale for _, _, scale in history.leak], np.float32
+        )
         repeated = sorted({column for column, _, _ in history.late})
         self.repeated = np.array(repeated, np.int64)
         #: place among the repeated numbers, and age, of each late number
-        self.places = np.array([repeated.index(column) for column, _, _ in history.late], np.int64)
+        self.places = np.array(
+            [repeated.index(column) for column, _, _ in history.late], np.int64
+        )
         self.ages = np.array(history.ages, np.int64)
         #: earlier values of the repeated numbers, in a ring whose newest row is `newest` (count, rows, repeated)
         self._first_late = own - len(history.late)
-        self.past = np.zeros((count, max(history.ages, default=-1) + 1, len(repeated)), np.float32)
+        self.past = np.zeros(
+            (count, max(history.ages, default=-1) + 1, len(repeated)), np.float32
+        )
         self.newest = 0
 
     def begin(self, which: np.ndarray | slice, observations: np.ndarray) -> None:
         """Start the histories of some cars anew."""
         self.features[which] = 0.0
         self.past[which] = 0.0
-        self.features[which, : self.signals] = observations[:, : self.signals] / self.scale
+        self.features[which, : self.signals] = (
+            observations[:, : self.signals] / self.scale
+        )
 
     def get_state(self, i: int) -> np.ndarray:
         """Return the state of a car's history."""
-        return np.concatenate([self.features[i], np.roll(self.past[i], -self.newest, axis=0).ravel()])
+        return np.concatenate(
+            [self.features[i], np.roll(self.past[i], -self.newest, axis=0).ravel()]
+        )
 
     def set_state(self, i: int, state: np.ndarray) -> None:
         """Put a car's history into a state of `get_state`."""
         width = self.features.shape[1]
         self.features[i] = state[:width]
-        self.past[i] = np.roll(state[width:].reshape(self.past.shape[1:]), self.newest, axis=0)
+        self.past[i] = np.roll(
+            state[width:].reshape(self.past.shape[1:]), self.newest, axis=0
+        )
 
     def see(self, observations: np.ndarray) -> np.ndarray:
         """Update the histories with the signals after one more control step."""
         _advance(
-            self.features, observations, self.scale, self.ratio, self.order, self.leaks, self.keep, self.gain
+            self.features,
+            observations,
+            self.scale,
+            self.ratio,
+            self.order,
+            self.leaks,
+            self.keep,
+            self.gain,
         )
         if len(self.places):
             self.newest = (self.newest + 1) % self.past.shape[1]
             rows = (self.newest - self.ages) % self.past.shape[1]
-            _repeat(self.features, self.past, self.newest, self.repeated, rows, self.places, self._first_late)
+            _repeat(
+                self.features,
+                self.past,
+                self.newest,
+                self.repeated,
+                rows,
+                self.places,
+                self._first_late,
+            )
         return self.features
 
     def clipped(self) -> np.ndarray:
@@ -234,7 +296,9 @@ def _advance(features, observations, scale, ratio, order, leaks, keep, gain):  #
             features[i, n * order + j] = new
         for l in range(leaks.shape[0]):
             j = n * (order + 1) + l
-            features[i, j] = features[i, j] * keep[l] + observations[i, leaks[l]] * gain[l]
+            features[i, j] = (
+                features[i, j] * keep[l] + observations[i, leaks[l]] * gain[l]
+            )
 
 
 @jit.compiled(error_model="numpy")

@@ -28,7 +28,11 @@ BY_CORNERS = {1: "ISDSuspension-v0", 2: "ISDHalfCar-v0", 4: "ISDFullCar-v0"}
 EPISODE_STEPS = 4000  # 20 s at 5 ms
 #: Mean return from which on an environment counts as solved: the best classical controller of the card, rounded down to a
 #: multiple of 5 (`benchmarks/tracks.py` prints them). None where no card exists.
-REWARD_THRESHOLDS = {"ISDFullCar-v0": -2375.0, "ISDHalfCar-v0": -2420.0, "ISDSuspension-v0": -2650.0}
+REWARD_THRESHOLDS = {
+    "ISDFullCar-v0": -2375.0,
+    "ISDHalfCar-v0": -2420.0,
+    "ISDSuspension-v0": -2650.0,
+}
 
 
 def register() -> None:
@@ -39,7 +43,9 @@ def register() -> None:
     all_ids: list[tuple[str, str, dict[str, object]]] = [
         (name, network, {}) for name, network in ENVIRONMENTS.items()
     ]
-    all_ids += [(name, network, _LEARNING_OPTIONS) for name, network in LEARNING.items()]
+    all_ids += [
+        (name, network, _LEARNING_OPTIONS) for name, network in LEARNING.items()
+    ]
     for name, network, options in all_ids:
         if name not in registry:
             add(

@@ -38,8 +38,14 @@ SCALES = (1e-6, 1e6)  # factors on the reward
 PREVIEW = 0.25  # s, with observation preview
 STATE_BOUND = 1e3  # m or m/s, of the full observation
 ROAD_BOUND = 10.0  # m, of the preview
-PICTURE_WINDOW = 5.5  # road before the foremost and behind the rearmost wheel in a picture [m]
-SHOWN = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
+PICTURE_WINDOW = (
+    5.5  # road before the foremost and behind the rearmost wheel in a picture [m]
+)
+SHOWN = (
+    "measured",
+    "full",
+    "preview",
+)  # in the order of `layout`: MEASURED, WHOLE, AHEAD
 OBSERVATIONS = (*SHOWN, "history")
 EXCEEDS = ("exceeds_acceleration", "exceeds_travel")
 USUAL_SPEED = 20.0  # m/s
@@ -99,7 +105,11 @@ class Options:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        for name, known in (("observation", OBSERVATIONS), ("reward", REWARDS), ("action", ACTIONS)):
+        for name, known in (
+            ("observation", OBSERVATIONS),
+            ("reward", REWARDS),
+            ("action", ACTIONS),
+        ):
             if getattr(self, name) not in known:
                 raise InputError(
                     f"{name} must be one of {', '.join(known)}, not {shown(getattr(self, name))}"
@@ -147,7 +157,9 @@ class Options:
         for name, types in kinds.items():
             value = getattr(self, name)
             if value is not None and not isinstance(value, types):
-                raise InputError(f"{name} must be a mapping of names to values, not {shown(value)}")
+                raise InputError(
+                    f"{name} must be a mapping of names to values, not {shown(value)}"
+                )
         if self.network is None or isinstance(self.network, list | tuple):
             raise InputError(
                 f"network must be a name, a file, its content or a Network, not {shown(self.network)}"
@@ -157,7 +169,9 @@ class Options:
         put(self, "road", road(self.road))
         put(self, "randomize", ranges(network, self.randomize))
         car = vehicle(network)
-        if not self.allow_passive and all(corner.motor is None for corner in car.corners):
+        if not self.allow_passive and all(
+            corner.motor is None for corner in car.corners
+        ):
             raise InputError(
                 f"network '{network.name}' has no motor, so that actions would do nothing: choose a network with one, "
                 "such as quarter-car-isd, or give allow_passive=True"
@@ -181,7 +195,10 @@ class Options:
     def is_direct(self) -> bool:
         """Whether a decision is one control step whose currents and reward are multiples of the action and of a result."""
         return (
-            self.hold == 1 and self.action != "increment" and self.reward != "relative" and not self.per_level
+            self.hold == 1
+            and self.action != "increment"
+            and self.reward != "relative"
+            and not self.per_level
         )
 
     @classmethod
@@ -207,7 +224,9 @@ class Options:
 
 def _channel_faults(network: Network, names: Sequence[str]) -> list[el.Element]:
     """Return the elements at measured channels. Raise `InputError` for a sensor that leads."""
-    faults = [e for e in network.elements if e.place == "channel" and e.where[0] in names]
+    faults = [
+        e for e in network.elements if e.place == "channel" and e.where[0] in names
+    ]
     for e in faults:
         if isinstance(e, el.SensorDelay) and e.delay < 0:
             raise InputError(
@@ -226,11 +245,21 @@ class Task:
     """
 
     def __init__(
-        self, count: int, options: Options, *, picture: bool = False, threads: int = 1, group: int = 1
+        self,
+        count: int,
+        options: Options,
+        *,
+        picture: bool = False,
+        threads: int = 1,
+        group: int = 1,
     ) -> None:
         """Create `count` cars."""
-        assert isinstance(options.network, Network) and isinstance(options.cost, StageCost)
-        assert isinstance(options.sensors, Sensors) and isinstance(options.randomize, Mapping)
+        assert isinstance(options.network, Network) and isinstance(
+            options.cost, StageCost
+        )
+        assert isinstance(options.sensors, Sensors) and isinstance(
+            options.randomize, Mapping
+        )
         self.options, self.network, self.cost = options, options.network, options.cost
         self.vehicle: Vehicle = vehicle(self.network)
         self.measured = self.vehicle.measured
@@ -240,21 +269,33 @@ class Task:
         self.slowest = min(speed, *speeds)
         self.decision = control_step * options.hold
         self.episode = max(1, round(options.duration / self.decision))
-        extra = state_channels(self.network) if options.observation == "full" or picture else []
+        extra = (
+            state_channels(self.network)
+            if options.observation == "full" or picture
+            else []
+        )
         self.points = round(options.preview / control_step) if options.preview else 0
         look = self.points * control_step
         if picture:  # a picture shows the road in front of the car
             look = max(look, PICTURE_WINDOW / self.slowest)
             look = control_step * math.ceil(look / control_step)
-        drive: dict[str, Any] = {"road_": options.road, "speed": speed, "control_step": control_step}
+        drive: dict[str, Any] = {
+            "road_": options.road,
+            "speed": speed,
+            "control_step": control_step,
+        }
         drive |= {"duration": options.duration, "randomize": options.randomize}
         self.batch = Batch(count, self.network, **drive, preview=look, extra=extra)
         of = self.batch.of
         signals = len(self.measured)
         self.history = (
-            history_of(self.vehicle, control_step, speed) if options.observation == "history" else None
+            history_of(self.vehicle, control_step, speed)
+            if options.observation == "history"
+            else None
         )
-        self._remembered = Remembered(self.history, count, signals) if self.history else None
+        self._remembered = (
+            Remembered(self.history, count, signals) if self.history else None
+        )
         self._make_spaces(extra)
         weights = self.cost.factors(self.vehicle.axes, of.corners, of.currents)
         bounds = [signal.bound for signal in self.measured[: of.measured]]
@@ -262,8 +303,11 @@ class Task:
             weights,
             bounds,
             width=signals if self.history else self.width,
-            shows=SHOWN.index(options.observation) if options.observation in SHOWN else 0,
-            lifted=[(0.0,) * of.corners] * of.signals + [self.vehicle.shares(c) for c in extra],
+            shows=SHOWN.index(options.observation)
+            if options.observation in SHOWN
+            else 0,
+            lifted=[(0.0,) * of.corners] * of.signals
+            + [self.vehicle.shares(c) for c in extra],
             threads=threads,
             value=self._value(),
         )
@@ -282,16 +326,22 @@ class Task:
         self.reward_row = of.shaped if options.reward == "shaped" else REWARD
         self._bind()
         self.is_plain = options.is_plain
-        self._channel_faults = _channel_faults(self.network, [signal.name for signal in self.measured])
+        self._channel_faults = _channel_faults(
+            self.network, [signal.name for signal in self.measured]
+        )
         self._histories: dict[str, np.ndarray] = {}
         self.sensors = options.sensors
         self._sight: Sight | None = None
         if not self.sensors.perfect:
             kinds = [signal.kind for signal in self.measured]
-            self._sight = Sight(self.sensors, count, kinds, of.tracks, self.points, control_step)
+            self._sight = Sight(
+                self.sensors, count, kinds, of.tracks, self.points, control_step
+            )
         self.is_faulty = bool(self._channel_faults) or self._sight is not None
         warn_of_pulling_tyres(
-            self.vehicle, [road(r) for r in varied.get("road", (options.road,))], max(map(float, speeds))
+            self.vehicle,
+            [road(r) for r in varied.get("road", (options.road,))],
+            max(map(float, speeds)),
         )
 
     def _value(self) -> Value | None:
@@ -300,7 +350,9 @@ class Task:
             return None
         from ..physics._value import value_of
 
-        return value_of(self.network, self.cost, self.options.control_step, self.options.speed)
+        return value_of(
+            self.network, self.cost, self.options.control_step, self.options.speed
+        )
 
     def _bind(self) -> None:
         """Let commanded currents be written where the cars read them."""
@@ -318,14 +370,17 @@ class Task:
         if self.options.observation == "full":
             high += [STATE_BOUND] * len(extra)
             self.labels += [
-                f"{c.name} [{c.unit}]" + (", above the road" if any(self.vehicle.shares(c)) else "")
+                f"{c.name} [{c.unit}]"
+                + (", above the road" if any(self.vehicle.shares(c)) else "")
                 for c in extra
             ]
         elif self.options.observation == "preview":
             high += [ROAD_BOUND] * self.points * tracks
             sides = [""] if tracks == 1 else ["left ", "right "]
             self.labels += [
-                f"{side}road ahead {(i + 1) * step:.3f} s [m]" for side in sides for i in range(self.points)
+                f"{side}road ahead {(i + 1) * step:.3f} s [m]"
+                for side in sides
+                for i in range(self.points)
             ]
         self._bounds = np.array(high, np.float32)  # of the signals
         if self.history is not None:
@@ -351,7 +406,9 @@ class Task:
         obs = np.zeros(self.batch.seen.shape, np.float32)[which]
         if self.points:
             tracks = range(self.batch.of.tracks)
-            ahead = [self.batch.road_ahead(self.points, track)[which] for track in tracks]
+            ahead = [
+                self.batch.road_ahead(self.points, track)[which] for track in tracks
+            ]
             obs[:, len(self.measured) :] = np.hstack(ahead)
         if self.is_faulty:
             obs = self._sense(obs, which, first=True)
@@ -373,15 +430,23 @@ class Task:
         reference = 0.0
         for k in range(hold):
             if self.options.action == "increment":
-                np.multiply(np.clip(self.actions, -1.0, 1.0), self._slew, out=batch.target)
+                np.multiply(
+                    np.clip(self.actions, -1.0, 1.0), self._slew, out=batch.target
+                )
                 np.add(batch.target, batch.currents, out=batch.target)
             elif self.options.action == "share":
-                np.multiply(self.actions, CURRENT_LIMIT, out=batch.target)  # which the kernel limits
+                np.multiply(
+                    self.actions, CURRENT_LIMIT, out=batch.target
+                )  # which the kernel limits
             batch.step()
             results = batch.results
             earned = earned + results[self.reward_row, : batch.count]
             if k == 0 and hold > 1:
-                sums, marks, broken = results[:means].copy(), results[of.exceeds :].copy(), batch.broken
+                sums, marks, broken = (
+                    results[:means].copy(),
+                    results[of.exceeds :].copy(),
+                    batch.broken,
+                )
             elif k > 0:
                 sums += results[:means]
                 np.maximum(marks, results[of.exceeds :], out=marks)
@@ -404,7 +469,11 @@ class Task:
             reward = RELATIVE_SCALE * reward
         if self.options.per_level:
             reward = reward * self._weights
-        return reward if self.options.reward_scale == 1.0 else self.options.reward_scale * reward
+        return (
+            reward
+            if self.options.reward_scale == 1.0
+            else self.options.reward_scale * reward
+        )
 
     def observe(self) -> np.ndarray:
         """Return the observations after a step; observations of broken cars are clipped to their bounds."""
@@ -419,16 +488,24 @@ class Task:
         return obs
 
     def _sense(
-        self, obs: np.ndarray, which: np.ndarray | slice = slice(None), *, first: bool = False
+        self,
+        obs: np.ndarray,
+        which: np.ndarray | slice = slice(None),
+        *,
+        first: bool = False,
     ) -> np.ndarray:
         """Return reported values of exact observations: first faults of the model's channels, then `sensors`."""
         names = [signal.name for signal in self.measured]
         step = self.batch.control_step
         for e in self._channel_faults:
             j = names.index(e.where[0])
-            if isinstance(e, el.SensorDelay):  # the same as `apply` for a record, one sample at a time
+            if isinstance(
+                e, el.SensorDelay
+            ):  # the same as `apply` for a record, one sample at a time
                 low, part = int(e.delay / step), e.delay / step % 1.0
-                past = self._histories.setdefault(e.name, np.zeros((low + 2, self.batch.count)))
+                past = self._histories.setdefault(
+                    e.name, np.zeros((low + 2, self.batch.count))
+                )
                 past[1:, which] = past[:-1, which]
                 past[0, which] = obs[:, j]
                 obs[:, j] = (1 - part) * past[low, which] + part * past[low + 1, which]
@@ -458,27 +535,43 @@ class Task:
         return {
             "made": copy.deepcopy(self.made),
             "car": self.batch.get_state(i),
-            "reference": None if self._reference is None else self._reference.get_state(i),
+            "reference": None
+            if self._reference is None
+            else self._reference.get_state(i),
             "sight": None if self._sight is None else self._sight.get_state(i),
-            "faults": {name: past[:, i].copy() for name, past in self._histories.items()},
-            "history": None if self._remembered is None else self._remembered.get_state(i),
+            "faults": {
+                name: past[:, i].copy() for name, past in self._histories.items()
+            },
+            "history": None
+            if self._remembered is None
+            else self._remembered.get_state(i),
             "weight": float(self._weights[i]),
         }
 
     def set_state(self, i: int, state: Mapping[str, Any]) -> None:
         """Put a car into a state of `get_state`."""
         if not (isinstance(state, Mapping) and isinstance(state.get("made"), Mapping)):
-            raise InputError(f"a state comes from get_state(), it is not {shown(state)}")
-        other = [name for name, value in self.made.items() if state["made"].get(name) != value]
+            raise InputError(
+                f"a state comes from get_state(), it is not {shown(state)}"
+            )
+        other = [
+            name
+            for name, value in self.made.items()
+            if state["made"].get(name) != value
+        ]
         if other:
-            raise InputError(f"the state is of a car with another {', another '.join(other)}")
+            raise InputError(
+                f"the state is of a car with another {', another '.join(other)}"
+            )
         self.batch.set_state(i, state["car"])
         if self._reference is not None:
             self._reference.set_state(i, state["reference"])
         if self._sight is not None:
             self._sight.set_state(i, state["sight"])
         for name, past in state["faults"].items():
-            self._histories.setdefault(name, np.zeros((len(past), self.batch.count)))[:, i] = past
+            self._histories.setdefault(name, np.zeros((len(past), self.batch.count)))[
+                :, i
+            ] = past
         if self._remembered is not None:
             self._remembered.set_state(i, state["history"])
         self._weights[i] = state["weight"]
@@ -487,9 +580,14 @@ class Task:
         """Take road and speed from the options of a reset, for this and all following episodes."""
         if "road" not in options and "speed" not in options:
             return
-        ground, speed = road(options.get("road", self.batch.road)), options.get("speed", self.batch.speed)
+        ground, speed = (
+            road(options.get("road", self.batch.road)),
+            options.get("speed", self.batch.speed),
+        )
         if not is_number(speed) or not 1e-3 <= speed <= FASTEST:
-            raise InputError(f"speed must be a number from 0.001 to {FASTEST:g} m/s, not {shown(speed)}")
+            raise InputError(
+                f"speed must be a number from 0.001 to {FASTEST:g} m/s, not {shown(speed)}"
+            )
         for batch in (self.batch, self._reference):
             if batch is not None:
                 batch.drive_on(ground, float(speed))
@@ -506,7 +604,9 @@ class Task:
             past[:, i] = 0.0
         if self.options.per_level:
             level = float(self.batch.levels[i])
-            self._weights[i] = self._usual / level if level > 0.0 else 1.0  # a bump has weight 1
+            self._weights[i] = (
+                self._usual / level if level > 0.0 else 1.0
+            )  # a bump has weight 1
 
 
 def usual_level(batch: Batch) -> float:
@@ -514,10 +614,14 @@ def usual_level(batch: Batch) -> float:
     ground, step = road("paper"), batch.plant.step
     if batch.of.tracks == 1:
         return float(ground.noise(USUAL_SPEED, step)[0] ** 2)
-    return float(ground.track_filters(batch.vehicle.wheels.width, USUAL_SPEED, step)[1][0] ** 2)
+    return float(
+        ground.track_filters(batch.vehicle.wheels.width, USUAL_SPEED, step)[1][0] ** 2
+    )
 
 
-def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[str, float]]:
+def info_maker(
+    names: Sequence[str],
+) -> Callable[[float, Sequence[float]], dict[str, float]]:
     """Return a function that makes `info` from the speed and the numbers of the kernel, the first of which is
     minus the cost; a dictionary display takes a third of the time of `dict` and `zip`."""
     pairs = ", ".join(f"{name!r}: told[{i}]" for i, name in enumerate(names, 1))

@@ -34,7 +34,9 @@ class Balance:
     """
 
     laws: Sequence[el.Element]  # the laws
-    by_elongation: Array  # elongation of each law per force of each law (laws, laws) [m/N]
+    by_elongation: (
+        Array  # elongation of each law per force of each law (laws, laws) [m/N]
+    )
     by_rate: Array  # rate of each law per force of each law (laws, laws) [m/(N s)]
     step: float  # physics step [s]
 
@@ -47,7 +49,9 @@ class Balance:
     def dry(self) -> list[int]:
         """Indices of the dry frictions that move their terminals at once."""
         pairs = enumerate(self.laws)
-        return [j for j, e in pairs if e.bound is not None and self.by_rate[j, j] < AT_ONCE]
+        return [
+            j for j, e in pairs if e.bound is not None and self.by_rate[j, j] < AT_ONCE
+        ]
 
     @cached_property
     def numbers(self) -> list[Array]:
@@ -58,9 +62,15 @@ class Balance:
     def is_plain(self) -> bool:
         """Return whether no force moves a terminal of a law at once."""
         smooth = self.smooth
-        return not (self.by_elongation[:, smooth].any() or self.by_rate[:, smooth].any() or self.dry)
+        return not (
+            self.by_elongation[:, smooth].any()
+            or self.by_rate[:, smooth].any()
+            or self.dry
+        )
 
-    def _motion(self, unforced: tuple[Array, Array], force: Array) -> tuple[Array, Array]:
+    def _motion(
+        self, unforced: tuple[Array, Array], force: Array
+    ) -> tuple[Array, Array]:
         """Return elongations [m] and rates [m/s] (laws,) under forces (laws,) [N]."""
         elongation, rate = unforced
         return elongation + self.by_elongation @ force, rate + self.by_rate @ force
@@ -83,7 +93,11 @@ class Balance:
         Newton steps for all smooth laws at once come first. A law that does not agree then is bisected between a too small and a too
         large force.
         """
-        force, smooth, unforced = np.zeros(len(self.laws)), self.smooth, (elongation, rate)
+        force, smooth, unforced = (
+            np.zeros(len(self.laws)),
+            self.smooth,
+            (elongation, rate),
+        )
         if self.is_plain:
             force[smooth] = [self._answer(j, elongation[j], rate[j]) for j in smooth]
             return force
@@ -129,8 +143,14 @@ class Balance:
         for k, j in enumerate(own):
             here = self._answer(j, d[j], s[j])
             dd, ds = AWAY * (1e-3 + abs(d[j])), AWAY * (1e-2 + abs(s[j]))
-            out[k] -= (self._answer(j, d[j] + dd, s[j]) - here) / dd * self.by_elongation[j, own]
-            out[k] -= (self._answer(j, d[j], s[j] + ds) - here) / ds * self.by_rate[j, own]
+            out[k] -= (
+                (self._answer(j, d[j] + dd, s[j]) - here)
+                / dd
+                * self.by_elongation[j, own]
+            )
+            out[k] -= (
+                (self._answer(j, d[j], s[j] + ds) - here) / ds * self.by_rate[j, own]
+            )
         return out
 
     def _bisected(self, unforced: tuple[Array, Array], force: Array, j: int) -> float:
@@ -138,7 +158,10 @@ class Balance:
         d, s = self._motion(unforced, force)
 
         def excess(change: float) -> float:
-            there = d[j] + self.by_elongation[j, j] * change, s[j] + self.by_rate[j, j] * change
+            there = (
+                d[j] + self.by_elongation[j, j] * change,
+                s[j] + self.by_rate[j, j] * change,
+            )
             return float(self._answer(j, *there) - force[j] - change)
 
         low = high = 0.0

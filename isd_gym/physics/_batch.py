@@ -61,18 +61,29 @@ class Batch:
     ) -> None:
         self.count, self.network = count, network
         self.substeps = round(control_step / physics_step)
-        if self.substeps < 1 or abs(self.substeps * physics_step - control_step) > 1e-9 * control_step:
+        if (
+            self.substeps < 1
+            or abs(self.substeps * physics_step - control_step) > 1e-9 * control_step
+        ):
             raise InputError(
                 f"control step {control_step} s is not a whole multiple of physics step {physics_step} s"
             )
-        self.control_step, self.speed, self.duration = control_step, float(speed), duration
+        self.control_step, self.speed, self.duration = (
+            control_step,
+            float(speed),
+            duration,
+        )
         self.road = road(road_)
         self.randomize = ranges(network, randomize)
-        self._spread = {k: v for k, v in self.randomize.items() if k not in ("speed", "road")}
+        self._spread = {
+            k: v for k, v in self.randomize.items() if k not in ("speed", "road")
+        }
         self._roads = list(self.randomize.get("road", []))
         nominal = network.parameters
         #: present value of each drawn parameter and name of the drawn road, by car
-        self.drawn: dict[str, np.ndarray] = {k: np.full(count, nominal[k]) for k in self._spread}
+        self.drawn: dict[str, np.ndarray] = {
+            k: np.full(count, nominal[k]) for k in self._spread
+        }
         if self._roads:
             self.drawn["road"] = np.full(count, self._roads[0].name, object)
         self.vehicle = car = vehicle(network)
@@ -87,7 +98,9 @@ class Batch:
         self.channels = [*car.channels, *extra]
         self.groups = -(-count // WIDTH)
         networks: Network | list[Network] = [bare] * WIDTH if self._spread else bare
-        self.plant = plant = Plant(networks, physics_step, lanes=WIDTH, extra=self.channels)
+        self.plant = plant = Plant(
+            networks, physics_step, lanes=WIDTH, extra=self.channels
+        )
         self._mats = plant.mats
         if self._spread:
             self._mats = aligned(self.groups, *plant.mats.shape[1:])
@@ -97,13 +110,17 @@ class Batch:
                 f"network '{network.name}': the environment has no logged channels; leave them out"
             )
         self.points = round(preview / control_step)
-        self.size = place.CarSize(1 + len(car.axes), len(car.corners), len(car.driven), car.wheels.tracks)
+        self.size = place.CarSize(
+            1 + len(car.axes), len(car.corners), len(car.driven), car.wheels.tracks
+        )
         self.of = of = place.cars_layout(self.size)
         # a single integer array saves a tenth of a microsecond per call of the kernel
         self._ints = np.concatenate([plant.ints, self._tables()])
         self._setup = self._ints[len(plant.ints) :]
         self._states = aligned(self.groups, plant.at.height, WIDTH)
-        wide = self.groups * WIDTH  # rows hold whole groups of cars; cars beyond `count` stand still
+        wide = (
+            self.groups * WIDTH
+        )  # rows hold whole groups of cars; cars beyond `count` stand still
         self._cars = aligned(of.outputs + len(self.channels), wide)
         self._ways = np.zeros((of.counter + of.tracks, wide), np.int64)
         steps_late = self._set_drives()
@@ -120,7 +137,10 @@ class Batch:
         self._history = aligned(self.groups, of.tracks, self.kept, WIDTH)
         self.table = np.zeros(0)
         self._settings = np.zeros(of.lifted + len(self.channels) * of.corners)
-        self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_RATE * control_step
+        self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = (
+            CURRENT_LIMIT,
+            SLEW_RATE * control_step,
+        )
         self._settings[of.bounds : of.bounds + of.measured] = math.inf
         self.seen = np.zeros((count, of.measured + of.currents), np.float32)
         #: results of the last step, with the cars that complete the last group (`layout`)
@@ -134,20 +154,40 @@ class Batch:
         """Return the integers of the kernel's control step (`layout`)."""
         car, plant, wheels = self.vehicle, self.plant, self.vehicle.wheels
         columns = dict.fromkeys(
-            ((c.road_input, part) for c in car.corners for part in ("r", "v", "alpha")), -1
+            ((c.road_input, part) for c in car.corners for part in ("r", "v", "alpha")),
+            -1,
         )
         for j, (part, name) in enumerate(plant.labels):
             if (name, part) in columns:
                 columns[name, part] = j
         current_of = [
-            next((i for i, c in enumerate(car.driven) if c.current_input == channel.name), 0)
+            next(
+                (
+                    i
+                    for i, c in enumerate(car.driven)
+                    if c.current_input == channel.name
+                ),
+                0,
+            )
             for channel in plant.currents
         ] or [0]
         head = np.zeros(place.TABLES, np.int64)
-        head[[place.COUNT, place.SUBSTEPS, place.SHOWS]] = self.count, self.substeps, place.MEASURED
+        head[[place.COUNT, place.SUBSTEPS, place.SHOWS]] = (
+            self.count,
+            self.substeps,
+            place.MEASURED,
+        )
         late = [int(behind > 0.0) for behind in wheels.behind]
         return np.array(
-            [*head, *columns.values(), *wheels.track, *late, *wheels.leaders, *current_of], np.int64
+            [
+                *head,
+                *columns.values(),
+                *wheels.track,
+                *late,
+                *wheels.leaders,
+                *current_of,
+            ],
+            np.int64,
         )
 
     def _set_drives(self) -> int:
@@ -156,12 +196,18 @@ class Batch:
         kinds = (el.ActuatorLag, el.ActuatorDelay, el.ThrustSaturation)
         for e in self.network.elements:
             if e.place == "element" and not isinstance(e, kinds):
-                raise InputError(f"element '{e.name}': the environment's drive has no {e.type}; leave it out")
+                raise InputError(
+                    f"element '{e.name}': the environment's drive has no {e.type}; leave it out"
+                )
         self._cars[of.saturation : of.saturation + of.currents] = NO_SATURATION
         for j, corner in enumerate(self.vehicle.driven):
             acting: set[type] = set()
             for e in self.network.elements:
-                if not isinstance(e, kinds) or e.where[0] != corner.motor or type(e) in acting:
+                if (
+                    not isinstance(e, kinds)
+                    or e.where[0] != corner.motor
+                    or type(e) in acting
+                ):
                     continue
                 acting.add(type(e))
                 self._setup[place.DRIVE_ACTS] = True
@@ -179,7 +225,12 @@ class Batch:
         at, count = self.plant.at, self.count
         self._drive: Callable[..., int] | None = None
         arguments = (
-            *(self._mats.reshape(-1), self._ints, self._states.reshape(-1), self._cars.reshape(-1)),
+            *(
+                self._mats.reshape(-1),
+                self._ints,
+                self._states.reshape(-1),
+                self._cars.reshape(-1),
+            ),
             *(
                 self._ways.reshape(-1),
                 self.table,
@@ -192,14 +243,24 @@ class Batch:
         )
         threads = max(1, min(self.threads, self.groups))
         late = min(LATE, self.groups // threads)
-        ends = [0, *(late + (self.groups - late) * i // threads for i in range(1, threads + 1))]
-        inputs = (self.substeps + 1) * at.inputs + self.substeps * (at.currents + 2 + self.of.tracks)
+        ends = [
+            0,
+            *(
+                late + (self.groups - late) * i // threads
+                for i in range(1, threads + 1)
+            ),
+        ]
+        inputs = (self.substeps + 1) * at.inputs + self.substeps * (
+            at.currents + 2 + self.of.tracks
+        )
         inputs += self._value_rows
         self._calls = [
             (*arguments, aligned(TOGETHER, inputs, WIDTH).ravel(), begin, stop)
             for begin, stop in zip(ends[:-1], ends[1:], strict=True)
         ]
-        self._crew: tuple[int, ThreadPoolExecutor] | None = None  # process and its threads
+        self._crew: tuple[int, ThreadPoolExecutor] | None = (
+            None  # process and its threads
+        )
         of = self.of
         self.cars, self.out = self._cars[:, :count], self._cars[of.outputs :, :count]
         self._setup = self._ints[len(self.plant.ints) :]
@@ -209,7 +270,15 @@ class Batch:
         self._first_results, self.first_seen = self.results[:, 0], self.seen[0]
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("cars", "out", "counters", "target", "_setup", "_first_results", "first_seen")
+        views = (
+            "cars",
+            "out",
+            "counters",
+            "target",
+            "_setup",
+            "_first_results",
+            "first_seen",
+        )
         made = (*views, "_drive", "_calls", "_crew")
         return {k: v for k, v in self.__dict__.items() if k not in made}
 
@@ -259,9 +328,14 @@ class Batch:
             InputError: `randomize` draws the road or the speed, or the rear wheels follow later than at any speed of the
                 options.
         """
-        for name, is_new in (("road", ground is not self.road), ("speed", speed != self.speed)):
+        for name, is_new in (
+            ("road", ground is not self.road),
+            ("speed", speed != self.speed),
+        ):
             if is_new and name in self.randomize:
-                raise InputError(f"randomize draws the {name}: leave it out of the options of reset")
+                raise InputError(
+                    f"randomize draws the {name}: leave it out of the options of reset"
+                )
         late = math.ceil(max(self.vehicle.wheels.delays(speed, self.plant.step)))
         if late and late + self.substeps + 2 > self.kept:
             raise InputError(
@@ -277,7 +351,11 @@ class Batch:
         speed = self.speed
         if "speed" in self.randomize:
             speed = float(rng.uniform(*self.randomize["speed"]))
-        ground = self._roads[int(rng.integers(len(self._roads)))] if self._roads else self.road
+        ground = (
+            self._roads[int(rng.integers(len(self._roads)))]
+            if self._roads
+            else self.road
+        )
         if self._roads:
             self.drawn["road"][i] = ground.name
         self.speeds[i] = speed
@@ -290,9 +368,15 @@ class Batch:
         ):  # fmt: skip
             cars[begin:end, i] = 0.0
         self._past[:, :, i] = 0.0
-        self.counters[:, i] = [rng.integers(0, 2**64, dtype=np.uint64) for _ in range(of.tracks)]
+        self.counters[:, i] = [
+            rng.integers(0, 2**64, dtype=np.uint64) for _ in range(of.tracks)
+        ]
         fixed = ground.fixed_tracks(
-            of.tracks, speed, h, round(self.duration / h) + self.points * self.substeps, rng
+            of.tracks,
+            speed,
+            h,
+            round(self.duration / h) + self.points * self.substeps,
+            rng,
         )
         self._give(i, fixed)
         group, lane = divmod(i, WIDTH)
@@ -304,11 +388,15 @@ class Batch:
     def _filters(self, ground: Road, speed: float) -> tuple[np.ndarray, np.ndarray]:
         """Return poles and gains [m] of the sections of the rough tracks."""
         if self.of.tracks == 2:
-            return ground.track_filters(self.vehicle.wheels.width, speed, self.plant.step)
+            return ground.track_filters(
+                self.vehicle.wheels.width, speed, self.plant.step
+            )
         gain, pole = ground.noise(speed, self.plant.step)
         return np.array([pole]), np.array([gain])
 
-    def _look_ahead(self, i: int, poles: np.ndarray, gains: np.ndarray, fixed: np.ndarray) -> None:
+    def _look_ahead(
+        self, i: int, poles: np.ndarray, gains: np.ndarray, fixed: np.ndarray
+    ) -> None:
         """Draw the road of car i up to the end of its preview; `fixed` (tracks, n) [m] is its fixed profile."""
         of, cars = self.of, self._cars
         rough = np.empty((of.tracks, self.points * self.substeps))
@@ -317,12 +405,16 @@ class Batch:
 
             states = np.zeros(of.filters)
             first, second = self.counters[:, i]
-            self.counters[:, i] = track_noise(first, second, poles, gains, SUM_STATES, states, rough)
+            self.counters[:, i] = track_noise(
+                first, second, poles, gains, SUM_STATES, states, rough
+            )
             cars[of.rough : of.value, i] = states
         else:
             from ._kernel.cars import road_noise
 
-            self.counters[0, i] = road_noise(self.counters[0, i], gains[0], poles[0], 0.0, rough[0])
+            self.counters[0, i] = road_noise(
+                self.counters[0, i], gains[0], poles[0], 0.0, rough[0]
+            )
             cars[of.rough, i] = rough[0, -1]
         length = fixed.shape[1]
         if length:
@@ -332,7 +424,10 @@ class Batch:
             self._ways[of.profile : of.profile_end, i] += count
         rings = rough.reshape(of.tracks, self.points, self.substeps)
         rings = np.roll(rings, self._setup[place.NOW], axis=1)
-        self._rings[:, :, :, i], self._ahead[i] = rings.transpose(0, 2, 1), rings[:, :, -1].ravel()
+        self._rings[:, :, :, i], self._ahead[i] = (
+            rings.transpose(0, 2, 1),
+            rings[:, :, -1].ravel(),
+        )
 
     def _give(self, i: int, fixed: np.ndarray) -> None:
         """Store the fixed profile (tracks, n) of car i in slots of the table; the kernel holds the last height after the end."""
@@ -359,7 +454,11 @@ class Batch:
 
     def _redraw(self, i: int, rng: np.random.Generator) -> None:
         nominal = self._bare.parameters
-        values = {k: nominal[k] * float(rng.uniform(*v)) for k, v in self._spread.items() if k in nominal}
+        values = {
+            k: nominal[k] * float(rng.uniform(*v))
+            for k, v in self._spread.items()
+            if k in nominal
+        }
         for name, value in values.items():
             self.drawn[name][i] = value
         self._build(i, values)
@@ -379,7 +478,9 @@ class Batch:
         ways = self._ways[:, i].copy()
         begin = slot * (i * tracks + np.arange(tracks))
         ends = ways[of.profile_end : of.profile_end + tracks]
-        profile = [self.table[a:b].copy() for a, b in zip(begin, ends, strict=True) if b > 0]
+        profile = [
+            self.table[a:b].copy() for a, b in zip(begin, ends, strict=True) if b > 0
+        ]
         if profile:
             ways[of.profile : of.profile_end] -= begin
         now, kept = int(self._setup[place.NOW]), int(self._setup[place.KEPT_NOW])
@@ -434,14 +535,20 @@ class Batch:
         if len(self._calls) == 1:
             self.broken = drive(*self._calls[0])
         else:
-            if self._crew is None or self._crew[0] != os.getpid():  # threads do not survive a fork
+            if (
+                self._crew is None or self._crew[0] != os.getpid()
+            ):  # threads do not survive a fork
                 self._crew = os.getpid(), ThreadPoolExecutor(len(self._calls) - 1)
             others = [self._crew[1].submit(drive, *call) for call in self._calls[1:]]
-            self.broken = drive(*self._calls[0]) + sum(other.result() for other in others)
+            self.broken = drive(*self._calls[0]) + sum(
+                other.result() for other in others
+            )
         if self.points:
             self._setup[place.NOW] = (self._setup[place.NOW] + 1) % self.points
         if self.kept:
-            self._setup[place.KEPT_NOW] = (self._setup[place.KEPT_NOW] + self.substeps) % self.kept
+            self._setup[place.KEPT_NOW] = (
+                self._setup[place.KEPT_NOW] + self.substeps
+            ) % self.kept
         return self.out
 
     def _compiled(self) -> Callable[..., int]:
@@ -495,21 +602,30 @@ class Batch:
     @property
     def track_heights(self) -> np.ndarray:
         """Height of each track under its first wheel now [m] (tracks, count)."""
-        return self.road_heights[self._setup[self.of.leader : self.of.leader + self.of.tracks]]
+        return self.road_heights[
+            self._setup[self.of.leader : self.of.leader + self.of.tracks]
+        ]
 
     def road_ahead(self, points: int | None = None, track: int = 0) -> np.ndarray:
         """Return a track ahead relative to the height under its first wheel (count, points) [m], one point
         per control step; the left track comes before the right track."""
         begin = int(self._setup[place.NOW])
-        ahead = self._ahead[: self.count].reshape(self.count, self.of.tracks, self.points)[:, track]
-        return np.roll(ahead, -begin, axis=1)[:, :points] - self.track_heights[track][:, None]
+        ahead = self._ahead[: self.count].reshape(
+            self.count, self.of.tracks, self.points
+        )[:, track]
+        return (
+            np.roll(ahead, -begin, axis=1)[:, :points]
+            - self.track_heights[track][:, None]
+        )
 
 
 #: smallest factor on a parameter
 LEAST_FACTOR = 0.01
 
 
-def posterior_ranges(network: Network, found: str | Path) -> dict[str, tuple[float, float]]:
+def posterior_ranges(
+    network: Network, found: str | Path
+) -> dict[str, tuple[float, float]]:
     """Return the 95 % intervals of the parameters that a diagnosis determined, as factors on their values."""
     path = Path(found)
     path = path / "model.json" if path.is_dir() else path
@@ -535,18 +651,24 @@ def posterior_ranges(network: Network, found: str | Path) -> dict[str, tuple[flo
     return out
 
 
-def with_found_ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
+def with_found_ranges(
+    network: Network, given: Mapping[str, Any] | str | Path | None
+) -> dict[str, Any]:
     """Return ranges of `randomize` with the intervals of a diagnosis in place of its folder, the key 'found'."""
     out = {"found": given} if isinstance(given, str | Path) else dict(given or {})
     if "found" not in out:
         return out
     found = out.pop("found")
     if not isinstance(found, str | Path):
-        raise InputError(f"randomize: 'found' must be the folder of a diagnosis, not {found!r}")
+        raise InputError(
+            f"randomize: 'found' must be the folder of a diagnosis, not {found!r}"
+        )
     return posterior_ranges(network, found) | out
 
 
-def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
+def ranges(
+    network: Network, given: Mapping[str, Any] | str | Path | None
+) -> dict[str, Any]:
     """Return checked ranges of `randomize`.
 
     Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' -> list of
@@ -562,13 +684,19 @@ def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> di
             out[key] = [road(one) for one in value]
             continue
         if key != "speed" and key not in known:
-            raise InputError(f"randomize: no parameter '{key}' (there are speed, road, {', '.join(known)})")
+            raise InputError(
+                f"randomize: no parameter '{key}' (there are speed, road, {', '.join(known)})"
+            )
         try:
             low, high = (float(v) for v in value)
         except (TypeError, ValueError, OverflowError):
-            raise InputError(f"randomize: '{key}' must be a pair (low, high), not {value!r}") from None
+            raise InputError(
+                f"randomize: '{key}' must be a pair (low, high), not {value!r}"
+            ) from None
         if not 0 < low <= high < math.inf:
-            raise InputError(f"randomize: '{key}' needs 0 < low <= high, not ({low:g}, {high:g})")
+            raise InputError(
+                f"randomize: '{key}' needs 0 < low <= high, not ({low:g}, {high:g})"
+            )
         if key != "speed" and isinstance(given, Mapping) and key in given:
             _check_factors(key, low, high, known[key])
         out[key] = (low, high)
@@ -579,7 +707,9 @@ def _check_factors(key: str, low: float, high: float, nominal: float) -> None:
     """Refuse factors that look like values of the parameter."""
     if low >= 0.1 and high <= 10.0:
         return
-    share = f"({low / nominal:.3g}, {high / nominal:.3g})" if nominal > 0 else "(0.8, 1.2)"
+    share = (
+        f"({low / nominal:.3g}, {high / nominal:.3g})" if nominal > 0 else "(0.8, 1.2)"
+    )
     raise InputError(
         f"randomize: '{key}' has factors on {nominal:g}, 0.1 to 10, not ({low:g}, {high:g}): "
         f"for values from {low:g} to {high:g} give {share}"

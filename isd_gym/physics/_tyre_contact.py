@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from .vehicle import Vehicle
 
 LARGEST_SHARE = 0.01  # of the time with a pulling tyre, above which a warning is given
-FREQUENCIES = np.geomspace(0.1, 100.0, 60)  # of the tyre load [Hz]; wheel hop is near 11 Hz
+FREQUENCIES = np.geomspace(
+    0.1, 100.0, 60
+)  # of the tyre load [Hz]; wheel hop is near 11 Hz
 
 
 def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
@@ -39,14 +41,19 @@ def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
         return 0.0
     from scipy.integrate import trapezoid
 
-    loads = tuple(Channel(c.named("tyre_load"), "force", "N", at=c.road) for c in car.corners)
+    loads = tuple(
+        Channel(c.named("tyre_load"), "force", "N", at=c.road) for c in car.corners
+    )
     response = transfer(replace(car.network, outputs=loads), FREQUENCIES)
     inputs = [channel.name for channel in car.network.inputs]
     density = ground.psd(FREQUENCIES / speed) / speed  # over frequency [m^2/Hz]
     share = 0.0
-    for i, (corner, static) in enumerate(zip(car.corners, car.static_tyre_loads, strict=True)):
+    for i, (corner, static) in enumerate(
+        zip(car.corners, car.static_tyre_loads, strict=True)
+    ):
         lifts_off = any(
-            isinstance(e, el.TyreLiftOff) and corner.road in e.where for e in car.network.elements
+            isinstance(e, el.TyreLiftOff) and corner.road in e.where
+            for e in car.network.elements
         )
         if static is None or lifts_off:
             continue
@@ -61,7 +68,10 @@ def warn_of_pulling_tyres(car: Vehicle, roads: Iterable[Road], speed: float) -> 
     ground = max(roads, key=lambda road: road.roughness)
     try:
         share = pulling_share(car, ground, speed)
-    except (InputError, np.linalg.LinAlgError):  # without linear equations the share is not known
+    except (
+        InputError,
+        np.linalg.LinAlgError,
+    ):  # without linear equations the share is not known
         return
     if share > LARGEST_SHARE:
         warnings.warn(

@@ -66,7 +66,12 @@ class Value:
     def numbers(self) -> np.ndarray:
         """All weights in the order of the kernel (`cars.foresee`)."""
         return np.concatenate(
-            [self.lift.ravel(), _packed(self.state), self.slope.ravel(), _packed(self.news)]
+            [
+                self.lift.ravel(),
+                _packed(self.state),
+                self.slope.ravel(),
+                _packed(self.news),
+            ]
         )
 
 
@@ -99,7 +104,9 @@ def _value_of(text: str, cost: StageCost, step: float, speed: float) -> Value:
     network = Network.load(json.loads(text))
     car = vehicle(network)
     if not any(corner.motor for corner in car.corners):
-        raise InputError(f"network '{network.name}' has no motor: a shaped reward is for a car that acts")
+        raise InputError(
+            f"network '{network.name}' has no motor: a shaped reward is for a car that acts"
+        )
     if any(isinstance(e, el.ControlledDamper) for e in network.elements):
         raise InputError(
             f"network '{network.name}' has a controlled damper, for which no linear model is known: choose "
@@ -123,16 +130,27 @@ def _value_of(text: str, cost: StageCost, step: float, speed: float) -> Value:
     part = np.ix_(own, own)
     A, B, Q = F[part], b[own], stage[part]
     V = np.zeros_like(F)
-    V[part] = riccati(network, A, B, _symmetric(A.T @ Q @ A), _symmetric(B.T @ Q @ B) + move, A.T @ Q @ B)
+    V[part] = riccati(
+        network,
+        A,
+        B,
+        _symmetric(A.T @ Q @ A),
+        _symmetric(B.T @ Q @ B) + move,
+        A.T @ Q @ B,
+    )
     for _ in range(n - motion):
         M = V + stage
         across = b.T @ M @ F
-        V = _symmetric(F.T @ M @ F - across.T @ np.linalg.solve(move + b.T @ M @ b, across))
+        V = _symmetric(
+            F.T @ M @ F - across.T @ np.linalg.solve(move + b.T @ M @ b, across)
+        )
     device = model.rows("device_travel")
     M = (
         V + stage - signals[device].T @ (weights[device, None] * signals[device])
     )  # the cost has no such weight
-    fine = car_model(network, PHYSICS_STEP, speed, damping=damping, road_intensity=intensity)
+    fine = car_model(
+        network, PHYSICS_STEP, speed, damping=damping, road_intensity=intensity
+    )
     tracks = model.lift.shape[1]
     line = (n - motion) // tracks
     effects = []  # of an innovation on X at the end of the control step, later physics steps first
@@ -148,14 +166,18 @@ def _value_of(text: str, cost: StageCost, step: float, speed: float) -> Value:
     return Value(line, model.lift, V, 2.0 * d @ M @ F, d @ M @ d.T)
 
 
-def _dampers(car: Vehicle, cost: StageCost, step: float, intensity: float) -> dict[str, float]:
+def _dampers(
+    car: Vehicle, cost: StageCost, step: float, intensity: float
+) -> dict[str, float]:
     """Return dampers [N s/m] in place of the frictions of a car, and none in place of its stops."""
     dampers = {e.name: 0.0 for e in car.network.elements if isinstance(e, el.BumpStop)}
     cost = cost if len(car.corners) == 1 else cost.of_corner
     for corner in car.driven:
         quarter = car.quarter_car(corner)
         weights = Weights(cost, MOVE, 0.0, CENTRING, device_reach(quarter))
-        dampers |= statistical_linearisation(quarter, step, weights, road_intensity=intensity).damping
+        dampers |= statistical_linearisation(
+            quarter, step, weights, road_intensity=intensity
+        ).damping
     return dampers
 
 

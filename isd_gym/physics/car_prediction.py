@@ -60,7 +60,9 @@ class WholeCar(Laws):
     def device_rates(self) -> np.ndarray:
         """Rates of the devices by the state (currents, n)."""
         names = [c.name for c in self.car.channels]
-        return self.C[[names.index(c.named("device_travel_rate")) for c in self.car.driven]]
+        return self.C[
+            [names.index(c.named("device_travel_rate")) for c in self.car.driven]
+        ]
 
     def rows(self, kind: str) -> list[int]:
         """Return the rows of the channels of a kind, one per corner."""
@@ -74,23 +76,31 @@ class CarModel(WholeCar):
 
     car: Vehicle  # car
     step: float  # control step [s]
-    A: np.ndarray  # system matrix (n, n) of the state: motion of the car, then the delay line [m]
+    A: (
+        np.ndarray
+    )  # system matrix (n, n) of the state: motion of the car, then the delay line [m]
     inputs: np.ndarray  # effect (n, currents) of the currents [A], held over the step
     G: np.ndarray  # effect (n, laws) of the forces [N] of the laws that are kept apart (friction, stops)
     gamma: np.ndarray  # effect (n, tracks) of the next rise of each track [m]
     #: covariance (n, n) of the state per step: of these rises, and of the road between the samples
     W: np.ndarray
     C: np.ndarray  # channels of the car (channels, n): `Vehicle.channels`
-    feedthrough: np.ndarray  # effect (channels, currents) of the currents on the channels
+    feedthrough: (
+        np.ndarray
+    )  # effect (channels, currents) of the currents on the channels
     F: np.ndarray  # effect (channels, laws) of the forces on the channels
     S: np.ndarray  # rates (laws, n) of the laws
     SF: np.ndarray  # effect (laws, laws) of the forces on these rates
     laws: tuple[el.Element, ...]  # laws that are kept apart
     motion: int  # number of states of the car's motion; the delay line follows
-    delays: np.ndarray  # delay of each corner behind the foremost wheel of its track [steps]
+    delays: (
+        np.ndarray
+    )  # delay of each corner behind the foremost wheel of its track [steps]
     #: height of each corner over the foremost wheel of its track, by the delay line (corners, line)
     heights: np.ndarray
-    rises: np.ndarray  # rise of each corner over the next step, by the delay line (corners, line)
+    rises: (
+        np.ndarray
+    )  # rise of each corner over the next step, by the delay line (corners, line)
     lift: np.ndarray  # shift of the motion when a track rises by 1 m (motion, tracks)
     drifts: np.ndarray  # states (n, motions) of a car whose body moves at constant speed, each wheel with it
     road_intensity: float  # two-sided intensity of the road's velocity [m^2/s]
@@ -112,17 +122,29 @@ class CarModel(WholeCar):
             line = line @ self.A[self.motion :, self.motion :]
         return rows
 
-    def kalman_gain(self, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
+    def kalman_gain(
+        self, sensors: Sensors, noise: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the steady gain (n, measured) of a Kalman filter; angular accelerations are as accurate as
         the difference of two accelerometers at the axles."""
         apart = max(abs(place) for c in self.car.corners for place in (c.x, c.y))
         errors = []
         for signal in self.car.measured[: self.current_places.start]:
-            if signal.kind.endswith("_acceleration") and signal.kind != "body_acceleration":
+            if (
+                signal.kind.endswith("_acceleration")
+                and signal.kind != "body_acceleration"
+            ):
                 errors.append(sensors.body_acceleration / apart)
             else:
                 errors.append(getattr(sensors, signal.kind))
-        return steady_gain(self.network, self, np.diag(np.square(errors)), sensors.memory, self.drifts, noise)
+        return steady_gain(
+            self.network,
+            self,
+            np.diag(np.square(errors)),
+            sensors.memory,
+            self.drifts,
+            noise,
+        )
 
 
 @dataclass(frozen=True)
@@ -136,7 +158,11 @@ class CarWeights:
     def of(self, model: WholeCar) -> tuple[np.ndarray, np.ndarray]:
         """Return the weights of the channels (channels,) and of the currents (currents,) of a model."""
         car = model.car
-        corners, currents, motions = len(car.corners), len(car.driven), 1 + len(car.axes)
+        corners, currents, motions = (
+            len(car.corners),
+            len(car.driven),
+            1 + len(car.axes),
+        )
         factors = self.cost.factors(car.axes, corners, currents)
         q = np.zeros(len(car.channels))
         q[:motions] = factors[:motions]
@@ -153,24 +179,35 @@ class _Line:
 
     #: height of each corner over the foremost wheel of its track, by the line (corners, states)
     heights: np.ndarray
-    rises: np.ndarray  # rise of each corner over the next step, by the line (corners, states)
+    rises: (
+        np.ndarray
+    )  # rise of each corner over the next step, by the line (corners, states)
     #: rise of each corner over the next step, by the next rise of each track (corners, tracks)
     new: np.ndarray
     shift: np.ndarray  # the line one step later (states, states)
-    entry: np.ndarray  # state in which the next rise of each track enters (states, tracks)
+    entry: (
+        np.ndarray
+    )  # state in which the next rise of each track enters (states, tracks)
 
     @classmethod
     def of(cls, delays: np.ndarray, tracks: list[int]) -> _Line:
         count = max(tracks) + 1
         lengths = [
-            max(int(np.ceil(d)) for d, t in zip(delays, tracks, strict=True) if t == i) for i in range(count)
+            max(int(np.ceil(d)) for d, t in zip(delays, tracks, strict=True) if t == i)
+            for i in range(count)
         ]
         starts = np.concatenate([[0], np.cumsum(lengths)]).astype(int)
         size = int(starts[-1])
         heights, rises = np.zeros((len(delays), size)), np.zeros((len(delays), size))
-        new, shift, entry = np.zeros((len(delays), count)), np.zeros((size, size)), np.zeros((size, count))
+        new, shift, entry = (
+            np.zeros((len(delays), count)),
+            np.zeros((size, size)),
+            np.zeros((size, count)),
+        )
         for t, length in enumerate(lengths):
-            shift[starts[t] + 1 : starts[t + 1], starts[t] : starts[t + 1] - 1] = np.eye(max(length - 1, 0))
+            shift[starts[t] + 1 : starts[t + 1], starts[t] : starts[t + 1] - 1] = (
+                np.eye(max(length - 1, 0))
+            )
             entry[starts[t] : starts[t] + min(length, 1), t] = 1.0
         for c, (delay, t) in enumerate(zip(delays, tracks, strict=True)):
             low, part = int(delay), delay - int(delay)
@@ -209,7 +246,10 @@ def car_model(
     count, corners = len(car.channels), len(car.corners)
     tracks = list(car.wheels.track) if wheelbase else list(range(corners))
     behind = car.wheels.delays(speed, step)
-    first = [min(d for d, t in zip(behind, tracks, strict=True) if t == i) for i in range(max(tracks) + 1)]
+    first = [
+        min(d for d, t in zip(behind, tracks, strict=True) if t == i)
+        for i in range(max(tracks) + 1)
+    ]
     delays = behind - np.array([first[t] for t in tracks])
     line = _Line.of(delays, tracks)
     x, (r, _, currents) = parts.columns["x"], columns(car, parts)
@@ -218,7 +258,8 @@ def car_model(
         roads[road - parts.columns["r"].start, t] = 1.0
     T = lift(network, parts, roads, count)
     leader = [
-        next(c for c in range(corners) if tracks[c] == t and delays[c] == 0.0) for t in range(max(tracks) + 1)
+        next(c for c in range(corners) if tracks[c] == t and delays[c] == 0.0)
+        for t in range(max(tracks) + 1)
     ]
     n = len(parts.rate)
     size = n + corners
@@ -232,7 +273,10 @@ def car_model(
     big = np.zeros((size + wide.shape[1],) * 2)
     big[:size, :size], big[:size, size:] = A * step, wide * step
     phi = expm(big)
-    move, ramps = phi[:n, :size], phi[:n, size + inputs.shape[1] : size + wide.shape[1]] / step
+    move, ramps = (
+        phi[:n, :size],
+        phi[:n, size + inputs.shape[1] : size + wide.shape[1]] / step,
+    )
     total, states = n + len(line.shift), slice(n, None)
     full = np.zeros((total, total))
     full[:n, :n] = move[:, :n]
@@ -277,10 +321,14 @@ def car_model(
 
 def of_currents(rows: np.ndarray, currents: list[int | None]) -> np.ndarray:
     """Return the columns of the currents (rows, currents); zero for a corner without a motor."""
-    return np.column_stack([np.zeros(len(rows)) if j is None else rows[:, j] for j in currents])
+    return np.column_stack(
+        [np.zeros(len(rows)) if j is None else rows[:, j] for j in currents]
+    )
 
 
-def continuous(car: Vehicle, parts: Equations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def continuous(
+    car: Vehicle, parts: Equations
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the rates (n + corners, .) of the states and of the heights of the road under the corners: by states and heights,
     by currents and forces of the laws, and by the velocity of the road under each corner."""
     x, (r, v, currents) = parts.columns["x"], columns(car, parts)
@@ -294,7 +342,9 @@ def continuous(car: Vehicle, parts: Equations) -> tuple[np.ndarray, np.ndarray, 
     return A, inputs, white
 
 
-def columns(car: Vehicle, parts: Equations) -> tuple[list[int], list[int], list[int | None]]:
+def columns(
+    car: Vehicle, parts: Equations
+) -> tuple[list[int], list[int], list[int | None]]:
     """Return the columns of displacements and velocities of the roads and of the currents (None without a motor), in the order of
     the corners."""
     moving = [c.name for c in car.network.moving]
@@ -303,7 +353,11 @@ def columns(car: Vehicle, parts: Equations) -> tuple[list[int], list[int], list[
     r, v = ([parts.columns[part].start + i for i in order] for part in ("r", "v"))
     first = parts.columns["I"].start
     inputs = [c.current_input for c in car.driven]
-    return r, v, [None if name is None else first + named.index(name) for name in inputs]
+    return (
+        r,
+        v,
+        [None if name is None else first + named.index(name) for name in inputs],
+    )
 
 
 def drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
@@ -313,10 +367,18 @@ def drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
     count = len(car.channels)
     travels = [j for j, c in enumerate(car.channels) if "travel" in c.name]
     carried = car.network.carried
-    speeds = [count + j for j, c in enumerate(nodes) if c.name.endswith("_velocity") and c.at in carried]
-    heights = [count + j for j, c in enumerate(nodes) if c.name.endswith("_displacement")]
+    speeds = [
+        count + j
+        for j, c in enumerate(nodes)
+        if c.name.endswith("_velocity") and c.at in carried
+    ]
+    heights = [
+        count + j for j, c in enumerate(nodes) if c.name.endswith("_displacement")
+    ]
     rows = out[[*speeds, *heights, *travels]]
-    at = {car.body: car.arms(0.0, 0.0)} | {c.wheel: car.arms(c.x, c.y) for c in car.corners}
+    at = {car.body: car.arms(0.0, 0.0)} | {
+        c.wheel: car.arms(c.x, c.y) for c in car.corners
+    }
     states = []
     for motion in range(1 + len(car.axes)):
         wanted = np.zeros(len(rows))
@@ -327,7 +389,9 @@ def drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
             elif motion and node == car.angles[car.axes[motion - 1]]:
                 wanted[j] = 1.0
         states.append(np.linalg.lstsq(rows, wanted, rcond=None)[0])
-    return np.vstack([np.array(states).T, np.zeros((total - out.shape[1], len(states)))])
+    return np.vstack(
+        [np.array(states).T, np.zeros((total - out.shape[1], len(states)))]
+    )
 
 
 # ------------------------------------------------------------------------------------ linear-quadratic
@@ -343,7 +407,11 @@ def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, flo
     q, r = weights.of(model)
     A, B, k = model.A, model.inputs, model.motion
     C, D = model.C @ A, model.C @ B + model.feedthrough
-    Q, N, R = C.T @ (q[:, None] * C), C.T @ (q[:, None] * D), D.T @ (q[:, None] * D) + np.diag(r)
+    Q, N, R = (
+        C.T @ (q[:, None] * C),
+        C.T @ (q[:, None] * D),
+        D.T @ (q[:, None] * D) + np.diag(r),
+    )
     V = np.zeros((model.n, model.n))
     V[:k, :k] = riccati(model.network, A[:k, :k], B[:k], Q[:k, :k], R, N[:k])
     for _ in range(model.n - k + 1):

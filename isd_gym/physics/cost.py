@@ -77,19 +77,30 @@ class StageCost:
         for name in _TERMS:
             weight, reference = getattr(self, name), getattr(self, f"{name}_reference")
             if not (is_number(weight) and 0.0 <= weight <= LARGEST):
-                raise InputError(f"the weight of {name} must be from 0 to {LARGEST:g}, not {shown(weight)}")
+                raise InputError(
+                    f"the weight of {name} must be from 0 to {LARGEST:g}, not {shown(weight)}"
+                )
             if name in ("travel", "tyre_load") and isinstance(reference, list | tuple):
                 reference = tuple(reference)
                 object.__setattr__(self, f"{name}_reference", reference)
             values = reference if isinstance(reference, tuple) else (reference,)
-            if not (values and all(is_number(value) and 1 / LARGEST <= value <= LARGEST for value in values)):
+            if not (
+                values
+                and all(
+                    is_number(value) and 1 / LARGEST <= value <= LARGEST
+                    for value in values
+                )
+            ):
                 raise InputError(
                     f"the reference of {name} must be from {1 / LARGEST:g} to {LARGEST:g}, not {shown(reference)}"
                 )
 
     @classmethod
     def of(
-        cls, given: StageCost | Mapping[str, Any] | None, axes: tuple[str, ...] = (), corners: int = 1
+        cls,
+        given: StageCost | Mapping[str, Any] | None,
+        axes: tuple[str, ...] = (),
+        corners: int = 1,
     ) -> StageCost:
         """Return the stage cost of a car: the given cost, or the usual cost with some attributes changed.
 
@@ -107,12 +118,15 @@ class StageCost:
             means = {
                 name: float(np.mean(value))
                 for name in ("travel_reference", "tyre_load_reference")
-                if isinstance(value := getattr(usual, name), tuple) and len(value) != corners
+                if isinstance(value := getattr(usual, name), tuple)
+                and len(value) != corners
             }
             known = [f.name for f in fields(cls)]
             for key in given or {}:
                 if key not in known:
-                    raise InputError(f"cost: no {shown(key)}, there are {', '.join(known)}")
+                    raise InputError(
+                        f"cost: no {shown(key)}, there are {', '.join(known)}"
+                    )
             given = replace(usual, **{**means, **(given or {})})
         for axis in MOTIONS[1:]:
             if getattr(given, axis) > 0.0 and axis not in axes:
@@ -140,7 +154,9 @@ class StageCost:
         a, l, f, i = self.factors()
         return a, l, f, i
 
-    def factors(self, axes: tuple[str, ...] = (), corners: int = 1, currents: int = 1) -> tuple[float, ...]:
+    def factors(
+        self, axes: tuple[str, ...] = (), corners: int = 1, currents: int = 1
+    ) -> tuple[float, ...]:
         """Return the factors on the squares of accelerations, travels, tyre loads and currents, in this order.
 
         Args:
@@ -155,7 +171,10 @@ class StageCost:
         Raises:
             InputError: There are references for another number of corners.
         """
-        out = [self._factor(name, getattr(self, f"{name}_reference"), 1) for name in (MOTIONS[0], *axes)]
+        out = [
+            self._factor(name, getattr(self, f"{name}_reference"), 1)
+            for name in (MOTIONS[0], *axes)
+        ]
         for name in ("travel", "tyre_load"):
             reference = getattr(self, f"{name}_reference")
             each = reference if isinstance(reference, tuple) else (reference,) * corners
@@ -164,7 +183,10 @@ class StageCost:
                     f"cost: {name}_reference has {len(each)} values for {corners} corners; give one number, or one for each"
                 )
             out += [self._factor(name, value, corners) for value in each]
-        return (*out, *[self._factor("current", self.current_reference, currents)] * currents)
+        return (
+            *out,
+            *[self._factor("current", self.current_reference, currents)] * currents,
+        )
 
     def _factor(self, name: str, reference: float, shared_by: int) -> float:
         return getattr(self, name) / shared_by / reference**2
@@ -188,7 +210,12 @@ class StageCost:
             Cost [-], a number or an array of the shape of the signals.
         """
         a, l, f, i = self.quadratic
-        return square(a, acceleration) + square(l, travel) + square(f, tyre_load) + square(i, current)
+        return (
+            square(a, acceleration)
+            + square(l, travel)
+            + square(f, tyre_load)
+            + square(i, current)
+        )
 
 
 QUARTER_CAR = StageCost()

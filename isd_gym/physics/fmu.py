@@ -70,7 +70,9 @@ class Running:
         self.moved = {c.name for c in network.moving}
         self.commands: dict[str, deque[float]] = {}
         self.readings: dict[str, deque[float]] = {}
-        self.last: dict[str, list[float]] = {}  # last three values [SI] of each input, newest first
+        self.last: dict[
+            str, list[float]
+        ] = {}  # last three values [SI] of each input, newest first
         self.slope: dict[str, float] = {}
         self.outputs: dict[str, float] = {}
         self.raw: np.ndarray | None = None
@@ -94,7 +96,10 @@ class Running:
         self.commands.clear()
         self.readings.clear()
         self._go(
-            self._plant(self.largest), {k: np.full(2, v) for k, v in now.items()}, self.largest, still=True
+            self._plant(self.largest),
+            {k: np.full(2, v) for k, v in now.items()},
+            self.largest,
+            still=True,
         )
         return dict(self.outputs)
 
@@ -123,7 +128,11 @@ class Running:
         share = np.linspace(0.0, 1.0, every + 1)
         fine = {}
         for name, (end, begin, _) in self.last.items():
-            fine[name] = begin + (end - begin) * share if name in self.moved else np.full(every + 1, end)
+            fine[name] = (
+                begin + (end - begin) * share
+                if name in self.moved
+                else np.full(every + 1, end)
+            )
         self._go(plant, fine, seconds)
         return dict(self.outputs)
 
@@ -145,10 +154,22 @@ class Running:
             self.plants[key] = Plant(self.network, step)
         return self.plants[key]
 
-    def _go(self, plant: Plant, fine: Mapping[str, np.ndarray], seconds: float, still: bool = False) -> None:
-        rows = len(next(iter(fine.values()))) if fine else (1 + max(1, round(seconds / plant.step)))
+    def _go(
+        self,
+        plant: Plant,
+        fine: Mapping[str, np.ndarray],
+        seconds: float,
+        still: bool = False,
+    ) -> None:
+        rows = (
+            len(next(iter(fine.values())))
+            if fine
+            else (1 + max(1, round(seconds / plant.step)))
+        )
         u = np.zeros((rows, len(plant.labels), 1))
-        curves = {name: self._curve(name, rows, seconds) for name in plant.differentiated}
+        curves = {
+            name: self._curve(name, rows, seconds) for name in plant.differentiated
+        }
         for j, (part, name) in enumerate(plant.labels):
             order = plant.order_of(part, name)
             u[:, j, 0] = curves[name][order] if name in curves else fine[name]
@@ -156,7 +177,9 @@ class Running:
             self.slope[name] = float(curves[name][1][-1])
         c = np.zeros((rows - 1, len(plant.currents), 1))
         for j, channel in enumerate(plant.currents):
-            c[:, j, 0] = self._current(str(channel.element), channel.name, fine[channel.name][1:], plant.step)
+            c[:, j, 0] = self._current(
+                str(channel.element), channel.name, fine[channel.name][1:], plant.step
+            )
         if self.state is None:
             self.state = plant.grouped(plant.state(None, u[0], c[0])).reshape(-1)
         if still:
@@ -164,7 +187,15 @@ class Running:
         out = np.empty((1 if still else 2, plant.n_outputs, 1))
         every = max(1, len(u) - 1)
         plant.kernel.record(
-            plant.mats.ravel(), plant.ints, self.state, u.ravel(), c.ravel(), every, 1, 1, out
+            plant.mats.ravel(),
+            plant.ints,
+            self.state,
+            u.ravel(),
+            c.ravel(),
+            every,
+            1,
+            1,
+            out,
         )
         values = out[-1, :, 0].copy()
         for j, difference in enumerate(plant._by_difference):
@@ -181,7 +212,9 @@ class Running:
             raise InputError("the simulation broke down: an output is not finite")
         self.outputs = self._sensed(named, seconds)
 
-    def _curve(self, name: str, rows: int, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _curve(
+        self, name: str, rows: int, seconds: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a cubic from the last value to the present value, with continuous slope and the end slope of a parabola."""
         end, begin, before = self.last[name]
         s = np.linspace(0.0, 1.0, rows)
@@ -189,26 +222,38 @@ class Running:
         m1 = 1.5 * (end - begin) - 0.5 * (begin - before)
         a, b = 2 * begin - 2 * end + m0 + m1, 3 * end - 3 * begin - 2 * m0 - m1
         r = begin + m0 * s + b * s**2 + a * s**3
-        return r, (m0 + 2 * b * s + 3 * a * s**2) / seconds, (2 * b + 6 * a * s) / seconds**2
+        return (
+            r,
+            (m0 + 2 * b * s + 3 * a * s**2) / seconds,
+            (2 * b + 6 * a * s) / seconds**2,
+        )
 
-    def _current(self, motor: str, name: str, command: np.ndarray, step: float) -> np.ndarray:
+    def _current(
+        self, motor: str, name: str, command: np.ndarray, step: float
+    ) -> np.ndarray:
         if not self.drives:
             return command
         held = self.commands.setdefault(name, deque(maxlen=math.ceil(MEMORY / step)))
         held.extend(command.tolist())
-        return effective_current(self.network, motor, np.array(held)[:, None], step)[-len(command) :, 0]
+        return effective_current(self.network, motor, np.array(held)[:, None], step)[
+            -len(command) :, 0
+        ]
 
     def _sensed(self, named: dict[str, float], seconds: float) -> dict[str, float]:
         if not self.sensors:
             return named
         rows = {}
         for name, value in named.items():
-            held = self.readings.setdefault(name, deque(maxlen=max(2, math.ceil(MEMORY / seconds))))
+            held = self.readings.setdefault(
+                name, deque(maxlen=max(2, math.ceil(MEMORY / seconds)))
+            )
             if not held:
                 held.append(value)
             held.append(value)
             rows[name] = np.array(held)
-        return {name: float(v[-1]) for name, v in sense(self.network, rows, seconds).items()}
+        return {
+            name: float(v[-1]) for name, v in sense(self.network, rows, seconds).items()
+        }
 
 
 #: namespaces of the scripts of all units that this process has loaded, see `NetworkSlave.__init_subclass__`
@@ -321,7 +366,11 @@ class NetworkSlave(Slave):  # type: ignore[misc]
 def _where(c: Any) -> str:
     if c.at:
         return f"at {c.at}"
-    return f"between {' and '.join(c.between)}" if c.between else f"of {', '.join(c.elements)}"
+    return (
+        f"between {' and '.join(c.between)}"
+        if c.between
+        else f"of {', '.join(c.elements)}"
+    )
 
 
 def identifier(name: str) -> str:
@@ -333,11 +382,18 @@ def identifier(name: str) -> str:
     Returns:
         The identifier.
     """
-    words = "".join(w[:1].upper() + w[1:] for w in re.split(r"[^0-9a-zA-Z]+", name) if w) or "Model"
-    return f"Model{words}" if not words[0].isalpha() or keyword.iskeyword(words) else words
+    words = (
+        "".join(w[:1].upper() + w[1:] for w in re.split(r"[^0-9a-zA-Z]+", name) if w)
+        or "Model"
+    )
+    return (
+        f"Model{words}" if not words[0].isalpha() or keyword.iskeyword(words) else words
+    )
 
 
-def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = PHYSICS_STEP) -> Path:
+def export_fmu(
+    model: Network | str | Path, path: str | Path, *, step: float = PHYSICS_STEP
+) -> Path:
     """Write a model as a co-simulation unit (FMI 2.0).
 
     Inputs, outputs and parameters are variables with the model's names and units; parameters are set before
@@ -373,15 +429,22 @@ def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = P
     )
     with tempfile.TemporaryDirectory() as folder:
         # Python loads a module once per process: other content needs another name
-        script = Path(folder) / f"fmu_{name.lower()}_{hashlib.sha256(text.encode()).hexdigest()[:12]}.py"
+        script = (
+            Path(folder)
+            / f"fmu_{name.lower()}_{hashlib.sha256(text.encode()).hexdigest()[:12]}.py"
+        )
         paths = list(sys.path)
         try:
-            with writing(folder, tempfile.gettempdir()):  # PythonFMU has a folder of its own there
+            with writing(
+                folder, tempfile.gettempdir()
+            ):  # PythonFMU has a folder of its own there
                 script.write_text(text, encoding="utf-8")
                 made = FmuBuilder.build_FMU(script, dest=folder)
         finally:
             sys.path[:] = paths
             sys.modules.pop(script.stem, None)
         with whole(path) as temporary:
-            temporary.write_bytes(Path(made or Path(folder) / f"{name}.fmu").read_bytes())
+            temporary.write_bytes(
+                Path(made or Path(folder) / f"{name}.fmu").read_bytes()
+            )
     return path

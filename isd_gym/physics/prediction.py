@@ -33,7 +33,9 @@ SLIDING = 0.05
 N_SENSORS = 5  # number of measured signals that depend on the physics; the sixth is the present current
 DESIGN_SPEED = 20.0  # speed of the road intensity below [m/s]
 #: two-sided intensity of the road's vertical velocity [m^2/s], the paper's road at 20 m/s
-ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * DESIGN_SPEED
+ROAD_INTENSITY = (
+    (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * DESIGN_SPEED
+)
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,9 @@ class Sensors:
     @property
     def covariance(self) -> np.ndarray:
         """Diagonal covariance (5, 5) of the measured signals."""
-        return np.diag(np.square([getattr(self, f.name) for f in fields(self)[:N_SENSORS]]))
+        return np.diag(
+            np.square([getattr(self, f.name) for f in fields(self)[:N_SENSORS]])
+        )
 
 
 class Laws:
@@ -121,7 +125,9 @@ class Model(Laws):
         """State (n,) of a car that rises as a whole at 1 m/s without relative motion."""
         channels = state_channels(self.network)
         speed = [
-            i for i, c in enumerate(channels) if c.quantity == "velocity" and c.at in self.network.masses
+            i
+            for i, c in enumerate(channels)
+            if c.quantity == "velocity" and c.at in self.network.masses
         ]
         height = [i for i, c in enumerate(channels) if c.quantity == "displacement"]
         rows = np.vstack([self.nodes[speed], self.nodes[height], self.C[1:N_SENSORS]])
@@ -167,7 +173,9 @@ class Equations:
     laws: tuple[el.Element, ...]  # dry frictions and stops
 
 
-def equations(network: Network, channels: Sequence[Channel], damping: Mapping[str, float]) -> Equations:
+def equations(
+    network: Network, channels: Sequence[Channel], damping: Mapping[str, float]
+) -> Equations:
     """Return the linear equations of a car; linear `damping` [N s/m] by name of a law replaces the law."""
     bare = replace(
         network,
@@ -206,7 +214,9 @@ def equations(network: Network, channels: Sequence[Channel], damping: Mapping[st
     )
 
 
-def lift(network: Network, parts: Equations, roads: np.ndarray, outputs: int) -> np.ndarray:
+def lift(
+    network: Network, parts: Equations, roads: np.ndarray, outputs: int
+) -> np.ndarray:
     """Return the shift of the state (n, rises) when roads (roads, rises) rise by 1 m, without a change of elongations and of the
     first `outputs` signals."""
     x, r = parts.columns["x"], parts.columns["r"]
@@ -215,7 +225,9 @@ def lift(network: Network, parts: Equations, roads: np.ndarray, outputs: int) ->
     right = np.vstack([block[:, r] for block in blocks]) @ roads
     T = np.linalg.lstsq(left, -right, rcond=None)[0]
     if np.abs(left @ T + right).max() > 1e-6 * np.abs(right).max():
-        raise InputError(f"network '{network.name}' is tied to the ground: a controller's car moves freely")
+        raise InputError(
+            f"network '{network.name}' is tied to the ground: a controller's car moves freely"
+        )
     return T
 
 
@@ -232,10 +244,22 @@ def prediction_model(
     `damping` [N s/m] by its name. `road_intensity` is the two-sided intensity of the road's velocity [m^2/s].
     """
     require_quarter_car(network, "the prediction model is that")
-    parts = equations(network, [*vehicle(network).channels, *state_channels(network)], dict(damping or {}))
-    rate, out, R, cols, apart = parts.rate, parts.out, parts.R, parts.columns, parts.apart
+    parts = equations(
+        network,
+        [*vehicle(network).channels, *state_channels(network)],
+        dict(damping or {}),
+    )
+    rate, out, R, cols, apart = (
+        parts.rate,
+        parts.out,
+        parts.R,
+        parts.columns,
+        parts.apart,
+    )
     if cols["r"].stop - cols["r"].start != 1:
-        raise InputError(f"network '{network.name}': a controller's car stands on one road")
+        raise InputError(
+            f"network '{network.name}': a controller's car stands on one road"
+        )
     T = lift(network, parts, np.eye(1), 6)
     x, v = cols["x"], cols["v"]
     A = rate[:, x]
@@ -249,7 +273,11 @@ def prediction_model(
     phi = expm(big)
 
     def through(block: np.ndarray) -> np.ndarray:
-        return block[:, cols["I"]][:, :1] if motor is not None else np.zeros((len(block), 1))
+        return (
+            block[:, cols["I"]][:, :1]
+            if motor is not None
+            else np.zeros((len(block), 1))
+        )
 
     return Model(
         network=network,
@@ -275,7 +303,9 @@ def prediction_model(
     )
 
 
-def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: float) -> np.ndarray:
+def white_covariance(
+    A: np.ndarray, white: np.ndarray, intensity: float, step: float
+) -> np.ndarray:
     """Return the covariance (n, n) that white velocities of two-sided `intensity` [m^2/s] at the inputs `white` (n, k) cause over
     one step.
 
@@ -290,7 +320,9 @@ def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: f
     decay = np.abs(np.linalg.eigvals(A)).max() * step
     halvings = max(0, math.frexp(decay / 4.0)[1])
     part = step / 2**halvings
-    loan = expm(np.block([[-A, intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * part)
+    loan = expm(
+        np.block([[-A, intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * part
+    )
     phi = loan[n:, n:].T
     W = phi @ loan[:n, n:]
     for _ in range(halvings):
@@ -306,14 +338,22 @@ def device_reach(network: Network) -> float:
     """Return the travel at which the stop of the motor is met [m]; that of the paper's device without a stop."""
     motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
     stops = [e for e in network.elements if isinstance(e, el.BumpStop)]
-    beside = [e.clearance for e in stops if motor is not None and set(e.where) == set(motor.where)]
+    beside = [
+        e.clearance
+        for e in stops
+        if motor is not None and set(e.where) == set(motor.where)
+    ]
     return min(beside) if beside else paper_reach()
 
 
 @functools.cache
 def paper_reach() -> float:
     """Return the travel of the paper's device: the stroke of the deputy cylinder over the area ratio (Table 1)."""
-    return next(e.clearance for e in Network.load(PAPER_CAR).elements if isinstance(e, el.BumpStop))
+    return next(
+        e.clearance
+        for e in Network.load(PAPER_CAR).elements
+        if isinstance(e, el.BumpStop)
+    )
 
 
 @dataclass(frozen=True)
@@ -351,7 +391,10 @@ def riccati(
     """Return the solution (n, n) of a discrete Riccati equation of A, B, Q, R and optionally N."""
     try:
         return solve_discrete_are(A, B, Q, R, s=N)
-    except (np.linalg.LinAlgError, ValueError):  # no solution; matrices that overflow or are ill-conditioned
+    except (
+        np.linalg.LinAlgError,
+        ValueError,
+    ):  # no solution; matrices that overflow or are ill-conditioned
         raise InputError(
             f"no linear-quadratic controller can be computed for network '{network.name}': a part of it neither decays "
             "nor can be moved or seen, or a value is out of proportion; check values and units of its elements"
@@ -361,15 +404,22 @@ def riccati(
 def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
     """Return gain K (n,) of ``I = -K x`` and value matrix (n, n) of the linear-quadratic regulator without friction."""
     q = weights.signals[:, None]
-    C, D = model.C @ model.A, model.C @ model.B + model.D  # signals at the end of the step
+    C, D = (
+        model.C @ model.A,
+        model.C @ model.B + model.D,
+    )  # signals at the end of the step
     Q, R = C.T @ (q * C), np.array([[D @ (q[:, 0] * D) + weights.current]])
     N = (C.T @ (q[:, 0] * D))[:, None]
     V = riccati(model.network, model.A, model.B[:, None], Q, R, N)
-    K = np.linalg.solve(R + model.B[None] @ V @ model.B[:, None], model.B[None] @ V @ model.A + N.T)[0]
+    K = np.linalg.solve(
+        R + model.B[None] @ V @ model.B[:, None], model.B[None] @ V @ model.A + N.T
+    )[0]
     return K, V
 
 
-def preview_regulator(model: Model, weights: Weights, points: int) -> tuple[np.ndarray, np.ndarray]:
+def preview_regulator(
+    model: Model, weights: Weights, points: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return gains K (n,) and G (points,) [1/m] of the linear-quadratic regulator ``I = -K x - G . rises`` with a known road ahead.
 
     The value of a state x with known rises is ``x' V x + 2 x' s``; s follows from the rises backwards through
@@ -381,7 +431,9 @@ def preview_regulator(model: Model, weights: Weights, points: int) -> tuple[np.n
     K, V = regulator(model, weights)
     q = weights.signals[:, None]
     Mxx = V + model.C.T @ (q * model.C)
-    across = model.B @ Mxx + model.D @ (q * model.C)  # slope by the current due to a change of the next state
+    across = model.B @ Mxx + model.D @ (
+        q * model.C
+    )  # slope by the current due to a change of the next state
     size = across @ model.B + model.B @ (model.C.T @ (q[:, 0] * model.D))
     size += model.D @ (q[:, 0] * model.D) + weights.current
     loop = model.A - np.outer(model.B, K)
@@ -414,9 +466,18 @@ def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarr
     return K, V
 
 
-def kalman_gain(model: Model, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
+def kalman_gain(
+    model: Model, sensors: Sensors, noise: np.ndarray | None = None
+) -> np.ndarray:
     """Return the steady gain L (n, 5) of ``x += L (y - C x - D I)``; covariance `noise` (n, n) is added to that of the road."""
-    return steady_gain(model.network, model, sensors.covariance, sensors.memory, model.heave[:, None], noise)
+    return steady_gain(
+        model.network,
+        model,
+        sensors.covariance,
+        sensors.memory,
+        model.heave[:, None],
+        noise,
+    )
 
 
 def steady_gain(
@@ -486,7 +547,9 @@ def statistical_linearisation(
             name = free.laws[j].name
             levels[name] = float(free.levels(rms[name])[j])
         damping = {name: equivalent_damping(levels[name], rms[name]) for name in names}
-        model = prediction_model(network, step, damping=damping | stops, road_intensity=road_intensity)
+        model = prediction_model(
+            network, step, damping=damping | stops, road_intensity=road_intensity
+        )
         if not names or model.thrust == 0.0:
             break
         K, _ = move_regulator(model, weights)

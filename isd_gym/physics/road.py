@@ -99,9 +99,13 @@ class Road:
                 )
         for name in ("abscissa", "profile"):
             if (given := getattr(self, name)) is not None:
-                object.__setattr__(self, name, _numbers(given, f"road {shown(self.name)}: {name}"))
+                object.__setattr__(
+                    self, name, _numbers(given, f"road {shown(self.name)}: {name}")
+                )
         if (self.abscissa is None) != (self.profile is None):
-            raise InputError(f"road {shown(self.name)}: give both abscissa and profile, or neither")
+            raise InputError(
+                f"road {shown(self.name)}: give both abscissa and profile, or neither"
+            )
         if self.abscissa is None or self.profile is None:
             return
         count, shape = len(self.abscissa), self.profile.shape
@@ -111,7 +115,9 @@ class Road:
                 f"(2, {count}) for left and right, not {shape}"
             )
         if not (np.diff(self.abscissa) >= 0).all():
-            raise InputError(f"road {shown(self.name)}: the places of a profile must not go back")
+            raise InputError(
+                f"road {shown(self.name)}: the places of a profile must not go back"
+            )
         if np.abs(self.profile).max() > HIGHEST:
             raise InputError(
                 f"road {shown(self.name)}: a height of {np.abs(self.profile).max():g} m is no road"
@@ -134,13 +140,19 @@ class Road:
         Returns:
             Gain [m] and pole [-].
         """
-        intensity = (2 * math.pi) ** 2 * 0.5 * self.roughness * REFERENCE_FREQUENCY**2 * speed  # two-sided
+        intensity = (
+            (2 * math.pi) ** 2 * 0.5 * self.roughness * REFERENCE_FREQUENCY**2 * speed
+        )  # two-sided
         rate = 2 * math.pi * self.cutoff * speed
         if rate == 0.0:
             return math.sqrt(intensity * step), 1.0
-        return math.sqrt(intensity * -math.expm1(-2 * rate * step) / (2 * rate)), math.exp(-rate * step)
+        return math.sqrt(
+            intensity * -math.expm1(-2 * rate * step) / (2 * rate)
+        ), math.exp(-rate * step)
 
-    def track_filters(self, width: float, speed: float, step: float) -> tuple[np.ndarray, np.ndarray]:
+    def track_filters(
+        self, width: float, speed: float, step: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the first-order sections of the rough left and right track, exact at the samples.
 
         Args:
@@ -154,10 +166,17 @@ class Road:
         Raises:
             InputError: The track width is implausible.
         """
-        return track_filters(self.roughness * REFERENCE_FREQUENCY**2, self.cutoff, width, speed * step)
+        return track_filters(
+            self.roughness * REFERENCE_FREQUENCY**2, self.cutoff, width, speed * step
+        )
 
     def fixed_tracks(
-        self, tracks: int, speed: float, step: float, count: int, rng: np.random.Generator
+        self,
+        tracks: int,
+        speed: float,
+        step: float,
+        count: int,
+        rng: np.random.Generator,
     ) -> np.ndarray:
         """Return the fixed profile at the ends of the steps, from 0 up to the place where all tracks stay.
 
@@ -185,7 +204,9 @@ class Road:
         span = self.abscissa[-1] - self.abscissa[0]
         start = rng.uniform(0.0, max(span - x[-1], 0.0)) if self.shift else 0.0
         x = self.abscissa[0] + start + x
-        z = np.array([np.interp(x, self.abscissa, side) for side in np.atleast_2d(self.profile)])
+        z = np.array(
+            [np.interp(x, self.abscissa, side) for side in np.atleast_2d(self.profile)]
+        )
         z = z[:, 1:] - z[:, :1]
         # the last height stays, and is stored once
         moving = np.flatnonzero(np.diff(z).any(axis=0))
@@ -193,7 +214,12 @@ class Road:
         return z if len(z) == tracks else np.repeat(z, tracks, axis=0)
 
     def heights(
-        self, duration: float, *, speed: float = 20.0, step: float = 1e-3, rng: np.random.Generator
+        self,
+        duration: float,
+        *,
+        speed: float = 20.0,
+        step: float = 1e-3,
+        rng: np.random.Generator,
     ) -> np.ndarray:
         """Return the heights under one wheel: the road that an environment with this generator drives.
 
@@ -209,7 +235,9 @@ class Road:
         Raises:
             InputError: The profile differs between left and right.
         """
-        return self.wheel_heights(ONE_WHEEL, duration, speed=speed, step=step, rng=rng)[0]
+        return self.wheel_heights(ONE_WHEEL, duration, speed=speed, step=step, rng=rng)[
+            0
+        ]
 
     def wheel_heights(
         self,
@@ -258,7 +286,9 @@ class Road:
             rough[:, length:] += fixed[:, -1:]
         tracks = np.concatenate([np.zeros((wheels.tracks, 1)), rough], axis=1)
         delays = wheels.delays(speed, step)
-        return np.array([delayed(tracks[k], d) for k, d in zip(wheels.track, delays, strict=True)])
+        return np.array(
+            [delayed(tracks[k], d) for k, d in zip(wheels.track, delays, strict=True)]
+        )
 
     def psd(self, n: np.ndarray) -> np.ndarray:
         """Return the one-sided power spectral density of the rough part.
@@ -269,7 +299,11 @@ class Road:
         Returns:
             Density [m^3] in the shape of `n`.
         """
-        return self.roughness * REFERENCE_FREQUENCY**2 / (np.asarray(n, float) ** 2 + self.cutoff**2)
+        return (
+            self.roughness
+            * REFERENCE_FREQUENCY**2
+            / (np.asarray(n, float) ** 2 + self.cutoff**2)
+        )
 
 
 def _numbers(given: object, name: str) -> np.ndarray:
@@ -330,11 +364,15 @@ def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
     """
     x = np.arange(0.0, at + length + 1.0, 0.005)
     inside = (x >= at) & (x <= at + length)
-    shape = np.where(inside, height * 0.5 * (1 - np.cos(2 * math.pi * (x - at) / length)), 0.0)
+    shape = np.where(
+        inside, height * 0.5 * (1 - np.cos(2 * math.pi * (x - at) / length)), 0.0
+    )
     return Road("bump", abscissa=x, profile=shape)
 
 
-def pothole(depth: float = 0.05, length: float = 1.0, at: float = 20.0, edge: float = 0.1) -> Road:
+def pothole(
+    depth: float = 0.05, length: float = 1.0, at: float = 20.0, edge: float = 0.1
+) -> Road:
     """Return a hole with sloped edges.
 
     Args:
@@ -343,11 +381,20 @@ def pothole(depth: float = 0.05, length: float = 1.0, at: float = 20.0, edge: fl
         at: Distance of its beginning from the start [m].
         edge: Length of each edge [m].
     """
-    x = np.array([0.0, at, at + edge, at + length - edge, at + length, at + length + 1.0])
-    return Road("pothole", abscissa=x, profile=np.array([0.0, 0.0, -depth, -depth, 0.0, 0.0]))
+    x = np.array(
+        [0.0, at, at + edge, at + length - edge, at + length, at + length + 1.0]
+    )
+    return Road(
+        "pothole", abscissa=x, profile=np.array([0.0, 0.0, -depth, -depth, 0.0, 0.0])
+    )
 
 
-def sweep(amplitude: float = 0.005, start: float = 0.5, stop: float = 20.0, duration: float = 20.0) -> Road:
+def sweep(
+    amplitude: float = 0.005,
+    start: float = 0.5,
+    stop: float = 20.0,
+    duration: float = 20.0,
+) -> Road:
     """Return a sine over time whose frequency rises linearly.
 
     Args:
@@ -377,7 +424,9 @@ def on_side(ground: Road, side: str) -> Road:
     if side not in _SIDES:
         raise InputError(f"no side {shown(side)}: {' or '.join(_SIDES)}")
     if ground.profile is None or ground.has_two_tracks:
-        raise InputError(f"road {shown(ground.name)} has no profile that a side could have alone")
+        raise InputError(
+            f"road {shown(ground.name)} has no profile that a side could have alone"
+        )
     tracks = np.zeros((2, len(ground.profile)))
     tracks[_SIDES.index(side)] = ground.profile
     return replace(ground, name=f"{ground.name}-{side}", profile=tracks)
@@ -409,7 +458,9 @@ def recorded(path: str | Path) -> Road:
         along = next((k for k in ("distance", "time") if k in lower), None)
         heights = _height_columns(path, list(lower))
         if along is None or not heights:
-            raise InputError(f"road '{path}' needs a header with 'distance' or 'time', and 'height'")
+            raise InputError(
+                f"road '{path}' needs a header with 'distance' or 'time', and 'height'"
+            )
         names[:] = [lower[name] for name in (along, *heights)]
         return names
 
@@ -419,16 +470,24 @@ def recorded(path: str | Path) -> Road:
     for name, unit in zip(names, ("s" if over_time else "m", "m", "m"), strict=False):
         values = np.asarray(table.values[name])
         if values.dtype.kind not in "fiub" or values.ndim != 1:
-            raise InputError(f"road '{path}': column {shown(name)} does not hold plain numbers")
+            raise InputError(
+                f"road '{path}': column {shown(name)} does not hold plain numbers"
+            )
         try:
-            columns.append(convert(values.astype(float), table.units.get(name) or unit, unit))
+            columns.append(
+                convert(values.astype(float), table.units.get(name) or unit, unit)
+            )
         except InputError as error:
             raise InputError(f"road '{path}': column {shown(name)}: {error}") from None
     along, *heights = columns
     if len({len(side) for side in heights}) > 1:
-        raise InputError(f"road '{path}': {shown(names[1])} and {shown(names[2])} differ in length")
+        raise InputError(
+            f"road '{path}': {shown(names[1])} and {shown(names[2])} differ in length"
+        )
     height = heights[0] if len(heights) == 1 else np.array(heights)
-    return profiled(str(path), along, height, over_time=over_time, axis=names[0], line=table.line)
+    return profiled(
+        str(path), along, height, over_time=over_time, axis=names[0], line=table.line
+    )
 
 
 #: heights of one side: 'height_left', 'left height', 'height_r', 'height_2'
@@ -450,10 +509,16 @@ def _height_columns(path: Path, names: list[str]) -> list[str]:
             found.append((side, int(number or 0), name))
     found.sort()
     sides = [side for side, _, _ in found]
-    if len(found) > 2 or (found and sides not in (["number"], ["number", "number"], ["left", "right"])):
+    if len(found) > 2 or (
+        found and sides not in (["number"], ["number", "number"], ["left", "right"])
+    ):
         listed = ", ".join(shown(name) for _, _, name in found)
         count = "three tracks" if len(found) == 3 else f"{len(found)} tracks"
-        problem = f"has {count} ({listed})" if len(found) > 2 else f"has no left and right in {listed}"
+        problem = (
+            f"has {count} ({listed})"
+            if len(found) > 2
+            else f"has no left and right in {listed}"
+        )
         raise InputError(
             f"road '{path}' {problem}: keep one column 'height', or 'height_left' and 'height_right'"
         )
@@ -487,12 +552,16 @@ def profiled(
     """
     x, z = along, height
     if len(x) != z.shape[-1]:
-        raise InputError(f"road '{source}': {shown(axis)} has {len(x)} samples, the height has {z.shape[-1]}")
+        raise InputError(
+            f"road '{source}': {shown(axis)} has {len(x)} samples, the height has {z.shape[-1]}"
+        )
     sides = np.atleast_2d(z)
     wrong = (~np.isfinite(sides) | (np.abs(sides) > 1e5)).any(axis=0)
     bad = np.flatnonzero(~np.isfinite(x) | (np.abs(x) > 1e9) | wrong)
     if len(bad):
-        raise InputError(f"road '{source}', {line(bad[0])}: not finite, or too large for a road")
+        raise InputError(
+            f"road '{source}', {line(bad[0])}: not finite, or too large for a road"
+        )
     if len(x) < 2:
         raise InputError(f"road '{source}' has fewer than two points")
     steps = np.diff(x)
@@ -501,14 +570,18 @@ def profiled(
         raise InputError(f"road '{source}', {where}: {shown(axis)} does not increase")
     if steps.max() > 10 * np.median(steps):
         where = line(int(np.argmax(steps)) + 1)
-        raise InputError(f"road '{source}', {where}: gap of {steps.max():g} in {shown(axis)}")
+        raise InputError(
+            f"road '{source}', {where}: gap of {steps.max():g} in {shown(axis)}"
+        )
     slope = float(np.median(np.abs(np.diff(sides)) / steps, axis=1).max())
     if slope > (STEEPEST * 20.0 if over_time else STEEPEST):
         raise InputError(
             f"road '{source}' climbs {slope:.3g} m in every {'second' if over_time else 'metre'}: is the height in mm? "
             "Name the unit in the header, as in 'height [mm]'"
         )
-    return Road(Path(source).stem, abscissa=x, profile=z, over_time=over_time, shift=True)
+    return Road(
+        Path(source).stem, abscissa=x, profile=z, over_time=over_time, shift=True
+    )
 
 
 _SIDES = ("left", "right")
@@ -536,7 +609,9 @@ def road(source: str | Path | Road) -> Road:
     text = str(source)
     named: dict[str, Callable[[], Road]] = {
         "paper": paper_road,
-        "paper-printed": lambda: replace(paper_road(PRINTED_KAPPA), name="paper-printed"),
+        "paper-printed": lambda: replace(
+            paper_road(PRINTED_KAPPA), name="paper-printed"
+        ),
         "flat": lambda: Road("flat"),
         "bump": bump,
         "pothole": pothole,
@@ -562,8 +637,14 @@ def road(source: str | Path | Road) -> Road:
             if shaped:
                 s = shaped[0]
                 base = replace(
-                    base, abscissa=s.abscissa, profile=s.profile, over_time=s.over_time, shift=s.shift
+                    base,
+                    abscissa=s.abscissa,
+                    profile=s.profile,
+                    over_time=s.over_time,
+                    shift=s.shift,
                 )
             return replace(base, name=text)
-        raise InputError(f"road {shown(text)}: one rough road and one profile can be added")
+        raise InputError(
+            f"road {shown(text)}: one rough road and one profile can be added"
+        )
     raise InputError(f"no road {shown(text)}: {NAMES}")

@@ -56,7 +56,9 @@ class _Discrete:
     """
 
     blocks: tuple[np.ndarray, ...]  # matrices A, U0, U1, B, G0 and G1
-    outputs: tuple[np.ndarray, ...]  # matrices of the outputs, for x, u, c and the forces of the laws
+    outputs: tuple[
+        np.ndarray, ...
+    ]  # matrices of the outputs, for x, u, c and the forces of the laws
     #: elongations [m/N] and rates [m/(s N)] of the laws per force, in the order of the kernel
     yields: tuple[np.ndarray, np.ndarray]
     numbers: np.ndarray  # pool of numbers, without the laws' parameters if each lane has its own (`layout`)
@@ -92,8 +94,14 @@ def _instant(asm: Assembly) -> bool:
 
     c, f = asm.columns("I"), asm.columns("f")
     seen = asm.elongation_rate[~np.array(asm.by_difference, bool)]
-    dry = [j for j, e in zip(range(f.start, f.stop), asm.laws, strict=True) if law_code(type(e)) < 0]
-    return bool(np.abs(np.hstack([seen[:, c], seen[:, dry]])).max(initial=0.0) > _AT_ONCE)
+    dry = [
+        j
+        for j, e in zip(range(f.start, f.stop), asm.laws, strict=True)
+        if law_code(type(e)) < 0
+    ]
+    return bool(
+        np.abs(np.hstack([seen[:, c], seen[:, dry]])).max(initial=0.0) > _AT_ONCE
+    )
 
 
 def side_by_side(asm: Assembly) -> tuple[object, ...]:
@@ -119,7 +127,9 @@ def _step_matrices(
         phi = expm(big) if np.isfinite(big).all() else big
     if not np.isfinite(phi).all():
         name = assemblies[0].network.name
-        raise InputError(f"model '{name}' cannot be stepped by {step:g} s: its linear part overflows")
+        raise InputError(
+            f"model '{name}' cannot be stepped by {step:g} s: its linear part overflows"
+        )
     return phi[:, :n, :n], phi[:, :n, n : n + k], phi[:, :n, n + k :]
 
 
@@ -131,7 +141,9 @@ def discretise(asm: Assembly, step: float, columns: tuple[int, ...]) -> _Discret
     return _discretise([asm], step, columns)[0]
 
 
-def _discretise(assemblies: Sequence[Assembly], step: float, columns: tuple[int, ...]) -> list[_Discrete]:
+def _discretise(
+    assemblies: Sequence[Assembly], step: float, columns: tuple[int, ...]
+) -> list[_Discrete]:
     """Return the discretisations of assemblies of one structure (`side_by_side`)."""
     from ._kernel.compiled import law_code
 
@@ -143,7 +155,12 @@ def _discretise(assemblies: Sequence[Assembly], step: float, columns: tuple[int,
     m, nc = len(u), c.stop - c.start
     Ad, hold, late = _step_matrices(assemblies, B, step)
     early = hold - late
-    U0, U1, G0, G1 = early[:, :, :m], late[:, :, :m], early[:, :, m + nc :], late[:, :, m + nc :].copy()
+    U0, U1, G0, G1 = (
+        early[:, :, :m],
+        late[:, :, :m],
+        early[:, :, m + nc :],
+        late[:, :, m + nc :].copy(),
+    )
     codes = tuple(law_code(type(e)) for e in asm.laws)
     dry = np.array([code < 0 for code in codes], bool)
     G1[:, :, dry] += G0[:, :, dry]  # dry friction holds its force over the whole step
@@ -177,27 +194,62 @@ def _discretise(assemblies: Sequence[Assembly], step: float, columns: tuple[int,
         S[:, :, last : last + nl] -= np.diag(differ / step)
     GD, GS = E[:, :, x] @ end + E[:, :, own], R[:, :, x] @ end + R[:, :, own]
     smooth = ~dry[:, None]
-    rows = np.concatenate([states, np.where(smooth, D, S), np.where(smooth, S, D)], axis=1)
-    gains = np.concatenate([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)], axis=1)
+    rows = np.concatenate(
+        [states, np.where(smooth, D, S), np.where(smooth, S, D)], axis=1
+    )
+    gains = np.concatenate(
+        [end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)], axis=1
+    )
     nothing = np.zeros((lanes, O.shape[1], m + blank.shape[2]))
-    parts = [O[:, :, x], nothing[:, :, :m], O[:, :, u], O[:, :, c], nothing[:, :, m:], O[:, :, own]]
+    parts = [
+        O[:, :, x],
+        nothing[:, :, :m],
+        O[:, :, u],
+        O[:, :, c],
+        nothing[:, :, m:],
+        O[:, :, own],
+    ]
     seen_outside = np.concatenate(parts, axis=2)
     padded = -(-rows.shape[1] // 4) * 4
     outputs = len(asm.outputs)
-    linear = np.concatenate([np.full((lanes, 1), step), _stored(rows), _stored(gains)], axis=1)
+    linear = np.concatenate(
+        [np.full((lanes, 1), step), _stored(rows), _stored(gains)], axis=1
+    )
     outside, currents = _stored(seen_outside), _pad(held)
     out = []
     for k, a in enumerate(assemblies):
         laws = [a.laws[j] for j in order]
-        way, of_laws, parameters = _law_numbers(laws, ns, GD[k], GS[k], bool(differ.any()), instant)
-        sizes = (n, m, nc, nl, ns, way, outputs, padded, seen_outside.shape[2], int(differ.any()))
+        way, of_laws, parameters = _law_numbers(
+            laws, ns, GD[k], GS[k], bool(differ.any()), instant
+        )
+        sizes = (
+            n,
+            m,
+            nc,
+            nl,
+            ns,
+            way,
+            outputs,
+            padded,
+            seen_outside.shape[2],
+            int(differ.any()),
+        )
         out.append(
             _Discrete(
                 blocks=(Ad[k], U0[k], U1[k], currents[k], G0[k], G1[k]),
-                outputs=(a.outputs[:, x], a.outputs[:, u], _pad(a.outputs[:, c]), a.outputs[:, f]),
+                outputs=(
+                    a.outputs[:, x],
+                    a.outputs[:, u],
+                    _pad(a.outputs[:, c]),
+                    a.outputs[:, f],
+                ),
                 yields=(GD[k], GS[k]),
-                numbers=np.concatenate([linear[k], of_laws, outside[k], parameters.ravel()]),
-                ints=np.array([*sizes, parameters.shape[1], instant, *codes, *differ], np.int64),
+                numbers=np.concatenate(
+                    [linear[k], of_laws, outside[k], parameters.ravel()]
+                ),
+                ints=np.array(
+                    [*sizes, parameters.shape[1], instant, *codes, *differ], np.int64
+                ),
                 order=tuple(int(j) for j in order),
             )
         )
@@ -205,7 +257,12 @@ def _discretise(assemblies: Sequence[Assembly], step: float, columns: tuple[int,
 
 
 def _law_numbers(
-    laws: Sequence[el.Element], ns: int, GD: np.ndarray, GS: np.ndarray, differ: bool, instant: bool
+    laws: Sequence[el.Element],
+    ns: int,
+    GD: np.ndarray,
+    GS: np.ndarray,
+    differ: bool,
+    instant: bool,
 ) -> tuple[int, np.ndarray, np.ndarray]:
     """Return the way through a step for these laws, its numbers, and the laws' parameters (law, number)."""
     lists = [e.law_parameters() for e in laws]
@@ -221,7 +278,9 @@ def _law_numbers(
     stops = [e.contact() for e in laws[:ns]]
     several = devices > 1 and None not in stops and _are_separate(ns, GD, GS)
     found = [
-        _closed_form(stops[p] if p < ns and (several or ns == 1) else None, ns, GD, GS, p, levels)
+        _closed_form(
+            stops[p] if p < ns and (several or ns == 1) else None, ns, GD, GS, p, levels
+        )
         for p in range(devices)
     ]
     closes = all(ok for _, ok in (found if several else found[:1]))
@@ -265,7 +324,9 @@ def _closed_form(
     rubs = dry < len(GD)
     own = GS[dry, dry] if rubs else -1.0
     level = levels[p] if rubs else 0.0
-    closed = np.array([np.inf, -np.inf, 0.0, 0.0, 0.0, level, -1.0 / own if own < 0 else 0.0, 0.0])
+    closed = np.array(
+        [np.inf, -np.inf, 0.0, 0.0, 0.0, level, -1.0 / own if own < 0 else 0.0, 0.0]
+    )
     if own >= 0 or stop is None:
         return closed, bool(own < 0)
     upper, lower, stiffness, damping = stop
@@ -283,7 +344,11 @@ def _with_laws(part: _Discrete, laws: Sequence[el.Element]) -> _Discrete:
     """Return a discrete network with other parameters of its laws; the linear part is unchanged."""
     at = part.layout
     way, of_laws, parameters = _law_numbers(
-        [laws[i] for i in part.order], at.smooth, *part.yields, bool(at.differ), bool(at.instant)
+        [laws[i] for i in part.order],
+        at.smooth,
+        *part.yields,
+        bool(at.differ),
+        bool(at.instant),
     )
     numbers, ints = part.numbers.copy(), part.ints.copy()
     numbers[at.spans : at.out], numbers[at.own :] = of_laws, parameters.ravel()
@@ -294,11 +359,20 @@ def _with_laws(part: _Discrete, laws: Sequence[el.Element]) -> _Discrete:
 def _linear_part(network: Network) -> tuple[Any, ...]:
     """Return everything that the linear equations of a network depend on, without the parameters of its laws."""
     elements = (
-        (type(e), e.name, e.where) if e.place == "between" and e.parts() and not any(e.linear()) else e
+        (type(e), e.name, e.where)
+        if e.place == "between" and e.parts() and not any(e.linear())
+        else e
         for e in network.elements
     )
     ties = (network.bodies, network.levers)
-    return (*network.masses.items(), network.turning, *ties, network.inputs, network.outputs, *elements)
+    return (
+        *network.masses.items(),
+        network.turning,
+        *ties,
+        network.inputs,
+        network.outputs,
+        *elements,
+    )
 
 
 def _pad(block: np.ndarray) -> np.ndarray:
@@ -332,7 +406,9 @@ class Plant:
         extra: Sequence[Channel] = (),
     ) -> None:
         if not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
-            raise InputError(f"the step must be a positive number of seconds, not {step!r}")
+            raise InputError(
+                f"the step must be a positive number of seconds, not {step!r}"
+            )
         several = not isinstance(networks, Network)
         self.networks: list[Network] = list(networks) if several else [networks]  # type: ignore[list-item,arg-type]
         self.lanes = len(self.networks) if several else lanes
@@ -342,12 +418,19 @@ class Plant:
         distinct: dict[tuple[Any, ...], Network] = {}
         for net, key in keys.values():
             distinct.setdefault(key, net)
-        linear = dict(zip(distinct, assemble_all([*distinct.values()], self.extra), strict=True))
+        linear = dict(
+            zip(distinct, assemble_all([*distinct.values()], self.extra), strict=True)
+        )
         once: dict[int, Assembly] = {}
         for net, key in keys.values():
             once[id(net)] = linear[key]
             if net is not distinct[key]:
-                laws = tuple(part for e in net.elements if e.place == "between" for part in e.parts())
+                laws = tuple(
+                    part
+                    for e in net.elements
+                    if e.place == "between"
+                    for part in e.parts()
+                )
                 once[id(net)] = replace(linear[key], network=net, laws=laws)
         self.assemblies = [once[id(net)] for net in self.networks]
         first = self.assemblies[0]
@@ -359,7 +442,12 @@ class Plant:
         moving = first.network.moving
         force = [c for c in first.network.inputs if c.quantity == "force"]
         for column in used:
-            for part, channels in (("r", moving), ("v", moving), ("alpha", moving), ("F", force)):
+            for part, channels in (
+                ("r", moving),
+                ("v", moving),
+                ("alpha", moving),
+                ("F", force),
+            ):
                 span = first.columns(part)
                 if span.start <= column < span.stop:
                     parts.append((part, channels[column - span.start].name))
@@ -367,22 +455,34 @@ class Plant:
         self.told = {c.name: _TOLD[c.quantity] for c in moving}
         self.labels: tuple[tuple[str, str], ...] = tuple(parts)
         #: inputs that are held over a step: currents, then logged channels
-        self.currents = [c for kind in HELD for c in first.network.inputs if c.quantity == kind]
-        stepped = {id(asm.rate): (asm, part) for asm, part in self._discretised([*linear.values()])}
+        self.currents = [
+            c for kind in HELD for c in first.network.inputs if c.quantity == kind
+        ]
+        stepped = {
+            id(asm.rate): (asm, part)
+            for asm, part in self._discretised([*linear.values()])
+        }
         whole = {}
         for asm in once.values():
             like, discrete = stepped[id(asm.rate)]
             whole[id(asm)] = discrete if asm is like else _with_laws(discrete, asm.laws)
         self._pack([whole[id(asm)] for asm in self.assemblies], several)
 
-    def _discretised(self, assemblies: Sequence[Assembly]) -> list[tuple[Assembly, _Discrete]]:
+    def _discretised(
+        self, assemblies: Sequence[Assembly]
+    ) -> list[tuple[Assembly, _Discrete]]:
         """Return assemblies with their discretisations, those of one structure computed side by side."""
         if len(assemblies) == 1:
-            return [(assemblies[0], discretise(assemblies[0], self.step, self.u_columns))]
+            return [
+                (assemblies[0], discretise(assemblies[0], self.step, self.u_columns))
+            ]
         groups: dict[tuple[object, ...], list[Assembly]] = {}
         for asm in assemblies:
             groups.setdefault(side_by_side(asm), []).append(asm)
-        found = [(own, _discretise(own, self.step, self.u_columns)) for own in groups.values()]
+        found = [
+            (own, _discretise(own, self.step, self.u_columns))
+            for own in groups.values()
+        ]
         return [pair for own, parts in found for pair in zip(own, parts, strict=True)]
 
     def _pack(self, parts: Sequence[_Discrete], several: bool) -> None:
@@ -391,7 +491,9 @@ class Plant:
         first = parts[0]
         for other in parts[1:]:
             if other.structure() != first.structure():
-                raise InputError("the lanes' networks differ in structure, not only in parameters")
+                raise InputError(
+                    "the lanes' networks differ in structure, not only in parameters"
+                )
         self.ints = first.ints.copy()
         self.ints[WAY] = min(int(p.ints[WAY]) for p in parts)
         self.at = at = layout(self.ints.tolist())
@@ -400,7 +502,9 @@ class Plant:
         self.order = first.order
         if several:
             self.mats = aligned(self.groups, at.size, WIDTH)
-            self.mats[:] = parts[0].numbers[:, None]  # unused lanes need valid numbers, too
+            self.mats[:] = parts[0].numbers[
+                :, None
+            ]  # unused lanes need valid numbers, too
             for lane, part in enumerate(parts):
                 self.place(self.mats, lane, part)
         else:
@@ -414,7 +518,9 @@ class Plant:
         group, l = divmod(lane, WIDTH)
         mats[group, : at.own, l] = part.numbers[: at.own]
         count = at.size - at.own  # the parameters of a lane's laws are contiguous
-        mats[group, at.own :].reshape(-1)[l * count : (l + 1) * count] = part.numbers[at.own :]
+        mats[group, at.own :].reshape(-1)[l * count : (l + 1) * count] = part.numbers[
+            at.own :
+        ]
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "kernel"}
@@ -441,7 +547,11 @@ class Plant:
         if initial is not None and self.n:
             state[: self.n] = np.asarray(initial, float).reshape(self.n, -1)
         if self.n_laws and (initial is not None or inputs is not None):
-            self._start_laws(state, np.zeros((len(self.u_columns), 1)) if inputs is None else inputs, held)
+            self._start_laws(
+                state,
+                np.zeros((len(self.u_columns), 1)) if inputs is None else inputs,
+                held,
+            )
         return state
 
     def grouped(self, state: np.ndarray) -> np.ndarray:
@@ -456,22 +566,33 @@ class Plant:
     def memory(self) -> list[int]:
         """Rows of the kernel's state for the states of the hysteresis laws."""
         laws = self.assemblies[0].laws
-        return [self.at.memory + j for j, i in enumerate(self.order) if isinstance(laws[i], el.Hysteresis)]
+        return [
+            self.at.memory + j
+            for j, i in enumerate(self.order)
+            if isinstance(laws[i], el.Hysteresis)
+        ]
 
-    def _start_laws(self, state: np.ndarray, inputs: np.ndarray, held: np.ndarray | None) -> None:
+    def _start_laws(
+        self, state: np.ndarray, inputs: np.ndarray, held: np.ndarray | None
+    ) -> None:
         """Set elongations, rates and forces of the initial state and the first inputs, in static balance.
 
         The rate of a law at an algebraic node is a difference of elongations. Its terminals start at rest.
         """
         at, order = self.at, list(self.order)
         x = state[: at.states]
-        f, z, d, s = (state[row : row + at.laws] for row in (at.force, at.memory, at.elongation, at.rate))
+        f, z, d, s = (
+            state[row : row + at.laws]
+            for row in (at.force, at.memory, at.elongation, at.rate)
+        )
         span = self.assemblies[0].columns("f")
         own = np.arange(span.start, span.stop)[order]
         # most lanes differ in the parameters of laws alone, many of them only in the initial state
         rows: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         balances: dict[tuple[int, int], Balance] = {}
-        solved: dict[tuple[int, int, bytes, bytes], int] = {}  # lane with the same balance
+        solved: dict[
+            tuple[int, int, bytes, bytes], int
+        ] = {}  # lane with the same balance
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
             if id(asm.rate) not in rows:
@@ -498,7 +619,10 @@ class Plant:
             d[:, lane], s[:, lane] = E @ given, R @ given
             for j in balance.smooth:
                 law, p = balance.laws[j].law, balance.numbers[j]
-                z[j, lane] = law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)[1]  # type: ignore[misc]
+                _, after = law(  # type: ignore[misc]
+                    p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step
+                )
+                z[j, lane] = after
 
     def order_of(self, part: str, name: str) -> int:
         """Return how often an input is differentiated for a part 'r', 'v', 'alpha' or 'F' of the base vector."""
@@ -555,7 +679,10 @@ class Plant:
         c = np.zeros((max(total - 1, 1), len(self.currents), width))
         for j, channel in enumerate(self.currents):
             values = effective_current(
-                self.networks[0], str(channel.element), wide(inputs[channel.name]), self.step
+                self.networks[0],
+                str(channel.element),
+                wide(inputs[channel.name]),
+                self.step,
             )
             c[:, j] = values[: len(c)]
         out = np.empty((samples, self.n_outputs, self.lanes))
@@ -571,20 +698,29 @@ class Plant:
         return out
 
 
-def effective_current(network: Network, motor: str, command: np.ndarray, step: float) -> np.ndarray:
+def effective_current(
+    network: Network, motor: str, command: np.ndarray, step: float
+) -> np.ndarray:
     """Return the current (n, lanes) [A] behind a motor's drive for a command (n, lanes) [A] that is held over
     each step [s], with the effects in the order of `DRIVE_ORDER` and unknown effects last."""
     out = np.asarray(command, float)
-    drive = [e for e in network.elements if e.place == "element" and e.where[0] == motor]
+    drive = [
+        e for e in network.elements if e.place == "element" and e.where[0] == motor
+    ]
     kinds = el.DRIVE_ORDER
     for e in sorted(
-        drive, key=lambda e: next((k for k, t in enumerate(kinds) if isinstance(e, t)), len(kinds))
+        drive,
+        key=lambda e: next(
+            (k for k, t in enumerate(kinds) if isinstance(e, t)), len(kinds)
+        ),
     ):
         out = e.apply(out, step)
     return out
 
 
-def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> dict[str, np.ndarray]:
+def sense(
+    network: Network, outputs: Mapping[str, np.ndarray], step: float
+) -> dict[str, np.ndarray]:
     """Return outputs (n, ...) by channel as the sensors of the network report them, with delay, gain and
     bias."""
     seen = dict(outputs)
@@ -675,10 +811,14 @@ def simulate(
             f"{dt * len(time):.4g} s would take more than {_MOST_STEPS:g} steps of {step:g} s: give a larger step"
         )
     if interpolation not in ("linear", "smooth", "spline"):
-        return _simulate_as_needed(interpolation, network, time, inputs, step, initial, extra)
+        return _simulate_as_needed(
+            interpolation, network, time, inputs, step, initial, extra
+        )
     every = max(1, math.ceil(dt / step - 1e-9))
     plant = Plant(network, dt / every, extra=extra)
-    if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
+    if initial is not None and (
+        isinstance(initial, Mapping) or np.size(initial) != plant.n
+    ):
         raise InputError(
             f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.diagnosis.simulation.state_of makes a state from motions of nodes"
         )
@@ -692,7 +832,9 @@ def simulate(
             raise InputError(f"input '{c.name}' must hold {len(time)} finite samples")
         values = convert(values, c.unit, c.si)
         fine[c.name] = upsample(values, every, hold=c.quantity in HELD)
-        is_splined = interpolation == "spline" or (interpolation == "smooth" and is_smooth(values, dt))
+        is_splined = interpolation == "spline" or (
+            interpolation == "smooth" and is_smooth(values, dt)
+        )
         is_splined = is_splined and c.quantity not in HELD
         if c.name in needs or is_splined:
             # the import takes longer than the simulation of most records
@@ -704,16 +846,29 @@ def simulate(
             if c.name in needs:
                 slopes[c.name] = (spline(at, 1), spline(at, 2))
     with np.errstate(all="ignore"):
-        out = plant.run(fine, every=every, samples=len(time), initial=initial, derivatives=slopes)
+        out = plant.run(
+            fine, every=every, samples=len(time), initial=initial, derivatives=slopes
+        )
     sound = np.isfinite(out).all(axis=(1, 2))
     if not sound.all():
         failure = plant.unsolved[0]
-        at = time[0] + plant.step * failure[0] if failure else time[int(np.argmin(sound))]
-        why = f"the force of '{failure[1]}' cannot be found" if failure else "the motion overflows"
+        at = (
+            time[0] + plant.step * failure[0]
+            if failure
+            else time[int(np.argmin(sound))]
+        )
+        why = (
+            f"the force of '{failure[1]}' cannot be found"
+            if failure
+            else "the motion overflows"
+        )
         raise InputError(
             f"model '{network.name}' fails at t = {at:.6g} s: {why} (try a smaller step, or check the stability of the model)"
         )
-    named = {c.name: convert(out[:, j, 0], c.si, c.unit) for j, c in enumerate(plant.channels)}
+    named = {
+        c.name: convert(out[:, j, 0], c.si, c.unit)
+        for j, c in enumerate(plant.channels)
+    }
     return sense(network, named, dt)
 
 
@@ -728,11 +883,29 @@ def _simulate_as_needed(
 ) -> dict[str, np.ndarray]:
     """Return the outputs with splines through smooth inputs, and through all where an output shows that the samples are sparse."""
     if interpolation != "auto":
-        raise InputError(f"interpolation must be linear, smooth, spline or auto, not {shown(interpolation)}")
-    outputs = simulate(network, time, inputs, step=step, initial=initial, extra=extra, interpolation="smooth")
+        raise InputError(
+            f"interpolation must be linear, smooth, spline or auto, not {shown(interpolation)}"
+        )
+    outputs = simulate(
+        network,
+        time,
+        inputs,
+        step=step,
+        initial=initial,
+        extra=extra,
+        interpolation="smooth",
+    )
     dt = (time[-1] - time[0]) / (len(time) - 1)
     scale = min((pace(y, dt) for y in outputs.values()), default=math.inf)
     if len(time) < _FEWEST or dt <= COARSE * scale:
         return outputs
     fine = max(min(step, FINE * scale), dt * len(time) / _MOST_STEPS)
-    return simulate(network, time, inputs, step=fine, initial=initial, extra=extra, interpolation="spline")
+    return simulate(
+        network,
+        time,
+        inputs,
+        step=fine,
+        initial=initial,
+        extra=extra,
+        interpolation="spline",
+    )

@@ -76,7 +76,9 @@ NARROWEST, WIDEST = 0.1, 10.0  # track widths [m]
 _SNAP = 1e-9  # relative distance from a whole number of steps that is rounding
 
 
-def innovations(poles: np.ndarray, coefficients: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+def innovations(
+    poles: np.ndarray, coefficients: np.ndarray, spacing: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the first-order sections, driven by one white noise, whose sum has the sampled density of a process.
 
     The process has the two-sided density ``sum_i coefficients_i / (k^2 + poles_i^2)``, which must be positive; the
@@ -110,12 +112,17 @@ def _polynomial(places: np.ndarray) -> list[float]:
     """Return the coefficients of the product of (u + place) over `places`, highest power first."""
     out = [1.0]
     for place in places.tolist():
-        out = [high + place * low for high, low in zip([*out, 0.0], [0.0, *out], strict=True)]
+        out = [
+            high + place * low
+            for high, low in zip([*out, 0.0], [0.0, *out], strict=True)
+        ]
     return out
 
 
 @lru_cache(maxsize=1024)
-def track_filters(level: float, cutoff: float, width: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+def track_filters(
+    level: float, cutoff: float, width: float, spacing: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the first-order sections of a rough road with a left and a right track.
 
     States 0 to `SUM_STATES` - 1 are driven by the noise of the sum, the others by the noise of the
@@ -144,11 +151,18 @@ def track_filters(level: float, cutoff: float, width: float, spacing: float) -> 
     poles = np.hypot(slow, np.array(COHERENCE_POLES) / width)
     parts = 0.5 * intensity * np.array(COHERENCE_WEIGHTS)
     if intensity == 0.0:
-        discrete, gains = np.exp(-spacing * np.concatenate([[slow], poles, poles])), np.zeros(TRACK_STATES)
+        discrete, gains = (
+            np.exp(-spacing * np.concatenate([[slow], poles, poles])),
+            np.zeros(TRACK_STATES),
+        )
     else:
-        common = innovations(np.append(slow, poles), np.append(intensity, -parts), spacing)
+        common = innovations(
+            np.append(slow, poles), np.append(intensity, -parts), spacing
+        )
         opposite = innovations(poles, parts, spacing)
-        discrete, gains = (np.concatenate(both) for both in zip(common, opposite, strict=True))
+        discrete, gains = (
+            np.concatenate(both) for both in zip(common, opposite, strict=True)
+        )
     discrete.flags.writeable = gains.flags.writeable = False
     return discrete, gains
 
@@ -166,7 +180,9 @@ class WheelPositions:
     """
 
     x: tuple[float, ...]  # distance of each wheel in front of the centre of gravity [m]
-    y: tuple[float, ...]  # distance of each wheel to the left of the centre of gravity [m]
+    y: tuple[
+        float, ...
+    ]  # distance of each wheel to the left of the centre of gravity [m]
 
     def __post_init__(self) -> None:
         """Check the positions."""
@@ -175,14 +191,20 @@ class WheelPositions:
                 f"wheels: {len(self.x)} positions x and {len(self.y)} positions y; give both for each"
             )
         if not all(math.isfinite(v) and abs(v) < 1e3 for v in (*self.x, *self.y)):
-            raise InputError("wheels: a position is not finite, or a kilometre away; give metres")
-        if max(self.y) - min(self.y) > _SNAP and not (min(self.y) < 0 < max(self.y) and all(self.y)):
+            raise InputError(
+                "wheels: a position is not finite, or a kilometre away; give metres"
+            )
+        if max(self.y) - min(self.y) > _SNAP and not (
+            min(self.y) < 0 < max(self.y) and all(self.y)
+        ):
             listed = ", ".join(f"{y:g}" for y in sorted(set(self.y)))
             raise InputError(
                 f"wheels: a road has one track or a left (y > 0) and a right one (y < 0), not {shown(listed)} m"
             )
         if self.tracks == 2 and not NARROWEST <= self.width <= WIDEST:
-            raise InputError(f"wheels: track width {self.width:g} m: give {NARROWEST:g} to {WIDEST:g} m")
+            raise InputError(
+                f"wheels: track width {self.width:g} m: give {NARROWEST:g} to {WIDEST:g} m"
+            )
 
     @cached_property
     def tracks(self) -> int:
@@ -199,7 +221,10 @@ class WheelPositions:
         """Track width [m]; 0 with one track."""
         if self.tracks == 1:
             return 0.0
-        return float(np.mean([y for y in self.y if y > 0]) - np.mean([y for y in self.y if y < 0]))
+        return float(
+            np.mean([y for y in self.y if y > 0])
+            - np.mean([y for y in self.y if y < 0])
+        )
 
     @cached_property
     def behind(self) -> tuple[float, ...]:
@@ -210,7 +235,11 @@ class WheelPositions:
     def leaders(self) -> tuple[int, ...]:
         """Index of the foremost wheel of each track."""
         return tuple(
-            min((behind, i) for i, behind in enumerate(self.behind) if self.track[i] == t)[1]
+            min(
+                (behind, i)
+                for i, behind in enumerate(self.behind)
+                if self.track[i] == t
+            )[1]
             for t in range(self.tracks)
         )
 
@@ -227,7 +256,9 @@ class WheelPositions:
         """
         steps = np.array(self.behind) / (speed * step)
         whole = np.round(steps)
-        return np.where(np.abs(steps - whole) <= _SNAP * np.maximum(whole, 1.0), whole, steps)
+        return np.where(
+            np.abs(steps - whole) <= _SNAP * np.maximum(whole, 1.0), whole, steps
+        )
 
 
 #: a car of one wheel, or of wheels side by side in one track

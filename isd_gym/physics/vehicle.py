@@ -21,7 +21,9 @@ from .tracks import WheelPositions
 
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_RATE = 100.0  # A/s: 0.5 A per control step of 5 ms, Table 5
-SLEW_LIMIT = SLEW_RATE * 5e-3  # A, largest change of a current in a control step of 5 ms
+SLEW_LIMIT = (
+    SLEW_RATE * 5e-3
+)  # A, largest change of a current in a control step of 5 ms
 GRAVITY = 9.81  # m/s^2
 AXES = ("pitch", "roll")
 ROAD = "road_"  # prefix of the road inputs of cars with several corners
@@ -43,7 +45,9 @@ class Corner:
     name: str  # name such as 'front' or 'rear_left'; '' in a quarter car
     body: str  # node of the body above the suspension
     wheel: str  # node of the wheel
-    device: tuple[str, str]  # nodes of the motor; body and wheel in a corner without a motor
+    device: tuple[
+        str, str
+    ]  # nodes of the motor; body and wheel in a corner without a motor
     road: str  # node that the road moves
     road_input: str  # name of the road input
     motor: str | None  # name of the motor; None without a motor
@@ -62,7 +66,9 @@ class Vehicle:
 
     network: Network  # the network
     body: str  # node of the body, at its centre of gravity
-    angles: dict[str, str]  # node of the body's angle by axis of rotation, 'pitch' before 'roll'
+    angles: dict[
+        str, str
+    ]  # node of the body's angle by axis of rotation, 'pitch' before 'roll'
     corners: tuple[Corner, ...]  # corners in the order of the road inputs
 
     @property
@@ -73,7 +79,9 @@ class Vehicle:
     @cached_property
     def wheels(self) -> WheelPositions:
         """Positions of the wheels, and with them the tracks of the road."""
-        return WheelPositions(tuple(c.x for c in self.corners), tuple(c.y for c in self.corners))
+        return WheelPositions(
+            tuple(c.x for c in self.corners), tuple(c.y for c in self.corners)
+        )
 
     @cached_property
     def driven(self) -> tuple[Corner, ...]:
@@ -89,11 +97,18 @@ class Vehicle:
             for axis, n in self.angles.items()
         ]
         for c in self.corners:
-            pairs = (("suspension_travel", (c.body, c.wheel)), ("device_travel", c.device))
+            pairs = (
+                ("suspension_travel", (c.body, c.wheel)),
+                ("device_travel", c.device),
+            )
             for name, pair in pairs:
                 out.append(Channel(c.named(name), "displacement", "m", between=pair))
-                out.append(Channel(c.named(f"{name}_rate"), "velocity", "m/s", between=pair))
-        out += [Channel(c.named("tyre_load"), "force", "N", at=c.road) for c in self.corners]
+                out.append(
+                    Channel(c.named(f"{name}_rate"), "velocity", "m/s", between=pair)
+                )
+        out += [
+            Channel(c.named("tyre_load"), "force", "N", at=c.road) for c in self.corners
+        ]
         return tuple(out)
 
     @cached_property
@@ -101,19 +116,29 @@ class Vehicle:
         """Measured signals in the order of an observation; the currents come last."""
         out = [
             Signal("body_acceleration", "m/s^2", 200.0, "body_acceleration"),
-            *(Signal(f"{axis}_acceleration", "rad/s^2", 200.0, f"{axis}_acceleration") for axis in self.axes),
+            *(
+                Signal(f"{axis}_acceleration", "rad/s^2", 200.0, f"{axis}_acceleration")
+                for axis in self.axes
+            ),
         ]
         for c in self.corners:
             for name in ("suspension_travel", "device_travel"):
                 out.append(Signal(c.named(name), "m", 1.0, name))
                 out.append(Signal(c.named(f"{name}_rate"), "m/s", 50.0, f"{name}_rate"))
-        return (*out, *(Signal(c.named("current"), "A", CURRENT_LIMIT, "current") for c in self.driven))
+        return (
+            *out,
+            *(
+                Signal(c.named("current"), "A", CURRENT_LIMIT, "current")
+                for c in self.driven
+            ),
+        )
 
     @property
     def costs(self) -> tuple[str, ...]:
         """Names of the terms of the cost."""
         return tuple(
-            f"cost_{name}" for name in ("acceleration", *self.axes, "travel", "tyre_load", "current")
+            f"cost_{name}"
+            for name in ("acceleration", *self.axes, "travel", "tyre_load", "current")
         )
 
     @property
@@ -124,7 +149,9 @@ class Vehicle:
     def thrust(self, corner: Corner) -> float:
         """Return the thrust of a corner's motor at its terminals per current [N/A]; 0 without a motor."""
         motor = next((e for e in self.network.elements if e.name == corner.motor), None)
-        return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
+        return (
+            motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
+        )
 
     def arms(self, x: float, y: float) -> tuple[float, ...]:
         """Return the factors (1 + axes,) on vertical and angular accelerations, in the order of `measured`, that give the vertical
@@ -136,7 +163,9 @@ class Vehicle:
     def points(self) -> dict[str, tuple[float, float]]:
         """Named points of the body: distances (x, y) in front and to the left of the centre of gravity [m]."""
         bodies = self.network.bodies[:1]
-        return {self.body: (0.0, 0.0)} | {p.name: (p.x, p.y) for body in bodies for p in body.points}
+        return {self.body: (0.0, 0.0)} | {
+            p.name: (p.x, p.y) for body in bodies for p in body.points
+        }
 
     @cached_property
     def resting_masses(self) -> tuple[float, ...]:
@@ -194,16 +223,30 @@ class Vehicle:
         place = {n: n for n in (*own, GROUND)} | dict.fromkeys(body, corner.body)
         elements, names = [], set()
         for e in network.elements:
-            if e.place == "between" and set(e.where) <= set(place) and set(e.where) & own:
+            if (
+                e.place == "between"
+                and set(e.where) <= set(place)
+                and set(e.where) & own
+            ):
                 elements.append(replace(e, where=tuple(place[n] for n in e.where)))
                 names.add(e.name)
-        elements += [e for e in network.elements if e.place == "element" and e.where[0] in names]
-        inputs = [c for c in network.inputs if c.name in (corner.road_input, corner.current_input)]
+        elements += [
+            e for e in network.elements if e.place == "element" and e.where[0] in names
+        ]
+        inputs = [
+            c
+            for c in network.inputs
+            if c.name in (corner.road_input, corner.current_input)
+        ]
         return replace(
             network,
             name=f"{network.name} ({corner.name})",
             masses={corner.body: mass, corner.wheel: network.masses[corner.wheel]}
-            | {n: m for n, m in network.masses.items() if n in own and n != corner.wheel},
+            | {
+                n: m
+                for n, m in network.masses.items()
+                if n in own and n != corner.wheel
+            },
             turning=network.turning & own,
             bodies=(),
             levers=tuple(v for v in network.levers if set(v.between) <= own),
@@ -271,7 +314,10 @@ def _with_body(network: Network) -> Vehicle:
     wheels: dict[str, str] = {}  # by road input
     for c in roads:
         wheel = _nearest(
-            network, str(c.at), set(network.masses) - {body.name, *body.angles.values()}, stop=points
+            network,
+            str(c.at),
+            set(network.masses) - {body.name, *body.angles.values()},
+            stop=points,
         )
         if wheel is None or wheel in wheels.values():
             raise InputError(
@@ -299,7 +345,9 @@ def _with_body(network: Network) -> Vehicle:
         motor = motors.get(wheel)
         current = None
         if motor is not None:
-            current = next((i.name for i in network.inputs if motor.name in i.elements), None)
+            current = next(
+                (i.name for i in network.inputs if motor.name in i.elements), None
+            )
             if current is None:
                 raise InputError(
                     f"network '{network.name}': motor '{motor.name}' has no input with \"quantity\": \"current\""
@@ -312,11 +360,20 @@ def _with_body(network: Network) -> Vehicle:
                 motor.name if motor is not None else None, current, x, y,
             )
         )  # fmt: skip
-    return Vehicle(network, body.name, {a: body.angles[a] for a in AXES if a in body.angles}, tuple(corners))
+    return Vehicle(
+        network,
+        body.name,
+        {a: body.angles[a] for a in AXES if a in body.angles},
+        tuple(corners),
+    )
 
 
 def _nearest(
-    network: Network, start: str | Iterable[str], wanted: Collection[str], *, stop: Collection[str] = ()
+    network: Network,
+    start: str | Iterable[str],
+    wanted: Collection[str],
+    *,
+    stop: Collection[str] = (),
 ) -> str | None:
     """Return the node of `wanted` that is the fewest elements away from `start`, on paths outside of `stop`."""
     frontier = [start] if isinstance(start, str) else list(start)
@@ -342,7 +399,9 @@ def _nearest(
 def kind(network: Network) -> str:
     """Return the kind of a car: 'quarter car', 'half car', 'full car' or 'car with 3 corners'."""
     corners = len(vehicle(network).corners)
-    return {1: "quarter car", 2: "half car", 4: "full car"}.get(corners, f"car with {corners} corners")
+    return {1: "quarter car", 2: "half car", 4: "full car"}.get(
+        corners, f"car with {corners} corners"
+    )
 
 
 def require_quarter_car(network: Network, what: str) -> None:
@@ -356,7 +415,9 @@ def require_quarter_car(network: Network, what: str) -> None:
 
 def state_channels(network: Network) -> list[Channel]:
     """Return displacement and velocity of every free node, for the full observation and for pictures."""
-    points = {p.name for body in network.bodies for p in body.points}  # points follow the body
+    points = {
+        p.name for body in network.bodies for p in body.points
+    }  # points follow the body
     out = []
     for node in network.nodes:
         if node not in points and node not in network.moved_nodes:

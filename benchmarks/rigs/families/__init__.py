@@ -23,9 +23,13 @@ from .case import Case, Family
 from .rigs import FAMILIES
 from .unseen import UNSEEN
 
-KINDS: list[str] = [f"{family}.{kind}" for family, f in FAMILIES.items() for kind in f.kinds]
+KINDS: list[str] = [
+    f"{family}.{kind}" for family, f in FAMILIES.items() for kind in f.kinds
+]
 """Every kind to work on."""
-UNSEEN_KINDS: list[str] = [f"{family}.{kind}" for family, f in UNSEEN.items() for kind in f.kinds]
+UNSEEN_KINDS: list[str] = [
+    f"{family}.{kind}" for family, f in UNSEEN.items() for kind in f.kinds
+]
 """Every kind that is kept aside."""
 
 

@@ -53,7 +53,9 @@ def rig_of(
 ) -> Rig:
     """Return a rig that moves by `size` [m] at its tempo."""
     span, speed = 1 / tempo.omega, size * tempo.omega
-    return Rig(model, drives, tempo.size, tempo.interval, span, speed, known, pairs, snr_db)
+    return Rig(
+        model, drives, tempo.size, tempo.interval, span, speed, known, pairs, snr_db
+    )
 
 
 def at_rest(signals: list[Signal], name: str) -> tuple[Drive, ...]:
@@ -71,7 +73,11 @@ def changed(model: Model, change: Change, label: str) -> Model:
         e.update(type="x_spring_with_play", gap=gap)
     for damper, mount in change.bushings:
         e = next(e for e in out["elements"] if e["name"] == damper)
-        e.update(type="x_damper_on_bushing", stiffness=mount["stiffness"], gap=mount.get("gap", 0.0))
+        e.update(
+            type="x_damper_on_bushing",
+            stiffness=mount["stiffness"],
+            gap=mount.get("gap", 0.0),
+        )
     out["masses"].update(dict(change.masses))
     return out
 
@@ -104,11 +110,23 @@ def run(
     inputs = dict(drive.inputs)
     for e in model["elements"]:
         if "element" in e:
-            name = next(i["name"] for i in model["inputs"] if i.get("element") == e["element"])
+            name = next(
+                i["name"] for i in model["inputs"] if i.get("element") == e["element"]
+            )
             s = inputs[name]
-            inputs[name] = Signal(_drawn(s.value, e, rig.interval), s.rate, s.second, s.held)
+            inputs[name] = Signal(
+                _drawn(s.value, e, rig.interval), s.rate, s.second, s.held
+            )
     start = drive.initial if initial is None else initial
-    return integrate(model, inputs, rig.size, rig.interval, speed=rig.speed, initial=start, creep=creep)
+    return integrate(
+        model,
+        inputs,
+        rig.size,
+        rig.interval,
+        speed=rig.speed,
+        initial=start,
+        creep=creep,
+    )
 
 
 def outputs(rig: Rig, model: Model, ran: Run) -> dict[str, Array]:
@@ -119,8 +137,14 @@ def outputs(rig: Rig, model: Model, ran: Run) -> dict[str, Array]:
             if "at" in o:
                 y = ran.load[o["at"]]
             else:  # a force cell reads the sum of the elements between its two nodes
-                here = next(e["between"] for e in model["elements"] if e["name"] == o["element"])
-                y = sum(ran.link[e["name"]] for e in model["elements"] if e.get("between") == here)
+                here = next(
+                    e["between"] for e in model["elements"] if e["name"] == o["element"]
+                )
+                y = sum(
+                    ran.link[e["name"]]
+                    for e in model["elements"]
+                    if e.get("between") == here
+                )
         else:
             signal = {
                 "displacement": ran.position,
@@ -128,7 +152,13 @@ def outputs(rig: Rig, model: Model, ran: Run) -> dict[str, Array]:
                 "acceleration": ran.acceleration,
                 "angular_acceleration": ran.acceleration,
             }
-            node = o["at"] if "at" in o else f"{o['body']}.{o['axis']}" if "body" in o else None
+            node = (
+                o["at"]
+                if "at" in o
+                else f"{o['body']}.{o['axis']}"
+                if "body" in o
+                else None
+            )
             first, second = o.get("between") or (node, "ground")
             y = signal[o["quantity"]][first] - signal[o["quantity"]][second]
         t = np.arange(rig.size) * rig.interval
@@ -146,13 +176,20 @@ def scale(rig: Rig, ran: Run, place: Any) -> Scale:
     if isinstance(place, str):  # a motor or a channel, or a spring
         e = next((e for e in elements if e["name"] == place), None)
         if e is None or e["type"] == "motor":
-            current = next((i["name"] for i in rig.model["inputs"] if "element" in i), None)
+            current = next(
+                (i["name"] for i in rig.model["inputs"] if "element" in i), None
+            )
             size = _rms(rig.drives[0].inputs[current].value) if current and e else 1.0
             return Scale(1.0, 1.0, size, rig.time)
         place = tuple(e["between"])
-    d, v, a = (_rms(q[place[0]] - q[place[1]]) for q in (ran.position, ran.velocity, ran.acceleration))
+    d, v, a = (
+        _rms(q[place[0]] - q[place[1]])
+        for q in (ran.position, ran.velocity, ran.acceleration)
+    )
     forces = [
-        _rms(ran.link[e["name"]]) for e in elements if e.get("name") in ran.link and place[0] in e["between"]
+        _rms(ran.link[e["name"]])
+        for e in elements
+        if e.get("name") in ran.link and place[0] in e["between"]
     ]
     mass = rig.model["masses"].get(place[0], 0.0)
     return Scale(d, v, max([*forces, mass * a]), rig.time)
@@ -167,7 +204,9 @@ def _offsets(model: Model) -> set[str]:
     return {o["name"] for o in model["outputs"] if o.get("offset") == "free"}
 
 
-def shares(model: Model, of: Mapping[str, Array], than: Mapping[str, Array]) -> dict[str, float]:
+def shares(
+    model: Model, of: Mapping[str, Array], than: Mapping[str, Array]
+) -> dict[str, float]:
     """RMS of `of` - `than` over the deviation of `than`, channel by channel; a free offset is taken out."""
     free = _offsets(model)
     return {
@@ -192,11 +231,17 @@ class Fit:
 
     @property
     def sigma(self) -> Array:
-        return np.array([*self.spread.values(), *[0.3] * (2 * len(self.rig.drives[0].initial))])
+        return np.array(
+            [*self.spread.values(), *[0.3] * (2 * len(self.rig.drives[0].initial))]
+        )
 
     def residual(self, theta: Array) -> Array:
         """Simulated less true, all channels one after the other, as shares of their deviations; inf where it breaks down."""
-        rig, model, free = self.rig, copy.deepcopy(self.rig.model), _offsets(self.rig.model)
+        rig, model, free = (
+            self.rig,
+            copy.deepcopy(self.rig.model),
+            _offsets(self.rig.model),
+        )
         for path, q in zip(self.spread, theta, strict=False):
             set_relative(model, path, q)
         initial, moves = {}, iter(theta[len(self.spread) :])
@@ -210,7 +255,9 @@ class Fit:
         errors = {k: y[k] - self.truth[k] for k in self.truth}
         shift = {k: float(np.mean(e)) if k in free else 0.0 for k, e in errors.items()}
         deviation = {k: max(float(np.std(q)), 1e-300) for k, q in self.truth.items()}
-        return np.concatenate([(e - shift[k]) / deviation[k] for k, e in errors.items()])
+        return np.concatenate(
+            [(e - shift[k]) / deviation[k] for k, e in errors.items()]
+        )
 
     def cost(self, r: Array, theta: Array) -> float:
         return float(np.mean(r**2) + self.prior**2 * np.mean((theta / self.sigma) ** 2))
@@ -218,7 +265,11 @@ class Fit:
     def left(self, rounds: int = 5) -> dict[str, float]:
         """NRMSE per channel that is left, by Levenberg's steps."""
         _, r = self.fitted(rounds)
-        return dict(zip(self.truth, (_rms(c) for c in np.split(r, len(self.truth))), strict=True))
+        return dict(
+            zip(
+                self.truth, (_rms(c) for c in np.split(r, len(self.truth))), strict=True
+            )
+        )
 
     def fitted(self, rounds: int = 5) -> tuple[Array, Array]:
         """Logarithms of the factors of the parameters after Levenberg's steps, and the residual there."""
@@ -236,7 +287,10 @@ class Fit:
 
     def step(self, r: Array, theta: Array, damp: float) -> tuple[Array, Array, float]:
         """A step that does better, or the last that was tried."""
-        J = np.stack([(self.residual(theta + 1e-4 * e) - r) / 1e-4 for e in np.eye(len(theta))], axis=1)
+        J = np.stack(
+            [(self.residual(theta + 1e-4 * e) - r) / 1e-4 for e in np.eye(len(theta))],
+            axis=1,
+        )
         pull = self.prior**2 / len(theta) / self.sigma**2
         H, g = J.T @ J / len(r) + np.diag(pull), J.T @ r / len(r) + pull * theta
         for _ in range(5):

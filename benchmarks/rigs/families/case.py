@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.signal import lfilter
 
-from .bench import COARSE, Drive, Fit, Rig, changed, outputs, run, scale, set_relative, shares
+from .bench import (
+    COARSE,
+    Drive,
+    Fit,
+    Rig,
+    changed,
+    outputs,
+    run,
+    scale,
+    set_relative,
+    shares,
+)
 from .effects import FIRST, Change, Hidden, cogging, coulomb, hardening, quadratic
 from .plant import Array, Model, Run
 from .rivals import imitated
@@ -49,7 +60,9 @@ class Case:
     truth: dict[str, Any]
     snr_db: float
     spread: float
-    visibility: dict[str, float]  # change of each channel by what is hidden, as a share of its deviation
+    visibility: dict[
+        str, float
+    ]  # change of each channel by what is hidden, as a share of its deviation
     irreducible: dict[
         str, float
     ]  # the same after the best fit of the model without it, as far as its owner allows
@@ -67,7 +80,10 @@ class Case:
         return {
             "kind": self.kind,
             "answer": self.answer,
-            "truth": {"hidden": self.truth["hidden"], "nuisances": self.truth["nuisances"]},
+            "truth": {
+                "hidden": self.truth["hidden"],
+                "nuisances": self.truth["nuisances"],
+            },
             "snr_db": round(self.snr_db, 1),
             "spread": self.spread,
             "visibility": [round(v, 3) for v in self.visibility.values()],
@@ -83,7 +99,9 @@ def spreads(rig: Rig, spread: float) -> dict[str, float]:
         out |= {f"{name}.mass": spread, f"{name}.inertia.pitch": spread}
     for e in rig.model["elements"]:
         if e["type"] in MAIN:
-            out[f"{e['name']}.{MAIN[e['type']]}"] = spread * (3.0 if e["type"] == "linear_damping" else 1.0)
+            out[f"{e['name']}.{MAIN[e['type']]}"] = spread * (
+                3.0 if e["type"] == "linear_damping" else 1.0
+            )
     return {k: v for k, v in out.items() if k not in rig.known}
 
 
@@ -95,13 +113,20 @@ def unbounded(rig: Rig) -> dict[str, float]:
 Measure = Callable[[dict[str, Array]], float]
 
 
-def sized(rig: Rig, make: Callable[[float], Change], aim: float, measure: Measure) -> Change:
+def sized(
+    rig: Rig, make: Callable[[float], Change], aim: float, measure: Measure
+) -> Change:
     """The change of the size at which `measure` of the channels comes to `aim`, within 15 % where it can be had."""
     x, low, high, best = 0.3, 1e-5, 30.0, (np.inf, 0.3)
     for _ in range(12):
         model = changed(rig.model, make(x), "trial")
         try:
-            got = max(measure(outputs(rig, model, run(rig, model, rig.drives[0], creep=COARSE))), 1e-9)
+            got = max(
+                measure(
+                    outputs(rig, model, run(rig, model, rig.drives[0], creep=COARSE))
+                ),
+                1e-9,
+            )
         except ArithmeticError:
             got = np.inf
         best = min(best, (abs(np.log(got / aim)), x))
@@ -130,14 +155,23 @@ def nuisances(rig: Rig, taken: set[str], r: Generator) -> Change:
         return max(shares(rig.model, y, plain).values())
 
     for _ in range(int(r.integers(1, 4))):
-        name, pair = str(r.choice(list(SMALL))), rig.pairs[int(r.integers(len(rig.pairs)))]
-        make, aim = SMALL[name](r, scale(rig, ran, pair), pair), float(r.uniform(0.003, 0.012))
+        name, pair = (
+            str(r.choice(list(SMALL))),
+            rig.pairs[int(r.integers(len(rig.pairs)))],
+        )
+        make, aim = (
+            SMALL[name](r, scale(rig, ran, pair), pair),
+            float(r.uniform(0.003, 0.012)),
+        )
         if f"{name} {pair}" in taken:
             continue
         taken.add(f"{name} {pair}")
         change = sized(rig, make, aim, moved)
         model = changed(rig.model, change, "nuisance")
-        if moved(outputs(rig, model, run(rig, model, rig.drives[0], creep=COARSE))) < 0.015:
+        if (
+            moved(outputs(rig, model, run(rig, model, rig.drives[0], creep=COARSE)))
+            < 0.015
+        ):
             total += change
     return total
 
@@ -164,7 +198,9 @@ def make_case(family: Family, kind: str, seed: int) -> Case:
     raise ArithmeticError(f"{kind} {seed}: no rig on which this could be told")
 
 
-def _attempt(family: Family, hidden: Hidden, kind: str, seed: int, r: Generator) -> Case | None:
+def _attempt(
+    family: Family, hidden: Hidden, kind: str, seed: int, r: Generator
+) -> Case | None:
     rig = family.draw(r)
     spread = float(r.choice([0.02, 0.03, 0.05, 0.10]))
     stated = spreads(rig, spread)
@@ -173,11 +209,15 @@ def _attempt(family: Family, hidden: Hidden, kind: str, seed: int, r: Generator)
     channel = rig.model["outputs"][0]["name"]
     answer = hidden.answer
     if isinstance(answer, list):
-        answer = [[effect, channel if place == FIRST else place] for effect, place in answer]
+        answer = [
+            [effect, channel if place == FIRST else place] for effect, place in answer
+        ]
     change = hide(rig, hidden, channel, stated, noise, r)
     if change is None:
         return None
-    small = nuisances(rig, {f"{e['type']} {tuple(e.get('between', ()))}" for e in change.elements}, r)
+    small = nuisances(
+        rig, {f"{e['type']} {tuple(e.get('between', ()))}" for e in change.elements}, r
+    )
     without = changed(rig.model, small, "nuisance")
     true = changed(without, change, "hidden")
     runs = [run(rig, true, drive) for drive in rig.drives]
@@ -187,29 +227,55 @@ def _attempt(family: Family, hidden: Hidden, kind: str, seed: int, r: Generator)
     left = Fit(rig, seen[0], stated).left()
     if hidden.parts and not max(TOLD[0] * noise, TOLD[1]) < max(left.values()) < MOST:
         return None
-    visibility = shares(rig.model, outputs(rig, without, run(rig, without, rig.drives[0])), seen[0])
+    visibility = shares(
+        rig.model, outputs(rig, without, run(rig, without, rig.drives[0])), seen[0]
+    )
     if not hidden.parts:
         visibility = dict.fromkeys(visibility, 0.0)
     owner = copy.deepcopy(rig.model)
     owner["uncertainty"] = stated
     for path, sigma in stated.items():
         set_relative(owner, path, sigma * r.uniform(-1.0, 1.0))
-    sensors = Noise.draw(r, owner, {k: float(np.std(y)) for k, y in seen[0].items()}, snr_db)
-    records = [sensors.record(r, rig, drive, y) for drive, y in zip(rig.drives, seen, strict=True)]
-    played = [{"type": "backlash", "gap": gap, "in": spring} for spring, gap in change.play]
+    sensors = Noise.draw(
+        r, owner, {k: float(np.std(y)) for k, y in seen[0].items()}, snr_db
+    )
+    records = [
+        sensors.record(r, rig, drive, y)
+        for drive, y in zip(rig.drives, seen, strict=True)
+    ]
+    played = [
+        {"type": "backlash", "gap": gap, "in": spring} for spring, gap in change.play
+    ]
     truth = {
         "model": true,
-        "hidden": [dict(e) for e in change.elements] + played + [dict(e) for _, e in change.bushings],
+        "hidden": [dict(e) for e in change.elements]
+        + played
+        + [dict(e) for _, e in change.bushings],
         "nuisances": [dict(e) for e in small.elements],
     }
     second = records[1] if len(records) > 1 else None
     return Case(
-        kind, seed, owner, records[0], second, copy.deepcopy(answer), truth, snr_db, spread, visibility, left
+        kind,
+        seed,
+        owner,
+        records[0],
+        second,
+        copy.deepcopy(answer),
+        truth,
+        snr_db,
+        spread,
+        visibility,
+        left,
     )
 
 
 def hide(
-    rig: Rig, hidden: Hidden, channel: str, stated: dict[str, float], noise: float, r: Generator
+    rig: Rig,
+    hidden: Hidden,
+    channel: str,
+    stated: dict[str, float],
+    noise: float,
+    r: Generator,
 ) -> Change | None:
     """Return the hidden change at a size that leaves the drawn share of error; None where no size leaves that share.
 
@@ -219,26 +285,39 @@ def hide(
     if not hidden.parts:
         return Change()
     ran = run(rig, rig.model, rig.drives[0])
-    places = [(shape, channel if place == FIRST else place) for shape, place in hidden.parts]
+    places = [
+        (shape, channel if place == FIRST else place) for shape, place in hidden.parts
+    ]
     parts = [shape(r, scale(rig, ran, place), place) for shape, place in places]
     weights = np.exp(r.uniform(-0.3, 0.3, len(parts)))
     spread = stated if hidden.linear else unbounded(rig)
 
     def make(x: float) -> Change:
-        return sum((part(x * w) for part, w in zip(parts, weights, strict=True)), Change())
+        return sum(
+            (part(x * w) for part, w in zip(parts, weights, strict=True)), Change()
+        )
 
     def left(y: dict[str, Array]) -> float:
         return max(Fit(rig, y, spread, 0.05 if hidden.linear else 0.01).left().values())
 
     least = max(TOLD[0] * noise, TOLD[1], hidden.gap[0])
-    aim = float(np.exp(r.uniform(np.log(least), np.log(max(hidden.gap[1], 1.2 * least)))))
+    aim = float(
+        np.exp(r.uniform(np.log(least), np.log(max(hidden.gap[1], 1.2 * least))))
+    )
     change = sized(rig, make, aim, left)
     model = changed(rig.model, change, "trial")
     reached = left(outputs(rig, model, run(rig, model, rig.drives[0], creep=COARSE)))
     return change if reached > 0.7 * least else None
 
 
-def told(rig: Rig, hidden: Hidden, change: Change, ran: Run, seen: dict[str, Array], noise: float) -> bool:
+def told(
+    rig: Rig,
+    hidden: Hidden,
+    change: Change,
+    ran: Run,
+    seen: dict[str, Array],
+    noise: float,
+) -> bool:
     """Whether no law of the library but the hidden one could be meant."""
     unknown = hidden.answer == "unknown"
     times, least = NAMELESS if unknown else ALONE
@@ -246,7 +325,11 @@ def told(rig: Rig, hidden: Hidden, change: Change, ran: Run, seen: dict[str, Arr
         return True
     gap = max(Fit(rig, seen, unbounded(rig), 0.01).left().values())
     for i, e in enumerate(change.elements):
-        if "between" not in e or e["type"] in ("linear_stiffness", "linear_damping", "inertance"):
+        if "between" not in e or e["type"] in (
+            "linear_stiffness",
+            "linear_damping",
+            "inertance",
+        ):
             continue
         first, second = e["between"]
         d, v = (q[first] - q[second] for q in (ran.position, ran.velocity))
@@ -265,32 +348,48 @@ class Noise:
     offset: dict[str, float]
 
     @classmethod
-    def draw(cls, r: Generator, model: Model, deviation: Mapping[str, float], snr_db: float) -> Noise:
+    def draw(
+        cls, r: Generator, model: Model, deviation: Mapping[str, float], snr_db: float
+    ) -> Noise:
         sort, offset = {}, {}
         for o in model["outputs"]:
             stepped = o["quantity"] == "displacement" and r.random() < 0.35
-            sort[o["name"]] = "quantised" if stepped else str(r.choice(["white", "memory"]))
-            offset[o["name"]] = (
-                deviation[o["name"]] * r.uniform(-0.5, 0.5) if o.get("offset") == "free" else 0.0
+            sort[o["name"]] = (
+                "quantised" if stepped else str(r.choice(["white", "memory"]))
             )
-        return cls(sort, {k: d * 10 ** (-snr_db / 20) for k, d in deviation.items()}, offset)
+            offset[o["name"]] = (
+                deviation[o["name"]] * r.uniform(-0.5, 0.5)
+                if o.get("offset") == "free"
+                else 0.0
+            )
+        return cls(
+            sort, {k: d * 10 ** (-snr_db / 20) for k, d in deviation.items()}, offset
+        )
 
-    def record(self, r: Generator, rig: Rig, drive: Drive, y: Mapping[str, Array]) -> dict[str, NDArray[Any]]:
+    def record(
+        self, r: Generator, rig: Rig, drive: Drive, y: Mapping[str, Array]
+    ) -> dict[str, NDArray[Any]]:
         table: dict[str, NDArray[Any]] = {"time": np.arange(rig.size) * rig.interval}
         for i in rig.model["inputs"]:
             column = drive.inputs[i["name"]].value
             if i["quantity"] == "displacement":
-                column = column + 10 ** (-rig.input_db / 20) * np.std(column) * r.standard_normal(rig.size)
+                column = column + 10 ** (-rig.input_db / 20) * np.std(
+                    column
+                ) * r.standard_normal(rig.size)
             table[i["name"]] = column
         for k, column in y.items():
             column, level = column + self.offset[k], self.level[k]
             if self.sort[k] == "quantised":
                 step = np.sqrt(12.0) * level
-                table[k] = step * np.round((column + 0.05 * step * r.standard_normal(rig.size)) / step)
+                table[k] = step * np.round(
+                    (column + 0.05 * step * r.standard_normal(rig.size)) / step
+                )
             elif self.sort[k] == "white":
                 table[k] = column + level * r.standard_normal(rig.size)
             else:
                 memory = 0.5
-                white = level * np.sqrt(1 - memory**2) * r.standard_normal(rig.size + 50)
+                white = (
+                    level * np.sqrt(1 - memory**2) * r.standard_normal(rig.size + 50)
+                )
                 table[k] = column + lfilter([1.0], [1.0, -memory], white)[50:]
         return table

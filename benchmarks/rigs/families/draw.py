@@ -68,14 +68,23 @@ def mass(r: Generator) -> float:
 
 # -------------------------------------------------------------------------------------------------------- signals
 def rough(
-    r: Generator, t: Tempo, low: float, high: float, slope: float, size: float, lines: int = 60
+    r: Generator,
+    t: Tempo,
+    low: float,
+    high: float,
+    slope: float,
+    size: float,
+    lines: int = 60,
 ) -> Signal:
     """A sum of sines of random phase between two frequencies [Hz], amplitude as f^-slope, of RMS `size`."""
     low = max(low, 1.0 / t.span)
     f = np.sort(np.exp(r.uniform(np.log(low), np.log(max(high, 1.5 * low)), lines)))
     a = f**-slope * np.sqrt(np.gradient(f))
     return _sines(
-        t.time, 2 * np.pi * f, size * np.sqrt(2.0) * a / np.sqrt(np.sum(a**2)), r.uniform(0, 2 * np.pi, lines)
+        t.time,
+        2 * np.pi * f,
+        size * np.sqrt(2.0) * a / np.sqrt(np.sum(a**2)),
+        r.uniform(0, 2 * np.pi, lines),
     )
 
 
@@ -87,14 +96,21 @@ def sweep(r: Generator, t: Tempo, low: float, high: float, size: float) -> Signa
     phase = (w - 2 * np.pi * low) / rate + r.uniform(0, 2 * np.pi)
     a = size * np.sqrt(2.0)
     return Signal(
-        a * np.sin(phase), a * w * np.cos(phase), a * (w * rate * np.cos(phase) - w**2 * np.sin(phase))
+        a * np.sin(phase),
+        a * w * np.cos(phase),
+        a * (w * rate * np.cos(phase) - w**2 * np.sin(phase)),
     )
 
 
-def tones(r: Generator, t: Tempo, low: float, high: float, size: float, count: int = 3) -> Signal:
+def tones(
+    r: Generator, t: Tempo, low: float, high: float, size: float, count: int = 3
+) -> Signal:
     f = np.exp(r.uniform(np.log(low), np.log(high), count))
     return _sines(
-        t.time, 2 * np.pi * f, size * np.sqrt(2.0 / count) * np.ones(count), r.uniform(0, 2 * np.pi, count)
+        t.time,
+        2 * np.pi * f,
+        size * np.sqrt(2.0 / count) * np.ones(count),
+        r.uniform(0, 2 * np.pi, count),
     )
 
 
@@ -120,10 +136,14 @@ def held(r: Generator, t: Tempo, dwell: float, size: float) -> Signal:
 
 
 def strengthened(signal: Signal, factor: float) -> Signal:
-    return Signal(signal.value * factor, signal.rate * factor, signal.second * factor, signal.held)
+    return Signal(
+        signal.value * factor, signal.rate * factor, signal.second * factor, signal.held
+    )
 
 
-def excitation(r: Generator, t: Tempo, size: float, low: float = 0.25, high: float = 3.0) -> list[Signal]:
+def excitation(
+    r: Generator, t: Tempo, size: float, low: float = 0.25, high: float = 3.0
+) -> list[Signal]:
     """Two records' signals about a natural frequency: rough, swept or a few tones; the second of another strength."""
     f, out = t.frequency, []
     for strength in (1.0, log(r, 0.7, 1.3)):
@@ -139,7 +159,9 @@ def excitation(r: Generator, t: Tempo, size: float, low: float = 0.25, high: flo
 
 
 # --------------------------------------------------------------------------------------------------------- models
-def element(kind: str, name: str, first: str, second: str, **parameters: float) -> Element:
+def element(
+    kind: str, name: str, first: str, second: str, **parameters: float
+) -> Element:
     return {"name": name, "type": kind, "between": [first, second], **parameters}
 
 
@@ -148,8 +170,16 @@ def spring_damper(
 ) -> list[Element]:
     """A spring and a damper that give a mass `m` its natural frequency [rad/s] and damping ratio."""
     return [
-        element("linear_stiffness", f"{prefix}spring", first, second, stiffness=m * omega**2),
-        element("linear_damping", f"{prefix}damper", first, second, damping=2 * zeta * m * omega),
+        element(
+            "linear_stiffness", f"{prefix}spring", first, second, stiffness=m * omega**2
+        ),
+        element(
+            "linear_damping",
+            f"{prefix}damper",
+            first,
+            second,
+            damping=2 * zeta * m * omega,
+        ),
     ]
 
 
@@ -171,7 +201,9 @@ def model(
     outputs: list[Element],
     bodies: dict[str, Any] | None = None,
 ) -> Model:
-    channels = [[{**c, "unit": UNIT[c["quantity"]]} for c in side] for side in (inputs, outputs)]
+    channels = [
+        [{**c, "unit": UNIT[c["quantity"]]} for c in side] for side in (inputs, outputs)
+    ]
     return {
         "schema": "isd-model/1",
         "name": name,
@@ -183,11 +215,17 @@ def model(
     }
 
 
-def reading(r: Generator, quantity: str, node: str, other: str | None = None) -> Element:
+def reading(
+    r: Generator, quantity: str, node: str, other: str | None = None
+) -> Element:
     """An output; a displacement has an unknown zero one time in three."""
     place = {"at": node} if other is None else {"between": [node, other]}
     out = {"name": f"{node}_{quantity}", "quantity": quantity, **place}
-    return {**out, "offset": "free"} if quantity == "displacement" and r.random() < 0.35 else out
+    return (
+        {**out, "offset": "free"}
+        if quantity == "displacement" and r.random() < 0.35
+        else out
+    )
 
 
 def channel(name: str, quantity: str, **place: str) -> Element:

@@ -45,8 +45,12 @@ class Change:
     elements: tuple[
         Element, ...
     ] = ()  # side by side with what stands there; or `channel`, or `element` (a motor)
-    play: tuple[tuple[str, float], ...] = ()  # (spring, gap [m]): the spring is had with play
-    bushings: tuple[tuple[str, Element], ...] = ()  # (damper, what it stands on: its effect and parameters)
+    play: tuple[
+        tuple[str, float], ...
+    ] = ()  # (spring, gap [m]): the spring is had with play
+    bushings: tuple[
+        tuple[str, Element], ...
+    ] = ()  # (damper, what it stands on: its effect and parameters)
     masses: tuple[tuple[str, float], ...] = ()  # bodies that the owner does not know of
 
     def __add__(self, other: Change) -> Change:
@@ -74,7 +78,10 @@ class Hidden:
     def __and__(self, other: Hidden) -> Hidden:
         assert isinstance(self.answer, list) and isinstance(other.answer, list)
         return replace(
-            self, parts=self.parts + other.parts, answer=self.answer + other.answer, gap=(0.15, 0.6)
+            self,
+            parts=self.parts + other.parts,
+            answer=self.answer + other.answer,
+            gap=(0.15, 0.6),
         )
 
 
@@ -83,14 +90,23 @@ FIRST = "first output"
 """Stands for the channel of that place in whatever model is drawn."""
 
 
-LINEAR = ("linear_damping", "linear_stiffness", "inertance", "sensor_gain", "sensor_delay", "actuator_lag")
+LINEAR = (
+    "linear_damping",
+    "linear_stiffness",
+    "inertance",
+    "sensor_gain",
+    "sensor_delay",
+    "actuator_lag",
+)
 
 
 def at(name: str, shape: Shape, place: Pair | str, **more: Any) -> Hidden:
     """An effect of the library at two terminals, a motor or a channel."""
     where: Any = list(place) if isinstance(place, tuple) else place
     # an effect of the one drive is told with the drive's terminals
-    answer: list[list[Any]] = [[name, None if name in ("actuator_lag", "thrust_saturation") else where]]
+    answer: list[list[Any]] = [
+        [name, None if name in ("actuator_lag", "thrust_saturation") else where]
+    ]
     return Hidden(((shape, place),), answer, linear=name in LINEAR, **more)
 
 
@@ -133,7 +149,9 @@ def linear_stiffness(r: Generator, s: Scale, place: Pair) -> Sized:
 
 
 def inertance(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link("inertance", place, inertance=x * s.damping * s.travel / s.rate)
+    return lambda x: link(
+        "inertance", place, inertance=x * s.damping * s.travel / s.rate
+    )
 
 
 def asymmetric(r: Generator, s: Scale, place: Pair) -> Sized:
@@ -147,23 +165,36 @@ def asymmetric(r: Generator, s: Scale, place: Pair) -> Sized:
 
 
 def hardening(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link("cubic_stiffness", place, stiffness=x * s.stiffness / s.travel**2)
+    return lambda x: link(
+        "cubic_stiffness", place, stiffness=x * s.stiffness / s.travel**2
+    )
 
 
 def softening(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link("cubic_stiffness", place, stiffness=-min(x, 0.06) * s.stiffness / s.travel**2)
+    return lambda x: link(
+        "cubic_stiffness", place, stiffness=-min(x, 0.06) * s.stiffness / s.travel**2
+    )
 
 
 def sine(r: Generator, s: Scale, place: Pair) -> Sized:
     """Gravity on a pendulum: the smaller the length of a radian, the further from linear; the stiffness is that of the rig."""
     return lambda x: link(
-        "x_sine_less_linear", place, stiffness=s.stiffness, length=s.travel / min(np.sqrt(2.0 * x), 0.7)
+        "x_sine_less_linear",
+        place,
+        stiffness=s.stiffness,
+        length=s.travel / min(np.sqrt(2.0 * x), 0.7),
     )
 
 
 def gas(r: Generator, s: Scale, place: Pair) -> Sized:
     length, n = r.uniform(3.5, 6.0) * s.travel, 1.3
-    return lambda x: link("gas_spring", place, force=x * s.stiffness * length / n, length=length, exponent=n)
+    return lambda x: link(
+        "gas_spring",
+        place,
+        force=x * s.stiffness * length / n,
+        length=length,
+        exponent=n,
+    )
 
 
 def stop(r: Generator, s: Scale, place: Pair) -> Sized:
@@ -171,25 +202,45 @@ def stop(r: Generator, s: Scale, place: Pair) -> Sized:
         r.uniform(0.8, 1.4) * s.travel,
         str(r.choice(["both", "both", "extension", "compression"])),
     )
-    return lambda x: link("bump_stop", place, clearance=clearance, stiffness=8.0 * x * s.stiffness, side=side)
+    return lambda x: link(
+        "bump_stop",
+        place,
+        clearance=clearance,
+        stiffness=8.0 * x * s.stiffness,
+        side=side,
+    )
 
 
 def hysteresis(r: Generator, s: Scale, place: Pair) -> Sized:
     way = r.uniform(0.15, 0.5) * s.travel
     return lambda x: link(
-        "hysteresis", place, level=x * s.force, stiffness=x * s.force / way, exponent=1.0, shape=0.5
+        "hysteresis",
+        place,
+        level=x * s.force,
+        stiffness=x * s.force / way,
+        exponent=1.0,
+        shape=0.5,
     )
 
 
 def cogging(r: Generator, s: Scale, place: Pair) -> Sized:
     pitch, phase = r.uniform(0.8, 2.2) * s.travel, r.uniform(-np.pi, np.pi)
-    return lambda x: link("cogging_force", place, amplitude=x * s.force, pitch=pitch, phase=phase)
+    return lambda x: link(
+        "cogging_force", place, amplitude=x * s.force, pitch=pitch, phase=phase
+    )
 
 
 def play(spring: str) -> Hidden:
     """A joint in line with a spring has play."""
     return Hidden(
-        ((lambda r, s, place: lambda x: Change(play=((spring, 1.5 * x * s.travel),)), spring),),
+        (
+            (
+                lambda r, s, place: (
+                    lambda x: Change(play=((spring, 1.5 * x * s.travel),))
+                ),
+                spring,
+            ),
+        ),
         [["backlash", None]],
     )
 
@@ -199,7 +250,15 @@ def bushing(damper: str) -> Shape:
 
     def shape(r: Generator, s: Scale, place: Pair) -> Sized:
         return lambda x: Change(
-            bushings=((damper, {"type": "series_compliance", "stiffness": s.force / (x * s.travel)}),)
+            bushings=(
+                (
+                    damper,
+                    {
+                        "type": "series_compliance",
+                        "stiffness": s.force / (x * s.travel),
+                    },
+                ),
+            )
         )
 
     return shape
@@ -211,7 +270,12 @@ def loose_mount(damper: str) -> Shape:
     def shape(r: Generator, s: Scale, place: Pair) -> Sized:
         stiffness = 100.0 * s.stiffness
         return lambda x: Change(
-            bushings=((damper, {"type": "backlash", "stiffness": stiffness, "gap": x * s.travel}),)
+            bushings=(
+                (
+                    damper,
+                    {"type": "backlash", "stiffness": stiffness, "gap": x * s.travel},
+                ),
+            )
         )
 
     return shape
@@ -220,22 +284,34 @@ def loose_mount(damper: str) -> Shape:
 # --------------------------------------------------------------------------------------------- at a motor, a channel
 def sensor_gain(r: Generator, s: Scale, channel: Any) -> Sized:
     sign = r.choice([-1.0, 1.0])
-    return lambda x: Change(({"type": "sensor_gain", "channel": channel, "gain": 1.0 + sign * min(x, 0.5)},))
+    return lambda x: Change(
+        ({"type": "sensor_gain", "channel": channel, "gain": 1.0 + sign * min(x, 0.5)},)
+    )
 
 
 def sensor_delay(r: Generator, s: Scale, channel: Any) -> Sized:
     return lambda x: Change(
-        ({"type": "sensor_delay", "channel": channel, "delay": 0.3 * min(x, 3.0) * s.time},)
+        (
+            {
+                "type": "sensor_delay",
+                "channel": channel,
+                "delay": 0.3 * min(x, 3.0) * s.time,
+            },
+        )
     )
 
 
 def saturation(r: Generator, s: Scale, motor: Any) -> Sized:
     # `force` is the current's own scale at a motor
-    return lambda x: Change(({"type": "thrust_saturation", "element": motor, "current": s.force / x},))
+    return lambda x: Change(
+        ({"type": "thrust_saturation", "element": motor, "current": s.force / x},)
+    )
 
 
 def lag(r: Generator, s: Scale, motor: Any) -> Sized:
-    return lambda x: Change(({"type": "actuator_lag", "element": motor, "time_constant": x * s.time},))
+    return lambda x: Change(
+        ({"type": "actuator_lag", "element": motor, "time_constant": x * s.time},)
+    )
 
 
 # ------------------------------------------------------------------------------------- what the library does not have
@@ -243,22 +319,35 @@ def tanh_spring(r: Generator, s: Scale, place: Pair) -> Sized:
     """A spring that gives in altogether: far beyond where a cubic could follow it."""
     depth = r.uniform(0.25, 0.4)
     return lambda x: link(
-        "x_tanh_less_linear", place, stiffness=min(x, 0.9) * s.stiffness, length=depth * s.travel
+        "x_tanh_less_linear",
+        place,
+        stiffness=min(x, 0.9) * s.stiffness,
+        length=depth * s.travel,
     )
 
 
 def switched_spring(r: Generator, s: Scale, place: Pair) -> Sized:
     period, duty = r.uniform(9.0, 23.0) * s.time, r.uniform(0.3, 0.6)
-    return lambda x: link("x_switched_stiffness", place, stiffness=x * s.stiffness, period=period, duty=duty)
+    return lambda x: link(
+        "x_switched_stiffness",
+        place,
+        stiffness=x * s.stiffness,
+        period=period,
+        duty=duty,
+    )
 
 
 def position_damping(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link("x_position_damping", place, damping=x * s.damping, length=s.travel)
+    return lambda x: link(
+        "x_position_damping", place, damping=x * s.damping, length=s.travel
+    )
 
 
 def timed_friction(r: Generator, s: Scale, place: Pair) -> Sized:
     period, duty = r.uniform(9.0, 23.0) * s.time, r.uniform(0.3, 0.6)
-    return lambda x: link("x_timed_friction", place, level=2.0 * x * s.force, period=period, duty=duty)
+    return lambda x: link(
+        "x_timed_friction", place, level=2.0 * x * s.force, period=period, duty=duty
+    )
 
 
 def resonator(r: Generator, s: Scale, place: Pair) -> Sized:
@@ -282,7 +371,9 @@ def resonator(r: Generator, s: Scale, place: Pair) -> Sized:
 def knocks(r: Generator, s: Scale, place: Pair) -> Sized:
     """Something hits the rig every now and then, and no channel tells when."""
     period, width = r.uniform(11.0, 27.0) * s.time, r.uniform(0.4, 1.0) * s.time
-    return lambda x: link("x_impulse", place, force=4.0 * x * s.force, period=period, width=width)
+    return lambda x: link(
+        "x_impulse", place, force=4.0 * x * s.force, period=period, width=width
+    )
 
 
 #: what a kind is called -> the effect's name and its shape

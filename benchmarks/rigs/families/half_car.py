@@ -42,11 +42,19 @@ def half_car(r: Generator) -> Rig:
     masses, omega = {}, 2 * np.pi * r.uniform(1.0, 1.35)
     for end, other in (ENDS, ENDS[::-1]):
         load = body * abs(arms[other]) / base  # what the axle carries of the body
-        own = omega * (1.0 if end == "front" else r.uniform(1.05, 1.2))  # the rear axle swings faster
+        own = omega * (
+            1.0 if end == "front" else r.uniform(1.05, 1.2)
+        )  # the rear axle swings faster
         masses[f"wheel_{end}"] = load * r.uniform(0.1, 0.15)
         spring, tyre = load * own**2, load * own**2 * r.uniform(7.0, 11.0)
         elements += [
-            element("linear_stiffness", f"spring_{end}", f"body_{end}", f"wheel_{end}", stiffness=spring),
+            element(
+                "linear_stiffness",
+                f"spring_{end}",
+                f"body_{end}",
+                f"wheel_{end}",
+                stiffness=spring,
+            ),
             element(
                 "linear_damping",
                 f"damper_{end}",
@@ -54,7 +62,13 @@ def half_car(r: Generator) -> Rig:
                 f"wheel_{end}",
                 damping=2 * r.uniform(0.2, 0.35) * load * own,
             ),
-            element("linear_stiffness", f"tyre_{end}", f"wheel_{end}", f"road_{end}", stiffness=tyre),
+            element(
+                "linear_stiffness",
+                f"tyre_{end}",
+                f"wheel_{end}",
+                f"road_{end}",
+                stiffness=tyre,
+            ),
         ]
     points = {f"body_{end}": {"x": arm} for end, arm in arms.items()}
     net = model(
@@ -70,22 +84,40 @@ def half_car(r: Generator) -> Rig:
     drives = tuple(drive(r, t, base, size * k) for k in (1.0, log(r, 0.7, 1.3)))
     pairs = (FRONT, REAR, TYRE_FRONT, TYRE_REAR)
     weighed = tuple(f"{wheel}.mass" for wheel in masses)
-    return Rig(net, drives, t.size, t.interval, 1 / omega, 0.1, weighed, pairs, (28.0, 50.0), 60.0)
+    return Rig(
+        net,
+        drives,
+        t.size,
+        t.interval,
+        1 / omega,
+        0.1,
+        weighed,
+        pairs,
+        (28.0, 50.0),
+        60.0,
+    )
 
 
 def sensors(r: Generator) -> list[Element]:
     """The body's accelerations at its ends, or of its centre and its pitch; travels and wheels' accelerations."""
     if r.random() < 0.5:
-        out = [channel(f"body_acceleration_{end}", "acceleration", at=f"body_{end}") for end in ENDS]
+        out = [
+            channel(f"body_acceleration_{end}", "acceleration", at=f"body_{end}")
+            for end in ENDS
+        ]
     else:
         out = [
             channel("body_acceleration", "acceleration", at="body"),
-            channel("pitch_acceleration", "angular_acceleration", body="body", axis="pitch"),
+            channel(
+                "pitch_acceleration", "angular_acceleration", body="body", axis="pitch"
+            ),
         ]
     for end in ENDS:
         pair = {"between": [f"body_{end}", f"wheel_{end}"]}
         out.append({"name": f"travel_{end}", "quantity": "displacement", **pair})
-        out.append(channel(f"wheel_acceleration_{end}", "acceleration", at=f"wheel_{end}"))
+        out.append(
+            channel(f"wheel_acceleration_{end}", "acceleration", at=f"wheel_{end}")
+        )
     return out
 
 
@@ -121,7 +153,9 @@ def faded(signal: Signal, t: Tempo, span: float) -> Signal:
 
 def mounted(name: str, shape: Shape, place: Pair) -> Hidden:
     """What a damper's mounting hides: in series, so its place is the whole leg."""
-    return Hidden(((shape, place),), [[name, list(place)]], linear=name == "series_compliance")
+    return Hidden(
+        ((shape, place),), [[name, list(place)]], linear=name == "series_compliance"
+    )
 
 
 FAMILY = Family(
@@ -130,11 +164,30 @@ FAMILY = Family(
         "none": NOTHING,
         "none_second": NOTHING,
         "none_third": NOTHING,
-        **devices(FRONT, "friction", "stribeck", "asymmetric", "stop", "quadratic", "gas", suffix="_front"),
-        **devices(REAR, "friction", "asymmetric", "cubic", "hysteresis", "cogging", suffix="_rear"),
+        **devices(
+            FRONT,
+            "friction",
+            "stribeck",
+            "asymmetric",
+            "stop",
+            "quadratic",
+            "gas",
+            suffix="_front",
+        ),
+        **devices(
+            REAR,
+            "friction",
+            "asymmetric",
+            "cubic",
+            "hysteresis",
+            "cogging",
+            suffix="_rear",
+        ),
         **devices(TYRE_REAR, "cubic", suffix="_tyre_rear"),
         "play_rear": mounted("backlash", fx.loose_mount("damper_rear"), REAR),
-        "bushing_front": mounted("series_compliance", fx.bushing("damper_front"), FRONT),
+        "bushing_front": mounted(
+            "series_compliance", fx.bushing("damper_front"), FRONT
+        ),
         "gain_front": at("sensor_gain", fx.sensor_gain, "travel_front"),
         "delay_rear": at("sensor_delay", fx.sensor_delay, "wheel_acceleration_rear"),
     },

@@ -60,20 +60,29 @@ LAWS: dict[str, tuple[int, dict[str, float | None]]] = {
     "linear_stiffness": (SPRING, {"stiffness": None}),
     "linear_damping": (DAMPER, {"damping": None}),
     "coulomb_friction": (COULOMB, {"level": None}),
-    "stribeck_friction": (STRIBECK, {"level": None, "static_level": None, "stribeck_velocity": None}),
+    "stribeck_friction": (
+        STRIBECK,
+        {"level": None, "static_level": None, "stribeck_velocity": None},
+    ),
     "quadratic_damping": (QUADRATIC, {"damping": None}),
     "asymmetric_damping": (ASYMMETRIC, {"extension": None, "compression": None}),
     "cubic_stiffness": (CUBIC, {"stiffness": None}),
     "gas_spring": (GAS, {"force": None, "length": None, "exponent": 1.3}),
     "bump_stop": (BUMP, {"clearance": None, "stiffness": None, "side": 0.0}),
-    "hysteresis": (HYSTERESIS, {"level": None, "stiffness": None, "exponent": 1.0, "shape": 0.5}),
+    "hysteresis": (
+        HYSTERESIS,
+        {"level": None, "stiffness": None, "exponent": 1.0, "shape": 0.5},
+    ),
     "cogging_force": (COGGING, {"amplitude": None, "pitch": None, "phase": 0.0}),
     # the spring that stands there, with play: what a backlash in series makes of it
     "x_spring_with_play": (PLAY, {"stiffness": None, "gap": None}),
     # what a spring lacks to be a sine (gravity on a pendulum), or to be a tanh
     "x_sine_less_linear": (SINE, {"stiffness": None, "length": None}),
     "x_tanh_less_linear": (TANH, {"stiffness": None, "length": None}),
-    "x_switched_stiffness": (SWITCHED, {"stiffness": None, "period": None, "duty": None}),
+    "x_switched_stiffness": (
+        SWITCHED,
+        {"stiffness": None, "period": None, "duty": None},
+    ),
     "x_position_damping": (POSITION, {"damping": None, "length": None}),
     "x_maxwell": (MAXWELL, {"stiffness": None, "time": None}),
     "x_timed_friction": (TIMED, {"level": None, "period": None, "duty": None}),
@@ -158,7 +167,9 @@ def _force(code, p, d, v, z, t):
         return _level(code, p, d, v, t) * min(max(v / p[5], -1.0), 1.0), 0.0
     if code == HYSTERESIS:
         w = (abs(z) / p[0]) ** p[2]
-        return z, p[1] * (v - (p[3] * abs(v) * math.copysign(1.0, z) + (1.0 - p[3]) * v) * w)
+        return z, p[1] * (
+            v - (p[3] * abs(v) * math.copysign(1.0, z) + (1.0 - p[3]) * v) * w
+        )
     if code == MAXWELL:  # spring and damper in series; z is the spring's force
         return z, p[0] * v - z / p[1]
     if code == FADING:  # the work done, z, thins it
@@ -173,7 +184,9 @@ def _moved(c, s, T, x, v, a):
     for j in range(c.shape[0]):
         p = c[j]
         x[j] = p[0] + s * (p[1] + s * (p[2] + s * (p[3] + s * (p[4] + s * p[5]))))
-        v[j] = (p[1] + s * (2 * p[2] + s * (3 * p[3] + s * (4 * p[4] + s * 5 * p[5])))) / T
+        v[j] = (
+            p[1] + s * (2 * p[2] + s * (3 * p[3] + s * (4 * p[4] + s * 5 * p[5])))
+        ) / T
         a[j] = (2 * p[2] + s * (6 * p[3] + s * (12 * p[4] + s * 20 * p[5]))) / (T * T)
 
 
@@ -213,7 +226,9 @@ def _rates(y, n, plant, inverse, Mfm, c, push, s, T, t, x, v, a, f, out):
             pull[i] -= Mfm[i, j] * a[n + j]
     for k in range(len(codes)):
         i, j = ends[k, 0], ends[k, 1]
-        f[k], out[2 * n + k] = _force(codes[k], P[k], x[i] - x[j], v[i] - v[j], y[2 * n + k], t)
+        f[k], out[2 * n + k] = _force(
+            codes[k], P[k], x[i] - x[j], v[i] - v[j], y[2 * n + k], t
+        )
         _apply(points, arms, n, n + m, i, -f[k], pull)
         _apply(points, arms, n, n + m, j, f[k], pull)
     for i in range(n):
@@ -230,11 +245,18 @@ def _rates(y, n, plant, inverse, Mfm, c, push, s, T, t, x, v, a, f, out):
 def _march(y, n, plant, inverse, Mfm, motion, push, T, substeps):
     """Classic Runge-Kutta from sample to sample; positions, speeds, accelerations of all nodes, forces of all links."""
     size, m, links = motion.shape[0], motion.shape[1], len(plant[3])
-    nodes = n + m + 1 + len(plant[1])  # after the moved ones the ground, at rest, and the bodies' points
+    nodes = (
+        n + m + 1 + len(plant[1])
+    )  # after the moved ones the ground, at rest, and the bodies' points
     X, V, A = np.zeros((size, nodes)), np.zeros((size, nodes)), np.zeros((size, nodes))
     F = np.zeros((size, links))
     x, v, a, f = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(links)
-    k1, k2, k3, k4 = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y))
+    k1, k2, k3, k4 = (
+        np.zeros(len(y)),
+        np.zeros(len(y)),
+        np.zeros(len(y)),
+        np.zeros(len(y)),
+    )
     h, w = T / substeps, 1.0 / substeps
     for i in range(size):
         c, q = motion[i], push[i]
@@ -244,9 +266,57 @@ def _march(y, n, plant, inverse, Mfm, motion, push, T, substeps):
             if j == 0:
                 X[i], V[i], A[i], F[i] = x, v, a, f
             u = s + 0.5 * w
-            _rates(y + 0.5 * h * k1, n, plant, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k2)
-            _rates(y + 0.5 * h * k2, n, plant, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k3)
-            _rates(y + h * k3, n, plant, inverse, Mfm, c, q, s + w, T, t + h, x, v, a, f, k4)
+            _rates(
+                y + 0.5 * h * k1,
+                n,
+                plant,
+                inverse,
+                Mfm,
+                c,
+                q,
+                u,
+                T,
+                t + 0.5 * h,
+                x,
+                v,
+                a,
+                f,
+                k2,
+            )
+            _rates(
+                y + 0.5 * h * k2,
+                n,
+                plant,
+                inverse,
+                Mfm,
+                c,
+                q,
+                u,
+                T,
+                t + 0.5 * h,
+                x,
+                v,
+                a,
+                f,
+                k3,
+            )
+            _rates(
+                y + h * k3,
+                n,
+                plant,
+                inverse,
+                Mfm,
+                c,
+                q,
+                s + w,
+                T,
+                t + h,
+                x,
+                v,
+                a,
+                f,
+                k4,
+            )
             y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return X, V, A, F
 
@@ -291,22 +361,30 @@ def integrate(
     proportion. initial: displacement [m] and velocity [m/s] of free nodes. creep: see `CREEP`; ten times
     as much is ten times as quick.
     """
-    by_node = {i["at"]: i["name"] for i in model["inputs"] if i["quantity"] == "displacement"}
+    by_node = {
+        i["at"]: i["name"] for i in model["inputs"] if i["quantity"] == "displacement"
+    }
     moved, carried = list(by_node), inertias(model)
     n, m = len(set(carried) - set(moved)), len(moved)
     nodes = [*(node for node in carried if node not in moved), *moved, GROUND]
     points, arms, riding = _riders(model, nodes)
     nodes += riding
-    weights = np.eye(len(nodes), n + m + 1)  # of what moves by itself in the motion of every node
+    weights = np.eye(
+        len(nodes), n + m + 1
+    )  # of what moves by itself in the motion of every node
     for k, ((centre, angle), arm) in enumerate(zip(points, arms, strict=True)):
         weights[n + m + 1 + k, [centre, angle]] = 1.0, arm
     mass = np.diag([carried.get(node, 0.0) for node in nodes[: n + m + 1]])
     links = [e for e in model["elements"] if e["type"] in LAWS]
     inerters = [e for e in model["elements"] if e["type"] == "inertance"]
-    ends = {e["name"]: tuple(nodes.index(k) for k in e["between"]) for e in links + inerters}
+    ends = {
+        e["name"]: tuple(nodes.index(k) for k in e["between"]) for e in links + inerters
+    }
     for e in inerters:
         i, j = ends[e["name"]]
-        mass += e["inertance"] * np.outer(weights[i] - weights[j], weights[i] - weights[j])
+        mass += e["inertance"] * np.outer(
+            weights[i] - weights[j], weights[i] - weights[j]
+        )
     link_ends = [ends[e["name"]] for e in links]
     codes = [LAWS[e["type"]][0] for e in links]
     parameters = [_parameters(e, creep * speed) for e in links]
@@ -327,7 +405,9 @@ def integrate(
         np.array(parameters, dtype=float).reshape(-1, 6),
     )
     push = _pushes(model, inputs, nodes[:n], size, interval)
-    X, V, A, F = _march(y, n, plant, inverse, mass[:n, n : n + m].copy(), motion, push, interval, steps)
+    X, V, A, F = _march(
+        y, n, plant, inverse, mass[:n, n : n + m].copy(), motion, push, interval, steps
+    )
     if not (np.isfinite(X).all() and np.isfinite(V).all()):
         raise ArithmeticError("the plant does not stay finite")
     force = {e["name"]: F[:, k] for k, e in enumerate(links)}
@@ -341,10 +421,16 @@ def integrate(
         for k, (first, second) in enumerate(link_ends):
             load[node] = load[node] + F[:, k] * ((first == j) - (second == j))
     columns = [dict(zip(nodes, c.T, strict=True)) for c in (X, V, A)]
-    return Run(*columns, {e["name"]: force[e["name"]] for e in model["elements"] if e["name"] in force}, load)
+    return Run(
+        *columns,
+        {e["name"]: force[e["name"]] for e in model["elements"] if e["name"] in force},
+        load,
+    )
 
 
-def _riders(model: Model, nodes: list[str]) -> tuple[list[tuple[int, int]], list[float], list[str]]:
+def _riders(
+    model: Model, nodes: list[str]
+) -> tuple[list[tuple[int, int]], list[float], list[str]]:
     """Points of bodies: places of centre and angle among the nodes, arms [m] and names."""
     points, arms, names = [], [], []
     for name, body in model.get("bodies", {}).items():
@@ -362,7 +448,13 @@ def _parameters(e: Element, creep: float) -> list[float]:
     return [*numbers, *[0.0] * (5 - len(numbers)), creep]
 
 
-def _pushes(model: Model, inputs: Mapping[str, Signal], free: list[str], size: int, interval: float) -> Array:
+def _pushes(
+    model: Model,
+    inputs: Mapping[str, Signal],
+    free: list[str],
+    size: int,
+    interval: float,
+) -> Array:
     """Forces of the inputs on the free nodes as polynomials (size, n, 4)."""
     push = np.zeros((size, len(free), 4))
     motors = {e["name"]: e for e in model["elements"] if e["type"] == "motor"}
@@ -371,7 +463,11 @@ def _pushes(model: Model, inputs: Mapping[str, Signal], free: list[str], size: i
             push[:, free.index(i["at"])] += _cubic(inputs[i["name"]], interval)
         elif i["quantity"] == "current":
             motor = motors[i["element"]]
-            thrust = motor["thrust_constant"] * motor.get("ratio", 1.0) * _cubic(inputs[i["name"]], interval)
+            thrust = (
+                motor["thrust_constant"]
+                * motor.get("ratio", 1.0)
+                * _cubic(inputs[i["name"]], interval)
+            )
             for node, sign in zip(motor["between"], (-1.0, 1.0), strict=True):
                 if node in free:
                     push[:, free.index(node)] += sign * thrust
@@ -386,7 +482,9 @@ def inertias(model: Model) -> dict[str, float]:
     return out
 
 
-def _fastest(weights: Array, inverse: Array, ends: Any, codes: list[int], P: list[list[float]]) -> float:
+def _fastest(
+    weights: Array, inverse: Array, ends: Any, codes: list[int], P: list[list[float]]
+) -> float:
     """Fastest rate [1/s] at which the plant can answer: the links' steepest slopes over the mass that they move."""
     slow, fast = 0.0, 0.0
     for (i, j), code, p in zip(ends, codes, P, strict=True):
@@ -416,7 +514,15 @@ def _quintic(signal: Signal, T: float) -> Array:
     x1, v1, a1 = (np.append(q[1:], q[-1]) for q in (x, v, a))
     dx, dv, da = x1 - x - v - a / 2, v1 - v - a, a1 - a
     return np.stack(
-        [x, v, a / 2, 10 * dx - 4 * dv + da / 2, -15 * dx + 7 * dv - da, 6 * dx - 3 * dv + da / 2], axis=1
+        [
+            x,
+            v,
+            a / 2,
+            10 * dx - 4 * dv + da / 2,
+            -15 * dx + 7 * dv - da,
+            6 * dx - 3 * dv + da / 2,
+        ],
+        axis=1,
     )
 
 

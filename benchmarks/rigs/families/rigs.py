@@ -41,11 +41,24 @@ def shaken(r: Generator, sensors: str = "position") -> Rig:
         "position": [reading(r, "displacement", "mass")],
         "travel": [reading(r, "displacement", "mass", "base")],
         "acceleration": [reading(r, "acceleration", "mass")],
-        "both": [reading(r, "displacement", "mass", "base"), reading(r, "acceleration", "mass")],
+        "both": [
+            reading(r, "displacement", "mass", "base"),
+            reading(r, "acceleration", "mass"),
+        ],
     }
-    sort = sensors if sensors != "position" else str(r.choice(["position", "travel", "both"]))
+    sort = (
+        sensors
+        if sensors != "position"
+        else str(r.choice(["position", "travel", "both"]))
+    )
     elements = spring_damper("mass", "base", m, t.omega, zeta)
-    net = model("shaken", {"mass": m}, elements, [channel("base", "displacement", at="base")], out[sort])
+    net = model(
+        "shaken",
+        {"mass": m},
+        elements,
+        [channel("base", "displacement", at="base")],
+        out[sort],
+    )
     drives = at_rest(excitation(r, t, size), "base")
     known = ("mass.mass",) if r.random() < 0.5 else ()
     return rig_of(net, drives, t, size, known, (BASE, SOIL))
@@ -57,16 +70,27 @@ def shaken2(r: Generator) -> Rig:
     upper, ratio = m * log(r, 0.2, 2.0), log(r, 1.3, 3.0)
     elements = [
         *spring_damper("lower", "base", m + upper, t.omega, log(r, 0.02, 0.15)),
-        *spring_damper("upper", "lower", upper, ratio * t.omega, log(r, 0.02, 0.12), "upper_"),
+        *spring_damper(
+            "upper", "lower", upper, ratio * t.omega, log(r, 0.02, 0.12), "upper_"
+        ),
     ]
     out = [reading(r, "acceleration", "lower"), reading(r, "acceleration", "upper")]
     size = amplitude(r, t.omega)
     net = model(
-        "shaken2", {"lower": m, "upper": upper}, elements, [channel("base", "displacement", at="base")], out
+        "shaken2",
+        {"lower": m, "upper": upper},
+        elements,
+        [channel("base", "displacement", at="base")],
+        out,
     )
     pairs = (("lower", "base"), ("upper", "lower"), ("lower", "ground"))
     return rig_of(
-        net, at_rest(excitation(r, t, size, 0.3, 4.0), "base"), t, size, ("lower.mass", "upper.mass"), pairs
+        net,
+        at_rest(excitation(r, t, size, 0.3, 4.0), "base"),
+        t,
+        size,
+        ("lower.mass", "upper.mass"),
+        pairs,
     )
 
 
@@ -78,7 +102,12 @@ def three(r: Generator) -> Rig:
     for name in names:
         masses[name] = m * log(r, 0.4, 2.0)
         elements += spring_damper(
-            name, below, masses[name], t.omega * log(r, 1.2, 2.5), log(r, 0.02, 0.1), f"{name}_"
+            name,
+            below,
+            masses[name],
+            t.omega * log(r, 1.2, 2.5),
+            log(r, 0.02, 0.1),
+            f"{name}_",
         )
         below = name
     out = [
@@ -91,7 +120,14 @@ def three(r: Generator) -> Rig:
     push = size * sum(masses.values()) * t.omega**2 * 0.5
     net = model("three", masses, elements, [channel("push", "force", at="one")], keep)
     pairs = (("one", "ground"), ("two", "one"), ("three", "two"))
-    return rig_of(net, at_rest(excitation(r, t, push, 0.3, 3.0), "push"), t, size, ("one.mass",), pairs)
+    return rig_of(
+        net,
+        at_rest(excitation(r, t, push, 0.3, 3.0), "push"),
+        t,
+        size,
+        ("one.mass",),
+        pairs,
+    )
 
 
 # --------------------------------------------------------------------------------------------------- left to itself
@@ -107,7 +143,12 @@ def decay(r: Generator, bodies: int = 1) -> Rig:
     if bodies == 2:
         masses["second"] = m * log(r, 0.3, 1.5)
         elements += spring_damper(
-            "second", "mass", masses["second"], t.omega * log(r, 1.0, 2.0), zeta, "second_"
+            "second",
+            "mass",
+            masses["second"],
+            t.omega * log(r, 1.0, 2.0),
+            zeta,
+            "second_",
         )
         out.append(reading(r, "displacement", "second"))
         pairs = (SOIL, ("second", "mass"))
@@ -159,7 +200,8 @@ def resonator(r: Generator) -> Rig:
         [reading(r, sort, "mass")],
     )
     signals = [
-        rough(r, t, 0.3 * t.frequency, 2.0 * t.frequency, 0.0, push * k) for k in (1.0, log(r, 0.7, 1.3))
+        rough(r, t, 0.3 * t.frequency, 2.0 * t.frequency, 0.0, push * k)
+        for k in (1.0, log(r, 0.7, 1.3))
     ]
     return rig_of(net, at_rest(signals, "push"), t, size, (), (SOIL,))
 
@@ -169,7 +211,9 @@ def pushed(r: Generator) -> Rig:
     t, m, zeta = tempo(r, (15.0, 120.0)), mass(r), log(r, 0.03, 0.4)
     size = amplitude(r, t.omega)
     push = size * m * t.omega**2 * (0.3 + zeta)
-    out = [reading(r, str(r.choice(["displacement", "acceleration", "velocity"])), "mass")]
+    out = [
+        reading(r, str(r.choice(["displacement", "acceleration", "velocity"])), "mass")
+    ]
     if r.random() < 0.4 and out[0]["quantity"] != "displacement":
         out.append(reading(r, "displacement", "mass"))
     net = model(
@@ -194,14 +238,30 @@ def cart(r: Generator) -> Rig:
         out.append(reading(r, "velocity", "mass"))
     if r.random() < 0.6:
         amperes = log(r, 0.2, 20.0)
-        motor = element("motor", "motor", "mass", "ground", thrust_constant=force / amperes, ratio=1.0)
-        signals = [held(r, t, log(r, 2.0, 8.0) / t.omega, amperes * k) for k in (1.0, log(r, 0.7, 1.3))]
+        motor = element(
+            "motor",
+            "motor",
+            "mass",
+            "ground",
+            thrust_constant=force / amperes,
+            ratio=1.0,
+        )
+        signals = [
+            held(r, t, log(r, 2.0, 8.0) / t.omega, amperes * k)
+            for k in (1.0, log(r, 0.7, 1.3))
+        ]
         net = model(
-            "cart", {"mass": m}, [guide, motor], [channel("current", "current", element="motor")], out
+            "cart",
+            {"mass": m},
+            [guide, motor],
+            [channel("current", "current", element="motor")],
+            out,
         )
         drives = at_rest(signals, "current")
     else:
-        net = model("cart", {"mass": m}, [guide], [channel("push", "force", at="mass")], out)
+        net = model(
+            "cart", {"mass": m}, [guide], [channel("push", "force", at="mass")], out
+        )
         drives = at_rest(excitation(r, t, force, 0.1, 1.5), "push")
     return rig_of(net, drives, t, size, ("mass.mass",), (SOIL,))
 
@@ -215,14 +275,26 @@ def dyno(r: Generator) -> Rig:
     elements = [element("linear_damping", "damper", "rod", "ground", damping=c)]
     if r.random() < 0.6:
         elements.append(
-            element("linear_stiffness", "gas", "rod", "ground", stiffness=c * t.omega * log(r, 0.1, 1.0))
+            element(
+                "linear_stiffness",
+                "gas",
+                "rod",
+                "ground",
+                stiffness=c * t.omega * log(r, 0.1, 1.0),
+            )
         )
     cell = (
-        {**reading(r, "force", "rod"), "offset": "free"} if r.random() < 0.5 else reading(r, "force", "rod")
+        {**reading(r, "force", "rod"), "offset": "free"}
+        if r.random() < 0.5
+        else reading(r, "force", "rod")
     )
-    net = model("dyno", {}, elements, [channel("stroke", "displacement", at="rod")], [cell])
+    net = model(
+        "dyno", {}, elements, [channel("stroke", "displacement", at="rod")], [cell]
+    )
     signals = excitation(r, t, size, 0.2, 1.5)
-    return rig_of(net, at_rest(signals, "stroke"), t, size, (), (("rod", "ground"),), (26.0, 50.0))
+    return rig_of(
+        net, at_rest(signals, "stroke"), t, size, (), (("rod", "ground"),), (26.0, 50.0)
+    )
 
 
 ROD = ("rod", "ground")
@@ -232,7 +304,9 @@ FAMILIES: dict[str, Family] = {
         shaken,
         {
             "none": NOTHING,
-            **devices(SOIL, "friction", "quadratic", "cubic", "damping", suffix="_ground"),
+            **devices(
+                SOIL, "friction", "quadratic", "cubic", "damping", suffix="_ground"
+            ),
             **devices(
                 BASE,
                 "friction",
@@ -264,8 +338,17 @@ FAMILIES: dict[str, Family] = {
         shaken2,
         {
             "none": NOTHING,
-            **devices(UPPER, "friction", "asymmetric", "cubic", "stop", suffix="_upper"),
-            **devices(LOWER, "friction", "asymmetric", "quadratic", "hysteresis", suffix="_lower"),
+            **devices(
+                UPPER, "friction", "asymmetric", "cubic", "stop", suffix="_upper"
+            ),
+            **devices(
+                LOWER,
+                "friction",
+                "asymmetric",
+                "quadratic",
+                "hysteresis",
+                suffix="_lower",
+            ),
             **devices(FLOOR, "friction", "damping", suffix="_ground"),
             "gain": at("sensor_gain", fx.sensor_gain, "upper_acceleration"),
             "unknown_resonator": unknown(fx.resonator, ("upper", "lower")),
@@ -316,7 +399,16 @@ FAMILIES: dict[str, Family] = {
         pushed,
         {
             "none": NOTHING,
-            **devices(SOIL, "friction", "stribeck", "quadratic", "cubic", "stop", "hysteresis", "gas"),
+            **devices(
+                SOIL,
+                "friction",
+                "stribeck",
+                "quadratic",
+                "cubic",
+                "stop",
+                "hysteresis",
+                "gas",
+            ),
             "delay": at("sensor_delay", fx.sensor_delay, fx.FIRST),
             "unknown_tanh": unknown(fx.tanh_spring, SOIL),
             "unknown_knocks": unknown(fx.knocks, SOIL),
@@ -326,11 +418,21 @@ FAMILIES: dict[str, Family] = {
         cart,
         {
             "none": NOTHING,
-            **devices(SOIL, "friction", "stribeck", "quadratic", "cogging", "asymmetric", "stiffness"),
+            **devices(
+                SOIL,
+                "friction",
+                "stribeck",
+                "quadratic",
+                "cogging",
+                "asymmetric",
+                "stiffness",
+            ),
             "unknown_timed_friction": unknown(fx.timed_friction, SOIL),
         },
     ),
-    "spin": Family(spin, {"none": NOTHING, **devices(("rim", "ground"), "friction", "quadratic")}),
+    "spin": Family(
+        spin, {"none": NOTHING, **devices(("rim", "ground"), "friction", "quadratic")}
+    ),
     "dyno": Family(
         dyno,
         {

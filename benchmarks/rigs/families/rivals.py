@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 CONTAINS = {
     "coulomb_friction": ("stribeck_friction", "hysteresis"),
     "stribeck_friction": (),
-    "hysteresis": ("coulomb_friction",),  # told from it by its corners, which `way` makes wide enough
+    "hysteresis": (
+        "coulomb_friction",
+    ),  # told from it by its corners, which `way` makes wide enough
     "cubic_stiffness": ("gas_spring", "cogging_force"),
     "x_sine_less_linear": ("cubic_stiffness", "gas_spring", "cogging_force"),
     "gas_spring": (),
@@ -55,7 +57,10 @@ def laws(d: Array, v: Array) -> Iterator[tuple[str, Array]]:
     for length in (1.3, 2.0, 4.0):
         yield "gas_spring", ((1.0 + d / (length * size)) ** -1.3)[:, None]
     for share in np.linspace(0.1, 0.9, 9):
-        over, under = np.maximum(d - share * size, 0.0), np.minimum(d + share * size, 0.0)
+        over, under = (
+            np.maximum(d - share * size, 0.0),
+            np.minimum(d + share * size, 0.0),
+        )
         yield "bump_stop", (over + under)[:, None]
         yield "bump_stop", over[:, None]
         yield "bump_stop", under[:, None]
@@ -76,7 +81,11 @@ def imitated(force: Array, d: Array, v: Array, hidden: str) -> tuple[str, float]
     def left(extra: Array | None) -> float:
         columns = linear if extra is None else [*linear, *extra.T]
         A = np.stack([c / max(float(np.abs(c).max()), 1e-300) for c in columns], axis=1)
-        return float(np.sqrt(np.mean((force - A @ np.linalg.lstsq(A, force, rcond=1e-10)[0]) ** 2)))
+        return float(
+            np.sqrt(
+                np.mean((force - A @ np.linalg.lstsq(A, force, rcond=1e-10)[0]) ** 2)
+            )
+        )
 
     alone = max(left(None), 1e-300)
     same = (hidden, *CONTAINS.get(hidden, ()))

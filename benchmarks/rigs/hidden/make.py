@@ -51,7 +51,11 @@ def family(kind: str) -> str:
     """The network that a kind is about."""
     if kind in CAR:
         return "car"
-    return next(name for name in ("rig", "mass", "decay", "drive", "two_mass") if kind.startswith(name + "_"))
+    return next(
+        name
+        for name in ("rig", "mass", "decay", "drive", "two_mass")
+        if kind.startswith(name + "_")
+    )
 
 
 def _plus(model: Model, extra: Iterable[Element], prefix: str) -> list[Element]:
@@ -90,7 +94,11 @@ def _ar1(r: Generator, size: int, deviation: float, memory: float = 0.4) -> Arra
 
 
 def _run(
-    model: Model, inputs: Mapping[str, Array], size: int, initial: dict[str, tuple[float, float]], step: float
+    model: Model,
+    inputs: Mapping[str, Array],
+    size: int,
+    initial: dict[str, tuple[float, float]],
+    step: float,
 ) -> dict[str, Array]:
     t = np.arange(size) * FINE
     derivatives = {}
@@ -100,10 +108,20 @@ def _run(
             derivatives[i["name"]] = (spline(t, 1), spline(t, 2))
     cells = copy.deepcopy(model)
     for output in cells["outputs"]:
-        if "element" in output:  # a force cell reads the sum of the forces between its terminals
-            at = next(e["between"] for e in model["elements"] if e.get("name") == output["element"])
-            output["element"] = [e["name"] for e in model["elements"] if e.get("between") == at]
-    return simulate(cells, t, inputs, step=step, initial=initial, derivatives=derivatives)
+        if (
+            "element" in output
+        ):  # a force cell reads the sum of the forces between its terminals
+            at = next(
+                e["between"]
+                for e in model["elements"]
+                if e.get("name") == output["element"]
+            )
+            output["element"] = [
+                e["name"] for e in model["elements"] if e.get("between") == at
+            ]
+    return simulate(
+        cells, t, inputs, step=step, initial=initial, derivatives=derivatives
+    )
 
 
 def _named(model: Model, name: str) -> Element:
@@ -127,7 +145,9 @@ def _matched(secret: Secret, base_model: Model) -> Secret:
     for e in secret.add:
         if e["type"] == "tyre_lift_off":  # takes back what the linear tyre pulls
             e["stiffness"] = _named(base_model, "tyre")["stiffness"]
-        if e["type"] == "x_fading_damping":  # all of the damper, and when cold as strong
+        if (
+            e["type"] == "x_fading_damping"
+        ):  # all of the damper, and when cold as strong
             e["damping"] = _named(base_model, *secret.replace)["damping"]
     return secret
 
@@ -156,7 +176,9 @@ def _hide(true: Model, secret: Secret) -> tuple[list[Element], list[list[Any]]]:
             place = _named(true, e["element"])["between"]
         found.append([e["type"], place])
     for i, e in enumerate(secret.series):
-        hidden += _plus(true, [_into_series(true, e, f"hidden_node_{i + 1}")], f"series_{i + 1}")
+        hidden += _plus(
+            true, [_into_series(true, e, f"hidden_node_{i + 1}")], f"series_{i + 1}"
+        )
         found.append([e["type"], None])
     return hidden, found
 
@@ -166,7 +188,12 @@ def _place(e: Element) -> tuple[str, str]:
 
 
 def _add_nuisances(
-    true: Model, group: str, secret: Secret, hidden: list[Element], count: int | None, r: Generator
+    true: Model,
+    group: str,
+    secret: Secret,
+    hidden: list[Element],
+    count: int | None,
+    r: Generator,
 ) -> list[Element]:
     """Add small effects that nobody knows at places without a hidden effect, and return these effects."""
     pool = {"car": car_nuisances, "rig": rig_nuisances}.get(group, lambda r: [])(r)
@@ -185,7 +212,9 @@ def _add_nuisances(
 
 def _move_damping(true: Model, nuisances: list[Element]) -> list[Element]:
     """Put nuisances at a car's damper where its damper is: on a massless node they would push for ever."""
-    damper = next((e["between"] for e in true["elements"] if e.get("name") == "damper"), DAMPER)
+    damper = next(
+        (e["between"] for e in true["elements"] if e.get("name") == "damper"), DAMPER
+    )
     moved = [e for e in nuisances if e.get("between") == list(DAMPER)]
     for e in moved:
         e["between"] = list(damper)
@@ -205,7 +234,9 @@ def _believed(base_model: Model, secret: Secret, spread: float, r: Generator) ->
     return owner
 
 
-def _without_hidden(true: Model, base_model: Model, secret: Secret, moved: list[Element]) -> Model:
+def _without_hidden(
+    true: Model, base_model: Model, secret: Secret, moved: list[Element]
+) -> Model:
     """The truth but for the hidden effect; `moved`: nuisances that return to the damper's place."""
     without = copy.deepcopy(true)
     originals = {e["name"]: e for e in base_model["elements"]}
@@ -219,7 +250,9 @@ def _without_hidden(true: Model, base_model: Model, secret: Secret, moved: list[
             e["between"] = list(DAMPER)
         kept.append(copy.deepcopy(originals[name]) if name in originals else e)
     without["elements"] = kept
-    without["masses"] = {n: m for n, m in without["masses"].items() if n not in secret.masses}
+    without["masses"] = {
+        n: m for n, m in without["masses"].items() if n not in secret.masses
+    }
     _drop(without, secret.drop)
     return without
 
@@ -232,13 +265,17 @@ def _drop(model: Model, names: Iterable[str]) -> None:
             model["elements"].remove(_named(model, name))
 
 
-def _measured(model: Model, inputs: dict[str, Array], imperfect: float, r: Generator) -> dict[str, Array]:
+def _measured(
+    model: Model, inputs: dict[str, Array], imperfect: float, r: Generator
+) -> dict[str, Array]:
     """The inputs as sensors see them: all but currents with a share of noise."""
     table = {}
     for channel in model["inputs"]:
         column = inputs[channel["name"]]
         if channel["quantity"] != "current":
-            column = column + imperfect * np.std(column) * r.standard_normal(len(column))
+            column = column + imperfect * np.std(column) * r.standard_normal(
+                len(column)
+            )
         table[channel["name"]] = column
     return table
 
@@ -279,7 +316,9 @@ def make_case(
     streams = [r.spawn(1)[0] for _ in range(2)]
 
     def inputs(secret: Secret, record: int) -> dict[str, Array]:
-        return make_inputs(copy.deepcopy(streams[record]), secret, size + lead, bool(record))
+        return make_inputs(
+            copy.deepcopy(streams[record]), secret, size + lead, bool(record)
+        )
 
     if kind in SCALED:
         effect, where = SCALED[kind]
@@ -312,9 +351,13 @@ def make_case(
         if i == 0:
             noise = {k: 10 ** (-snr_db / 20) * float(np.std(y[k])) for k in y}
             plain = run(without, i, driven) if answer else y
-            visibility = {k: float(np.sqrt(np.mean((y[k] - plain[k]) ** 2))) / noise[k] for k in y}
+            visibility = {
+                k: float(np.sqrt(np.mean((y[k] - plain[k]) ** 2))) / noise[k] for k in y
+            }
         seen = {name: column[lead::2] for name, column in driven.items()}
-        table = {"time": np.arange(size // 2 + 1) * 2 * FINE} | _measured(base_model, seen, imperfect, r)
+        table = {"time": np.arange(size // 2 + 1) * 2 * FINE} | _measured(
+            base_model, seen, imperfect, r
+        )
         records.append(table | {k: y[k] + _ar1(r, len(y[k]), noise[k]) for k in y})
     return Case(
         kind=kind,
@@ -340,7 +383,8 @@ def scale(
     """How far and fast two terminals move without the hidden effect, and the force between them."""
     probe = copy.deepcopy(model)
     probe["outputs"] = [
-        {"name": q, "quantity": q, "between": list(where)} for q in ("displacement", "velocity")
+        {"name": q, "quantity": q, "between": list(where)}
+        for q in ("displacement", "velocity")
     ] + [
         {"name": e["name"], "quantity": "force", "element": e["name"]}
         for e in model["elements"]

@@ -35,12 +35,21 @@ def rig_base(r: Generator, secret: Secret) -> Model:
         "name": "force-rig",
         "masses": {},
         "elements": [
-            element("linear_stiffness", "top", "piston", name="oil", stiffness=709000.0),
+            element(
+                "linear_stiffness", "top", "piston", name="oil", stiffness=709000.0
+            ),
             element("inertance", "piston", "ground", name="inerter", inertance=95.0),
             element("linear_damping", "piston", "ground", name="leak", damping=1293.0),
             element("coulomb_friction", "piston", "ground", name="seal", level=500.0),
         ],
-        "inputs": [{"name": "displacement", "quantity": "displacement", "at": "top", "unit": "m"}],
+        "inputs": [
+            {
+                "name": "displacement",
+                "quantity": "displacement",
+                "at": "top",
+                "unit": "m",
+            }
+        ],
         "outputs": [{"name": "force", "quantity": "force", "at": "top", "unit": "N"}],
     }
 
@@ -62,9 +71,15 @@ RIG: dict[str, Callable[[Generator], Secret]] = {
             }
         }
     ),
-    "rig_quad": lambda r: add("quadratic_damping", *PISTON, damping=r.uniform(4e3, 8e3)),
+    "rig_quad": lambda r: add(
+        "quadratic_damping", *PISTON, damping=r.uniform(4e3, 8e3)
+    ),
     "rig_cogging": lambda r: add(
-        "cogging_force", *PISTON, amplitude=r.uniform(80, 180), pitch=0.0059, phase=r.uniform(-np.pi, np.pi)
+        "cogging_force",
+        *PISTON,
+        amplitude=r.uniform(80, 180),
+        pitch=0.0059,
+        phase=r.uniform(-np.pi, np.pi),
     ),
     "rig_asymmetric": lambda r: add(
         "asymmetric_damping", *PISTON, extension=0.0, compression=r.uniform(500, 900)
@@ -77,7 +92,9 @@ RIG: dict[str, Callable[[Generator], Secret]] = {
         damping=0.0,
         side="both",
     ),
-    "rig_centring": lambda r: add("linear_stiffness", *PISTON, stiffness=r.uniform(2e4, 5e4)),
+    "rig_centring": lambda r: add(
+        "linear_stiffness", *PISTON, stiffness=r.uniform(2e4, 5e4)
+    ),
     "rig_hysteresis": lambda r: add(
         "hysteresis",
         *PISTON,
@@ -90,12 +107,20 @@ RIG: dict[str, Callable[[Generator], Secret]] = {
         "sensor_gain", "force", gain=1 + r.choice([-1, 1]) * r.uniform(0.12, 0.2)
     ),
     "rig_out_fading": lambda r: Secret(
-        add=[element("x_fading_damping", *PISTON, damping=1293.0, energy=r.uniform(600, 1200))],
+        add=[
+            element(
+                "x_fading_damping", *PISTON, damping=1293.0, energy=r.uniform(600, 1200)
+            )
+        ],
         replace={"leak": {"type": "linear_damping", "damping": 1.0}},
         unknown=True,
     ),
     "rig_out_timed_friction": lambda r: strange(
-        "x_timed_friction", *PISTON, level=r.uniform(300, 500), period=r.uniform(2.3, 3.7), duty=0.4
+        "x_timed_friction",
+        *PISTON,
+        level=r.uniform(300, 500),
+        period=r.uniform(2.3, 3.7),
+        duty=0.4,
     ),
 }
 
@@ -104,12 +129,18 @@ def rig_nuisances(r: Generator) -> list[Element]:
     return [
         element("quadratic_damping", *PISTON, damping=r.uniform(70, 140)),
         element(
-            "cogging_force", *PISTON, amplitude=r.uniform(4, 8), pitch=0.0059, phase=r.uniform(-np.pi, np.pi)
+            "cogging_force",
+            *PISTON,
+            amplitude=r.uniform(4, 8),
+            pitch=0.0059,
+            phase=r.uniform(-np.pi, np.pi),
         ),
     ]
 
 
-def rig_inputs(r: Generator, secret: Secret, size: int, validation: bool) -> dict[str, Array]:
+def rig_inputs(
+    r: Generator, secret: Secret, size: int, validation: bool
+) -> dict[str, Array]:
     """Triangles of 0.1 Hz, then sines of rising frequency; corners as round as a ram makes them."""
     t = np.arange(size) * FINE
     amplitude = 0.007 if validation else 0.010
@@ -119,7 +150,9 @@ def rig_inputs(r: Generator, secret: Secret, size: int, validation: bool) -> dic
     each = (t[-1] - slow) / len(sines)
     for i, f in enumerate(sines):
         inside = t >= slow + i * each
-        x = np.where(inside, amplitude * np.sin(2 * np.pi * f * (t - slow - i * each)), x)
+        x = np.where(
+            inside, amplitude * np.sin(2 * np.pi * f * (t - slow - i * each)), x
+        )
     kernel = np.hanning(33)
     padded = np.concatenate([np.zeros(16), x, np.full(16, x[-1])])
     return {"displacement": np.convolve(padded, kernel / kernel.sum(), mode="valid")}
@@ -127,20 +160,41 @@ def rig_inputs(r: Generator, secret: Secret, size: int, validation: bool) -> dic
 
 # --------------------------------------------------------------------------------------------- other networks
 def mass_base(r: Generator, secret: Secret) -> Model:
-    mass, frequency, ratio = r.uniform(20, 60), r.uniform(1.5, 4.0), r.uniform(0.08, 0.2)
+    mass, frequency, ratio = (
+        r.uniform(20, 60),
+        r.uniform(1.5, 4.0),
+        r.uniform(0.08, 0.2),
+    )
     w = 2 * np.pi * frequency
     return {
         "schema": "isd-model/1",
         "name": "one-mass",
         "masses": {"mass": mass},
         "elements": [
-            element("linear_stiffness", "mass", "ground", name="spring", stiffness=mass * w**2),
-            element("linear_damping", "mass", "ground", name="damper", damping=2 * ratio * mass * w),
+            element(
+                "linear_stiffness",
+                "mass",
+                "ground",
+                name="spring",
+                stiffness=mass * w**2,
+            ),
+            element(
+                "linear_damping",
+                "mass",
+                "ground",
+                name="damper",
+                damping=2 * ratio * mass * w,
+            ),
         ],
         "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
         "outputs": [
             {"name": "position", "quantity": "displacement", "at": "mass", "unit": "m"},
-            {"name": "acceleration", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
+            {
+                "name": "acceleration",
+                "quantity": "acceleration",
+                "at": "mass",
+                "unit": "m/s^2",
+            },
         ],
     }
 
@@ -159,58 +213,122 @@ def drive_base(r: Generator, secret: Secret) -> Model:
         "name": "strut-on-machine",
         "masses": {},
         "elements": [
-            element("linear_stiffness", "rod", "ground", name="spring", stiffness=r.uniform(1e4, 3e4)),
-            element("linear_damping", "rod", "ground", name="damper", damping=r.uniform(800, 2000)),
-            element("inertance", "rod", "ground", name="inerter", inertance=r.uniform(10, 40)),
+            element(
+                "linear_stiffness",
+                "rod",
+                "ground",
+                name="spring",
+                stiffness=r.uniform(1e4, 3e4),
+            ),
+            element(
+                "linear_damping",
+                "rod",
+                "ground",
+                name="damper",
+                damping=r.uniform(800, 2000),
+            ),
+            element(
+                "inertance",
+                "rod",
+                "ground",
+                name="inerter",
+                inertance=r.uniform(10, 40),
+            ),
         ],
-        "inputs": [{"name": "stroke", "quantity": "displacement", "at": "rod", "unit": "m"}],
+        "inputs": [
+            {"name": "stroke", "quantity": "displacement", "at": "rod", "unit": "m"}
+        ],
         "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
     }
 
 
 def two_base(r: Generator, secret: Secret) -> Model:
     upper, lower = r.uniform(15, 30), r.uniform(30, 60)
-    k1, k2 = lower * (2 * np.pi * r.uniform(2, 3)) ** 2, upper * (2 * np.pi * r.uniform(4, 6)) ** 2
+    k1, k2 = (
+        lower * (2 * np.pi * r.uniform(2, 3)) ** 2,
+        upper * (2 * np.pi * r.uniform(4, 6)) ** 2,
+    )
     return {
         "schema": "isd-model/1",
         "name": "two-mass",
         "masses": {"upper": upper, "lower": lower},
         "elements": [
             element("linear_stiffness", "upper", "lower", name="spring", stiffness=k2),
-            element("linear_damping", "upper", "lower", name="damper", damping=0.2 * np.sqrt(k2 * upper)),
+            element(
+                "linear_damping",
+                "upper",
+                "lower",
+                name="damper",
+                damping=0.2 * np.sqrt(k2 * upper),
+            ),
             element("linear_stiffness", "lower", "ground", name="foot", stiffness=k1),
-            element("linear_damping", "lower", "ground", name="pad", damping=0.3 * np.sqrt(k1 * lower)),
+            element(
+                "linear_damping",
+                "lower",
+                "ground",
+                name="pad",
+                damping=0.3 * np.sqrt(k1 * lower),
+            ),
         ],
         "inputs": [{"name": "push", "quantity": "force", "at": "upper", "unit": "N"}],
         "outputs": [
-            {"name": "upper_acceleration", "quantity": "acceleration", "at": "upper", "unit": "m/s^2"},
-            {"name": "lower_acceleration", "quantity": "acceleration", "at": "lower", "unit": "m/s^2"},
-            {"name": "stroke", "quantity": "displacement", "between": ["upper", "lower"], "unit": "m"},
+            {
+                "name": "upper_acceleration",
+                "quantity": "acceleration",
+                "at": "upper",
+                "unit": "m/s^2",
+            },
+            {
+                "name": "lower_acceleration",
+                "quantity": "acceleration",
+                "at": "lower",
+                "unit": "m/s^2",
+            },
+            {
+                "name": "stroke",
+                "quantity": "displacement",
+                "between": ["upper", "lower"],
+                "unit": "m",
+            },
         ],
     }
 
 
-def push_inputs(r: Generator, secret: Secret, size: int, validation: bool) -> dict[str, Array]:
+def push_inputs(
+    r: Generator, secret: Secret, size: int, validation: bool
+) -> dict[str, Array]:
     t = np.arange(size) * FINE
     push = 150.0 * band_noise(r, size, 0.5, 12.0)
     if validation:  # less noise, and a sweep
         f0, f1 = 0.5, 8.0
-        phase = 2 * np.pi * f0 * t[-1] / np.log(f1 / f0) * (np.exp(t / t[-1] * np.log(f1 / f0)) - 1)
+        phase = (
+            2
+            * np.pi
+            * f0
+            * t[-1]
+            / np.log(f1 / f0)
+            * (np.exp(t / t[-1] * np.log(f1 / f0)) - 1)
+        )
         push = 0.5 * push + 100.0 * np.sin(phase)
     return {"push": secret.level * push}
 
 
-def no_inputs(r: Generator, secret: Secret, size: int, validation: bool) -> dict[str, Array]:
+def no_inputs(
+    r: Generator, secret: Secret, size: int, validation: bool
+) -> dict[str, Array]:
     return {}
 
 
-def stroke_inputs(r: Generator, secret: Secret, size: int, validation: bool) -> dict[str, Array]:
+def stroke_inputs(
+    r: Generator, secret: Secret, size: int, validation: bool
+) -> dict[str, Array]:
     if not validation:
         return {"stroke": 0.012 * band_noise(r, size, 0.3, 6.0, slope=0.5)}
     t = np.arange(size) * FINE
     return {
         "stroke": sum(
-            a * np.sin(2 * np.pi * f * t + f) for a, f in ((0.015, 0.7), (0.006, 2.9), (0.002, 5.3))
+            a * np.sin(2 * np.pi * f * t + f)
+            for a, f in ((0.015, 0.7), (0.006, 2.9), (0.002, 5.3))
         )
     }
 
@@ -230,7 +348,13 @@ def scaled(kind: str, where: tuple[str, str], r: Generator, s: Scale) -> Secret:
         case "coulomb_friction":
             return add(kind, *where, level=share)
         case "stribeck_friction":
-            return add(kind, *where, level=0.6 * share, static_level=1.8 * share, stribeck_velocity=0.4 * s.v)
+            return add(
+                kind,
+                *where,
+                level=0.6 * share,
+                static_level=1.8 * share,
+                stribeck_velocity=0.4 * s.v,
+            )
         case "quadratic_damping":
             return add(kind, *where, damping=1.5 * share / s.v**2)
         case "asymmetric_damping":
@@ -240,15 +364,34 @@ def scaled(kind: str, where: tuple[str, str], r: Generator, s: Scale) -> Secret:
         case "gas_spring":
             return add(kind, *where, force=8 * share, length=5.0 * s.d, exponent=1.3)
         case "bump_stop":
-            return add(kind, *where, clearance=1.3 * s.d, stiffness=8 * share / s.d, damping=0.0, side="both")
+            return add(
+                kind,
+                *where,
+                clearance=1.3 * s.d,
+                stiffness=8 * share / s.d,
+                damping=0.0,
+                side="both",
+            )
         case "hysteresis":
-            return add(kind, *where, level=1.5 * share, stiffness=8 * share / s.d, exponent=1.0, shape=0.5)
+            return add(
+                kind,
+                *where,
+                level=1.5 * share,
+                stiffness=8 * share / s.d,
+                exponent=1.0,
+                shape=0.5,
+            )
         case "inertance":
             return add(kind, *where, inertance=2.0 * share * s.d / s.v**2)
     raise ValueError(kind)
 
 
-BODY, ROD, UPPER, LOWER = ("mass", "ground"), ("rod", "ground"), ("upper", "lower"), ("lower", "ground")
+BODY, ROD, UPPER, LOWER = (
+    ("mass", "ground"),
+    ("rod", "ground"),
+    ("upper", "lower"),
+    ("lower", "ground"),
+)
 SCALED: dict[str, tuple[str, tuple[str, str]]] = {
     **{
         f"mass_{label}": (kind, BODY)
@@ -285,17 +428,30 @@ SCALED: dict[str, tuple[str, tuple[str, str]]] = {
 }
 OTHER: dict[str, Callable[[Generator], Secret]] = {
     "mass_none": lambda r: Secret(),
-    "mass_sensor_delay": lambda r: sensor("sensor_delay", "acceleration", delay=r.uniform(0.006, 0.012)),
+    "mass_sensor_delay": lambda r: sensor(
+        "sensor_delay", "acceleration", delay=r.uniform(0.006, 0.012)
+    ),
     "mass_out_mode": lambda r: absorber(r, "mass", r.uniform(2, 4), r.uniform(5, 7)),
     "mass_out_parametric": lambda r: strange(
-        "x_parametric_stiffness", *BODY, stiffness=r.uniform(1500, 3000), frequency=r.uniform(0.3, 0.8)
+        "x_parametric_stiffness",
+        *BODY,
+        stiffness=r.uniform(1500, 3000),
+        frequency=r.uniform(0.3, 0.8),
     ),
     "decay_none": lambda r: Secret(),
     "drive_none": lambda r: Secret(),
     "drive_out_timed_friction": lambda r: strange(
-        "x_timed_friction", *ROD, level=r.uniform(80, 140), period=r.uniform(2.3, 3.7), duty=0.4
+        "x_timed_friction",
+        *ROD,
+        level=r.uniform(80, 140),
+        period=r.uniform(2.3, 3.7),
+        duty=0.4,
     ),
-    "drive_out_relaxation": lambda r: relaxation(r, *ROD, r.uniform(1e4, 2e4), r.uniform(0.05, 0.2)),
+    "drive_out_relaxation": lambda r: relaxation(
+        r, *ROD, r.uniform(1e4, 2e4), r.uniform(0.05, 0.2)
+    ),
     "two_mass_none": lambda r: Secret(),
-    "two_mass_out_mode": lambda r: absorber(r, "lower", r.uniform(3, 6), r.uniform(7, 10)),
+    "two_mass_out_mode": lambda r: absorber(
+        r, "lower", r.uniform(3, 6), r.uniform(7, 10)
+    ),
 }

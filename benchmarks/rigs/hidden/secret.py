@@ -55,7 +55,10 @@ class Case:
         return {
             "kind": self.kind,
             "answer": self.answer,
-            "truth": {"hidden": self.truth["hidden"], "nuisances": self.truth["nuisances"]},
+            "truth": {
+                "hidden": self.truth["hidden"],
+                "nuisances": self.truth["nuisances"],
+            },
             "snr_db": self.snr_db,
             "spread": self.spread,
             "visibility": [round(v, 2) for v in self.visibility.values()],
@@ -112,7 +115,13 @@ def absorber(r: Generator, at: str, mass: float, frequency: float) -> Secret:
     w = 2 * np.pi * frequency
     return Secret(
         add=[
-            element("linear_stiffness", "hidden_mass", at, stiffness=mass * w**2, name="hidden_spring"),
+            element(
+                "linear_stiffness",
+                "hidden_mass",
+                at,
+                stiffness=mass * w**2,
+                name="hidden_spring",
+            ),
             element(
                 "linear_damping",
                 "hidden_mass",
@@ -126,12 +135,26 @@ def absorber(r: Generator, at: str, mass: float, frequency: float) -> Secret:
     )
 
 
-def relaxation(r: Generator, first: str, second: str, stiffness: float, time: float) -> Secret:
+def relaxation(
+    r: Generator, first: str, second: str, stiffness: float, time: float
+) -> Secret:
     """A Maxwell branch: spring and damper in series over a node that the owner does not have."""
     return Secret(
         add=[
-            element("linear_stiffness", first, "hidden_node", stiffness=stiffness, name="hidden_spring"),
-            element("linear_damping", "hidden_node", second, damping=stiffness * time, name="hidden_damper"),
+            element(
+                "linear_stiffness",
+                first,
+                "hidden_node",
+                stiffness=stiffness,
+                name="hidden_spring",
+            ),
+            element(
+                "linear_damping",
+                "hidden_node",
+                second,
+                damping=stiffness * time,
+                name="hidden_damper",
+            ),
         ],
         unknown=True,
     )
@@ -143,7 +166,9 @@ def strange(kind: str, first: str, second: str, **parameters: float) -> Secret:
     return secret
 
 
-def band_noise(r: Generator, size: int, low: float, high: float, slope: float = 0.0) -> Array:
+def band_noise(
+    r: Generator, size: int, low: float, high: float, slope: float = 0.0
+) -> Array:
     """Gaussian noise of unit RMS between two frequencies [Hz], its amplitude as frequency**-slope."""
     f = np.fft.rfftfreq(2 * size, FINE)
     with np.errstate(divide="ignore"):

@@ -36,13 +36,21 @@ def causal_bound(study: Study) -> Section:
     change8 = [q / p - 1 for p, q in zip(b8, a8, strict=True)]
     asked = [
         ("Table 7's travel and tyre load", change7[1], change7[2], change7[0], None),
-        ("the same against Table 7's own passive row", change7[1], change7[2], change7[0], b7),
+        (
+            "the same against Table 7's own passive row",
+            change7[1],
+            change7[2],
+            change7[0],
+            b7,
+        ),
         ("no worse in either", 0.0, 0.0, None, None),
         ("travel −10 %, tyre load +2.4 %", -0.10, 0.024, None, None),
         ("Table 8's travel and tyre load", change8[1], change8[2], change8[0], None),
     ]
     roads = {
-        f"Table 7's, on a road that is flat below {c:g} cycle/m": replace(paper_road(), cutoff=c)
+        f"Table 7's, on a road that is flat below {c:g} cycle/m": replace(
+            paper_road(), cutoff=c
+        )
         for c in (0.002, 0.005, 0.011)
     }
     rows: list[Sequence[str]] = []
@@ -59,16 +67,36 @@ def causal_bound(study: Study) -> Section:
             }
         )
         rows.append(
-            (label, percent(travel), percent(tyre), percent(best.acceleration_change), percent(claimed))
+            (
+                label,
+                percent(travel),
+                percent(tyre),
+                percent(best.acceleration_change),
+                percent(claimed),
+            )
         )
         study.progress("causal bound", (i + 1) / len(asked))
     for label, ground in roads.items():
         best = best_acceleration(change7[1], change7[2], road=ground)
         ours, claimed = best.acceleration_change, change7[0]
         found.append(
-            {"case": label, "travel": change7[1], "tyre": change7[2], "bound": ours, "paper": claimed}
+            {
+                "case": label,
+                "travel": change7[1],
+                "tyre": change7[2],
+                "bound": ours,
+                "paper": claimed,
+            }
         )
-        rows.append((label, percent(change7[1]), percent(change7[2]), percent(ours), percent(claimed)))
+        rows.append(
+            (
+                label,
+                percent(change7[1]),
+                percent(change7[2]),
+                percent(ours),
+                percent(claimed),
+            )
+        )
     loosest = min(f["bound"] for f in found if f["paper"] == change7[0])
     study.figures["causal_bound"] = {"reference": base.tolist(), "cases": found}
     study.claims.append(
@@ -88,11 +116,18 @@ def causal_bound(study: Study) -> Section:
 
         def gap(log_effort: float, force: float = force) -> float:
             return (
-                lq_bound(PRINTED, weights=(1, 1e-6, 1e-6), effort=math.exp(log_effort)).effort * thrust
+                lq_bound(
+                    PRINTED, weights=(1, 1e-6, 1e-6), effort=math.exp(log_effort)
+                ).effort
+                * thrust
                 - force
             )
 
-        point = lq_bound(PRINTED, weights=(1, 1e-6, 1e-6), effort=math.exp(brentq(gap, -25, 20, xtol=1e-3)))
+        point = lq_bound(
+            PRINTED,
+            weights=(1, 1e-6, 1e-6),
+            effort=math.exp(brentq(gap, -25, 20, xtol=1e-3)),
+        )
         change = point.triple / base - 1
         eq8_figures.append({"force": force, "change": change.tolist()})
         eq8.append((f"{force:.0f} N", *(percent(float(c)) for c in change)))
@@ -122,7 +157,12 @@ def causal_bound(study: Study) -> Section:
                 label=f"causal bound, tyre load {percent(tyre)}")  # fmt: skip
     ax.plot(0, 0, "s", color=LOOKS[0].colour, ms=6)
     ax.annotate(
-        "conventional passive car", (0, 0), (-6, -3), textcoords="offset points", ha="right", va="top"
+        "conventional passive car",
+        (0, 0),
+        (-6, -3),
+        textcoords="offset points",
+        ha="right",
+        va="top",
     )
     for name, c, marker, away, side in (
         ("Table 7", change7, "*", (-9, 0), "right"),

@@ -22,7 +22,11 @@ def device(study: Study) -> Section:
     ratio = main / deputy
     inertance = 5.6 * ratio**2
     stroke = 0.100 / ratio
-    study.figures["table_1"] = {"area_ratio": ratio, "inertance": inertance, "stroke": stroke}
+    study.figures["table_1"] = {
+        "area_ratio": ratio,
+        "inertance": inertance,
+        "stroke": stroke,
+    }
     study.claims.append(
         Claim(
             "Table 6, eq. (5)",

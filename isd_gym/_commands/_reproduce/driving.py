@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 DRIVEN = ("isd-passive", "lqg", "mpc-paper", "mpc", "mpc-friction")
 
 
-def drive_all(study: Study, plant: str, names: Sequence[str], episodes: int, duration: float) -> Score:
+def drive_all(
+    study: Study, plant: str, names: Sequence[str], episodes: int, duration: float
+) -> Score:
     """Drive policies on a plant.
 
     Args:
@@ -69,7 +71,9 @@ def _score_row(row: dict[str, Any], label: str) -> Sequence[str]:
         ("tyre_load_rms", 1.0, 0),
     ):
         q = row[key]
-        cells.append(f"{q['value'] * scale:.{digits}f}\u00a0({percent(q.get('change'))})")
+        cells.append(
+            f"{q['value'] * scale:.{digits}f}\u00a0({percent(q.get('change'))})"
+        )
     return (*cells, percent(row["share_of_reachable_gain"], 0, sign=False))
 
 

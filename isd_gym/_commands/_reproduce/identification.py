@@ -32,7 +32,9 @@ def table_4(study: Study) -> Section:
         ("printed (eq. 6)", "printed (eq. 6)", printed, printed, 0.0),
         ("series, 2 % noise", "printed (eq. 6)", series, printed, 0.02),
     ]
-    rows: list[Sequence[str]] = [("the paper's rig", "equation (6)", "709", "1293", "–", "–")]
+    rows: list[Sequence[str]] = [
+        ("the paper's rig", "equation (6)", "709", "1293", "–", "–")
+    ]
     found: list[dict[str, Any]] = []
     for i, (truth, model, a, b, noise) in enumerate(cases):
         study.progress("identification", i / len(cases))
@@ -74,7 +76,14 @@ def table_4(study: Study) -> Section:
         [
             Table(
                 "",
-                ("rig", "model", "k_e [kN/m]", "c_e [N·s/m]", "objective (7) [N]", "of the force"),
+                (
+                    "rig",
+                    "model",
+                    "k_e [kN/m]",
+                    "c_e [N·s/m]",
+                    "objective (7) [N]",
+                    "of the force",
+                ),
                 rows,
                 texts=(0, 1),
             )

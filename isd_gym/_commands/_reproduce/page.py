@@ -29,7 +29,9 @@ SECTIONS: tuple[Callable[[Study], Section], ...] = (
 )  # fmt: skip
 
 
-def reproduce(out: Path, quick: bool = False, progress: Progress | None = None) -> dict[str, Any]:
+def reproduce(
+    out: Path, quick: bool = False, progress: Progress | None = None
+) -> dict[str, Any]:
     """Reproduce and audit the paper: write ``index.html``, the figures as SVG and ``reproduction.json`` atomically.
 
     Args:
@@ -81,7 +83,8 @@ def reproduce(out: Path, quick: bool = False, progress: Progress | None = None) 
             "lead": lead,
             "claims": [c.__dict__ for c in study.claims],
             "evidence": [
-                dict(zip(("question", "evidence", "decision"), row, strict=True)) for row in study.evidence
+                dict(zip(("question", "evidence", "decision"), row, strict=True))
+                for row in study.evidence
             ],
             "tables": [
                 {
@@ -101,8 +104,14 @@ def reproduce(out: Path, quick: bool = False, progress: Progress | None = None) 
             if quick
             else "All figures computed by this run."
         )
-        write_text(place / "reproduction.json", json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
-        write_text(place / "index.html", page("reproduce.html", sections=sections, lead=lead, sub=sub))
+        write_text(
+            place / "reproduction.json",
+            json.dumps(plain(result), indent=1, allow_nan=False) + "\n",
+        )
+        write_text(
+            place / "index.html",
+            page("reproduce.html", sections=sections, lead=lead, sub=sub),
+        )
     return result
 
 

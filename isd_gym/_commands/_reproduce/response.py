@@ -20,7 +20,26 @@ def response(study: Study) -> Section:
     Returns:
         The section.
     """
-    marks = np.array([0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0])
+    marks = np.array(
+        [
+            0.1,
+            0.2,
+            0.5,
+            1.0,
+            1.5,
+            2.0,
+            2.5,
+            3.0,
+            3.5,
+            4.0,
+            5.0,
+            6.0,
+            7.0,
+            8.0,
+            9.0,
+            10.0,
+        ]
+    )
     if study.quick:
         marks = np.array([0.1, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0])
     theory = INERTANCE * (2 * math.pi * marks) ** 2 * AMPLITUDE
@@ -31,7 +50,9 @@ def response(study: Study) -> Section:
             time, x, force = force_test(
                 n, float(f), periods=1 if f < 1 else 3, step=1e-3 if f < 1 else 2.5e-4
             )
-            values.append(fundamental(time, force, float(f)) / fundamental(time, x, float(f)))
+            values.append(
+                fundamental(time, force, float(f)) / fundamental(time, x, float(f))
+            )
             study.progress("force tests", (i + 1) / len(marks))
         curves[n] = np.array(values) * AMPLITUDE
     ratio = {n: np.abs(c) / theory for n, c in curves.items()}
@@ -39,22 +60,47 @@ def response(study: Study) -> Section:
     study.figures["figures_3_4"] = {
         "frequency": marks.tolist(),
         "theory": theory.tolist(),
-        "series": {"amplitude": np.abs(curves[RIG]).tolist(), "phase": phase[RIG].tolist()},
-        "printed": {"amplitude": np.abs(curves[RIG_PRINTED]).tolist(), "phase": phase[RIG_PRINTED].tolist()},
+        "series": {
+            "amplitude": np.abs(curves[RIG]).tolist(),
+            "phase": phase[RIG].tolist(),
+        },
+        "printed": {
+            "amplitude": np.abs(curves[RIG_PRINTED]).tolist(),
+            "phase": phase[RIG_PRINTED].tolist(),
+        },
     }
     fig = figure(7.2, 3.2)
     left, right = fig.subplots(1, 2)
-    left.loglog(marks, theory, color=LOOKS[0].colour, ls=LOOKS[0].line, label="inertance, b = 95 kg")
+    left.loglog(
+        marks,
+        theory,
+        color=LOOKS[0].colour,
+        ls=LOOKS[0].line,
+        label="inertance, b = 95 kg",
+    )
     right.axhline(180, color=LOOKS[0].colour, ls=LOOKS[0].line)
-    for n, label, look in ((RIG, "series", LOOKS[1]), (RIG_PRINTED, "as printed (eq. 6)", LOOKS[2])):
+    for n, label, look in (
+        (RIG, "series", LOOKS[1]),
+        (RIG_PRINTED, "as printed (eq. 6)", LOOKS[2]),
+    ):
         left.loglog(
-            marks, np.abs(curves[n]), color=look.colour, ls=look.line, marker=look.marker, ms=4, label=label
+            marks,
+            np.abs(curves[n]),
+            color=look.colour,
+            ls=look.line,
+            marker=look.marker,
+            ms=4,
+            label=label,
         )
-        right.semilogx(marks, phase[n], color=look.colour, ls=look.line, marker=look.marker, ms=4)
+        right.semilogx(
+            marks, phase[n], color=look.colour, ls=look.line, marker=look.marker, ms=4
+        )
     for ax in (left, right):
         ax.axvspan(2, 5, color="#eef1f4", zorder=0)
         ax.set_xlabel("frequency [Hz]")
-        ax.set_xticks([0.1, 0.2, 0.5, 1, 2, 5, 10], ["0.1", "0.2", "0.5", "1", "2", "5", "10"])
+        ax.set_xticks(
+            [0.1, 0.2, 0.5, 1, 2, 5, 10], ["0.1", "0.2", "0.5", "1", "2", "5", "10"]
+        )
         ax.minorticks_off()
     left.set_ylabel("force, first harmonic [N]")
     left.set_ylim(1, 2e4)
@@ -75,7 +121,9 @@ def response(study: Study) -> Section:
 
     crossing = math.sqrt(500.0 / (INERTANCE * AMPLITUDE)) / (2 * math.pi)
     excess = {f: float(ratio[RIG][at(f)]) for f in (2.0, 3.0, 4.0, 5.0, 10.0)}
-    in_phase = {f: float(-curves[RIG][at(f)].real / theory[at(f)]) for f in (4.0, 5.0, 6.0)}
+    in_phase = {
+        f: float(-curves[RIG][at(f)].real / theory[at(f)]) for f in (4.0, 5.0, 6.0)
+    }
     study.figures["figures_3_4"]["ratio_series"] = ratio[RIG].tolist()
     study.claims.append(
         Claim(
@@ -91,7 +139,10 @@ def response(study: Study) -> Section:
     loops = {n: force_test(n, 8.0, periods=1) for n in (RIG, RIG_PRINTED)}
     fig = figure(7.2, 3.0)
     left, right = fig.subplots(1, 2, sharey=True)
-    for n, label, look in ((RIG, "series", LOOKS[1]), (RIG_PRINTED, "as printed (eq. 6)", LOOKS[2])):
+    for n, label, look in (
+        (RIG, "series", LOOKS[1]),
+        (RIG_PRINTED, "as printed (eq. 6)", LOOKS[2]),
+    ):
         time, x, force = loops[n]
         v = np.gradient(x, time)
         left.plot(1e3 * x, force / 1e3, color=look.colour, ls=look.line, label=label)
@@ -130,4 +181,6 @@ def response(study: Study) -> Section:
         f"{number(math.sqrt(709e3 / INERTANCE) / 2 / math.pi, 3)} Hz) are the departures that the text names. The printed arrangement is a spring below "
         f"10 Hz: {number(float(ratio[RIG_PRINTED][at(2.0)]), 2)} times the theory at 2 Hz, with a phase near 0° instead of 180°."
     ]
-    return Section("Frequency response and loops (Figures 3, 4, 7)", text, pictures=pictures)
+    return Section(
+        "Frequency response and loops (Figures 3, 4, 7)", text, pictures=pictures
+    )

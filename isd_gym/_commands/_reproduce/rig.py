@@ -104,15 +104,26 @@ def identify(
     tests = []
     for f in FREQUENCIES:
         _, _, force = force_test(truth, f, step=step, sampling=1e-3)
-        tests.append((f, force + noise * np.sqrt(np.mean(force**2)) * rng.standard_normal(len(force))))
+        tests.append(
+            (
+                f,
+                force
+                + noise * np.sqrt(np.mean(force**2)) * rng.standard_normal(len(force)),
+            )
+        )
     base = model.with_parameters({"seal.level": level})
     total = sum(len(force) for _, force in tests)
     scale = np.array([1e5, 1e3])
 
     def error(p: np.ndarray) -> np.ndarray:
         k, c = p * scale
-        guess = base.with_parameters({"oil.stiffness": float(k), "leak.damping": float(c)})
-        parts = [force_test(guess, f, step=step, sampling=1e-3)[2] - force for f, force in tests]
+        guess = base.with_parameters(
+            {"oil.stiffness": float(k), "leak.damping": float(c)}
+        )
+        parts = [
+            force_test(guess, f, step=step, sampling=1e-3)[2] - force
+            for f, force in tests
+        ]
         return np.concatenate(parts) / math.sqrt(total)
 
     starts = [np.array([k, 0.8]) for k in (0.1, 1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 20.0)]

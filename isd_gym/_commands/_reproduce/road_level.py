@@ -28,12 +28,22 @@ def road_level(study: Study) -> Section:
     isd = stationary(linear_car(SERIES))[0]
     readings = [
         ("κ = 5·10⁻⁷ m³/cycle (used here)", base),
-        ("κ = 5·10⁻⁶ m³/cycle, as printed", passive_rms(road=paper_road(PRINTED_KAPPA))),
-        ("κ = G₀ n₀² with G₀ = 5·10⁻⁶ m³, n₀ = 0.1", passive_rms(road=paper_road(PRINTED_KAPPA * 0.01))),
+        (
+            "κ = 5·10⁻⁶ m³/cycle, as printed",
+            passive_rms(road=paper_road(PRINTED_KAPPA)),
+        ),
+        (
+            "κ = G₀ n₀² with G₀ = 5·10⁻⁶ m³, n₀ = 0.1",
+            passive_rms(road=paper_road(PRINTED_KAPPA * 0.01)),
+        ),
     ]
     (b7, _), _ = PAPER.values()
-    rows: list[Sequence[str]] = [("Table 7, passive", number(b7[0], 4), number(1e3 * b7[1]), number(b7[2]))]
-    rows += [(label, number(x[0]), number(1e3 * x[1]), number(x[2])) for label, x in readings]
+    rows: list[Sequence[str]] = [
+        ("Table 7, passive", number(b7[0], 4), number(1e3 * b7[1]), number(b7[2]))
+    ]
+    rows += [
+        (label, number(x[0]), number(1e3 * x[1]), number(x[2])) for label, x in readings
+    ]
     rows.append(
         (
             "ISD without current and without friction, κ = 5·10⁻⁷",
@@ -73,5 +83,16 @@ def road_level(study: Study) -> Section:
             f"road is ten times smoother (in power) than printed: {percent(base[0] / b7[0] - 1)} and {percent(base[2] / b7[2] - 1)}. Its travel is not: "
             f"{number(1e3 * base[1])} mm, {percent(base[1] / b7[1] - 1)}. All is in expectation, from the Lyapunov equation."
         ],
-        [Table("", ("RMS of the passive car", "acceleration [m/s²]", "travel [mm]", "tyre load [N]"), rows)],
+        [
+            Table(
+                "",
+                (
+                    "RMS of the passive car",
+                    "acceleration [m/s²]",
+                    "travel [mm]",
+                    "tyre load [N]",
+                ),
+                rows,
+            )
+        ],
     )

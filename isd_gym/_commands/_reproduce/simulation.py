@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 
 #: columns of the tables: figure, factor to the printed unit, decimals
-MEASURES = (("body_acceleration", 1.0, 3), ("suspension_travel", 1e3, 2), ("tyre_load", 1.0, 0))
+MEASURES = (
+    ("body_acceleration", 1.0, 3),
+    ("suspension_travel", 1e3, 2),
+    ("tyre_load", 1.0, 0),
+)
 
 
 def simulation(study: Study) -> Section:
@@ -35,15 +39,31 @@ def simulation(study: Study) -> Section:
     """
     episodes, duration = (2, 10.0) if study.quick else (32, 20.0)
     series = drive_all(study, SERIES, list(DRIVEN), episodes, duration)
-    printed = drive_all(study, PRINTED, ["isd-passive", "lqg", "mpc"], 2 if study.quick else 8, duration)
+    printed = drive_all(
+        study, PRINTED, ["isd-passive", "lqg", "mpc"], 2 if study.quick else 8, duration
+    )
     rows = _paper_rows() + score_rows(series, "")
-    rows += [r for r in score_rows(printed, ", printed eq. (8)") if not r[0].startswith("passive")]
+    rows += [
+        r
+        for r in score_rows(printed, ", printed eq. (8)")
+        if not r[0].startswith("passive")
+    ]
     known = known_optimum(SERIES, episodes=episodes, duration=duration)
     if known is not None:
         rows.append(_optimum_row(study, series, known))
-    study.figures["table_7"] = {"series": series.to_dict(), "printed": printed.to_dict()}
-    active = [r for r in series.policies if r["policy"] not in ("passive", "isd-passive", "mpc-paper")]
-    best = min((r for r in active if r["policy"].startswith("mpc")), key=lambda r: r["cost"]["value"])
+    study.figures["table_7"] = {
+        "series": series.to_dict(),
+        "printed": printed.to_dict(),
+    }
+    active = [
+        r
+        for r in series.policies
+        if r["policy"] not in ("passive", "isd-passive", "mpc-paper")
+    ]
+    best = min(
+        (r for r in active if r["policy"].startswith("mpc")),
+        key=lambda r: r["cost"]["value"],
+    )
     name = best["policy"]
     low, high = _claim_of_records(study, series, best)
     _claim_of_bench(study, {r["policy"]: triple(r) for r in active})
@@ -66,7 +86,14 @@ def simulation(study: Study) -> Section:
         )
     table = Table(
         "RMS and change against passive",
-        ("", "cost J", "acceleration [m/s²]", "travel [mm]", "tyre load [N]", "of the reachable gain"),
+        (
+            "",
+            "cost J",
+            "acceleration [m/s²]",
+            "travel [mm]",
+            "tyre load [N]",
+            "of the reachable gain",
+        ),
         rows,
         "Quick run: few and short episodes."
         if study.quick
@@ -82,14 +109,21 @@ def _paper_rows() -> list[Sequence[str]]:
         table = name.split(" (")[0]
         (a0, l0, t0), (a1, l1, t1) = before, after
         changes = [percent(q / p - 1) for p, q in zip(before, after, strict=True)]
-        rows.append((f"{table}: passive", "–", f"{a0:.4f}", f"{1e3 * l0:.2f}", f"{t0:.1f}", "–"))
+        rows.append(
+            (f"{table}: passive", "–", f"{a0:.4f}", f"{1e3 * l0:.2f}", f"{t0:.1f}", "–")
+        )
         texts = (f"{a1:.4f}", f"{1e3 * l1:.2f}", f"{t1:.1f}")
-        cells = (f"{text}\u00a0({change})" for text, change in zip(texts, changes, strict=True))
+        cells = (
+            f"{text}\u00a0({change})"
+            for text, change in zip(texts, changes, strict=True)
+        )
         rows.append((f"{table}: active", "–", *cells, "–"))
     return rows
 
 
-def _optimum_row(study: Study, series: Score, known: Mapping[str, np.ndarray]) -> Sequence[str]:
+def _optimum_row(
+    study: Study, series: Score, known: Mapping[str, np.ndarray]
+) -> Sequence[str]:
     """Return the row of the clairvoyant optimum, and store its figures."""
     run = next(iter(series.runs.values()))
     own = [float(np.sqrt(np.mean(getattr(run, key) ** 2))) for key, _, _ in MEASURES]
@@ -103,12 +137,16 @@ def _optimum_row(study: Study, series: Score, known: Mapping[str, np.ndarray]) -
     }
     cells = [
         f"{value * scale:.{digits}f}\u00a0({percent(moved)})"
-        for value, moved, (_, scale, digits) in zip(point, change, MEASURES, strict=True)
+        for value, moved, (_, scale, digits) in zip(
+            point, change, MEASURES, strict=True
+        )
     ]
     return ("clairvoyant optimum", f"{known['value'].mean():.3f}", *cells, "100 %")
 
 
-def _claim_of_records(study: Study, series: Score, best: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+def _claim_of_records(
+    study: Study, series: Score, best: dict[str, Any]
+) -> tuple[np.ndarray, np.ndarray]:
     """State how Table 7 compares with the best predictive controller, and return the 95 % range of its changes in records of 10 s."""
     name, change = best["policy"], triple(best)
     run = next(iter(series.runs.values()))
@@ -116,7 +154,10 @@ def _claim_of_records(study: Study, series: Score, best: dict[str, Any]) -> tupl
     strays = []
     for key, _, _ in MEASURES:
         a, b = getattr(series.runs[name], key), getattr(run, key)
-        parts = [np.sqrt(np.mean(x.T.reshape(-1, min(pieces, len(x))) ** 2, axis=1)) for x in (a, b)]
+        parts = [
+            np.sqrt(np.mean(x.T.reshape(-1, min(pieces, len(x))) ** 2, axis=1))
+            for x in (a, b)
+        ]
         strays.append(parts[0] / parts[1] - 1)
     low, high = (np.quantile(np.array(strays), q, axis=1) for q in (0.025, 0.975))
     study.figures["ten_seconds"] = {
@@ -151,14 +192,21 @@ def _paper_changes(table: int) -> list[float]:
 def _claim_of_bench(study: Study, triples: Mapping[str, Sequence[float]]) -> None:
     """State which policies reach Table 8; changes by policy."""
     wanted = _paper_changes(1)
-    reached = any(all(c <= w + 0.002 for c, w in zip(t, wanted, strict=True)) for t in triples.values())
-    told = "; ".join(f"{name} reaches {', '.join(map(percent, t))}" for name, t in triples.items())
+    reached = any(
+        all(c <= w + 0.002 for c, w in zip(t, wanted, strict=True))
+        for t in triples.values()
+    )
+    told = "; ".join(
+        f"{name} reaches {', '.join(map(percent, t))}" for name, t in triples.items()
+    )
     study.claims.append(
         Claim(
             "Table 8",
             f"{', '.join(map(percent, wanted))} on the bench",
             f"inside the causal bound; in simulation {told}",
-            "plausible, and reached here" if reached else "plausible: not excluded by any bound",
+            "plausible, and reached here"
+            if reached
+            else "plausible: not excluded by any bound",
         )
     )
 
@@ -200,7 +248,11 @@ SIGNALS = (
 
 def _shown(found: Score, name: str) -> list[tuple[str, Look]]:
     """Return the reference, the car without current and a policy, with their styles."""
-    return [(next(iter(found.runs)), LOOKS[0]), ("isd-passive", LOOKS[5]), (name, LOOKS[1])]
+    return [
+        (next(iter(found.runs)), LOOKS[0]),
+        ("isd-passive", LOOKS[5]),
+        (name, LOOKS[1]),
+    ]
 
 
 def _histories(study: Study, found: Score, name: str) -> PagePicture:
@@ -214,8 +266,17 @@ def _histories(study: Study, found: Score, name: str) -> PagePicture:
     time = (begin + np.arange(count)) * CONTROL_STEP
     for ax, (key, title, unit, scale) in zip(axes, SIGNALS, strict=True):
         for who, look in _shown(found, name):
-            values = getattr(found.runs[who], key)[begin : begin + count, episode] * scale
-            ax.plot(time, values, color=look.colour, ls=look.line, lw=0.9 * look.width, label=who)
+            values = (
+                getattr(found.runs[who], key)[begin : begin + count, episode] * scale
+            )
+            ax.plot(
+                time,
+                values,
+                color=look.colour,
+                ls=look.line,
+                lw=0.9 * look.width,
+                label=who,
+            )
         ax.set_ylabel(f"{title}\n[{unit}]")
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], time[-1])
@@ -237,7 +298,14 @@ def _spectra(study: Study, found: Score, name: str) -> PagePicture:
         for who, look in _shown(found, name):
             f, p = density(scale * getattr(found.runs[who], key), CONTROL_STEP)
             keep = (f >= 0.4) & (f <= 30.0)
-            ax.loglog(f[keep], p[keep], color=look.colour, ls=look.line, lw=look.width, label=who)
+            ax.loglog(
+                f[keep],
+                p[keep],
+                color=look.colour,
+                ls=look.line,
+                lw=look.width,
+                label=who,
+            )
         ax.set_title(title)
         ax.set_ylabel(f"({unit})²/Hz" if "/" in unit else f"{unit}²/Hz")
         ax.set_xlabel("frequency [Hz]")

@@ -19,7 +19,10 @@ def slow_test(study: Study) -> Section:
         The section.
     """
     study.progress("force tests", 0.0)
-    tests = {n: force_test(n, 0.1, periods=1, wave="triangle", step=1e-3) for n in (RIG, RIG_PRINTED)}
+    tests = {
+        n: force_test(n, 0.1, periods=1, wave="triangle", step=1e-3)
+        for n in (RIG, RIG_PRINTED)
+    }
     plateau = {n: float(np.median(np.abs(f))) for n, (_, _, f) in tests.items()}
     peak = {n: float(np.percentile(np.abs(f), 99.5)) for n, (_, _, f) in tests.items()}
     level = plateau[RIG]
@@ -64,7 +67,13 @@ def slow_test(study: Study) -> Section:
         )
     )
     pictures = [
-        study.picture(fig, "figure_6", "Figure 6", "Force over time at 0.1 Hz, two arrangements", caption)
+        study.picture(
+            fig,
+            "figure_6",
+            "Figure 6",
+            "Force over time at 0.1 Hz, two arrangements",
+            caption,
+        )
     ]
     return Section(
         "Friction from the slow test (Figure 6)",

@@ -100,7 +100,9 @@ class Study:
     claims: list[Claim] = field(default_factory=list)
     evidence: list[Sequence[str]] = field(default_factory=list)
 
-    def picture(self, fig: Any, name: str, title: str, alt: str, caption: str) -> PagePicture:
+    def picture(
+        self, fig: Any, name: str, title: str, alt: str, caption: str
+    ) -> PagePicture:
         """Save a figure, and return the picture of a page.
 
         Args:

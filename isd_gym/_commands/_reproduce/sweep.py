@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-def drive_lqg(network: Network, control_step: float, episodes: int, duration: float) -> np.ndarray:
+def drive_lqg(
+    network: Network, control_step: float, episodes: int, duration: float
+) -> np.ndarray:
     """Drive the LQG controller at another control step.
 
     Args:
@@ -102,7 +104,12 @@ def sweep(study: Study) -> Section:
         tick()
     for h in steps:
         own = ground if h == CONTROL_STEP else passive_triple(h)
-        row("control step, ΔI = 0.5 A", f"{1e3 * h:.0f} ms", drive_lqg(net, h, episodes, duration), own)
+        row(
+            "control step, ΔI = 0.5 A",
+            f"{1e3 * h:.0f} ms",
+            drive_lqg(net, h, episodes, duration),
+            own,
+        )
         tick()
     study.figures["sweep"] = figures
     fig = figure(7.2, 2.7)
@@ -117,7 +124,14 @@ def sweep(study: Study) -> Section:
         start += len(values)
         y = [r["change"][0] for r in figures["lqg"][part]]
         look = LOOKS[1]
-        ax.semilogx(values, 100 * np.array(y), color=look.colour, ls=look.line, marker=look.marker, ms=4)
+        ax.semilogx(
+            values,
+            100 * np.array(y),
+            color=look.colour,
+            ls=look.line,
+            marker=look.marker,
+            ms=4,
+        )
         ax.set_xticks(list(values), [f"{v:g}" for v in values])
         ax.minorticks_off()
         ax.set_xlabel(label)
@@ -126,7 +140,11 @@ def sweep(study: Study) -> Section:
                             "What the paper leaves open: change of cost against passive, by the LQG controller, tuned once, at the middle.")  # fmt: skip
     gains = {r["value"]: r["change"][0] for r in figures["lqg"]}
     want8 = [q / p - 1 for p, q in zip(*list(PAPER.values())[1], strict=True)]
-    met = [(r["value"], r["change"]) for r in figures["lqg"] if r["change"] and r["change"][1] <= want8[0]]
+    met = [
+        (r["value"], r["change"])
+        for r in figures["lqg"]
+        if r["change"] and r["change"][1] <= want8[0]
+    ]
     study.evidence += [
         (
             "thrust constant K_f [N/A]",

@@ -62,11 +62,15 @@ def drive_item(
 
     for name, digest in (files or {}).items():
         if belongings([name]).get(name) != digest:
-            raise InputError(f"'{name}' is not here, or another than when the grid was read")
+            raise InputError(
+                f"'{name}' is not here, or another than when the grid was read"
+            )
     c = Condition(**condition)
     plant = c.plant()
     ahead: dict[str, Any] = {} if c.preview is None else {"preview": c.preview}
-    entry = find(policy, plant, model=Network.load(c.model or c.network), speed=c.speed, **ahead)
+    entry = find(
+        policy, plant, model=Network.load(c.model or c.network), speed=c.speed, **ahead
+    )
     counts: Counter[str] = Counter()
     driven = drive(
         _watched(entry, vehicle(plant), counts),
@@ -80,9 +84,13 @@ def drive_item(
         sensors=c.sensors,
         timed=0,
     )
-    found = measures(driven, StageCost.of(None, driven.car.axes, len(driven.car.corners)))
+    found = measures(
+        driven, StageCost.of(None, driven.car.axes, len(driven.car.corners))
+    )
     return {
-        "measures": {name: [float(v) for v in values] for name, (values, _) in found.items()},
+        "measures": {
+            name: [float(v) for v in values] for name, (values, _) in found.items()
+        },
         "units": {name: unit for name, (_, unit) in found.items()},
         "fallbacks": driven.fallbacks,
         "commands": {name: counts[name] for name in COMMANDS},
@@ -105,11 +113,15 @@ def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
             command = act(observation)
             present = np.atleast_2d(observation)[:, currents]
             # one current of many cars may come without an axis
-            wanted = np.broadcast_to(np.reshape(command, (-1, len(currents))), present.shape)
+            wanted = np.broadcast_to(
+                np.reshape(command, (-1, len(currents))), present.shape
+            )
             counts["given"] += wanted.size
             counts["not_finite"] += int(np.sum(~np.isfinite(wanted)))
             counts["above_limit"] += int(np.sum(np.abs(wanted) > CURRENT_LIMIT + 1e-6))
-            counts["above_slew"] += int(np.sum(np.abs(wanted - present) > SLEW_LIMIT + 1e-6))
+            counts["above_slew"] += int(
+                np.sum(np.abs(wanted - present) > SLEW_LIMIT + 1e-6)
+            )
             return command
 
         setattr(controller, name, watched)
@@ -152,10 +164,14 @@ def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
             for name, values in own.items():
                 row[name] = compare(name, values, ground[name], parts[0]["units"][name])
             row["fallbacks"] = sum(p["fallbacks"] for p in parts)
-            row["commands"] = {n: sum(p["commands"][n] for p in parts) for n in COMMANDS}
+            row["commands"] = {
+                n: sum(p["commands"][n] for p in parts) for n in COMMANDS
+            }
             if policy in grid.policies:
                 rows.append(row)
-        conditions.append({"name": condition.name, **condition.to_dict(), "policies": rows})
+        conditions.append(
+            {"name": condition.name, **condition.to_dict(), "policies": rows}
+        )
     return {
         "schema": SCHEMA,
         "episodes": grid.episodes,
@@ -167,7 +183,9 @@ def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def overall(conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]) -> list[dict[str, Any]]:
+def overall(
+    conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]
+) -> list[dict[str, Any]]:
     """Compare policies over all conditions, best first; all conditions have equal weight.
 
     Policies with a result in every condition get the mean `change` of J, the `worst` condition, and the mean
@@ -181,8 +199,13 @@ def overall(conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]) ->
     Returns:
         One entry per policy.
     """
-    by = [{row["policy"]: row["cost"].get("change") for row in c["policies"]} for c in conditions]
-    whole = [p for p in policies if p != "passive" and all(c.get(p) is not None for c in by)]
+    by = [
+        {row["policy"]: row["cost"].get("change") for row in c["policies"]}
+        for c in conditions
+    ]
+    whole = [
+        p for p in policies if p != "passive" and all(c.get(p) is not None for c in by)
+    ]
     if len(conditions) < 2 or not whole:
         return []
     changes = {p: np.array([c[p] for c in by]) for p in whole}
@@ -197,7 +220,14 @@ def overall(conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]) ->
         k = int(np.argmax(changes[p]))
         worst = {"condition": conditions[k]["name"], "change": float(changes[p][k])}
         against = {q: mean(changes[p] - changes[q]) for q in whole if q != p}
-        rows.append({"policy": p, "change": mean(changes[p]), "worst": worst, "against": against})
+        rows.append(
+            {
+                "policy": p,
+                "change": mean(changes[p]),
+                "worst": worst,
+                "against": against,
+            }
+        )
     return rows
 
 
@@ -217,7 +247,9 @@ def check_policies(grid: Grid) -> None:
         for c in grid.conditions:
             ahead: dict[str, Any] = {} if c.preview is None else {"preview": c.preview}
             try:
-                find(policy, c.plant(), model=Network.load(c.model or c.network), **ahead)
+                find(
+                    policy, c.plant(), model=Network.load(c.model or c.network), **ahead
+                )
                 break
             except InputError as error:
                 why = why or error
@@ -261,10 +293,19 @@ def sweep(
     mine = shard(items, which)
     folder = claim_folder(out, *FOLDER) / "items"
     failed = run(
-        drive_item, mine, folder, jobs=jobs, engine=engine, address=address, progress=progress, say=say
+        drive_item,
+        mine,
+        folder,
+        jobs=jobs,
+        engine=engine,
+        address=address,
+        progress=progress,
+        say=say,
     )
     merged = merge(grid, stored(items, folder))
-    write_text(Path(out) / "sweep.json", json.dumps(merged, indent=1, allow_nan=False) + "\n")
+    write_text(
+        Path(out) / "sweep.json", json.dumps(merged, indent=1, allow_nan=False) + "\n"
+    )
     write_text(Path(out) / "sweep.md", table(merged))
     return merged, len(failed)
 
@@ -281,7 +322,9 @@ def items_are(count: int) -> str:
     return f"{count} item is" if count == 1 else f"{count} items are"
 
 
-def change_cell(q: Mapping[str, Any] | None, key: str = "change", digits: int = 1) -> str:
+def change_cell(
+    q: Mapping[str, Any] | None, key: str = "change", digits: int = 1
+) -> str:
     """Return a change with its interval in percent.
 
     Args:
@@ -296,7 +339,11 @@ def change_cell(q: Mapping[str, Any] | None, key: str = "change", digits: int = 
         return ""
     text = f"{100 * q[key]:+.{digits}f}"
     same = q["low"] == q["high"]  # a single episode has no interval
-    return text if same else f"{text} [{100 * q['low']:+.{digits}f}, {100 * q['high']:+.{digits}f}]"
+    return (
+        text
+        if same
+        else f"{text} [{100 * q['low']:+.{digits}f}, {100 * q['high']:+.{digits}f}]"
+    )
 
 
 def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -308,7 +355,11 @@ def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     Returns:
         Names, and rows.
     """
-    names = list(dict.fromkeys(row["policy"] for c in merged["conditions"] for row in c["policies"]))
+    names = list(
+        dict.fromkeys(
+            row["policy"] for c in merged["conditions"] for row in c["policies"]
+        )
+    )
     names = [n for n in names if n != "passive"]
     out = []
     for c in merged["conditions"]:
@@ -320,11 +371,20 @@ def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         out.append(
             [
                 f"all {len(merged['conditions'])}",
-                *(change_cell(by[n]["change"], "value") if n in by else "" for n in names),
+                *(
+                    change_cell(by[n]["change"], "value") if n in by else ""
+                    for n in names
+                ),
             ]
         )
         out.append(
-            ["the worst", *(f"{100 * by[n]['worst']['change']:+.1f}" if n in by else "" for n in names)]
+            [
+                "the worst",
+                *(
+                    f"{100 * by[n]['worst']['change']:+.1f}" if n in by else ""
+                    for n in names
+                ),
+            ]
         )
     return names, out
 
@@ -344,10 +404,14 @@ def table(merged: Mapping[str, Any]) -> str:
         f"Change of J against the conventional passive car [%], 95 % paired intervals; {merged['episodes']} roads of "
         f"{merged['duration']['value']:g} s, {seeds}.",
         "",
-        "| " + " | ".join(["condition", *(markdown(n, code=True) for n in names)]) + " |",
+        "| "
+        + " | ".join(["condition", *(markdown(n, code=True) for n in names)])
+        + " |",
         "|---" + "|---:" * len(names) + "|",
         *(
-            "| " + " | ".join([markdown(head), *(cell.replace("-", "−") for cell in cells)]) + " |"
+            "| "
+            + " | ".join([markdown(head), *(cell.replace("-", "−") for cell in cells)])
+            + " |"
             for head, *cells in lines
         ),
     ]

@@ -54,7 +54,10 @@ CONDITIONS, ITEMS, MOST, BELONGING = 10_000, 1_000_000, 2**53, 2**30
 BUILT_IN = Path(benchmark.__file__).parent / "grids"
 SENSES = tuple(f.name for f in fields(Sensors))
 #: keys of [random]: ranges of numbers, and choices
-RANGES, CHOICES = ("speed", "preview", "noise", "road_error", "road_lag", "road_range"), ("road", "network")
+RANGES, CHOICES = (
+    ("speed", "preview", "noise", "road_error", "road_lag", "road_range"),
+    ("road", "network"),
+)
 
 
 @dataclass(frozen=True)
@@ -97,16 +100,26 @@ class Condition:
     def __post_init__(self) -> None:
         where = f"condition {shown(self.name)}" if self.name else "a condition"
         if not (is_number(self.speed) and self.speed > 0):
-            raise InputError(f"{where}: speed must be a positive number of m/s, not {shown(self.speed)}")
-        if self.preview is not None and not (is_number(self.preview) and self.preview >= 0):
-            raise InputError(f"{where}: preview must be 0 s or more, not {shown(self.preview)}")
+            raise InputError(
+                f"{where}: speed must be a positive number of m/s, not {shown(self.speed)}"
+            )
+        if self.preview is not None and not (
+            is_number(self.preview) and self.preview >= 0
+        ):
+            raise InputError(
+                f"{where}: preview must be 0 s or more, not {shown(self.preview)}"
+            )
         if self.episodes is not None and not is_whole(self.episodes, 1, MOST):
             raise InputError(
                 f"{where}: episodes must be a whole number of 1 or more, not {shown(self.episodes)}"
             )
         try:
             _ = self.sensors
-            for key, value in (("network", self.network), ("road", self.road), ("model", self.model or "")):
+            for key, value in (
+                ("network", self.network),
+                ("road", self.road),
+                ("model", self.model or ""),
+            ):
                 if not isinstance(value, str):
                     raise InputError(f"{key} must be a name, not {shown(value)}")
             _road(self.road)
@@ -133,12 +146,16 @@ class Condition:
         if not isinstance(self.factors, Mapping) or not all(
             is_number(f) and f > 0 for f in self.factors.values()
         ):
-            raise InputError("factors must be parameters of the network and positive numbers")
+            raise InputError(
+                "factors must be parameters of the network and positive numbers"
+            )
         known = nominal.parameters
         for key in self.factors:
             if key not in known:
                 raise InputError(f"no parameter '{key}' (there are {', '.join(known)})")
-        return nominal.with_parameters({k: known[k] * f for k, f in self.factors.items()})
+        return nominal.with_parameters(
+            {k: known[k] * f for k, f in self.factors.items()}
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the values that differ from the defaults.
@@ -181,11 +198,19 @@ class Grid:
     random: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, least in (("episodes", 1), *([("seed", 0)] if self.seed is not None else []), ("batch", 1)):
+        for name, least in (
+            ("episodes", 1),
+            *([("seed", 0)] if self.seed is not None else []),
+            ("batch", 1),
+        ):
             if not is_whole(value := getattr(self, name), least, MOST):
-                raise InputError(f"{name} must be a whole number from {least} on, not {shown(value)}")
+                raise InputError(
+                    f"{name} must be a whole number from {least} on, not {shown(value)}"
+                )
         if not (is_number(self.duration) and self.duration > 0):
-            raise InputError(f"duration must be a positive number of seconds, not {shown(self.duration)}")
+            raise InputError(
+                f"duration must be a positive number of seconds, not {shown(self.duration)}"
+            )
         if not self.policies or not all(isinstance(p, str) for p in self.policies):
             raise InputError("policies must be a list of names, at least one")
         if len(set(self.policies)) != len(self.policies):
@@ -194,7 +219,10 @@ class Grid:
         if count > 1:
             raise InputError(f"two conditions are called {shown(name)}")
         episodes = max(c.episodes or self.episodes for c in self.conditions)
-        if len(self.conditions) * (len(self.policies) + 1) * -(-episodes // self.batch) > ITEMS:
+        if (
+            len(self.conditions) * (len(self.policies) + 1) * -(-episodes // self.batch)
+            > ITEMS
+        ):
             raise InputError(f"it has more than {ITEMS} items")
 
     @classmethod
@@ -220,7 +248,9 @@ class Grid:
             return cls.from_dict(tomllib.loads(data.decode("utf-8-sig")))
         except (ValueError, RecursionError) as error:  # InputError among them
             why = (
-                "not UTF-8" if isinstance(error, UnicodeDecodeError) else (str(error).splitlines() or [""])[0]
+                "not UTF-8"
+                if isinstance(error, UnicodeDecodeError)
+                else (str(error).splitlines() or [""])[0]
             )
             raise InputError(f"grid '{path}': {why}") from None
 
@@ -251,7 +281,9 @@ class Grid:
         if data.get("axes") or not (given or drawn):
             made += _crossed(data.get("axes", {}))
         if len(made) + len(given) > CONDITIONS:
-            raise InputError(f"it has {len(made) + len(given)} conditions, at most {CONDITIONS} are handled")
+            raise InputError(
+                f"it has {len(made) + len(given)} conditions, at most {CONDITIONS} are handled"
+            )
         keys = {f.name for f in fields(Condition)}
         for i, one in enumerate(given):
             if not isinstance(one, dict) or not isinstance(one.get("name"), str):
@@ -260,7 +292,11 @@ class Grid:
             made.append(Condition(**one))
         if drawn:
             made += draw(drawn)
-        rest = {k: v for k, v in data.items() if k in own - {"axes", "schema", "conditions", "policies"}}
+        rest = {
+            k: v
+            for k, v in data.items()
+            if k in own - {"axes", "schema", "conditions", "policies"}
+        }
         policies = data.get("policies", [])
         if not isinstance(policies, list):
             raise InputError("policies must be a list of names, at least one")
@@ -295,7 +331,9 @@ class Grid:
         """
         given = condition.to_dict()
         given.pop("episodes", None)
-        files = belongings((policy, condition.network, condition.road, condition.model or ""))
+        files = belongings(
+            (policy, condition.network, condition.road, condition.model or "")
+        )
         out, stop = [], condition.episodes or self.episodes
         for first in range(0, stop, self.batch):
             item = {
@@ -332,7 +370,11 @@ def belongings(names: Sequence[str]) -> dict[str, str]:
     for name in filter(None, names):
         path, digest = Path(name), hashlib.sha256()
         try:
-            parts = sorted(p for p in path.glob("*") if p.is_file()) if path.is_dir() else [path]
+            parts = (
+                sorted(p for p in path.glob("*") if p.is_file())
+                if path.is_dir()
+                else [path]
+            )
             for part in parts:
                 digest.update(part.name.encode() + b"\0" + read_bytes(part, BELONGING))
         except (OSError, ValueError):  # not a valid file name
@@ -350,7 +392,9 @@ def _crossed(axes: Any) -> list[Condition]:
         if not isinstance(values, list) or not values:
             raise InputError(f"axes: '{key}' must be a list of values, at least one")
     if (count := math.prod(len(values) for values in axes.values())) > CONDITIONS:
-        raise InputError(f"it has {count:.4g} conditions, at most {CONDITIONS} are handled")
+        raise InputError(
+            f"it has {count:.4g} conditions, at most {CONDITIONS} are handled"
+        )
     made = []
     for values in itertools.product(*axes.values()):
         chosen = dict(zip(axes, values, strict=True))
@@ -393,7 +437,10 @@ def draw(given: Any) -> list[Condition]:
     }
     for key, span in ranges.items():
         if not (
-            isinstance(span, list) and len(span) == 2 and all(map(is_number, span)) and span[0] <= span[1]
+            isinstance(span, list)
+            and len(span) == 2
+            and all(map(is_number, span))
+            and span[0] <= span[1]
         ):
             what = key if isinstance(key, str) else key[1]
             raise InputError(f"random: '{what}' must be [low, high], not {shown(span)}")
@@ -403,7 +450,10 @@ def draw(given: Any) -> list[Condition]:
             raise InputError(f"random: '{key}' must be a list of names, at least one")
     if "count" not in given or not (ranges or choices):
         raise InputError("random: it needs a count, and ranges or choices to draw from")
-    count, first = given["count"], given.get("first", 1)  # point 0 is the corner of all lower ends
+    count, first = (
+        given["count"],
+        given.get("first", 1),
+    )  # point 0 is the corner of all lower ends
     points = qmc.Halton(len(ranges) + len(choices), scramble=False)
     points.fast_forward(first) if first else None
     made = []

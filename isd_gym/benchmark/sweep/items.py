@@ -42,7 +42,13 @@ def key_of(item: Any) -> str:
 
 def _content(key: str, item: Any, result: Any) -> dict[str, Any]:
     """Return the content of the file of a result; the digest tells files that were altered."""
-    return {"schema": SCHEMA, "key": key, "item": item, "result": result, "digest": key_of(result)}
+    return {
+        "schema": SCHEMA,
+        "key": key,
+        "item": item,
+        "result": result,
+        "digest": key_of(result),
+    }
 
 
 def stored(items: Sequence[Item], folder: Path) -> dict[str, Any]:
@@ -61,7 +67,9 @@ def stored(items: Sequence[Item], folder: Path) -> dict[str, Any]:
             data = read_json(folder / f"{key}.json")
         except InputError:
             continue
-        if isinstance(data, dict) and data == _content(key, data.get("item"), data.get("result")):
+        if isinstance(data, dict) and data == _content(
+            key, data.get("item"), data.get("result")
+        ):
             out[key] = data["result"]
     return out
 
@@ -130,12 +138,19 @@ def run(
     tell = progress or (lambda finished, total: None)
     tell(finished, total)
     attempt = partial(_attempt, function)
-    answers = _local(attempt, todo, jobs) if engine == "local" else _ray(attempt, todo, address)
+    answers = (
+        _local(attempt, todo, jobs)
+        if engine == "local"
+        else _ray(attempt, todo, address)
+    )
     failed: dict[str, str] = {}
     for key, result, error in answers:
         if error is None:
             finished += 1
-            write_text(folder / f"{key}.json", json.dumps(_content(key, todo[key], result)) + "\n")
+            write_text(
+                folder / f"{key}.json",
+                json.dumps(_content(key, todo[key], result)) + "\n",
+            )
         else:
             if error not in failed.values():  # reported once for all affected items
                 say(f"{_words(todo[key])}: {error}")
@@ -145,10 +160,14 @@ def run(
 
 
 def _words(item: Item) -> str:
-    return ", ".join(f"{k} {v}" for k, v in item.items() if isinstance(v, str | int | float))
+    return ", ".join(
+        f"{k} {v}" for k, v in item.items() if isinstance(v, str | int | float)
+    )
 
 
-def _attempt(function: Callable[..., Any], key: str, item: Item, folder: str | None = None) -> Answer:
+def _attempt(
+    function: Callable[..., Any], key: str, item: Item, folder: str | None = None
+) -> Answer:
     """Return the answer to an item; relative file names belong to `folder`, if that exists on this machine."""
     try:
         if folder is not None and os.path.isdir(folder):
@@ -162,7 +181,9 @@ def _attempt(function: Callable[..., Any], key: str, item: Item, folder: str | N
     return key, result, None
 
 
-def _local(attempt: Callable[..., Answer], todo: Mapping[str, Item], jobs: int) -> Iterator[Answer]:
+def _local(
+    attempt: Callable[..., Answer], todo: Mapping[str, Item], jobs: int
+) -> Iterator[Answer]:
     """Yield the answers, made by the processes of joblib."""
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -176,15 +197,21 @@ def _local(attempt: Callable[..., Answer], todo: Mapping[str, Item], jobs: int) 
         ) from None
 
 
-def _ray(attempt: Callable[..., Answer], todo: Mapping[str, Item], address: str | None) -> Iterator[Answer]:
+def _ray(
+    attempt: Callable[..., Answer], todo: Mapping[str, Item], address: str | None
+) -> Iterator[Answer]:
     """Yield the answers, made by a Ray cluster; items of a lost node are given to other nodes."""
     try:
         import ray
     except ImportError:
-        raise InputError(f"the Ray engine needs Ray: {how_to_install('scale')}") from None
+        raise InputError(
+            f"the Ray engine needs Ray: {how_to_install('scale')}"
+        ) from None
     _reach(address)
     try:
-        ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
+        ray.init(
+            address=address or "auto", log_to_driver=False, logging_level=logging.ERROR
+        )
     except Exception as error:  # many reasons for a missing cluster
         text = str(error).splitlines()[0]
         raise InputError(

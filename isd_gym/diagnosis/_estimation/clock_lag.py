@@ -76,7 +76,12 @@ def align_clocks(
     if not any(r.clocks for r in records):
         return list(records), []
     out = list(records)
-    doubts = {i: x.doubt for i, r in enumerate(out) for x in previous or () if x.record == r.name}
+    doubts = {
+        i: x.doubt
+        for i, r in enumerate(out)
+        for x in previous or ()
+        if x.record == r.name
+    }
     structure = base_structure(network)
     problem = Problem(network, out)
     for i, r in enumerate(out):
@@ -90,22 +95,34 @@ def align_clocks(
         problem = Problem(network, out)
         deviation = problem.deviation()
         try:
-            fit = Fitter(problem, white_weights(0.5 * ROUGH * deviation)).fit(structure, x, iterations=4)
+            fit = Fitter(problem, white_weights(0.5 * ROUGH * deviation)).fit(
+                structure, x, iterations=4
+            )
         except InputError:  # the simulation diverges: the lags of the wide search stay
             break
         x, moved = fit.x, 0.0
         for i, r in enumerate(out):
             if r.clocks:
-                step = np.clip(fit.offset[i][len(problem.channels) :], -STRIDE * r.pace, STRIDE * r.pace)
+                step = np.clip(
+                    fit.offset[i][len(problem.channels) :],
+                    -STRIDE * r.pace,
+                    STRIDE * r.pace,
+                )
                 moved = max(moved, float(np.abs(step).max() / r.pace))
-                lags = {k: r.lags[k] + float(s) for k, s in zip(r.clocks, step, strict=True)}
+                lags = {
+                    k: r.lags[k] + float(s) for k, s in zip(r.clocks, step, strict=True)
+                }
                 out[i] = _apply_lags(r, lags, network)
         if moved < 1e-3:
             break
     if fit is None:
         return out, []
     problem = Problem(network, out)
-    return out, [lag for i in range(len(out)) for lag in _estimate_lags(problem, fit, i, doubts.get(i, ""))]
+    return out, [
+        lag
+        for i in range(len(out))
+        for lag in _estimate_lags(problem, fit, i, doubts.get(i, ""))
+    ]
 
 
 def _apply_lags(record: Record, lags: Mapping[str, float], network: Network) -> Record:
@@ -126,9 +143,18 @@ def _estimate_lags(problem: Problem, fit: Fit, index: int, doubt: str) -> list[L
     slope = np.gradient(y[:n], r.interval, axis=0)
     for k, (clock, own) in enumerate(zip(r.clocks, r.late, strict=True)):
         s = slope[:, own] / size[own]
-        score, information = (s * residual[:, own] / size[own]).sum(axis=1), (s**2).sum(axis=1)
-        parts = np.array([p.sum() for p in np.array_split(score - score.mean(), BLOCKS)])
-        half = Z95 * math.sqrt(float(np.sum(parts**2))) / max(float(information.sum()), 1e-300)
+        score, information = (
+            (s * residual[:, own] / size[own]).sum(axis=1),
+            (s**2).sum(axis=1),
+        )
+        parts = np.array(
+            [p.sum() for p in np.array_split(score - score.mean(), BLOCKS)]
+        )
+        half = (
+            Z95
+            * math.sqrt(float(np.sum(parts**2)))
+            / max(float(information.sum()), 1e-300)
+        )
         value = r.lags[clock] + float(fit.offset[index][len(problem.channels) + k])
         out.append(Lag(r.name, clock, value, value - half, value + half, doubt))
     return out
@@ -156,7 +182,9 @@ class _LagCost:
     #: Simulated outputs and their derivatives by parameters and initial state (grid, channels, 1 + unknowns).
     columns: Array
     prior: Array  # one over the prior standard deviation by unknown
-    free_offset: NDArray[np.bool_]  # whether the offset of a channel is free (channels,)
+    free_offset: NDArray[
+        np.bool_
+    ]  # whether the offset of a channel is free (channels,)
 
     def __call__(self, lag: float) -> float:
         """Return the least sum of squares at a lag [s]."""
@@ -166,7 +194,10 @@ class _LagCost:
             return float(b @ b)
         H = A.T @ A + np.diag(self.prior**2)
         g = A.T @ b
-        return float(b @ b - g @ np.linalg.solve(H + 1e-12 * np.trace(H) * np.eye(len(H)) / len(H), g))
+        return float(
+            b @ b
+            - g @ np.linalg.solve(H + 1e-12 * np.trace(H) * np.eye(len(H)) / len(H), g)
+        )
 
     @cached_property
     def _fixed(self) -> list[Array]:
@@ -178,7 +209,9 @@ class _LagCost:
         place = (samples.time - lag - self.grid[0]) / self.step
         k = np.clip(place.astype(int), 0, len(self.grid) - 2)
         u = (place - k)[:, None]
-        simulated = (1 - u) * self.columns[k, channel] + u * self.columns[k + 1, channel]
+        simulated = (1 - u) * self.columns[k, channel] + u * self.columns[
+            k + 1, channel
+        ]
         out = np.column_stack([samples.values, simulated])
         mean = out.mean(axis=0) * self.free_offset[channel]
         return np.asarray((out - mean) / (ROUGH * samples.deviation))
@@ -192,18 +225,26 @@ def _search_lags(
     x0 = guess(problem, base.at(base.start), index)
     fine = Problem(problem.network, [record.unread()], time=problem.time)
     tangent = tangents(fine, base, base.start, {0: x0})[0]
-    columns = np.concatenate([tangent.outputs[:, :, None], tangent.by_parameter, tangent.by_state], axis=2)
+    columns = np.concatenate(
+        [tangent.outputs[:, :, None], tangent.by_parameter, tangent.by_state], axis=2
+    )
     lags, doubt = dict(record.lags), ""
     if not np.isfinite(columns).all():
         return lags, "the model breaks down before anything is fitted", []
     prior = np.append(1 / base.sigma, np.full(tangent.by_state.shape[2], 1e-9))
     grid = record.start + record.step * np.arange(len(columns))
     reach = min(limit, 0.25 * (grid[-1] - grid[0]))
-    known = [j for j in range(len(problem.channels)) if not any(own[j] for own in record.late)]
+    known = [
+        j
+        for j in range(len(problem.channels))
+        if not any(own[j] for own in record.late)
+    ]
     rivals: list[float] = []
     for clock, own in zip(record.clocks, record.late, strict=True):
         late = np.flatnonzero(own).tolist()
-        samples = {j: _thin_samples(problem, record, j, grid, reach) for j in (*known, *late)}
+        samples = {
+            j: _thin_samples(problem, record, j, grid, reach) for j in (*known, *late)
+        }
         if min(len(s.values) for s in samples.values()) < FEWEST:
             return lags, "too short to look for it", []
         cost = _LagCost(
@@ -224,18 +265,25 @@ def _search_lags(
             best = float(near[int(np.argmin([cost(float(t)) for t in near]))])
         lags[clock] = best
         count = sum(len(s.values) for s in samples.values())
-        doubt, rivals = _find_rivals(trials, costs, best, cost(best), count, record.pace, doubt)
+        doubt, rivals = _find_rivals(
+            trials, costs, best, cost(best), count, record.pace, doubt
+        )
         if abs(best) > 0.97 * reach:
             doubt = f"at the limit of {reach:.3g} s within which it was sought"
     return lags, doubt, rivals if len(record.clocks) == 1 else []
 
 
-def _thin_samples(problem: Problem, record: Record, channel: int, grid: np.ndarray, reach: float) -> _Samples:
+def _thin_samples(
+    problem: Problem, record: Record, channel: int, grid: np.ndarray, reach: float
+) -> _Samples:
     """Return about `ROWS` samples of a channel, on the grid for every lag up to `reach` [s]."""
     assert record.source is not None
     signal = record.source.signals[problem.channels[channel]]
     inside = (signal.time > grid[0] + reach) & (signal.time < grid[-1] - reach)
-    time, values = signal.time[inside], (signal.values * problem.factors[channel])[inside]
+    time, values = (
+        signal.time[inside],
+        (signal.values * problem.factors[channel])[inside],
+    )
     stride = max(1, len(time) // ROWS)
     if stride > 1:  # the motion tells a lag, not the noise above the motion
         values = np.convolve(values, np.ones(stride) / stride, mode="same")
@@ -251,7 +299,9 @@ def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
     score = np.zeros(len(every))
     for j in cost.late:
         time, v = cost.samples[j].time, cost.samples[j].values
-        x = np.stack([np.interp(time - lag, cost.grid, cost.columns[:, j, 0]) for lag in every])
+        x = np.stack(
+            [np.interp(time - lag, cost.grid, cost.columns[:, j, 0]) for lag in every]
+        )
         x = x - x.mean(axis=1, keepdims=True)
         size = np.linalg.norm(x, axis=1) * np.linalg.norm(v - v.mean())
         score += x @ (v - v.mean()) / np.maximum(size, 1e-300)
@@ -259,7 +309,13 @@ def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
 
 
 def _find_rivals(
-    trials: Array, costs: Array, best: float, least: float, count: int, pace: float, doubt: str
+    trials: Array,
+    costs: Array,
+    best: float,
+    least: float,
+    count: int,
+    pace: float,
+    doubt: str,
 ) -> tuple[str, list[float]]:
     """Return a reason to doubt the best lag, `doubt` by default, and further minima of the wide search for a fit [s]."""
     far = np.abs(trials - best) > 2.0 * pace
@@ -272,27 +328,41 @@ def _find_rivals(
         and abs(trials[k] - best) > pace
         and costs[k] < RIVAL * least
     ]
-    small = sorted(valleys, key=lambda k: abs(trials[k]))[: MANY // 2]  # small lags are more likely
-    chosen = list(dict.fromkeys([*small, *sorted(valleys, key=lambda k: costs[k])]))[:MANY]
+    small = sorted(valleys, key=lambda k: abs(trials[k]))[
+        : MANY // 2
+    ]  # small lags are more likely
+    chosen = list(dict.fromkeys([*small, *sorted(valleys, key=lambda k: costs[k])]))[
+        :MANY
+    ]
     return doubt, [float(trials[k]) for k in chosen]
 
 
-def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tuple[Record, str]:
+def _fit_rivals(
+    record: Record, rivals: Sequence[float], network: Network
+) -> tuple[Record, str]:
     """Return a record with the best lag of its only clock after a fit of the rival lags, and a reason to doubt the lag."""
     (clock,) = record.clocks
     structure, tried = base_structure(network), []
     for r in [record, *(_apply_lags(record, {clock: lag}, network) for lag in rivals)]:
-        weights = white_weights(0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300))
+        weights = white_weights(
+            0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300)
+        )
         try:
             fit = Fitter(Problem(network, [r]), weights).fit(structure, iterations=5)
         except InputError:
             continue
-        (step,) = np.clip(fit.offset[0][len(network.outputs) :], -STRIDE * r.pace, STRIDE * r.pace)
+        (step,) = np.clip(
+            fit.offset[0][len(network.outputs) :], -STRIDE * r.pace, STRIDE * r.pace
+        )
         tried.append(((fit.cost + fit.prior) / len(r), r.lags[clock] + float(step)))
     if not tried:
         return record, "the model breaks down before anything is fitted"
     least, best = min(tried)
-    alike = [lag for cost, lag in tried if cost < ALIKE * least and abs(lag - best) > record.pace]
+    alike = [
+        lag
+        for cost, lag in tried
+        if cost < ALIKE * least and abs(lag - best) > record.pace
+    ]
     doubt = _say_rival(min(alike, key=abs)) if alike else ""
     return _apply_lags(record, {clock: best}, network), doubt
 

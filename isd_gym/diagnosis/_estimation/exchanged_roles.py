@@ -44,7 +44,11 @@ LEAST_NOISE = 0.01
 
 
 def prefer_direct_problem(
-    records: Sequence[Record], network: Network, training: int, least_noise: float, largest_error: float
+    records: Sequence[Record],
+    network: Network,
+    training: int,
+    least_noise: float,
+    largest_error: float,
 ) -> tuple[list[Record], Network, str] | None:
     """Return records, model and a note with motion and force swapped; None where the computed force has less noise than `least_noise`
     (share of its deviation), or where the refitted direct model errs more than `largest_error` times a straight line."""
@@ -53,7 +57,9 @@ def prefer_direct_problem(
         return None
     motion, force = pairs[0]
     inverse = Problem(network, records[:training])
-    noise = (propagate_input_noise(inverse) / inverse.deviation())[network.outputs.index(force)]
+    noise = (propagate_input_noise(inverse) / inverse.deviation())[
+        network.outputs.index(force)
+    ]
     if noise < least_noise:
         return None
     try:
@@ -65,14 +71,21 @@ def prefer_direct_problem(
         return None
     direct = Problem(swapped, turned[:training])
     channel = [c.name for c in swapped.outputs].index(motion.name)
-    floors = np.maximum([f.deviation for f in floors_of(direct)], LEAST_NOISE * direct.deviation())
+    floors = np.maximum(
+        [f.deviation for f in floors_of(direct)], LEAST_NOISE * direct.deviation()
+    )
     try:
         fit = Fitter(direct, white_weights(floors)).fit(base_structure(swapped))
     except BROKEN:
         return None
     lines = [(r.time, r.measured[:, channel]) for r in direct.records]
-    straight = rms(np.concatenate([y - np.polyval(np.polyfit(t, y, 1), t) for t, y in lines]))
-    if not rms(np.concatenate(residuals(direct, fit))[:, channel]) < largest_error * straight:
+    straight = rms(
+        np.concatenate([y - np.polyval(np.polyfit(t, y, 1), t) for t, y in lines])
+    )
+    if (
+        not rms(np.concatenate(residuals(direct, fit))[:, channel])
+        < largest_error * straight
+    ):
         return None
     note = (
         f"{force.name} is taken as input and {motion.name} as output: noise of {motion.name}, differentiated twice, would be "
@@ -83,7 +96,9 @@ def prefer_direct_problem(
 
 def swap_roles(network: Network, given: Channel, computed: Channel) -> Network:
     """Return the model with the force at a node and the displacement of the node as input and output, either way."""
-    to_input, to_output = (replace(c, offset=None, noise=None) for c in (computed, given))
+    to_input, to_output = (
+        replace(c, offset=None, noise=None) for c in (computed, given)
+    )
     return replace(
         network,
         inputs=tuple(to_input if c == given else c for c in network.inputs),
@@ -91,7 +106,9 @@ def swap_roles(network: Network, given: Channel, computed: Channel) -> Network:
     )
 
 
-def swap_channels(record: Record, network: Network, given: Channel, computed: Channel) -> Record:
+def swap_channels(
+    record: Record, network: Network, given: Channel, computed: Channel
+) -> Record:
     """Return an unfiltered record of `network` with the channels of the model after `swap_roles`."""
     j = network.outputs.index(computed)
     inputs = {k: v for k, v in record.inputs.items() if k != given.name}
@@ -115,8 +132,15 @@ class InverseProblem:
 
     def records(self, records: Sequence[Record]) -> list[Record]:
         """Return unfiltered records with the measured position as input and the force of the drive as output."""
-        (drive,), (force,), (position,) = self.direct.inputs, self.pushed.inputs, self.pushed.outputs
-        pushed = [replace(r, inputs={force.name: self.gain * r.inputs[drive.name]}) for r in records]
+        (drive,), (force,), (position,) = (
+            self.direct.inputs,
+            self.pushed.inputs,
+            self.pushed.outputs,
+        )
+        pushed = [
+            replace(r, inputs={force.name: self.gain * r.inputs[drive.name]})
+            for r in records
+        ]
         return [swap_channels(r, self.pushed, force, position) for r in pushed]
 
     def restore(self, found: Network) -> Network | None:
@@ -124,7 +148,10 @@ class InverseProblem:
         channel."""
         if any(e.place != "between" for e in found.elements):
             return None
-        own, known = {e.name: e for e in found.elements}, {e.name for e in self.direct.elements}
+        own, known = (
+            {e.name: e for e in found.elements},
+            {e.name for e in self.direct.elements},
+        )
         elements = [own.get(e.name, e) for e in self.direct.elements]
         elements += [e for e in found.elements if e.name not in known]
         out = replace(
@@ -139,13 +166,26 @@ class InverseProblem:
 
 def invert(network: Network) -> InverseProblem | None:
     """Return the inverse problem of one driven mass that no spring holds, with its displacement as output; None for another model."""
-    if len(network.inputs) != 1 or len(network.outputs) != 1 or len(network.masses) != 1 or network.moving:
+    if (
+        len(network.inputs) != 1
+        or len(network.outputs) != 1
+        or len(network.masses) != 1
+        or network.moving
+    ):
         return None
     (drive,), (position,), (node,) = network.inputs, network.outputs, network.masses
-    if position.quantity != "displacement" or position.at != node or natural_frequencies(network).size:
+    if (
+        position.quantity != "displacement"
+        or position.at != node
+        or natural_frequencies(network).size
+    ):
         return None
     motor = next((e for e in network.elements if e.name == drive.element), None)
-    if drive.quantity == "current" and motor is not None and {*motor.where} == {node, GROUND}:
+    if (
+        drive.quantity == "current"
+        and motor is not None
+        and {*motor.where} == {node, GROUND}
+    ):
         left = [e for e in network.elements if motor.name not in (e.name, *e.where)]
         if len(left) < len(network.elements) - 1:  # an effect at the motor
             return None
@@ -154,12 +194,16 @@ def invert(network: Network) -> InverseProblem | None:
         left, name = [*network.elements], drive.name
     else:
         return None
-    force = Channel(name, "force", at=node, unit="N m" if node in network.turning else "N")
+    force = Channel(
+        name, "force", at=node, unit="N m" if node in network.turning else "N"
+    )
     try:
         pushed = replace(network, elements=tuple(left), inputs=(force,), uncertainty={})
         pushed = pushed.with_uncertainty(network.uncertainty)
         at = np.array([1.0])  # [Hz]
-        gain = float(np.real(transfer(network, at)[0, 0, 0] / transfer(pushed, at)[0, 0, 0]))
+        gain = float(
+            np.real(transfer(network, at)[0, 0, 0] / transfer(pushed, at)[0, 0, 0])
+        )
         inverse = swap_roles(pushed, force, position)
         if assemble(bare(inverse)).size[0]:
             return None

@@ -95,7 +95,9 @@ class Fit:
     outputs: dict[int, Array]  # record -> (n, channels), offsets included
     cost: float  # sum of squares of weighted residuals over its records
     prior: float
-    hessian: Array | None = None  # of the structure's parameters, initial states and offsets eliminated
+    hessian: Array | None = (
+        None  # of the structure's parameters, initial states and offsets eliminated
+    )
 
     @property
     def network(self) -> Network:
@@ -135,15 +137,24 @@ class Fitter:
             self._rows[key] = structure, rows.T @ rows
         return self._rows[key][1] / self.problem.span(index) ** 2
 
-    def price(self, structure: Structure, at: Point, outputs: Mapping[int, Array]) -> Point:
+    def price(
+        self, structure: Structure, at: Point, outputs: Mapping[int, Array]
+    ) -> Point:
         """Return the point with outputs and costs; the cost is infinite where the simulation breaks down."""
         for i, y in outputs.items():
             at.outputs[i] = self.problem.shifted(i, y, at.offset[i])
             square = math.inf
             if np.isfinite(y).all() and np.abs(y).max() <= 1e12:
-                square = float(np.sum(self.weights(self.problem.records[i].measured - at.outputs[i]) ** 2))
+                square = float(
+                    np.sum(
+                        self.weights(self.problem.records[i].measured - at.outputs[i])
+                        ** 2
+                    )
+                )
             x0 = at.initial[i]
-            at.costs[i] = square + (float(x0 @ self._information(structure, i) @ x0) if len(x0) else 0.0)
+            at.costs[i] = square + (
+                float(x0 @ self._information(structure, i) @ x0) if len(x0) else 0.0
+            )
         return at
 
     def seen(self, structure: Structure, at: Point, records: Sequence[int]) -> Point:
@@ -164,7 +175,13 @@ class Fitter:
         """Return derivatives at a point, whose outputs and costs are filled in, also by parameters if `moves`; None where the simulation
         breaks down."""
         try:
-            found = tangents(self.problem, structure, at.x, {i: at.initial[i] for i in records}, moves=moves)
+            found = tangents(
+                self.problem,
+                structure,
+                at.x,
+                {i: at.initial[i] for i in records},
+                moves=moves,
+            )
         except BROKEN:
             return None
         self.price(structure, at, {i: t.outputs for i, t in found.items()})
@@ -176,7 +193,11 @@ class Fitter:
             if not (math.isfinite(at.costs[i]) and np.isfinite(stack).all()):
                 return None
             rows, columns = stack.shape[0] * stack.shape[1], stack.shape[2]
-            by = self.weights(stack).reshape(rows, columns) if columns else np.zeros((rows, 0))
+            by = (
+                self.weights(stack).reshape(rows, columns)
+                if columns
+                else np.zeros((rows, 0))
+            )
             if not (np.abs(by) < 1e100).all():  # their squares would overflow
                 return None
             gram = by.T @ by
@@ -197,7 +218,11 @@ class Fitter:
         return np.asarray(down, dtype=np.float64)
 
     def _moved(
-        self, at: Point, x: Array, moves: Mapping[int, NDArray[np.floating]], common: Array | None = None
+        self,
+        at: Point,
+        x: Array,
+        moves: Mapping[int, NDArray[np.floating]],
+        common: Array | None = None,
     ) -> Point:
         """Return a point with parameters `x`, moved nuisances, and shared offsets moved by `common`."""
         initial, offset = dict(at.initial), {i: o.copy() for i, o in at.offset.items()}
@@ -213,7 +238,12 @@ class Fitter:
     def transfer(self, fit: Fit) -> Fit:
         """Return a fit, unchanged, on the samples of this problem: other samples of the same records."""
         return self.fit(
-            fit.structure, fit.x, fit.initial, fit.offset, records=list(fit.initial), iterations=0
+            fit.structure,
+            fit.x,
+            fit.initial,
+            fit.offset,
+            records=list(fit.initial),
+            iterations=0,
         )
 
     def begin(
@@ -229,11 +259,17 @@ class Fitter:
         given, known, problem = initial or {}, offset or {}, self.problem
         shared = structure.offsets
         if known and problem.shared_offset.any():
-            shared = tuple(np.mean([o[: len(problem.channels)] for o in known.values()], axis=0).tolist())
+            shared = tuple(
+                np.mean(
+                    [o[: len(problem.channels)] for o in known.values()], axis=0
+                ).tolist()
+            )
         out = Point(x.copy(), {}, {})
         for i in records:
             there = i in given and len(given[i]) == n0
-            out.initial[i] = given[i].copy() if there else guess(problem, net, i, offsets=shared)
+            out.initial[i] = (
+                given[i].copy() if there else guess(problem, net, i, offsets=shared)
+            )
             out.offset[i] = problem.nothing(i, shared)
             if i in known:
                 out.offset[i][problem.moves(i)] = known[i][problem.moves(i)]
@@ -282,7 +318,9 @@ class Fitter:
             structure = self.with_offsets(structure, x, records, initial)
         at = self.begin(structure, x, initial, offset, records)
         if frozen:
-            return self._result(structure, self._states(structure, at, records, iterations, tolerance))
+            return self._result(
+                structure, self._states(structure, at, records, iterations, tolerance)
+            )
         mean, sigma = structure.mean, structure.sigma
         slopes = self.slopes(structure, at, records, True)
         if slopes is None:
@@ -296,7 +334,9 @@ class Fitter:
             slopes, hessian = fresh, self._hessian(fresh)
             before, there = at.total, False
             for again in range(1 + CHORDS):
-                then, damping = self._step(structure, at, slopes, hessian, records, damping, again > 0)
+                then, damping = self._step(
+                    structure, at, slopes, hessian, records, damping, again > 0
+                )
                 if then is None:
                     break
                 gain, at = 1.0 - then.total / at.total, then
@@ -334,23 +374,36 @@ class Fitter:
         free = structure.free
         p, q = len(free), int(self.problem.shared_offset.sum())
         mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
-        low, high = np.append([f.low for f in free], -none), np.append([f.high for f in free], none)
+        low, high = (
+            np.append([f.low for f in free], -none),
+            np.append([f.high for f in free], none),
+        )
         stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in free])
-        wide = np.where(np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(at.x), sigma))
+        wide = np.where(
+            np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(at.x), sigma)
+        )
         wide, here = np.append(wide, none), np.append(at.x, np.zeros(q))
         down = {i: self._downhill(at, i, s) for i, s in slopes.items()}
         g = np.append((mean - at.x) / sigma**2, np.zeros(q))
         for i, s in slopes.items():
             g = g + down[i][: p + q]
             if len(s.own):
-                g = g - s.gram[: p + q, p + q :] @ np.linalg.solve(s.own, down[i][p + q :])
+                g = g - s.gram[: p + q, p + q :] @ np.linalg.solve(
+                    s.own, down[i][p + q :]
+                )
         H = hessian + np.diag(np.append(1.0 / sigma**2, np.zeros(q)))
 
         def take(damping: float) -> tuple[Point, float]:
-            step = bounded_step(H, g, here, low, high, wide, damping) if p + q else np.zeros(0)
+            step = (
+                bounded_step(H, g, here, low, high, wide, damping)
+                if p + q
+                else np.zeros(0)
+            )
             moves = {}
             for i, s in slopes.items():
-                moves[i] = np.linalg.solve(s.own, down[i][p + q :] - s.gram[p + q :, : p + q] @ step)
+                moves[i] = np.linalg.solve(
+                    s.own, down[i][p + q :] - s.gram[p + q :, : p + q] @ step
+                )
             then = self._moved(at, at.x + step[:p], moves, step[p:])
             then.prior = float(np.sum(((then.x - mean) / sigma) ** 2))
             return then, self.seen(structure, then, records).total
@@ -359,7 +412,12 @@ class Fitter:
         return then, damping
 
     def _states(
-        self, structure: Structure, at: Point, records: Sequence[int], iterations: int, tolerance: float
+        self,
+        structure: Structure,
+        at: Point,
+        records: Sequence[int],
+        iterations: int,
+        tolerance: float,
     ) -> Point:
         """Fit initial states and offsets of each record; parameters and shared offsets stay."""
         left = list(records)
@@ -367,37 +425,59 @@ class Fitter:
             slopes = self.slopes(structure, at, left, False)
             if slopes is None and turn == 0:
                 raise InputError("the simulation breaks down at the start values")
-            if slopes is None or not iterations or not any(len(s.own) for s in slopes.values()):
+            if (
+                slopes is None
+                or not iterations
+                or not any(len(s.own) for s in slopes.values())
+            ):
                 break
             before, there = dict(at.costs), dict.fromkeys(left, False)
             going, share = left, dict.fromkeys(left, 1.0)
             for _ in range(1 + CHORDS):
                 down = {i: self._downhill(at, i, slopes[i]) for i in going}
-                moves = {i: share[i] * np.linalg.solve(slopes[i].own, down[i]) for i in going}
-                promised = {i: float(down[i] @ moves[i]) / max(at.costs[i], 1e-300) for i in going}
+                moves = {
+                    i: share[i] * np.linalg.solve(slopes[i].own, down[i]) for i in going
+                }
+                promised = {
+                    i: float(down[i] @ moves[i]) / max(at.costs[i], 1e-300)
+                    for i in going
+                }
                 then = self.seen(structure, self._moved(at, at.x, moves), going)
-                gains = {i: 1.0 - then.costs[i] / max(at.costs[i], 1e-300) for i in going}
+                gains = {
+                    i: 1.0 - then.costs[i] / max(at.costs[i], 1e-300) for i in going
+                }
                 for i in going:
                     if gains[i] > 0:
                         at.take(then, i)
                         there[i] = gains[i] < 0.1 * tolerance
-                    elif at.costs[i] == before[i]:  # the full step increases the cost of this record
+                    elif (
+                        at.costs[i] == before[i]
+                    ):  # the full step increases the cost of this record
                         share[i] *= 0.3
                 going = [
                     i
                     for i in going
-                    if gains[i] > tolerance or (at.costs[i] == before[i] and promised[i] > tolerance)
+                    if gains[i] > tolerance
+                    or (at.costs[i] == before[i] and promised[i] > tolerance)
                 ]
                 if not going:
                     break
-            left = [i for i in left if not there[i] and at.costs[i] < (1.0 - tolerance) * before[i]]
+            left = [
+                i
+                for i in left
+                if not there[i] and at.costs[i] < (1.0 - tolerance) * before[i]
+            ]
             if not left:
                 break
         return at
 
-    def _result(self, structure: Structure, at: Point, hessian: Array | None = None) -> Fit:
+    def _result(
+        self, structure: Structure, at: Point, hessian: Array | None = None
+    ) -> Fit:
         known = sum(
-            float(x0 @ self._information(structure, i) @ x0) for i, x0 in at.initial.items() if len(x0)
+            float(x0 @ self._information(structure, i) @ x0)
+            for i, x0 in at.initial.items()
+            if len(x0)
         )
         own = np.flatnonzero(self.problem.shared_offset)
         if len(own):
@@ -406,7 +486,9 @@ class Fitter:
             structure = replace(structure, offsets=tuple(offsets.tolist()))
         p = len(at.x)
         if hessian is not None and len(own):
-            hessian = hessian[:p, :p] - hessian[:p, p:] @ np.linalg.solve(hessian[p:, p:], hessian[p:, :p])
+            hessian = hessian[:p, :p] - hessian[:p, p:] @ np.linalg.solve(
+                hessian[p:, p:], hessian[p:, :p]
+            )
         return Fit(
             structure,
             at.x,
@@ -436,20 +518,40 @@ class Fitter:
             structure = self.with_offsets(structure, x, problem.estimation or records)
         shared = structure.offsets
         given = {i: v for i, v in (initial or {}).items() if len(v) == n0}
-        begun = {i: [given[i] if i in given else guess(problem, net, i, offsets=shared)] for i in records}
+        begun = {
+            i: [given[i] if i in given else guess(problem, net, i, offsets=shared)]
+            for i in records
+        }
         for known in about:
             for i, v in known.items():
                 if i in begun and len(v) == n0:
                     begun[i].append(v)
-        at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
+        at = self._states(
+            structure,
+            self._cheapest(structure, x, begun),
+            records,
+            iterations,
+            tolerance=1e-4,
+        )
         pieces = problem.records
-        before = {j: i for i in records for j in records if j not in given and pieces[j].follows(pieces[i])}
+        before = {
+            j: i
+            for i in records
+            for j in records
+            if j not in given and pieces[j].follows(pieces[i])
+        }
         # a record with a residual like the others' has a good initial state
         each = [at.costs[i] / len(pieces[i]) for i in records]
-        usual = min(UNUSUAL * float(np.median(each)), NEAR * min(each))  # most of them may be astray
-        before = {j: i for j, i in before.items() if at.costs[j] > usual * len(pieces[j])}
+        usual = min(
+            UNUSUAL * float(np.median(each)), NEAR * min(each)
+        )  # most of them may be astray
+        before = {
+            j: i for j, i in before.items() if at.costs[j] > usual * len(pieces[j])
+        }
         for _ in range(ROUNDS if n0 and before else 0):
-            ends = next_states(problem, structure, x, {i: at.initial[i] for i in before.values()})
+            ends = next_states(
+                problem, structure, x, {i: at.initial[i] for i in before.values()}
+            )
             ahead = {j: ends[i] for j, i in before.items()}
             better = self._again(
                 structure,
@@ -468,15 +570,27 @@ class Fitter:
         """Restart lost records from a fit of their first samples, if closer: over many periods the phase of a nonlinear motion follows the
         amplitude, and a fit from a rough guess ends in another optimum."""
         problem, net, heads = self.problem, structure.at(at.x), self.problem.heads
-        longer = [i for i in at.costs if len(heads.records[i]) < len(problem.records[i])]
-        lost = [i for i in longer if len(at.initial[i]) and not self._error(at, i) < LOST]
+        longer = [
+            i for i in at.costs if len(heads.records[i]) < len(problem.records[i])
+        ]
+        lost = [
+            i for i in longer if len(at.initial[i]) and not self._error(at, i) < LOST
+        ]
         if not lost:
             return
         deviation = problem.deviation(lost)
-        few = Fitter(heads, white_weights(np.where(deviation > STILL, HEAD_NOISE * deviation, np.inf)))
-        begun = {i: [guess(heads, net, i, offsets=structure.offsets), at.initial[i]] for i in lost}
+        few = Fitter(
+            heads,
+            white_weights(np.where(deviation > STILL, HEAD_NOISE * deviation, np.inf)),
+        )
+        begun = {
+            i: [guess(heads, net, i, offsets=structure.offsets), at.initial[i]]
+            for i in lost
+        }
         started = few._cheapest(structure, at.x, begun)
-        found = few._states(structure, started, lost, HEAD_STEPS, tolerance=1e-4).initial
+        found = few._states(
+            structure, started, lost, HEAD_STEPS, tolerance=1e-4
+        ).initial
         self._again(structure, at, {i: [found[i]] for i in lost}, iterations, near=1.0)
 
     def _error(self, at: Point, i: int) -> float:
@@ -485,7 +599,9 @@ class Fitter:
         moves = deviation > STILL
         if not moves.any():
             return 0.0
-        return math.sqrt(_mean_power((record.measured - at.outputs[i])[:, moves], deviation[moves]))
+        return math.sqrt(
+            _mean_power((record.measured - at.outputs[i])[:, moves], deviation[moves])
+        )
 
     def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
         """Restart the records with far larger errors than the others near their initial states: with play or sticking friction, a few of
@@ -498,8 +614,17 @@ class Fitter:
         about = np.std([at.initial[i] for i in each], axis=0)
         if not astray or len(astray) > len(each) / 2 or not about.any():
             return
-        steps = [s * a * e for e, a in zip(np.eye(len(about)), about, strict=True) for s in ABOUT]
-        self._again(structure, at, {i: [at.initial[i] + step for step in steps] for i in astray}, iterations)
+        steps = [
+            s * a * e
+            for e, a in zip(np.eye(len(about)), about, strict=True)
+            for s in ABOUT
+        ]
+        self._again(
+            structure,
+            at,
+            {i: [at.initial[i] + step for step in steps] for i in astray},
+            iterations,
+        )
 
     def _again(
         self,
@@ -521,7 +646,9 @@ class Fitter:
             at.take(other, j)
         return better
 
-    def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
+    def _cheapest(
+        self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]
+    ) -> Point:
         """Return the point with the cheapest of several initial states for each record, offsets at zero."""
         best = Point(x.copy(), {}, {})
         for k in range(max(map(len, begun.values()), default=0)):
@@ -555,10 +682,18 @@ class Fitter:
         for i, t in tangents(problem, structure, x, begun, over=over).items():
             s = responses[i]
             free = problem.nuisances(i, t.outputs)
-            stack = np.concatenate([t.by_parameter, problem.common(t.outputs), t.by_state, free, s], axis=2)
+            stack = np.concatenate(
+                [t.by_parameter, problem.common(t.outputs), t.by_state, free, s], axis=2
+            )
             W = self.weights(stack).reshape(-1, stack.shape[2])
-            a, b, c = W[:, : p + q], W[:, p + q : W.shape[1] - m], W[:, W.shape[1] - m :]
-            H[np.arange(p, p + q), np.arange(p, p + q)] += 1e-9 * np.sum(a[:, p:] ** 2, axis=0)
+            a, b, c = (
+                W[:, : p + q],
+                W[:, p + q : W.shape[1] - m],
+                W[:, W.shape[1] - m :],
+            )
+            H[np.arange(p, p + q), np.arange(p, p + q)] += 1e-9 * np.sum(
+                a[:, p:] ** 2, axis=0
+            )
             if b.shape[1]:
                 Q, _ = np.linalg.qr(b)
                 a, c = a - Q @ (Q.T @ a), c - Q @ (Q.T @ c)
@@ -567,19 +702,27 @@ class Fitter:
             parts[i] = a, c
         return H, g, parts
 
-    def refit(self, fit: Fit, responses: Mapping[int, Array]) -> tuple[Array, dict[int, Array]]:
+    def refit(
+        self, fit: Fit, responses: Mapping[int, Array]
+    ) -> tuple[Array, dict[int, Array]]:
         """Return to first order how a fit would absorb responses (samples, channels, m): the shift of the parameters (parameters, m), and
         the weighted rest by record."""
-        H, g, parts = self.normal_equations(fit.structure, fit.x, fit.initial, responses)
+        H, g, parts = self.normal_equations(
+            fit.structure, fit.x, fit.initial, responses
+        )
         shift = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         left: dict[int, Array] = {
-            i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
+            i: (c - a @ shift).reshape(responses[i].shape)
+            for i, (a, c) in parts.items()
         }
         return shift[: len(fit.x)], left
 
 
 def _weighted_mean(
-    problem: Problem, channels: NDArray[np.intp], offset: Mapping[int, Array], slopes: Mapping[int, Slope]
+    problem: Problem,
+    channels: NDArray[np.intp],
+    offset: Mapping[int, Array],
+    slopes: Mapping[int, Slope],
 ) -> Array:
     """Return the mean over records of the offsets per record (offsets,) of some channels, weighted by information."""
     total, weighted = np.zeros((len(channels), len(channels))), np.zeros(len(channels))
@@ -590,7 +733,9 @@ def _weighted_mean(
         information = s.own[np.ix_(place, place)]
         if len(rest):
             cross = s.own[np.ix_(rest, place)]
-            information = information - cross.T @ np.linalg.solve(s.own[np.ix_(rest, rest)], cross)
+            information = information - cross.T @ np.linalg.solve(
+                s.own[np.ix_(rest, rest)], cross
+            )
         total += information
         weighted += information @ offset[i][channels]
     return np.asarray(np.linalg.solve(total, weighted), dtype=np.float64)
@@ -604,7 +749,9 @@ def residuals(problem: Problem, fit: Fit) -> list[Array]:
 def gap(problem: Problem, fit: Fit) -> float:
     """Return the geometric mean over channels, which limits the influence of a drifting one, of the residual's power over the signal's
     power."""
-    return _mean_power(np.concatenate(residuals(problem, fit)), problem.deviation(list(fit.outputs)))
+    return _mean_power(
+        np.concatenate(residuals(problem, fit)), problem.deviation(list(fit.outputs))
+    )
 
 
 def _mean_power(residual: Array, deviation: Array) -> float:

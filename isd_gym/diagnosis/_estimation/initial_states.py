@@ -33,9 +33,17 @@ def led(network: Network, record: Record) -> tuple[Array, Array]:
         u = record.inputs[c.name]
         told = c.quantity == "displacement"
         r.append(u if told else still)
-        v.append(np.gradient(u, record.step) if told else u if c.quantity == "velocity" else still)
+        v.append(
+            np.gradient(u, record.step)
+            if told
+            else u
+            if c.quantity == "velocity"
+            else still
+        )
     shape = (record.samples, len(r))
-    return np.stack(r, axis=1) if r else np.zeros(shape), np.stack(v, axis=1) if v else np.zeros(shape)
+    return np.stack(r, axis=1) if r else np.zeros(shape), np.stack(
+        v, axis=1
+    ) if v else np.zeros(shape)
 
 
 def guess(
@@ -63,7 +71,11 @@ def guess(
     x, r, f = asm.columns("x"), asm.columns("r"), asm.columns("f")
     road = led(pure, record)[0][0]
     for j, c in enumerate(pure.outputs):
-        if c.quantity == "acceleration" or asm.outputs_by_difference[j] or np.any(asm.outputs[j, f]):
+        if (
+            c.quantity == "acceleration"
+            or asm.outputs_by_difference[j]
+            or np.any(asm.outputs[j, f])
+        ):
             continue
         shift = offsets[j] if offsets is not None else 0.0
         shift += sum(e.bias for e in offsets_of(network, c))
@@ -84,9 +96,14 @@ def guess(
 
 def _rate_row(asm: Assembly, channel: Channel) -> Array | None:
     """Return the rate of a displacement output over the base vector (columns,); None at an algebraic node, whose rate no state tells."""
-    every = [*(n for n in asm.network.nodes if n not in asm.network.moved_nodes), *asm.network.moved_nodes]
+    every = [
+        *(n for n in asm.network.nodes if n not in asm.network.moved_nodes),
+        *asm.network.moved_nodes,
+    ]
     row = np.zeros(asm.velocity.shape[1])
-    for node, sign in zip(channel.between or (str(channel.at),), (1.0, -1.0), strict=False):
+    for node, sign in zip(
+        channel.between or (str(channel.at),), (1.0, -1.0), strict=False
+    ):
         if node == GROUND:
             continue
         own = asm.velocity[every.index(node)]
@@ -97,7 +114,11 @@ def _rate_row(asm: Assembly, channel: Channel) -> Array | None:
 
 
 def states_along(
-    problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array], at: Sequence[int]
+    problem: Problem,
+    structure: Structure,
+    x: Array,
+    initial: Mapping[int, Array],
+    at: Sequence[int],
 ) -> dict[int, list[Array]]:
     """Return the states (states,) of each record's simulation at compared samples (negative: from the end), from the motion of the
     nodes."""
@@ -107,17 +128,23 @@ def states_along(
     watched = replace(pure, outputs=tuple(_seen(pure, n) for n in nodes))
     probe = problem.watching(watched)
     network = replace(
-        net, outputs=watched.outputs, elements=tuple(e for e in net.elements if e.place != "channel")
+        net,
+        outputs=watched.outputs,
+        elements=tuple(e for e in net.elements if e.place != "channel"),
     )
     asm = assemble(pure)
     cols = {part: asm.columns(part) for part in ("x", "r", "v")}
     position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
-    if any(c.quantity != "displacement" for c in pure.moving):  # seen from a frame that moves with them
+    if any(
+        c.quantity != "displacement" for c in pure.moving
+    ):  # seen from a frame that moves with them
         position, velocity = position.copy(), velocity.copy()
         position[:, cols["r"]] = 0.0
         for node, j in frames(pure).items():
             velocity[nodes.index(node), cols["v"].start + j] -= 1.0
-    inverse = np.linalg.pinv(np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]]))
+    inverse = np.linalg.pinv(
+        np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]])
+    )
     begun = {i: x0[:, None] for i, x0 in initial.items()}
     out: dict[int, list[Array]] = {}
     for i, y in probe.simulate_all([network], list(initial), begun, like=net).items():
@@ -127,8 +154,13 @@ def states_along(
         out[i] = []
         for k in at:
             k = min((k if k >= 0 else len(record) + k) * record.thin, len(y) - 1)
-            rest = [m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k] for m in (position, velocity)]
-            out[i].append(inverse @ np.concatenate([y[k] - rest[0], time * (v[k] - rest[1])]))
+            rest = [
+                m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k]
+                for m in (position, velocity)
+            ]
+            out[i].append(
+                inverse @ np.concatenate([y[k] - rest[0], time * (v[k] - rest[1])])
+            )
     return out
 
 
@@ -137,7 +169,9 @@ def _seen(network: Network, node: str) -> Channel:
     riding = frames(network)
     name = f"_{node}"
     if node in riding:
-        return network.probe(name, "displacement", between=(node, network.moved_nodes[riding[node]]))
+        return network.probe(
+            name, "displacement", between=(node, network.moved_nodes[riding[node]])
+        )
     return network.probe(name, "displacement", at=node)
 
 
@@ -173,5 +207,7 @@ def transfer_states(
             elif like in inputs:
                 r, v = led(net, record)
                 want[:, k] = r[0, inputs[like]], time * v[0, inputs[like]]
-        out[i] = np.asarray(np.linalg.lstsq(rows, want.ravel(), rcond=None)[0], dtype=np.float64)
+        out[i] = np.asarray(
+            np.linalg.lstsq(rows, want.ravel(), rcond=None)[0], dtype=np.float64
+        )
     return out

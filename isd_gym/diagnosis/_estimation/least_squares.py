@@ -16,7 +16,11 @@ Point = TypeVar("Point")
 
 
 def damped_step(
-    take: Callable[[float], tuple[Point, float]], cost: float, damping: float, *, tries: int
+    take: Callable[[float], tuple[Point, float]],
+    cost: float,
+    damping: float,
+    *,
+    tries: int,
 ) -> tuple[Point | None, float, float]:
     """Return a point with a lower cost, or None, its cost, and the next damping: tenfold after each failure but a single one. `take`
     returns a point and its cost, infinite if the simulation fails."""
@@ -30,7 +34,13 @@ def damped_step(
 
 
 def bounded_step(
-    hessian: Array, slope: Array, x: Array, low: Array, high: Array, stride: Array, damping: float
+    hessian: Array,
+    slope: Array,
+    x: Array,
+    low: Array,
+    high: Array,
+    stride: Array,
+    damping: float,
 ) -> Array:
     """Return the minimum of the damped quadratic model of the cost within limits and strides (p,), from half its Hessian (p, p) and
     descent direction (p,); coordinates that would leave the limits stay."""
@@ -47,4 +57,6 @@ def bounded_step(
         if not np.any(leaves & free):
             break
         free &= ~leaves
-    return np.asarray(np.clip(x + np.clip(step, -stride, stride), low, high) - x, dtype=np.float64)
+    return np.asarray(
+        np.clip(x + np.clip(step, -stride, stride), low, high) - x, dtype=np.float64
+    )

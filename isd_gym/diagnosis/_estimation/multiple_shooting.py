@@ -44,13 +44,19 @@ def is_lightly_damped(network: Network) -> bool:
 def segments_of(problem: Problem, length: float = 1.0) -> Problem | None:
     """Return the problem with the training records in segments of a multiple of the usual length; None where no record is longer."""
     seconds = length * STRETCH * problem.time
-    pieces = [s for i in problem.estimation for s in cut_segments(problem.records[i], seconds, LEAST)]
+    pieces = [
+        s
+        for i in problem.estimation
+        for s in cut_segments(problem.records[i], seconds, LEAST)
+    ]
     if len(pieces) <= len(problem.estimation):
         return None
     return problem.with_records(pieces, ["fit"] * len(pieces))
 
 
-def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
+def fit_segments(
+    problem: Problem, structure: Structure, x: Array, weights: Fitter
+) -> Array | None:
     """Return the parameters (parameters,), transformed, of fits to segments that grow; None where no record is longer, or a fit breaks
     down."""
     length, found = SHORT, None

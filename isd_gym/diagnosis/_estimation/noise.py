@@ -39,7 +39,9 @@ class Weights:
 
     def mean_square(self, deviation: Array) -> Array:
         """Return the mean square of weighted noise of a deviation (channels,)."""
-        return np.asarray(self.share * (deviation / np.maximum(self.level, 1e-300)) ** 2)
+        return np.asarray(
+            self.share * (deviation / np.maximum(self.level, 1e-300)) ** 2
+        )
 
 
 def white_weights(level: Array) -> Weights:
@@ -49,7 +51,9 @@ def white_weights(level: Array) -> Weights:
 
 def weights_of(residuals: Sequence[Array], least: Array) -> Weights:
     """Return weights by the level of residuals [(samples, channels), ...], at least `least` (channels,)."""
-    return white_weights(np.maximum(np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0)), least))
+    return white_weights(
+        np.maximum(np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0)), least)
+    )
 
 
 def independent_share(residuals: Sequence[Array]) -> Array:
@@ -63,18 +67,24 @@ def independent_share(residuals: Sequence[Array]) -> Array:
     return np.asarray(1.0 / total)
 
 
-def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool = False) -> float:
+def noise_of(
+    series: Sequence[Array], step: float, *, time: float, white: bool = False
+) -> float:
     """Return the deviation of white plus AR(1) noise of residuals (samples,), at most that of the series, from the spectrum above three
     frequencies of a motion that changes in `time` [s]; `white`: behind a low-pass, which leaves a level but no colour."""
     length = min(1024, min(len(x) for x in series))
     frequency, s, _ = _density(series, step, length)
     top = frequency[-1]
     low = max(min(3.0 / (2 * math.pi * time), 0.3 * top), 2 * float(frequency[1]))
-    noise, _ = _noise_above(frequency, s, step, low, (0.7 if white else 0.98) * top, white)
+    noise, _ = _noise_above(
+        frequency, s, step, low, (0.7 if white else 0.98) * top, white
+    )
     return min(noise, float(np.std(np.concatenate(series))))
 
 
-def _density(series: Sequence[Array], step: float, length: int) -> tuple[Array, Array, float]:
+def _density(
+    series: Sequence[Array], step: float, length: int
+) -> tuple[Array, Array, float]:
     """Return frequencies [Hz], mean power density, and the number of averaged spectra."""
     density, frequency, averages = [], np.zeros(0), 0.0
     for x in series:
@@ -99,7 +109,9 @@ def _noise_above(
     best = (math.inf, 0.0)
     for phi in (0.0,) if white else (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93):
         shape = 1.0 / (1 + phi**2 - 2 * phi * np.cos(w[pick]))
-        for share in (1.0,) if phi == 0 else (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9):
+        for share in (
+            (1.0,) if phi == 0 else (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9)
+        ):
             model = share + (1 - share) * shape * (1 - phi) ** 2
             logs = np.log(s[pick] / model)
             # a median: peaks of unexplained motion do not lift the level
@@ -107,7 +119,10 @@ def _noise_above(
             error = float(np.mean(np.minimum(np.abs(logs - level), 1.0)))
             if error < best[0] - 1e-9:
                 unit = math.exp(level) / (2 * step)
-                best = error, math.sqrt(unit * (share + (1 - share) * (1 - phi) / (1 + phi)))
+                best = (
+                    error,
+                    math.sqrt(unit * (share + (1 - share) * (1 - phi) / (1 + phi))),
+                )
     return best[1], best[0]
 
 
@@ -158,7 +173,9 @@ def floors_of(problem: Problem) -> list[Floor]:
         floor = _floor_of_sensor(problem, j)
         total = math.hypot(floor.deviation, propagated)
         out.append(
-            Floor(total, True, "input") if propagated > floor.deviation else replace(floor, deviation=total)
+            Floor(total, True, "input")
+            if propagated > floor.deviation
+            else replace(floor, deviation=total)
         )
     return out
 
@@ -168,7 +185,10 @@ def _floor_of_sensor(problem: Problem, channel: int) -> Floor:
     c = problem.network.outputs[channel]
     if c.noise is not None:
         return Floor(c.noise, True, "owner")
-    records = [problem.records[i] for i in dict.fromkeys((*problem.estimation, *problem.choosing))]
+    records = [
+        problem.records[i]
+        for i in dict.fromkeys((*problem.estimation, *problem.choosing))
+    ]
     series, first = [r.measured[:, channel] for r in records], records[0]
     seen = floor_of(series, first.interval, white=first.filtered)
     grain = resolution(series) if not first.filtered else 0.0
@@ -188,7 +208,8 @@ def propagate_input_noise(problem: Problem) -> Array:
     levels = {}
     for n in names:
         known = [
-            r.input_noise.get(n, estimate_white_noise(r.inputs[n])) for r in (records[i] for i in training)
+            r.input_noise.get(n, estimate_white_noise(r.inputs[n]))
+            for r in (records[i] for i in training)
         ]
         levels[n] = float(np.median(known))
     rng = np.random.default_rng(0)
@@ -202,16 +223,22 @@ def propagate_input_noise(problem: Problem) -> Array:
         return noise
     change = np.concatenate([noisy[i] - clean[i] for i in training])[:, :, 0]
     computed = [network.outputs.index(force) for _, force in pairs]
-    noise[computed] = np.nan_to_num(np.sqrt(np.mean(change[:, computed] ** 2, axis=0)), posinf=0.0)
+    noise[computed] = np.nan_to_num(
+        np.sqrt(np.mean(change[:, computed] ** 2, axis=0)), posinf=0.0
+    )
     return noise
 
 
-def _with_noise(record: Record, levels: Mapping[str, float], rng: np.random.Generator) -> Record:
+def _with_noise(
+    record: Record, levels: Mapping[str, float], rng: np.random.Generator
+) -> Record:
     """Return a record with white noise of given levels added to its inputs, behind the record's low-pass."""
     inputs, slopes = dict(record.inputs), dict(record.slopes)
     for name, level in levels.items():
         noise = level * rng.standard_normal(record.samples)
-        inputs[name] = inputs[name] + (noise if record.taps is None else low_pass(noise, record.taps))
+        inputs[name] = inputs[name] + (
+            noise if record.taps is None else low_pass(noise, record.taps)
+        )
         if name in slopes:
             slopes[name] = differences(inputs[name], record.step)
     return replace(record, inputs=inputs, slopes=slopes)

@@ -43,18 +43,37 @@ def tangents(
     p = len(x) if moves else 0
 
     def name(i: int, full: bool) -> tuple[object, ...]:
-        where = x.tobytes(), i, initial[i].tobytes(), None if over is None else over.tobytes()
+        where = (
+            x.tobytes(),
+            i,
+            initial[i].tobytes(),
+            None if over is None else over.tobytes(),
+        )
         return id(structure.network), id(structure.free), *where, full
 
-    known = {i: problem.memory.get(name(i, moves)) or problem.memory.get(name(i, True)) for i in initial}
+    known = {
+        i: problem.memory.get(name(i, moves)) or problem.memory.get(name(i, True))
+        for i in initial
+    }
     todo = [i for i, kept in known.items() if kept is None]
-    out = {i: Tangent(k[0], k[1][:, :, :p], k[2]) for i, k in known.items() if k is not None}
+    out = {
+        i: Tangent(k[0], k[1][:, :, :p], k[2])
+        for i, k in known.items()
+        if k is not None
+    }
     if not todo:
         return {i: out[i] for i in initial}
     moved = over if over is not None else _small_steps(structure, x)[:p]
-    nets = [structure.at(v) for v in (x, *(x + moved), *(x - moved if over is not None else ()))]
+    nets = [
+        structure.at(v)
+        for v in (x, *(x + moved), *(x - moved if over is not None else ()))
+    ]
     lanes, n0 = len(nets), len(initial[todo[0]])
-    reach = np.maximum(np.abs(motion_rows(problem, nets[0])).max(axis=0), 1e-9) if n0 else np.zeros(0)
+    reach = (
+        np.maximum(np.abs(motion_rows(problem, nets[0])).max(axis=0), 1e-9)
+        if n0
+        else np.zeros(0)
+    )
     begun, state_steps = {}, {}
     for i in todo:
         state_steps[i] = 1e-3 * problem.span(i) / reach
@@ -63,11 +82,17 @@ def tangents(
     every = [*nets, *[nets[0]] * n0]
     for i, y in problem.simulate_all(every, todo, begun).items():
         point = y[:, :, 0]
-        with np.errstate(over="ignore", invalid="ignore"):  # the caller detects a diverged simulation
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # the caller detects a diverged simulation
             if over is None:
                 dp = (y[:, :, 1:lanes] - point[:, :, None]) / np.diag(moved)
             else:
-                dp = 0.5 * (y[:, :, 1 : 1 + p] - y[:, :, 1 + p : lanes]) @ np.linalg.inv(moved).T
+                dp = (
+                    0.5
+                    * (y[:, :, 1 : 1 + p] - y[:, :, 1 + p : lanes])
+                    @ np.linalg.inv(moved).T
+                )
             ds = (y[:, :, lanes:] - point[:, :, None]) / state_steps[i]
         kept = point.copy(), dp, ds
         problem.memory.put(name(i, moves), structure, kept)
@@ -78,7 +103,8 @@ def tangents(
 def _small_steps(structure: Structure, x: Array) -> Array:
     """Return a small step of each parameter within its limits, transformed (parameters, parameters)."""
     steps = [
-        f.step(v) if v + f.step(v) <= f.high else -f.step(v) for f, v in zip(structure.free, x, strict=True)
+        f.step(v) if v + f.step(v) <= f.high else -f.step(v)
+        for f, v in zip(structure.free, x, strict=True)
     ]
     return np.diag(np.array(steps, dtype=np.float64))
 
@@ -90,6 +116,11 @@ def deviations(structure: Structure, x: Array, covariance: Array) -> Array:
     variances, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
     steps = deviation * (axes * np.sqrt(np.maximum(variances, LEAST_VARIANCE))).T
     small = np.abs(np.diag(_small_steps(structure, x)))
-    room = np.maximum([min(f.high - v, v - f.low) for f, v in zip(structure.free, x, strict=True)], small)
+    room = np.maximum(
+        [min(f.high - v, v - f.low) for f, v in zip(structure.free, x, strict=True)],
+        small,
+    )
     steps = steps / np.maximum((np.abs(steps) / room).max(axis=1), 1.0)[:, None]
-    return np.asarray(steps / np.minimum((np.abs(steps) / small).max(axis=1), 1.0)[:, None])
+    return np.asarray(
+        steps / np.minimum((np.abs(steps) / small).max(axis=1), 1.0)[:, None]
+    )

@@ -54,7 +54,9 @@ class Free:
         half = Z95 * sigma
         if not self.log:
             return x - half, x + half
-        return self.back(max(x - half, -LARGEST_LOG)), self.back(min(x + half, LARGEST_LOG))
+        return self.back(max(x - half, -LARGEST_LOG)), self.back(
+            min(x + half, LARGEST_LOG)
+        )
 
     def step(self, x: float) -> float:
         """Return the step of a finite difference at `x` (transformed)."""
@@ -92,12 +94,16 @@ class Hypothesis:
         if not self.behind:
             return self.kind.stands(network, self.where)
         here = [e.name for e in el.beside(network, self.where)]
-        alone = [e for e in network.elements if e.name not in here or e.name == self.behind]
+        alone = [
+            e for e in network.elements if e.name not in here or e.name == self.behind
+        ]
         return self.kind.stands(unchecked(network, elements=tuple(alone)), self.where)
 
     @property
     def label(self) -> str:
-        extra = "".join(f" ({v})" for _, v in self.options) + (f" (of {self.behind})" if self.behind else "")
+        extra = "".join(f" ({v})" for _, v in self.options) + (
+            f" (of {self.behind})" if self.behind else ""
+        )
         return f"{self.effect} at {'-'.join(self.where)}{extra}"
 
 
@@ -142,7 +148,9 @@ class Structure:
 
     def start_from(self, known: Mapping[str, float]) -> np.ndarray:
         """Return start values (parameters,), transformed: known ones by path, the network's own for the others."""
-        return np.array([known.get(f.path, v) for f, v in zip(self.free, self.start, strict=True)])
+        return np.array(
+            [known.get(f.path, v) for f, v in zip(self.free, self.start, strict=True)]
+        )
 
     @property
     def mean(self) -> np.ndarray:
@@ -165,17 +173,23 @@ def base_structure(network: Network) -> Structure:
         if value > 0:
             s = math.log1p(sigma)
             m = math.log(value)
-            low = FAR if REACH * sigma >= 1.0 and may_vanish(network, path) else REACH * s
+            low = (
+                FAR if REACH * sigma >= 1.0 and may_vanish(network, path) else REACH * s
+            )
             free.append(Free(path, True, m, s, m - low, m + REACH * s, -1))
         elif value != 0:
             s = sigma * abs(value)
-            free.append(Free(path, False, value, s, value - REACH * s, value + REACH * s, -1))
+            free.append(
+                Free(path, False, value, s, value - REACH * s, value + REACH * s, -1)
+            )
         else:
             s = sigma * usual(network, path)
             owner, _, name = path.rpartition(".")
             own = el.parameter_fields(type(network.element(owner)))
             signed = next(f.metadata["minimum"] < 0 for f in own if f.name == name)
-            free.append(Free(path, False, 0.0, s, -REACH * s if signed else 0.0, REACH * s, -1))
+            free.append(
+                Free(path, False, 0.0, s, -REACH * s if signed else 0.0, REACH * s, -1)
+            )
     return Structure(network, tuple(free))
 
 
@@ -201,7 +215,9 @@ def usual(network: Network, path: str) -> float:
         "N": [max((getattr(e, "level", 0.0) for e in network.elements), default=0.0)],
     }
     field_of = {f.name: f for f in el.parameter_fields(type(network.element(owner)))}
-    size = next((s for s in sizes.get(field_of[name].metadata["unit"], []) if s > 0), 0.0)
+    size = next(
+        (s for s in sizes.get(field_of[name].metadata["unit"], []) if s > 0), 0.0
+    )
     if not size:
         raise InputError(
             f"uncertainty: '{path}' is zero, and nothing in the model says what would be much of it: "
@@ -222,10 +238,22 @@ def free_of(element: el.Element, owner: int) -> list[Free]:
         largest = (1.0 - 1e-9) * meta["maximum"]
         low, high = meta["plausible"] or (-largest, largest)
         if meta["minimum"] >= 0:
-            m, far = math.log(max(value, 1e-300)), math.log(meta["reach"]) if meta["reach"] else FAR
+            m, far = (
+                math.log(max(value, 1e-300)),
+                math.log(meta["reach"]) if meta["reach"] else FAR,
+            )
             least = math.log(low) if low > 0 else -math.inf
             out.append(
-                Free(path, True, m, WIDE, max(m - far, least), min(m + far, math.log(high)), owner, stride)
+                Free(
+                    path,
+                    True,
+                    m,
+                    WIDE,
+                    max(m - far, least),
+                    min(m + far, math.log(high)),
+                    owner,
+                    stride,
+                )
             )
         else:
             known = f.default if isinstance(f.default, int | float) else 0.0
@@ -255,24 +283,37 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
     here = el.beside(network, where) if cls.place == "between" else []
     gone = [e.name for e in here if e.type in cls.replaces]
     tied = cls.tied(network, where)
-    data = {**_plausible(cls, values), **{key: network.parameters[path] for key, path in tied.items()}}
+    data = {
+        **_plausible(cls, values),
+        **{key: network.parameters[path] for key, path in tied.items()},
+    }
     element = cls(name=name, where=where, **data, **dict(h.options))
-    network = replace(network, elements=(*network.elements, element), outputs=cells_beside(network, element))
+    network = replace(
+        network,
+        elements=(*network.elements, element),
+        outputs=cells_beside(network, element),
+    )
     for other in gone:  # what replaces it stands there by now
         network = drop(network, other)
         free = [f for f in free if not f.path.startswith(f"{other}.")]
         found = [(known, its) for known, its in found if its != other]
     held = cls.held(dict(h.options))
-    free += [f for f in free_of(element, len(found)) if f.path.rpartition(".")[2] not in tied]
+    free += [
+        f for f in free_of(element, len(found)) if f.path.rpartition(".")[2] not in tied
+    ]
     # a number that a fit reports but does not move
     free = [
-        replace(f, sigma=SURE, low=f.mean, high=f.mean) if f.path in {f"{name}.{key}" for key in held} else f
+        replace(f, sigma=SURE, low=f.mean, high=f.mean)
+        if f.path in {f"{name}.{key}" for key in held}
+        else f
         for f in free
     ]
     ties += [(f"{name}.{key}", path) for key, path in tied.items()]
     found.append((h, name))
     hypotheses, names = zip(*found, strict=True)
-    return Structure(network, tuple(free), hypotheses, names, tuple(ties), structure.offsets)
+    return Structure(
+        network, tuple(free), hypotheses, names, tuple(ties), structure.offsets
+    )
 
 
 def offsets_of(network: Network, output: Channel) -> list[el.SensorBias]:
@@ -287,21 +328,29 @@ def with_sensor_offsets(network: Network, offsets: Sequence[float] | None) -> Ne
     for c, offset in zip(network.outputs, offsets or (), strict=bool(offsets)):
         if c.offset != "free" or not offset:
             continue
-        here = [e for e in network.elements if e.place == "channel" and e.where[0] == c.name]
+        here = [
+            e for e in network.elements if e.place == "channel" and e.where[0] == c.name
+        ]
         last = here[-1] if here else None
         if isinstance(last, el.SensorBias):
             path = f"{last.name}.bias"
             network = network.with_parameters({path: last.bias + offset})
             continue
         kind: type[el.Element] = el.SensorBias
-        bias = kind(name=network.free_name(f"{c.name}_offset"), where=(c.name,), **{"bias": float(offset)})
+        bias = kind(
+            name=network.free_name(f"{c.name}_offset"),
+            where=(c.name,),
+            **{"bias": float(offset)},
+        )
         network = replace(network, elements=(*network.elements, bias))
     return network
 
 
 def parameter_values(element: el.Element) -> dict[str, float]:
     """Return the parameters of an element by name."""
-    return {f.name: getattr(element, f.name) for f in el.parameter_fields(type(element))}
+    return {
+        f.name: getattr(element, f.name) for f in el.parameter_fields(type(element))
+    }
 
 
 def cells_beside(network: Network, element: el.Element) -> tuple[Channel, ...]:
@@ -309,20 +358,30 @@ def cells_beside(network: Network, element: el.Element) -> tuple[Channel, ...]:
     out = []
     for c in network.outputs:
         cell = [network.element(n) for n in c.elements]
-        if cell and element.place == "between" and all(e.where == element.where for e in cell):
+        if (
+            cell
+            and element.place == "between"
+            and all(e.where == element.where for e in cell)
+        ):
             c = replace(c, element=(*c.elements, element.name))
         out.append(c)
     return tuple(out)
 
 
 def drop(network: Network, name: str) -> Network:
-    kept = {k: v for k, v in network.uncertainty.items() if not k.startswith(f"{name}.")}
+    kept = {
+        k: v for k, v in network.uncertainty.items() if not k.startswith(f"{name}.")
+    }
     outputs = []
     for c in network.outputs:
         if name in c.elements and len(c.elements) == 1:
-            raise InputError(f"output '{c.name}' reads '{name}', which cannot be replaced")
+            raise InputError(
+                f"output '{c.name}' reads '{name}', which cannot be replaced"
+            )
         outputs.append(
-            replace(c, element=tuple(n for n in c.elements if n != name)) if name in c.elements else c
+            replace(c, element=tuple(n for n in c.elements if n != name))
+            if name in c.elements
+            else c
         )
     elements = tuple(e for e in network.elements if e.name != name)
     return replace(network, elements=elements, outputs=tuple(outputs), uncertainty=kept)
@@ -338,10 +397,16 @@ def split(
     first, second = pair
     if second in network.moved_nodes and first not in network.moved_nodes:
         first, second = second, first
-    node = network.free_name(f"{first}_{stem}" if first != GROUND else f"{second}_{stem}")
+    node = network.free_name(
+        f"{first}_{stem}" if first != GROUND else f"{second}_{stem}"
+    )
     moved = []
     for e in network.elements:
-        if e.place == "between" and set(e.where) == {first, second} and behind in ("", e.name):
+        if (
+            e.place == "between"
+            and set(e.where) == {first, second}
+            and behind in ("", e.name)
+        ):
             e = replace(e, where=tuple(node if n == first else n for n in e.where))
         moved.append(e)
     # two terminals in the owner's order, so that the sign of elongation stays; the element in series closes the gap later
@@ -351,7 +416,9 @@ def split(
 def unchecked(network: Network, **changes: object) -> Network:
     """Return a network with changes that the checks of `Network` would refuse."""
     out = object.__new__(Network)
-    out.__dict__.update({f.name: getattr(network, f.name) for f in fields(Network)} | changes)
+    out.__dict__.update(
+        {f.name: getattr(network, f.name) for f in fields(Network)} | changes
+    )
     return out
 
 

@@ -50,7 +50,10 @@ class PlaceForces:
     @property
     def largest(self) -> float:
         """Largest typical force of all nodes [N]; 1 N where nothing moves."""
-        return max((f for f in self.by_node.values() if math.isfinite(f)), default=0.0) or 1.0
+        return (
+            max((f for f in self.by_node.values() if math.isfinite(f)), default=0.0)
+            or 1.0
+        )
 
 
 def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> PlaceForces:
@@ -67,7 +70,10 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
     by_node: dict[str, float] = dict.fromkeys((*net.carried, *driven), 0.0)
     scale = _lost_motion(problem, fit)
     for (nodes, factor), values in zip(
-        [*((e.where, 1.0) for e in elements), *(((m,), inertia) for m, inertia in masses.items())],
+        [
+            *((e.where, 1.0) for e in elements),
+            *(((m,), inertia) for m, inertia in masses.items()),
+        ],
         _simulated(problem, fit, tuple(probes)),
         strict=True,
     ):
@@ -79,14 +85,19 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
     return PlaceForces(by_node, prescribed)
 
 
-def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str, Array]:
+def element_forces(
+    problem: Problem, fit: Fit, where: Sequence[str]
+) -> dict[str, Array]:
     """Return the force (samples,) of each element between two nodes over the records to fit by, signed from the first to the second
     node."""
     net, pair = fit.network, set(where)
     here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
     probes = tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here)
     together = np.concatenate([*watched(problem, fit, probes).values()])
-    return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
+    return {
+        e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0)
+        for k, e in enumerate(here)
+    }
 
 
 def lossy_share(problem: Problem, fit: Fit) -> float:
@@ -97,7 +108,9 @@ def lossy_share(problem: Problem, fit: Fit) -> float:
     for pair in {e.between for e in elements}:
         forces |= element_forces(problem, fit, pair)
     size = {e.name: rms(forces[e.name]) for e in elements if e.name in forces}
-    lossy = [size[e.name] for e in elements if e.name in size and e.mechanism in DISSIPATIVE]
+    lossy = [
+        size[e.name] for e in elements if e.name in size and e.mechanism in DISSIPATIVE
+    ]
     return max(lossy) / max(*size.values(), 1e-300) if lossy else 1.0
 
 
@@ -126,8 +139,14 @@ def _measured_force(problem: Problem) -> float:
                 found = max(found, deviation * (inertia or net.largest_inertia(*nodes)))
     for c in net.inputs:
         if c.quantity in ("force", "current"):
-            pushed = np.concatenate([problem.records[i].inputs[c.name] for i in problem.estimation])
-            motor = net.element(c.elements[0]).law_parameters() if c.quantity == "current" else (1.0,)
+            pushed = np.concatenate(
+                [problem.records[i].inputs[c.name] for i in problem.estimation]
+            )
+            motor = (
+                net.element(c.elements[0]).law_parameters()
+                if c.quantity == "current"
+                else (1.0,)
+            )
             found = max(found, float(np.prod(motor)) * float(np.std(pushed)))
     return found
 
@@ -145,7 +164,10 @@ def _simulated(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> list
 
 def _lost_motion(problem: Problem, fit: Fit) -> float:
     """Return the ratio of measured to simulated output deviation, pooled over channels, at least 1."""
-    spread, names = problem.deviation(), [problem.records[i].name for i in problem.estimation]
+    spread, names = (
+        problem.deviation(),
+        [problem.records[i].name for i in problem.estimation],
+    )
     simulated = deviation_within([fit.outputs[i] for i in problem.estimation], names)
     known = (spread > 1e-300) & np.isfinite(simulated)
     pooled = rms(simulated[known] / spread[known]) if known.any() else 0.0

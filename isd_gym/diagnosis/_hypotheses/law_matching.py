@@ -58,14 +58,20 @@ class Residual:
 
 def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
     structure, own = fit.structure, len(fit.x)
-    p = own + int(problem.shared_offset.sum())  # parameters, and offsets that all records share
+    p = own + int(
+        problem.shared_offset.sum()
+    )  # parameters, and offsets that all records share
     parts, spans, nuisances, at = [], {}, {}, 0
     begun = {i: fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, fit.x, begun).items():
-        r = (problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i]))[:, :, None]
+        r = (
+            problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i])
+        )[:, :, None]
         free = problem.nuisances(i, t.outputs)
         common = problem.common(t.outputs)
-        W = fitter.weights(np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2))
+        W = fitter.weights(
+            np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2)
+        )
         W = W.reshape(-1, W.shape[2])
         nuisances[i], _, _ = _orthogonal(W[:, 1 + p :])
         parts.append(W[:, : 1 + p])
@@ -79,11 +85,17 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
     for i, (first, last, _) in spans.items():
         J[first:last] -= nuisances[i] @ (nuisances[i].T @ J[first:last])
     basis, Q, R = _orthogonal(J[:, 1:], norm[1:])
-    solve = (np.linalg.pinv(R, rcond=DEPENDENT) @ Q.T)[:own] / np.where(norm > 0, norm, 1)[1 : 1 + own, None]
-    return Residual(whole, J[:, 0] - basis @ (basis.T @ J[:, 0]), spans, nuisances, basis, solve)
+    solve = (np.linalg.pinv(R, rcond=DEPENDENT) @ Q.T)[:own] / np.where(
+        norm > 0, norm, 1
+    )[1 : 1 + own, None]
+    return Residual(
+        whole, J[:, 0] - basis @ (basis.T @ J[:, 0]), spans, nuisances, basis, solve
+    )
 
 
-def _orthogonal(columns: Array, norm: Array | None = None) -> tuple[Array, Array, Array]:
+def _orthogonal(
+    columns: Array, norm: Array | None = None
+) -> tuple[Array, Array, Array]:
     """Return an orthonormal basis of columns (rows, columns), and their QR decomposition relative to `norm`, their own norms by
     default."""
     norm = np.linalg.norm(columns, axis=0) if norm is None else norm
@@ -93,7 +105,9 @@ def _orthogonal(columns: Array, norm: Array | None = None) -> tuple[Array, Array
 
 def follows_motion(h: Hypothesis) -> bool:
     """Return whether the motion of its two nodes tells the force of a law."""
-    return h.place == "between" and not (h.kind.series or h.kind.loaded or h.kind.scheduled)
+    return h.place == "between" and not (
+        h.kind.series or h.kind.loaded or h.kind.scheduled
+    )
 
 
 def starts_of(
@@ -112,8 +126,18 @@ def starts_of(
             continue
         pair = motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
         if pair is not None and h.kind.periodic and h.where not in lines:
-            lines[h.where] = spectral_pitches(problem, fit, (h.where[0], h.where[1]), pair, PERIODS)
-        at = setting(problem, fit.network, h, pair, forces.at(h.where), lines.get(h.where, ()), load)
+            lines[h.where] = spectral_pitches(
+                problem, fit, (h.where[0], h.where[1]), pair, PERIODS
+            )
+        at = setting(
+            problem,
+            fit.network,
+            h,
+            pair,
+            forces.at(h.where),
+            lines.get(h.where, ()),
+            load,
+        )
         out += [(h, start) for start in h.kind.starts(at)]
     return out
 
@@ -121,7 +145,10 @@ def starts_of(
 def built_ways(fit: Fit, h: Hypothesis, start: Start) -> list[Structure]:
     """Return a start built into the fitted model in each of its ways; empty where the model has no place for it."""
     try:
-        built = [add(replace(fit.structure, network=fit.network), h, way) for way in start.ways]
+        built = [
+            add(replace(fit.structure, network=fit.network), h, way)
+            for way in start.ways
+        ]
         for b in built:
             assemble(bare(b.network))
     except BROKEN:
@@ -129,18 +156,29 @@ def built_ways(fit: Fit, h: Hypothesis, start: Start) -> list[Structure]:
     return built
 
 
-def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
+def simulate_unmodelled_effects(
+    problem: Problem, fit: Fit, share: float
+) -> dict[int, Array]:
     """Return what each force law of the library, with a share of the typical force (of the dissipating forces, for a law that dissipates
     in a lightly damped structure), does to the outputs (samples, channels, laws) of the training records."""
     motion, forces = motions(problem, fit), place_forces(problem, fit)
     lossy = lossy_share(problem, fit) if is_lightly_damped(problem.network) else 1.0
     networks, sizes = [], []
     for h in hypotheses(fit.network):
-        simpler = set(h.kind.contains) & {e.type for e in fit.network.elements} or h.kind.replaces
+        simpler = (
+            set(h.kind.contains) & {e.type for e in fit.network.elements}
+            or h.kind.replaces
+        )
         if h.place != "between" or h.kind.series or simpler:
             continue
         tried = h.kind.starts(
-            setting(problem, fit.network, h, motion.get((h.where[0], h.where[1])), forces.at(h.where))
+            setting(
+                problem,
+                fit.network,
+                h,
+                motion.get((h.where[0], h.where[1])),
+                forces.at(h.where),
+            )
         )
         for start in tried[:: max(1, len(tried) // 2)][:2]:
             for built in built_ways(fit, h, replace(start, ways=start.ways[:1])):
@@ -154,5 +192,7 @@ def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dic
                 change = (y - point[i]) * (share / PROBE) * np.array(sizes)[chunk]
                 most = np.abs(change).max(axis=(0, 1))
             # a diverged variant is no evidence
-            out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
+            out[i][:, :, chunk] = np.where(
+                most < 1e6 * np.abs(point[i]).max(), change, 0.0
+            )
     return out

@@ -31,10 +31,14 @@ def pairs(network: Network) -> list[tuple[str, str]]:
         if m not in network.moved_nodes or not riding
     }
     for pair in combinations(seen, 2):
-        if seen[pair[0]] == seen[pair[1]] and (pair[0] in network.rotating) == (pair[1] in network.rotating):
+        if seen[pair[0]] == seen[pair[1]] and (pair[0] in network.rotating) == (
+            pair[1] in network.rotating
+        ):
             out.setdefault(frozenset(pair), pair)
     for m in network.carried:
-        if order_told(network, (m, GROUND)) < 2 and (m not in network.moved_nodes or not riding):
+        if order_told(network, (m, GROUND)) < 2 and (
+            m not in network.moved_nodes or not riding
+        ):
             out.setdefault(frozenset((m, GROUND)), (m, GROUND))
     return list(out.values())
 
@@ -56,7 +60,11 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
     for kind in el.TYPES.values():
         for where in places(network, kind):
             # an element in series carries all elements of the place, or each of several parallel ones
-            here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
+            here = (
+                [e.name for e in el.beside(network, where) if not e.series]
+                if kind.series
+                else []
+            )
             for behind in ["", *here] if len(here) > 1 else [""]:
                 bare = Hypothesis(kind.type, where, (), behind)
                 if bare.stands(network):

@@ -38,7 +38,9 @@ def motions(
 
 def joined(parts: Mapping[int, Motion]) -> Motion:
     """Return the motions of several records, one after the other."""
-    return Motion(*(np.concatenate([getattr(m, k) for m in parts.values()]) for k in "dva"))
+    return Motion(
+        *(np.concatenate([getattr(m, k) for m in parts.values()]) for k in "dva")
+    )
 
 
 def motions_by_record(
@@ -49,26 +51,34 @@ def motions_by_record(
     net = fit.network
     known = {p: order_told(net, p) for p in (*pairs(net), *also)}
     where = [p for p, order in known.items() if order < 2]
-    extra = tuple(net.probe(f"_{k}", MOTIONS[known[p]], between=p) for k, p in enumerate(where))
+    extra = tuple(
+        net.probe(f"_{k}", MOTIONS[known[p]], between=p) for k, p in enumerate(where)
+    )
     seen = watched(problem, fit, extra)
     for i in problem.estimation:
         step = problem.records[i].step
         for k, p in enumerate(where):
             y = seen[i][:, k]
             d, v = (
-                (cumulative_trapezoid(y, dx=step, initial=0.0), y) if known[p] else (y, np.gradient(y, step))
+                (cumulative_trapezoid(y, dx=step, initial=0.0), y)
+                if known[p]
+                else (y, np.gradient(y, step))
             )
             out.setdefault(p, {})[i] = Motion(d, v, np.gradient(v, step))
     return out
 
 
-def watched(problem: Problem, fit: Fit, outputs: tuple[Channel, ...]) -> dict[int, Array]:
+def watched(
+    problem: Problem, fit: Fit, outputs: tuple[Channel, ...]
+) -> dict[int, Array]:
     """Return other outputs of a fitted simulation by training record (samples, outputs); the latest are kept."""
 
     def make() -> tuple[Array, ...]:
         probe = problem.watching(with_outputs(fit.network, outputs))
         begun = {i: fit.initial[i][:, None] for i in problem.estimation}
-        found = probe.simulate_all([probe.network], problem.estimation, begun, like=fit.network)
+        found = probe.simulate_all(
+            [probe.network], problem.estimation, begun, like=fit.network
+        )
         return tuple(found[i][:, :, 0].copy() for i in problem.estimation)
 
     seen = problem.memory.made(("watched", id(fit), outputs), fit, make)
@@ -94,8 +104,14 @@ def setting(
     [m], and loads (samples,) [N]."""
     signal, time, samples = 1.0, problem.time, None
     if h.place == "element":
-        name = next(c.name for c in network.inputs if c.quantity == "current" and c.element == h.where[0])
-        current = np.concatenate([problem.records[i].inputs[name] for i in problem.estimation])
+        name = next(
+            c.name
+            for c in network.inputs
+            if c.quantity == "current" and c.element == h.where[0]
+        )
+        current = np.concatenate(
+            [problem.records[i].inputs[name] for i in problem.estimation]
+        )
         signal, samples = max(float(np.std(current)), 1e-9), current
     elif h.place == "channel":
         j = problem.channels.index(h.where[0])
@@ -107,10 +123,14 @@ def setting(
         )
     elif h.kind.scheduled:
         channel = dict(h.options)["channel"]
-        samples = np.concatenate([problem.records[i].inputs[channel] for i in problem.estimation])
+        samples = np.concatenate(
+            [problem.records[i].inputs[channel] for i in problem.estimation]
+        )
     elif load is not None:
         samples = np.concatenate(load)
-    return Setting(network, h.where, motion, force, signal, time, dict(h.options), samples, pitches)
+    return Setting(
+        network, h.where, motion, force, signal, time, dict(h.options), samples, pitches
+    )
 
 
 def simulate_variants(
@@ -126,26 +146,42 @@ def simulate_variants(
             continue
         outside = tuple(type(e).__name__ for e in net.elements if e.place != "between")
         groups.setdefault((outside, *alike), []).append(k)
-    chunks = [m[k : k + LANES] for m in groups.values() for k in range(0, len(m), LANES)]
+    chunks = [
+        m[k : k + LANES] for m in groups.values() for k in range(0, len(m), LANES)
+    ]
     while chunks:
         chunk = chunks.pop(0)
         nets = [networks[k] for k in chunk]
-        begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
+        begun = {
+            i: np.repeat(fit.initial[i][:, None], len(nets), axis=1)
+            for i in problem.estimation
+        }
         try:
-            yield chunk, problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
+            yield (
+                chunk,
+                problem.simulate_all(nets, problem.estimation, begun, like=fit.network),
+            )
         except BROKEN:
             half = len(chunk) // 2  # isolate a variant that diverges
-            chunks = [part for part in (chunk[:half], chunk[half:]) if 0 < len(part) < len(chunk)] + chunks
+            chunks = [
+                part
+                for part in (chunk[:half], chunk[half:])
+                if 0 < len(part) < len(chunk)
+            ] + chunks
 
 
 #: smallest difference of the magnitudes of two mean loads, as a share of the largest RMS load of a record
 LEAST_DIFFERENCE = 0.3
 
 
-def loads_of(problem: Problem, fit: Fit, candidates: Collection[Hypothesis]) -> dict[str, list[Array]]:
+def loads_of(
+    problem: Problem, fit: Fit, candidates: Collection[Hypothesis]
+) -> dict[str, list[Array]]:
     """Return the load of each training record (samples,) [N], or [N m] where nodes turn, by loading element of the candidates, as a
     fitted simulation computes it; empty where the simulation breaks down."""
-    names = list(dict.fromkeys(dict(h.options)["load"] for h in candidates if h.kind.loaded))
+    names = list(
+        dict.fromkeys(dict(h.options)["load"] for h in candidates if h.kind.loaded)
+    )
     if not names:
         return {}
     probes = tuple(fit.network.probe(f"_{n}", "force", element=n) for n in names)

@@ -63,7 +63,9 @@ class Deconvolution:
     frequency: Array  # [Hz] of the band that is used
     first: int  # index of the first of them in a Fourier transform
     gain: NDArray[np.complex128]  # (frequencies, outputs), SI per N
-    moved: NDArray[np.complex128]  # (frequencies, 2): travel and rate of the pair, per N
+    moved: NDArray[
+        np.complex128
+    ]  # (frequencies, 2): travel and rate of the pair, per N
     factors: Array  # channel's unit -> SI
     samples: int
 
@@ -84,11 +86,16 @@ class Deconvolution:
         seen = _moved_by_a_force(network, pair)
         for c in network.outputs:
             if c.name in names:
-                beside = c.element is not None and any(network.element(e).where == pair for e in c.elements)
+                beside = c.element is not None and any(
+                    network.element(e).where == pair for e in c.elements
+                )
                 outputs.append(replace(c, element=(*c.elements, name)) if beside else c)
         factors = {c.name: convert(1.0, c.unit, c.si) for c in outputs}
         if seen is not None:
-            outputs += [network.probe(f"_{q}", q, between=seen) for q in ("displacement", "velocity")]
+            outputs += [
+                network.probe(f"_{q}", q, between=seen)
+                for q in ("displacement", "velocity")
+            ]
         motor = el.Motor(name, pair, thrust_constant=1.0, ratio=1.0)  # type: ignore[call-arg]
         probe = replace(
             network,
@@ -104,24 +111,40 @@ class Deconvolution:
         space = linearise(probe)
         scale = float(np.median([pace(y, step) for y in measured.values()]))
         frequency = np.asarray(np.fft.rfftfreq(samples, step), np.float64)
-        low, high = 0.5 / (samples * step), min(highest / (2 * math.pi * scale), 0.4 / step)
+        low, high = (
+            0.5 / (samples * step),
+            min(highest / (2 * math.pi * scale), 0.4 / step),
+        )
         band = np.flatnonzero((frequency >= low) & (frequency <= high))
         if len(band) < 10:
             raise InputError("the record is too short to look for a force in it")
         answer = space.response(frequency[band])[:, :, space.inputs.index(name)]
         order = [space.outputs.index(n) for n in names]
-        two = answer[:, len(order) :] if seen is not None else np.zeros((len(band), 2), complex)
+        two = (
+            answer[:, len(order) :]
+            if seen is not None
+            else np.zeros((len(band), 2), complex)
+        )
         units = np.array([factors[n] for n in names])
-        return cls(names, frequency[band], int(band[0]), answer[:, order], two, units, samples)
+        return cls(
+            names, frequency[band], int(band[0]), answer[:, order], two, units, samples
+        )
 
-    def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> tuple[Array, Array]:
+    def force(
+        self, residual: Mapping[str, Array], noise: Mapping[str, float]
+    ) -> tuple[Array, Array]:
         """Return the force [N] (n,) that explains a residual best under white noise, and the motion it makes (n, 2), by Wiener's filter
         with the force's own spectrum as prior (expectation maximisation)."""
         taper = tukey(self.samples, 0.1)
         band = slice(self.first, self.first + len(self.frequency))
-        spectra = [np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band] for n in self.names]
+        spectra = [
+            np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band]
+            for n in self.names
+        ]
         R = np.stack(spectra, axis=1) * self.factors
-        S = (np.maximum([noise[n] for n in self.names], 1e-12) * self.factors) ** 2 * float(np.sum(taper**2))
+        S = (
+            np.maximum([noise[n] for n in self.names], 1e-12) * self.factors
+        ) ** 2 * float(np.sum(taper**2))
         seen = np.sum(np.abs(self.gain) ** 2 / S, axis=1)
         sought = np.sum(self.gain.conj() * R / S, axis=1)
         prior = np.abs(sought / np.maximum(seen, 1e-300)) ** 2
@@ -137,13 +160,17 @@ class Deconvolution:
         return out[:, 0], out[:, 1:]
 
 
-def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str] | None:
+def _moved_by_a_force(
+    network: Network, pair: tuple[str, str]
+) -> tuple[str, str] | None:
     """Return the two nodes whose distance a force between a pair changes, the ground in place of nodes with prescribed rates; None
     without any."""
     if not order_told(network, pair):
         return pair
     riding = frames(network)
-    first, second = ((network.moved_nodes[riding[n]] if n in riding else n) for n in pair)
+    first, second = (
+        (network.moved_nodes[riding[n]] if n in riding else n) for n in pair
+    )
     out = (pair[0], first) if pair[1] == GROUND else (second, pair[1])
     return out if out[0] != out[1] else None
 
@@ -184,14 +211,18 @@ def spectral_pitches(
     return tuple(span / p for p in _strongest(power, periods))
 
 
-def _missing_force(problem: Problem, fit: Fit, index: int, pair: tuple[str, str]) -> Array | None:
+def _missing_force(
+    problem: Problem, fit: Fit, index: int, pair: tuple[str, str]
+) -> Array | None:
     """Return the force [N] (n,) that the residual of a record shows; None for a model without a linear response."""
     record, names = problem.records[index], problem.channels
     residual = record.measured - fit.outputs[index]
     signals = {n: record.measured[:, j] for j, n in enumerate(names)}
     left = {n: residual[:, j] for j, n in enumerate(names)}
     try:
-        response = Deconvolution.of(fit.network, pair, record.time, signals, highest=ALL)
+        response = Deconvolution.of(
+            fit.network, pair, record.time, signals, highest=ALL
+        )
         force, _ = response.force(left, {n: float(np.std(r)) for n, r in left.items()})
     except (InputError, ValueError, np.linalg.LinAlgError):
         return None
@@ -206,7 +237,10 @@ def _spectrum(position: Array, force: Array, most: float) -> Array:
     padded = np.zeros(int(cells / RESOLUTION))
     padded[:cells] = profile
     lines = np.abs(np.fft.rfft(padded)[: int(most / RESOLUTION) + 1]) ** 2
-    return np.asarray(lines / max(float(np.sum((force - force.mean()) ** 2)), 1e-300), dtype=np.float64)
+    return np.asarray(
+        lines / max(float(np.sum((force - force.mean()) ** 2)), 1e-300),
+        dtype=np.float64,
+    )
 
 
 def _strongest(power: Array, periods: float) -> list[float]:
@@ -222,7 +256,9 @@ def _strongest(power: Array, periods: float) -> list[float]:
     return found
 
 
-def measured_motions(problem: Problem, fit: Fit, noise: Array) -> dict[Pair, dict[int, Motion]]:
+def measured_motions(
+    problem: Problem, fit: Fit, noise: Array
+) -> dict[Pair, dict[int, Motion]]:
     """Return the motion of every pair of nodes in the training records as far as the outputs tell it: the simulated one, and the distance
     or the motion by the force that explains the residual above the noise (channels,)."""
     out: dict[Pair, dict[int, Motion]] = {}
@@ -236,10 +272,14 @@ def measured_motions(problem: Problem, fit: Fit, noise: Array) -> dict[Pair, dic
                 residual = record.measured - fit.outputs[i]
                 if told is not None:
                     moved = _without_noise(
-                        residual @ told, float(np.hypot.reduce(noise * told)), record.interval
+                        residual @ told,
+                        float(np.hypot.reduce(noise * told)),
+                        record.interval,
                     )
                 else:
-                    moved = _moved(fit.network, pair, record, problem.channels, residual, noise)
+                    moved = _moved(
+                        fit.network, pair, record, problem.channels, residual, noise
+                    )
             out[pair][i] = m if moved is None else _corrected(m, record, moved)
     return out
 
@@ -249,12 +289,21 @@ def _told_distance(problem: Problem, network: Network, pair: Pair) -> Array | No
     if order_told(network, pair):
         return None
     pure = bare(network)
-    asm = assemble(replace(pure, outputs=(*pure.outputs, pure.probe("_d", "displacement", between=pair))))
-    free = np.concatenate([np.arange(s.start, s.stop) for s in (asm.columns("x"), asm.columns("f"))])
+    asm = assemble(
+        replace(
+            pure,
+            outputs=(*pure.outputs, pure.probe("_d", "displacement", between=pair)),
+        )
+    )
+    free = np.concatenate(
+        [np.arange(s.start, s.stop) for s in (asm.columns("x"), asm.columns("f"))]
+    )
     rows, wanted = asm.outputs[:-1][:, free], asm.outputs[-1, free]
     size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
     factors = np.linalg.lstsq((rows / size[:, None]).T, wanted, rcond=1e-9)[0] / size
-    is_told = np.allclose(factors @ rows, wanted, atol=1e-6 * (float(np.linalg.norm(wanted)) + 1e-300))
+    is_told = np.allclose(
+        factors @ rows, wanted, atol=1e-6 * (float(np.linalg.norm(wanted)) + 1e-300)
+    )
     return factors / problem.factors if is_told and np.any(wanted) else None
 
 
@@ -268,13 +317,23 @@ def _without_noise(signal: Array, noise: float, step: float) -> Array:
 
 
 def _moved(
-    network: Network, pair: Pair, record: Record, names: Sequence[str], residual: Array, noise: Array
+    network: Network,
+    pair: Pair,
+    record: Record,
+    names: Sequence[str],
+    residual: Array,
+    noise: Array,
 ) -> Array | None:
     """Return the motion (n, 2) of a pair by the force that explains a residual; None where no force does."""
-    measured, left = (dict(zip(names, values.T, strict=True)) for values in (record.measured, residual))
+    measured, left = (
+        dict(zip(names, values.T, strict=True))
+        for values in (record.measured, residual)
+    )
     sizes = dict(zip(names, noise.tolist(), strict=True))
     try:
-        _, moved = Deconvolution.of(network, pair, record.time, measured).force(left, sizes)
+        _, moved = Deconvolution.of(network, pair, record.time, measured).force(
+            left, sizes
+        )
     except (ValueError, *BROKEN):
         return None
     return moved if np.isfinite(moved).all() else None
@@ -312,12 +371,18 @@ def law_forces(
                     periodic[k] = side * _repeated(h, values, side * motion.d)
                     continue
                 where = tuple(GROUND if n == held else n for n in h.where)
-                built = add(Structure(alone, ()), replace(h, where=where), values).network
+                built = add(
+                    Structure(alone, ()), replace(h, where=where), values
+                ).network
             here = [e for e in built.elements if GROUND in e.where]
-            probes = tuple(built.probe(f"_{e.name}", "force", element=e.name) for e in here)
+            probes = tuple(
+                built.probe(f"_{e.name}", "force", element=e.name) for e in here
+            )
             built = bare(replace(built, outputs=probes))
             along = tuple(1.0 if e.where[1] == GROUND else -1.0 for e in here)
-            groups.setdefault((along, *side_by_side(assemble(built))), []).append((k, built))
+            groups.setdefault((along, *side_by_side(assemble(built))), []).append(
+                (k, built)
+            )
         except (ValueError, *BROKEN):
             continue
     out = np.full((len(motion.d), 1 + len(ways)), np.nan)
@@ -329,7 +394,9 @@ def law_forces(
             y = plant.run(travel, samples=len(motion.d), derivatives=rates)
         except BROKEN:
             continue
-        out[:, [k for k, _ in members]] = sign * np.einsum("ijk,j->ik", y, np.array(key[0]))
+        out[:, [k for k, _ in members]] = sign * np.einsum(
+            "ijk,j->ik", y, np.array(key[0])
+        )
     out -= out[:, :1]
     for k, force in periodic.items():
         out[:, k] = force
@@ -353,4 +420,6 @@ def _bench(network: Network, driven: str, held: str) -> Network:
     ]
     if not here:  # a network has at least one element
         here = [el.LinearStiffness("_none", (driven, GROUND), stiffness=0.0)]  # type: ignore[call-arg]
-    return Network("bench", {}, tuple(here), (Channel(TRAVEL, "displacement", "m", at=driven),))
+    return Network(
+        "bench", {}, tuple(here), (Channel(TRAVEL, "displacement", "m", at=driven),)
+    )

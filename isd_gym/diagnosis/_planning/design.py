@@ -14,7 +14,14 @@ from .._estimation.gauss_newton import Fitter, residuals
 from .._estimation.noise import white_weights
 from .._selection.criteria import LEAST_NOISE
 from .._simulation.problem import BROKEN, Problem, Record, bare
-from .excitation import Excitation, Rig, infer_rig, list_excitations, make_record, make_table
+from .excitation import (
+    Excitation,
+    Rig,
+    infer_rig,
+    list_excitations,
+    make_record,
+    make_table,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -49,7 +56,10 @@ class Design:
     text: str  # description of the test
     #: distance of the two closest rivals after a refit [standard deviations of the noise, over the whole record]
     separation: float = 0.0
-    closest: tuple[str, str] = ("", "")  # labels of these rivals; empty for a test without given rivals
+    closest: tuple[str, str] = (
+        "",
+        "",
+    )  # labels of these rivals; empty for a test without given rivals
     watch: str = ""  # channel with the largest difference
     usual: float = 0.0  # separation by a multisine over the whole band
     tried: int = 0  # number of compared tests
@@ -98,23 +108,35 @@ class RivalComparison:
         InputError: The simulation of a rival fails.
     """
 
-    def __init__(self, network: Network, record: Record, rivals: Sequence[Rival], noise: Array):
+    def __init__(
+        self, network: Network, record: Record, rivals: Sequence[Rival], noise: Array
+    ):
         self.rivals = rivals
         blank = Problem(network, [record])
-        self.outputs = [blank.simulate([r.structure.at(r.x)], 0)[:, :, 0] for r in rivals]
-        if not all(np.isfinite(y).all() and np.abs(y).max() <= 1e12 for y in self.outputs):
+        self.outputs = [
+            blank.simulate([r.structure.at(r.x)], 0)[:, :, 0] for r in rivals
+        ]
+        if not all(
+            np.isfinite(y).all() and np.abs(y).max() <= 1e12 for y in self.outputs
+        ):
             raise InputError("the simulation of a rival fails")
         self.problem = Problem(network, [replace(record, measured=self.outputs[0])])
-        level = np.maximum(noise, LEAST_NOISE * np.max([y.std(axis=0) for y in self.outputs], axis=0))
+        level = np.maximum(
+            noise, LEAST_NOISE * np.max([y.std(axis=0) for y in self.outputs], axis=0)
+        )
         self.noise = np.where(level > 0, level, 1.0)
 
     def linear_distance(self) -> float:
         """Return the smallest linearised distance of two rivals [standard deviations of the noise]."""
         least, fitter = math.inf, Fitter(self.problem, white_weights(self.noise))
         for b, r in enumerate(self.rivals):
-            fit = fitter.fit(r.structure, r.x, {0: _rest_state(r.structure)}, iterations=0)
+            fit = fitter.fit(
+                r.structure, r.x, {0: _rest_state(r.structure)}, iterations=0
+            )
             others = [y for k, y in enumerate(self.outputs) if k != b]
-            _, left = fitter.refit(fit, {0: np.stack([y - fit.outputs[0] for y in others], axis=2)})
+            _, left = fitter.refit(
+                fit, {0: np.stack([y - fit.outputs[0] for y in others], axis=2)}
+            )
             least = min(least, float(np.sqrt(np.sum(left[0] ** 2, axis=(0, 1)).min())))
         return least
 
@@ -135,8 +157,12 @@ class RivalComparison:
                 if a == b:
                     continue
                 start = {0: _rest_state(r.structure)}
-                (left,) = residuals(p, fitter.fit(r.structure, r.x, start, iterations=6, tolerance=1e-3))
-                deviance = len(left) * float(np.sum(np.log1p(np.mean(left**2, axis=0) / level**2)))
+                (left,) = residuals(
+                    p, fitter.fit(r.structure, r.x, start, iterations=6, tolerance=1e-3)
+                )
+                deviance = len(left) * float(
+                    np.sum(np.log1p(np.mean(left**2, axis=0) / level**2))
+                )
                 distance = math.sqrt(max(deviance, 0.0))
                 if distance < best[0]:
                     power = np.sum((left / self.noise) ** 2, axis=0)
@@ -177,7 +203,9 @@ def design_test(
     for k, e in enumerate(every):
         try:
             record = make_record(network, rig, e, samples=SAMPLES)
-            ranked.append((RivalComparison(network, record, rivals, noise).linear_distance(), k))
+            ranked.append(
+                (RivalComparison(network, record, rivals, noise).linear_distance(), k)
+            )
         except BROKEN:
             continue
     finalists = [k for _, k in sorted(ranked, key=lambda p: -p[0])[:FINALISTS]]
@@ -189,17 +217,30 @@ def design_test(
         e = every[k]
         record = make_record(network, rig, e, "next experiment")
         try:
-            distance, pair, channel = RivalComparison(network, record, rivals, noise).distance()
+            distance, pair, channel = RivalComparison(
+                network, record, rivals, noise
+            ).distance()
         except BROKEN:
             continue
         usual = distance if k == 0 else usual
         if best is None or distance > best.separation:
             watch = network.outputs[channel].name
-            best = Design(e, rig, record, e.describe(network, rig), distance, pair, watch, tried=len(every))
+            best = Design(
+                e,
+                rig,
+                record,
+                e.describe(network, rig),
+                distance,
+                pair,
+                watch,
+                tried=len(every),
+            )
     return None if best is None else replace(best, usual=usual)
 
 
-def next_experiment(problem: Problem, contenders: Sequence[Fit], floor: Array) -> Design | None:
+def next_experiment(
+    problem: Problem, contenders: Sequence[Fit], floor: Array
+) -> Design | None:
     """Design the test that distinguishes the contenders of a diagnosis, within the range of the records.
 
     Args:
@@ -214,7 +255,11 @@ def next_experiment(problem: Problem, contenders: Sequence[Fit], floor: Array) -
         return None
     rivals = [Rival(fit.label, fit.structure, fit.x) for fit in contenders]
     try:
-        rig = infer_rig(problem.network, [problem.records[i] for i in problem.estimation])
+        rig = infer_rig(
+            problem.network, [problem.records[i] for i in problem.estimation]
+        )
     except InputError:
         return None
-    return design_test(problem.network, rivals, rig, np.asarray(floor, dtype=np.float64))
+    return design_test(
+        problem.network, rivals, rig, np.asarray(floor, dtype=np.float64)
+    )

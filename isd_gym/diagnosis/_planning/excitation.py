@@ -21,7 +21,16 @@ if TYPE_CHECKING:
 
 KINDS = ("multisine", "sweep", "steps", "triangle")
 #: amplitude [SI unit] and rate [SI unit/s] of a typical rig
-REACH = {"m": 0.01, "m/s": 0.2, "m/s^2": 3.0, "rad": 0.2, "rad/s": 2.0, "rad/s^2": 30.0, "A": 5.0, "V": 6.0}
+REACH = {
+    "m": 0.01,
+    "m/s": 0.2,
+    "m/s^2": 3.0,
+    "rad": 0.2,
+    "rad/s": 2.0,
+    "rad/s^2": 30.0,
+    "A": 5.0,
+    "V": 6.0,
+}
 SLOPE = {"m": 0.5, "rad": 5.0}
 WEIGHT = 0.1 * 9.81  # amplitude of a force per mass of the model [N/kg]
 LENGTH = 20.0  # [s]
@@ -41,7 +50,9 @@ class Limits:
 
     def __post_init__(self) -> None:
         if not (0 < self.reach < math.inf and self.slope > 0):
-            raise InputError(f"a limit of an input must be a number > 0, not {self.reach:g}")
+            raise InputError(
+                f"a limit of an input must be a number > 0, not {self.reach:g}"
+            )
 
 
 @dataclass(frozen=True)
@@ -56,11 +67,17 @@ class Rig:
     def __post_init__(self) -> None:
         low, high = self.band
         if not 0 < low < high < math.inf:
-            raise InputError(f"the band must have frequencies 0 < LOW < HIGH, not {low:g}:{high:g}")
+            raise InputError(
+                f"the band must have frequencies 0 < LOW < HIGH, not {low:g}:{high:g}"
+            )
         if not (self.length > 0 and math.isfinite(self.length)):
-            raise InputError(f"the length of a test must be a number of seconds > 0, not {self.length:g}")
+            raise InputError(
+                f"the length of a test must be a number of seconds > 0, not {self.length:g}"
+            )
         if not 0 < self.step < math.inf:
-            raise InputError(f"the sampling interval of a test must be positive, not {self.step:g} s")
+            raise InputError(
+                f"the sampling interval of a test must be positive, not {self.step:g} s"
+            )
         if not self.length / self.step < MOST_SAMPLES:
             raise InputError(
                 f"a test of {self.length:g} s at {1 / self.step:g} Hz has {self.length / self.step:.3g} samples, at most "
@@ -78,7 +95,9 @@ class Rig:
     @property
     def time(self) -> Array:
         """Sampling times [s] (samples,)."""
-        return np.asarray(self.step * np.arange(round(self.length / self.step) + 1), dtype=np.float64)
+        return np.asarray(
+            self.step * np.arange(round(self.length / self.step) + 1), dtype=np.float64
+        )
 
 
 @dataclass(frozen=True)
@@ -94,7 +113,9 @@ class Excitation:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise InputError(f"no excitation {shown(self.kind)} (there are {', '.join(KINDS)})")
+            raise InputError(
+                f"no excitation {shown(self.kind)} (there are {', '.join(KINDS)})"
+            )
 
     def signals(self, network: Network, rig: Rig) -> dict[str, Array]:
         """Generate the inputs, which start and end at zero.
@@ -115,7 +136,10 @@ class Excitation:
             if c.name not in self.at:
                 out[c.name] = np.zeros(len(time))
                 continue
-            raw = self._shape(c, time, np.random.default_rng([self.seed, number])) * window
+            raw = (
+                self._shape(c, time, np.random.default_rng([self.seed, number]))
+                * window
+            )
             limits = rig.limits[c.name]
             raw *= self.level * limits.reach / max(float(np.abs(raw).max()), 1e-300)
             slope = float(np.abs(np.diff(raw)).max()) / rig.step
@@ -133,11 +157,15 @@ class Excitation:
         """
         signals = self.signals(network, rig)
         inputs = {c.name: c for c in network.inputs}
-        parts = [f"{n} to {_amount(float(np.abs(signals[n]).max()), inputs[n])}" for n in self.at]
+        parts = [
+            f"{n} to {_amount(float(np.abs(signals[n]).max()), inputs[n])}"
+            for n in self.at
+        ]
         band = f"{self.low:.3g} to {self.high:.3g} Hz"
-        band = {"triangle": f"at {self.low:.3g} Hz", "steps": f"up to {self.high:.3g} Hz"}.get(
-            self.kind, band
-        )
+        band = {
+            "triangle": f"at {self.low:.3g} Hz",
+            "steps": f"up to {self.high:.3g} Hz",
+        }.get(self.kind, band)
         return f"{self.kind}, {band}, {rig.length:g} s: {' and '.join(parts)}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -168,18 +196,30 @@ class Excitation:
             rate = math.log(self.high / self.low) / time[-1]
             phase = 2 * math.pi * self.low * np.expm1(rate * time) / rate
             middle = math.sqrt(self.low * self.high)
-            size = np.minimum(1.0, middle / (self.low * np.exp(rate * time))) if moves else 1.0
+            size = (
+                np.minimum(1.0, middle / (self.low * np.exp(rate * time)))
+                if moves
+                else 1.0
+            )
             return np.asarray(size * np.sin(phase), dtype=np.float64)
         if self.kind == "triangle":
-            return np.asarray(np.arcsin(np.sin(2 * math.pi * self.low * time)), dtype=np.float64)
+            return np.asarray(
+                np.arcsin(np.sin(2 * math.pi * self.low * time)), dtype=np.float64
+            )
         return self._steps(c.quantity == "current", time, rng)
 
     def _multisine(self, moves: bool, time: Array, rng: np.random.Generator) -> Array:
         """Generate a multisine with amplitudes proportional to one over frequency if `moves`, else constant."""
         length = time[-1]
-        lines = np.arange(math.ceil(self.low * length), math.floor(self.high * length) + 1) / length
+        lines = (
+            np.arange(math.ceil(self.low * length), math.floor(self.high * length) + 1)
+            / length
+        )
         if len(lines) > LINES:  # the same number per decade
-            lines = np.unique(np.round(np.geomspace(lines[0], lines[-1], LINES) * length)) / length
+            lines = (
+                np.unique(np.round(np.geomspace(lines[0], lines[-1], LINES) * length))
+                / length
+            )
         amplitudes = 1 / lines if moves else np.ones(len(lines))
         signals = []
         for _ in range(PHASES):
@@ -197,7 +237,11 @@ class Excitation:
         while start < time[-1]:
             hold = rise + rng.uniform(0.5 / self.high, longest)
             target = rng.uniform(-1.0, 1.0)
-            s = np.clip((time - start) / rise, 0.0, 1.0) if rise else (time >= start).astype(float)
+            s = (
+                np.clip((time - start) / rise, 0.0, 1.0)
+                if rise
+                else (time >= start).astype(float)
+            )
             out += (target - level) * s**3 * (10 - 15 * s + 6 * s**2)
             level, start = target, start + hold
         return out
@@ -205,7 +249,11 @@ class Excitation:
 
 def _amount(value: float, c: Channel) -> str:
     """Return a value [SI unit] with its unit, displacements in milli-units."""
-    return f"{1e3 * value:.3g} m{c.si}" if c.quantity == "displacement" else f"{value:.3g} {c.si}"
+    return (
+        f"{1e3 * value:.3g} m{c.si}"
+        if c.quantity == "displacement"
+        else f"{value:.3g} {c.si}"
+    )
 
 
 # ------------------------------------------------------------------------------------------------- limits of a rig
@@ -245,7 +293,8 @@ def _measured_limits(c: Channel, records: Sequence[Record]) -> Limits | None:
     if not reach > 0:
         return None
     slope = max(
-        float(np.quantile(np.abs(np.diff(x)), 0.999)) / r.step for x, r in zip(signals, records, strict=True)
+        float(np.quantile(np.abs(np.diff(x)), 0.999)) / r.step
+        for x, r in zip(signals, records, strict=True)
     )
     return Limits(reach, slope if c.quantity != "current" and slope > 0 else math.inf)
 
@@ -318,7 +367,11 @@ def make_excitation(network: Network, rig: Rig, kind: str = "multisine") -> Exci
 
 
 def make_record(
-    network: Network, rig: Rig, excitation: Excitation, name: str = "planned", samples: int | None = None
+    network: Network,
+    rig: Rig,
+    excitation: Excitation,
+    name: str = "planned",
+    samples: int | None = None,
 ) -> Record:
     """Make the record of a planned test. The outputs are zero.
 
@@ -333,8 +386,14 @@ def make_record(
         The record.
     """
     inputs = excitation.signals(network, rig)
-    record = Record(name, rig.step, inputs, np.zeros((len(rig.time), len(network.outputs))))
-    return record if samples is None or len(record) <= samples else record.part(0, samples, name)
+    record = Record(
+        name, rig.step, inputs, np.zeros((len(rig.time), len(network.outputs)))
+    )
+    return (
+        record
+        if samples is None or len(record) <= samples
+        else record.part(0, samples, name)
+    )
 
 
 def make_table(network: Network, record: Record, source: str = "planned test") -> Table:
@@ -348,6 +407,9 @@ def make_table(network: Network, record: Record, source: str = "planned test") -
     Returns:
         The table with time [s] and a column per input.
     """
-    columns = {c.name: convert(np.asarray(record.inputs[c.name]), c.si, c.unit) for c in network.inputs}
+    columns = {
+        c.name: convert(np.asarray(record.inputs[c.name]), c.si, c.unit)
+        for c in network.inputs
+    }
     units = {c.name: c.unit for c in network.inputs}
     return Table(record.step * np.arange(record.samples), columns, source, units)

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 CLEAR = 0.85  # least correlation of a channel with the simulation for a statement about the channel
 SCALED = 0.93  # least correlation for a statement about a unit
-UNLIKE = 0.5  # largest correlation of a channel with its own simulation for swapped columns
+UNLIKE = (
+    0.5  # largest correlation of a channel with its own simulation for swapped columns
+)
 LEAST_SAMPLES = 256  # of a compared record
 SEGMENTS = 8  # number of segments of a record, without overlap
 NARROW = 4.0  # effective number of spectral lines below which a signal is a single sine
@@ -39,7 +41,9 @@ SLIPS = (
     (180 / math.pi, 1.25),
     (math.pi / 180, 1.25),
 )
-VAGUE = 1.0  # relative uncertainty of a parameter from which amplitudes are not compared
+VAGUE = (
+    1.0  # relative uncertainty of a parameter from which amplitudes are not compared
+)
 
 
 def find_misreading(problem: Problem) -> str:
@@ -63,9 +67,15 @@ def find_misreading(problem: Problem) -> str:
     if narrow and not agree:
         turned = []  # beyond a resonance that the model has elsewhere, every output of a sine is turned
     drives = [
-        c for c in network.inputs if c.quantity in ("displacement", "velocity", "acceleration", "force")
+        c
+        for c in network.inputs
+        if c.quantity in ("displacement", "velocity", "acceleration", "force")
     ]
-    if len(turned) > 1 and len(turned) == len(outputs) and len(network.inputs) == len(drives) == 1:
+    if (
+        len(turned) > 1
+        and len(turned) == len(outputs)
+        and len(network.inputs) == len(drives) == 1
+    ):
         name = plain(drives[0].name, 40)
         worst = max(own[j] for j in turned)
         return f"all outputs follow the model with r = {worst:.2f} or less, turned round: --sign {name}=-1"
@@ -73,7 +83,11 @@ def find_misreading(problem: Problem) -> str:
         j = min(turned, key=lambda j: own[j])
         name = plain(outputs[j].name, 40)
         line = f"{name} follows the model with r = {own[j]:.2f}, turned round: --sign {name}=-1"
-        motors = {plain(c.elements[0], 40) for c in network.inputs if c.quantity in ("current", "voltage")}
+        motors = {
+            plain(c.elements[0], 40)
+            for c in network.inputs
+            if c.quantity in ("current", "voltage")
+        }
         if motors and len(turned) == len(outputs):
             return f"{line}, or swap the nodes of motor {' and '.join(sorted(motors))} in the model"
         return line
@@ -85,9 +99,23 @@ def find_misreading(problem: Problem) -> str:
         if 1 / slack < amplitude[j] / factor < slack:
             slips.setdefault(j, factor)
     common = set(slips.values())
-    if len(slips) > 1 and len(common) == 1 and len(slips) == len(outputs) and len(drives) == 1:
-        return _unit_line(drives[0], 1 / common.pop(), float(min(own[j] for j in slips)))
-    return next((line for j, k in slips.items() if (line := _unit_line(outputs[j], k, float(own[j])))), "")
+    if (
+        len(slips) > 1
+        and len(common) == 1
+        and len(slips) == len(outputs)
+        and len(drives) == 1
+    ):
+        return _unit_line(
+            drives[0], 1 / common.pop(), float(min(own[j] for j in slips))
+        )
+    return next(
+        (
+            line
+            for j, k in slips.items()
+            if (line := _unit_line(outputs[j], k, float(own[j])))
+        ),
+        "",
+    )
 
 
 def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
@@ -104,9 +132,13 @@ def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
             c.name: record.inputs[c.name][0] * (c.quantity in ("displacement", "angle"))
             for c in problem.network.inputs
         }
-        moved = replace(record, inputs={n: x - rest[n] for n, x in record.inputs.items()})
+        moved = replace(
+            record, inputs={n: x - rest[n] for n, x in record.inputs.items()}
+        )
         try:
-            said = Problem(problem.network, [moved]).simulate([problem.network], 0)[:, :, 0]
+            said = Problem(problem.network, [moved]).simulate([problem.network], 0)[
+                :, :, 0
+            ]
         except BROKEN:
             continue
         skip = len(record) // 8  # start-up from rest
@@ -117,14 +149,19 @@ def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
         frequency, own_power = signal.welch(y, 1 / record.interval, **options)
         xx += signal.welch(x, 1 / record.interval, **options)[1].sum(axis=0)
         yy += own_power.sum(axis=0)
-        xy += signal.csd(x[:, :, None], y[:, None, :], 1 / record.interval, **options)[1].real.sum(axis=0)
+        xy += signal.csd(x[:, :, None], y[:, None, :], 1 / record.interval, **options)[
+            1
+        ].real.sum(axis=0)
         total = (
             own_power.sum(axis=1)
             if count == 1
             else (own_power / np.maximum(own_power.sum(axis=0), 1e-300)).sum(axis=1)
         )
         lines = float(total.sum() ** 2 / max(float((total**2).sum()), 1e-300))
-        fast = own is not None and 2 * math.pi * frequency[int(np.argmax(total))] * own > 0.5
+        fast = (
+            own is not None
+            and 2 * math.pi * frequency[int(np.argmax(total))] * own > 0.5
+        )
         narrow, used = narrow and lines < NARROW and fast, True
     if not used or not (np.isfinite(xy).all() and (xx > 0).all() and (yy > 0).all()):
         return None
@@ -134,7 +171,9 @@ def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
 def _swapped(outputs: list[Channel], r: Array, gain: Array) -> str:
     """Return a line on two outputs whose columns are exchanged; '' without such outputs."""
     for i, j in itertools.combinations(range(len(outputs)), 2):
-        crossed = min(r[i, j], r[j, i]) > CLEAR and all(0.4 < gain[a, b] < 2.5 for a, b in ((i, j), (j, i)))
+        crossed = min(r[i, j], r[j, i]) > CLEAR and all(
+            0.4 < gain[a, b] < 2.5 for a, b in ((i, j), (j, i))
+        )
         straight = all(r[k, k] > UNLIKE and 1 / 3 < gain[k, k] < 3 for k in (i, j))
         if crossed and not straight:
             one, two = (plain(outputs[k].name, 40) for k in (i, j))

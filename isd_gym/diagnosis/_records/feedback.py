@@ -38,7 +38,12 @@ LINEAR, RELAY = (0.05, 1e-4), (0.1, 1e-3)
 #: Share of an input's power below which its unpredicted part is rounding rather than an answer to anything.
 ROUNDING = 1e-7
 CYCLES = 6  # earlier intervals from which the next switch is foreseen
-AHEAD = (0.0, 0.1, 0.2, 0.4)  # times ahead of an output as shares of the median interval between switches
+AHEAD = (
+    0.0,
+    0.1,
+    0.2,
+    0.4,
+)  # times ahead of an output as shares of the median interval between switches
 
 
 @dataclass(frozen=True)
@@ -48,13 +53,19 @@ class Feedback:
     input: str
     outputs: tuple[str, ...]  # the outputs that predict it
     share: float  # share of the unpredicted part of the input that past outputs explain, on samples not used for the fit
-    significance: float  # probability of such a gain in open loop (sign test over blocks)
+    significance: (
+        float  # probability of such a gain in open loop (sign test over blocks)
+    )
 
 
 def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback, ...]:
     """Return the commanded inputs that past outputs predict beyond their own past (with the time since the last switch of an input that
     switches), on blocks that took no part in the fit; records with time stamps by channel are left out."""
-    usable = [r for r in records if r.reading is None and r.samples == len(r) > 4 * (OWN + OUTPUT)]
+    usable = [
+        r
+        for r in records
+        if r.reading is None and r.samples == len(r) > 4 * (OWN + OUTPUT)
+    ]
     if not usable:
         return ()
     step = max(usable, key=len).step
@@ -64,15 +75,24 @@ def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback
         if c.quantity not in COMMANDED:
             continue
         every = range(len(network.outputs))
-        laws = {limits: _gain(usable, c.name, every, relay=limits is RELAY) for limits in (LINEAR, RELAY)}
+        laws = {
+            limits: _gain(usable, c.name, every, relay=limits is RELAY)
+            for limits in (LINEAR, RELAY)
+        }
         passed = [
-            limits for limits, (share, chance) in laws.items() if share >= limits[0] and chance <= limits[1]
+            limits
+            for limits, (share, chance) in laws.items()
+            if share >= limits[0] and chance <= limits[1]
         ]
         if not passed:
             continue
         limits = max(passed, key=lambda law: laws[law][0])
         alone = [_gain(usable, c.name, [j], relay=limits is RELAY)[0] for j in every]
-        names = [o.name for o, s in zip(network.outputs, alone, strict=True) if s >= 0.5 * max(alone)]
+        names = [
+            o.name
+            for o, s in zip(network.outputs, alone, strict=True)
+            if s >= 0.5 * max(alone)
+        ]
         found.append(Feedback(c.name, tuple(names), *laws[limits]))
     return tuple(found)
 
@@ -98,7 +118,9 @@ def _gain(
     )
     t = np.concatenate(target)
     block = np.asarray(np.arange(len(t)) * BLOCKS // len(t), float)
-    before, after = (_unpredicted(X, t, block) for X in (A, np.concatenate([A, B], axis=1)))
+    before, after = (
+        _unpredicted(X, t, block) for X in (A, np.concatenate([A, B], axis=1))
+    )
     if not before.sum() > ROUNDING * np.sum(t**2):
         return 0.0, 1.0
     parts = [(before[block == k].sum(), after[block == k].sum()) for k in range(BLOCKS)]
@@ -106,7 +128,9 @@ def _gain(
     if len(shares) < BLOCKS / 2:
         return 0.0, 1.0
     better = sum(s > 0 for s in shares)
-    chance = sum(math.comb(len(shares), k) for k in range(better, len(shares) + 1)) / 2.0 ** len(shares)
+    chance = sum(
+        math.comb(len(shares), k) for k in range(better, len(shares) + 1)
+    ) / 2.0 ** len(shares)
     return float(np.mean(np.maximum(shares, -1.0))), chance
 
 

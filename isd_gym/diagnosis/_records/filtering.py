@@ -73,8 +73,12 @@ def differentiate_inputs(records: list[Record], network: Network) -> list[Record
         else:
             kept = slice(margin * thin, r.samples - margin * thin, thin)
             measured = low_pass(r.measured, taps)[kept]
-            filtered = replace(r, measured=measured, taps=taps, margin=margin, thin=thin)
-        inputs = dict(filtered.inputs) | {n: low_pass(filtered.inputs[n], taps) for n in moved}
+            filtered = replace(
+                r, measured=measured, taps=taps, margin=margin, thin=thin
+            )
+        inputs = dict(filtered.inputs) | {
+            n: low_pass(filtered.inputs[n], taps) for n in moved
+        }
         slopes = {n: differences(inputs[n], filtered.step) for n in moved}
         noise = {n: estimate_white_noise(r.inputs[n]) for n in moved}
         out.append(replace(filtered, inputs=inputs, slopes=slopes, input_noise=noise))
@@ -84,7 +88,8 @@ def differentiate_inputs(records: list[Record], network: Network) -> list[Record
 def count_derivatives(network: Network) -> dict[str, int]:
     """Return how often each input that moves a node has to be differentiated, 1 or 2."""
     orders = {
-        c.name: _highest_derivative(network, str(c.at)) - MOTIONS.index(c.quantity) for c in network.moving
+        c.name: _highest_derivative(network, str(c.at)) - MOTIONS.index(c.quantity)
+        for c in network.moving
     }
     return {name: order for name, order in orders.items() if order > 0}
 
@@ -94,7 +99,9 @@ def _highest_derivative(network: Network, node: str) -> int:
     here = [e for e in network.elements if e.place == "between" and node in e.where]
     if any(e.linear()[2] for e in here):
         return 2
-    has_force_sensor = any(c.quantity == "force" and c.at == node for c in network.outputs)
+    has_force_sensor = any(
+        c.quantity == "force" and c.at == node for c in network.outputs
+    )
     if has_force_sensor and network.masses.get(node):
         return 2
     return 1 if has_force_sensor or any(e.linear()[1] for e in here) else 0
@@ -130,16 +137,22 @@ def find_noise_band(records: Sequence[Record], network: Network) -> float:
     length = min([LENGTH, *(len(r) // 4 for r in usable)])
     for motion, force in find_computed_forces(network) if usable else ():
         j, k = network.outputs.index(force), network.inputs.index(motion)
-        noise = float(np.median([estimate_white_noise(r.inputs[motion.name]) for r in usable]))
+        noise = float(
+            np.median([estimate_white_noise(r.inputs[motion.name]) for r in usable])
+        )
         measured = [r.measured[:, j] - r.measured[:, j].mean() for r in usable]
         spectra = [welch(y, 1 / step, nperseg=length) for y in measured]
         frequency, seen = spectra[0][0], np.mean([s for _, s in spectra], axis=0)
         try:
-            gain = transfer(network, frequency)[:, j, k] * convert(1.0, force.si, force.unit)
+            gain = transfer(network, frequency)[:, j, k] * convert(
+                1.0, force.si, force.unit
+            )
         except BROKEN:
             continue
         made = np.abs(gain) ** 2 * 2 * noise**2 * step
-        above = np.flatnonzero((made > seen) & (np.cumsum((made - seen)[::-1])[::-1] > 0))
+        above = np.flatnonzero(
+            (made > seen) & (np.cumsum((made - seen)[::-1])[::-1] > 0)
+        )
         lowest = min([lowest, *frequency[above[:1]].tolist()])
     return lowest
 
@@ -151,18 +164,27 @@ def find_computed_forces(network: Network) -> list[tuple[Channel, Channel]]:
         (c, o)
         for c in network.moving
         for o in network.outputs
-        if c.quantity == "displacement" and orders.get(c.name) == 2 and o.quantity == "force" and o.at == c.at
+        if c.quantity == "displacement"
+        and orders.get(c.name) == 2
+        and o.quantity == "force"
+        and o.at == c.at
     ]
 
 
 def estimate_white_noise(x: Array) -> float:
     """Return the RMS of the white noise of a smooth signal (n,): the least over several orders of differences, whose variance is that of
     the noise times a binomial coefficient (Hall, Kay and Titterington, Biometrika 77 (1990) 521)."""
-    variances = [np.mean(np.diff(x, m) ** 2) / math.comb(2 * m, m) for m in ORDERS if len(x) > 2 * m]
+    variances = [
+        np.mean(np.diff(x, m) ** 2) / math.comb(2 * m, m)
+        for m in ORDERS
+        if len(x) > 2 * m
+    ]
     return math.sqrt(float(min(variances, default=0.0)))
 
 
-def find_derivative_band(record: Record, network: Network, channel: Channel, order: int) -> float:
+def find_derivative_band(
+    record: Record, network: Network, channel: Channel, order: int
+) -> float:
     """Return the frequency [Hz] up to which the derivative of an input is signal: that of the valley between motion and noise, or that of
     `_find_force_band`; infinite if its noise is negligible."""
     x, step = record.inputs[channel.name], record.step
@@ -174,10 +196,16 @@ def find_derivative_band(record: Record, network: Network, channel: Channel, ord
     if math.sqrt(density[valley:].sum() / max(density.sum(), 1e-300)) < QUIET:
         return math.inf
     end = float(f[valley])
-    sensors = [j for j, c in enumerate(network.outputs) if c.quantity == "force" and c.at == channel.at]
+    sensors = [
+        j
+        for j, c in enumerate(network.outputs)
+        if c.quantity == "force" and c.at == channel.at
+    ]
     if sensors and len(record) == len(x):
         motion = _integrate_density(f, density, step, order)
-        found = _find_force_band(record, network, channel, sensors[0], f, motion, valley)
+        found = _find_force_band(
+            record, network, channel, sensors[0], f, motion, valley
+        )
         end = end if found is None else found
     return max(end, float(20 * f[1]))
 
@@ -200,7 +228,9 @@ def _find_force_band(
     width = max(3, len(frequency) // 64)
     top = len(frequency) - width
     computed = _smooth_logarithm(motion * np.abs(gain) ** 2, width)
-    seen = _smooth_logarithm(_estimate_density(record.measured[:, output], record.step)[1], width)
+    seen = _smooth_logarithm(
+        _estimate_density(record.measured[:, output], record.step)[1], width
+    )
     computed = computed * (
         seen[:valley].sum() / max(computed[:valley].sum(), 1e-300)
     )  # parameters may be off
@@ -234,12 +264,18 @@ def find_signal_band(record: Record, network: Network) -> float:
 
 def _estimate_density(values: Array, step: float) -> tuple[Array, Array]:
     """Return frequencies [Hz] and one-sided power density of a signal (n,) without its mean."""
-    return welch(values - values.mean(), 1 / step, nperseg=min(LENGTH, len(values) // 4))
+    return welch(
+        values - values.mean(), 1 / step, nperseg=min(LENGTH, len(values) // 4)
+    )
 
 
-def _integrate_density(frequency: Array, density: Array, step: float, order: int) -> Array:
+def _integrate_density(
+    frequency: Array, density: Array, step: float, order: int
+) -> Array:
     """Return the power density of a signal from the density of its differences of the given order."""
-    return density / np.maximum(2 * np.sin(math.pi * frequency * step), 1e-9) ** (2 * order)
+    return density / np.maximum(2 * np.sin(math.pi * frequency * step), 1e-9) ** (
+        2 * order
+    )
 
 
 def _smooth_logarithm(density: Array, width: int) -> Array:
@@ -253,4 +289,6 @@ def _smooth(density: Array) -> Array:
     inner = density.copy()
     # the mean is removed and the density one-sided: the first and the last values are no noise densities
     inner[:2], inner[-1] = density[2], density[-2]
-    return uniform_filter1d(inner, max(len(density) // 64, AVERAGES // 7, 3), mode="nearest")
+    return uniform_filter1d(
+        inner, max(len(density) // 64, AVERAGES // 7, 3), mode="nearest"
+    )

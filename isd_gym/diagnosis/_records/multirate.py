@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 
 #: Ratio of sampling intervals (channel to comparison) below which a channel is low-passed instead of picked from.
 PICKED = 0.7
-CUTOFF = 0.85  # cutoff of the low-pass as a share of the Nyquist frequency of the comparison
+CUTOFF = (
+    0.85  # cutoff of the low-pass as a share of the Nyquist frequency of the comparison
+)
 HALF = 3.5  # half the length of the low-pass, as a multiple of one over its cutoff
 LEAST = 64  # least number of compared samples
 FINER = 4  # refinement of the grid on which the bandwidth of the simulated motion is estimated
@@ -50,11 +52,15 @@ class OutputSampler:
 
     def __call__(self, outputs: Array) -> Array:
         """Return compared outputs (compared, channels, lanes) of simulated outputs (grid, channels, lanes)."""
-        return np.stack([m @ outputs[:, j] for j, m in enumerate(self.matrices)], axis=1)
+        return np.stack(
+            [m @ outputs[:, j] for j, m in enumerate(self.matrices)], axis=1
+        )
 
     def part(self, first: int, stop: int, cut: slice) -> OutputSampler:
         """Return the map of compared samples first..stop-1 from the grid samples `cut`."""
-        return OutputSampler(tuple(m[first:stop, cut] for m in self.matrices), self.filtered)
+        return OutputSampler(
+            tuple(m[first:stop, cut] for m in self.matrices), self.filtered
+        )
 
 
 @dataclass(frozen=True)
@@ -70,16 +76,24 @@ class _Grid:
     @property
     def time(self) -> np.ndarray:
         """Grid instants [s]."""
-        return self.start + self.step * np.arange((self.size - 1 + 2 * self.margin) * self.every + 1)
+        return self.start + self.step * np.arange(
+            (self.size - 1 + 2 * self.margin) * self.every + 1
+        )
 
     @property
     def instants(self) -> np.ndarray:
         """Comparison instants [s]."""
-        return self.start + self.every * self.step * (self.margin + np.arange(self.size))
+        return self.start + self.every * self.step * (
+            self.margin + np.arange(self.size)
+        )
 
 
 def check_recording(
-    recording: Recording, network: Network, accepted: Sequence[str], notes: list[str], scale: Scale
+    recording: Recording,
+    network: Network,
+    accepted: Sequence[str],
+    notes: list[str],
+    scale: Scale,
 ) -> None:
     """Run the data checks separately for each group of channels with common time stamps; the `accepted` checks only warn."""
     inputs = {c.name: c.spoken for c in network.inputs}
@@ -102,8 +116,15 @@ def check_recording(
             recording.name,
             {n: recording.signals[n].unit for n in names},
         )
-        own = [{n: q for n, q in side.items() if n in names} for side in (inputs, outputs)]
-        admit(table, check(table, inputs=own[0], outputs=own[1], scale=scale), notes, accepted)
+        own = [
+            {n: q for n, q in side.items() if n in names} for side in (inputs, outputs)
+        ]
+        admit(
+            table,
+            check(table, inputs=own[0], outputs=own[1], scale=scale),
+            notes,
+            accepted,
+        )
 
 
 def build_record(
@@ -121,14 +142,20 @@ def build_record(
     clock = _find_reference_clock(recording, network)
     late = {**dict.fromkeys(recording.clocks, 0.0), **(lags or {}), **recording.lags}
     origin = late[clock] if clock in recording.lags else 0.0
-    stamps = {n: s.time - (late[s.clock] - origin) for n, s in recording.signals.items()}
+    stamps = {
+        n: s.time - (late[s.clock] - origin) for n, s in recording.signals.items()
+    }
     grid, halves = _choose_grid(recording, network, stamps, thin, cutoff)
     time, rate = grid.time, grid.every * grid.step
     inputs: dict[str, Array] = {}
     told = []
     for c in network.inputs:
         s = recording.signals[c.name]
-        values, how = sampled(Signal(stamps[c.name], s.values, s.unit, s.clock, s.column), time, c.quantity)
+        values, how = sampled(
+            Signal(stamps[c.name], s.values, s.unit, s.clock, s.column),
+            time,
+            c.quantity,
+        )
         inputs[c.name] = convert(values, s.unit, c.si)
         if how:
             told.append(
@@ -139,7 +166,9 @@ def build_record(
         s = recording.signals[c.name]
         pick = _build_selection(stamps[c.name], grid.instants, halves.get(c.name))
         used = np.unique(pick.indices)
-        interpolation = _build_interpolation(stamps[c.name][used], grid.start, grid.step, len(time))
+        interpolation = _build_interpolation(
+            stamps[c.name][used], grid.start, grid.step, len(time)
+        )
         matrices.append((pick[:, used] @ interpolation).tocsr())
         measured.append(pick @ convert(s.values, s.unit, c.unit))
     if cutoff is None:
@@ -162,7 +191,10 @@ def build_record(
         margin=grid.margin,
         reading=OutputSampler(tuple(matrices), bool(halves)),
         clocks=free,
-        late=tuple(np.array([recording.signals[c.name].clock == k for c in network.outputs]) for k in free),
+        late=tuple(
+            np.array([recording.signals[c.name].clock == k for c in network.outputs])
+            for k in free
+        ),
         lags={k: late[k] for k in free},
         size=len(time),
         source=recording,
@@ -171,10 +203,14 @@ def build_record(
 
 def _find_reference_clock(recording: Recording, network: Network) -> str:
     """Return the clock of the inputs; without inputs the clock of most outputs."""
-    clocks = list(dict.fromkeys(recording.signals[c.name].clock for c in network.inputs))
+    clocks = list(
+        dict.fromkeys(recording.signals[c.name].clock for c in network.inputs)
+    )
     unknown = [c for c in clocks if c not in recording.lags]
     if len(unknown) > 1 or (unknown and len(clocks) > len(unknown)):
-        told = ", ".join(f"{c.name} on {recording.signals[c.name].clock}" for c in network.inputs)
+        told = ", ".join(
+            f"{c.name} on {recording.signals[c.name].clock}" for c in network.inputs
+        )
         raise InputError(
             f"{recording.name}: the inputs come from loggers with different clocks ({told}). A lag between inputs cannot be "
             'fitted: state the lag of each logger as "lag" in the map'
@@ -186,22 +222,32 @@ def _find_reference_clock(recording: Recording, network: Network) -> str:
 
 
 def _choose_grid(
-    recording: Recording, network: Network, stamps: Mapping[str, Array], thin: int, cutoff: float | None
+    recording: Recording,
+    network: Network,
+    stamps: Mapping[str, Array],
+    thin: int,
+    cutoff: float | None,
 ) -> tuple[_Grid, dict[str, float]]:
     """Return the grid of a recording with time stamps [s] by channel, and half the length [s] of the low-pass by filtered output."""
-    outputs, inputs = [[c.name for c in side] for side in (network.outputs, network.inputs)]
+    outputs, inputs = [
+        [c.name for c in side] for side in (network.outputs, network.inputs)
+    ]
     steps = {n: recording.signals[n].step for n in stamps}
     slow = max(steps[n] for n in outputs)
     base = min(inputs or outputs, key=lambda n: steps[n])
     count = max(1, round(slow / min(min(steps.values()), slow)))
     step = slow / count
-    on_input = base in inputs and abs(steps[base] * count / slow - 1) < 0.01  # the grid is that of an input
+    on_input = (
+        base in inputs and abs(steps[base] * count / slow - 1) < 0.01
+    )  # the grid is that of an input
     if on_input:
         step = steps[base]
     every = max(count, thin)
     rate = every * step
     halves = {
-        n: HALF / (cutoff or 0.5 * CUTOFF / rate) for n in outputs if cutoff or steps[n] < PICKED * rate
+        n: HALF / (cutoff or 0.5 * CUTOFF / rate)
+        for n in outputs
+        if cutoff or steps[n] < PICKED * rate
     }
     reach = max([halves.get(n, 0.6 * steps[n]) for n in outputs]) + 3 * step
     margin = math.ceil(reach / rate)
@@ -212,7 +258,9 @@ def _choose_grid(
         start = float(t[np.searchsorted(t, start - 1e-3 * step)])
     size = int((stop - start) / rate + 1e-6) - 2 * margin + 1
     if size < LEAST:
-        raise InputError(f"{recording.name}: its channels have only {max(stop - start, 0.0):.4g} s in common")
+        raise InputError(
+            f"{recording.name}: its channels have only {max(stop - start, 0.0):.4g} s in common"
+        )
     return _Grid(start, step, every, margin, size), halves
 
 
@@ -223,7 +271,8 @@ def _build_selection(time: np.ndarray, instants: np.ndarray, half: float | None)
         near = np.clip(np.searchsorted(time, instants), 1, n - 1)
         near = near - (instants - time[near - 1] < time[near] - instants)
         return csr_matrix(
-            (np.ones(len(instants)), near, np.arange(len(instants) + 1)), shape=(len(instants), n)
+            (np.ones(len(instants)), near, np.arange(len(instants) + 1)),
+            shape=(len(instants), n),
         )
     first = np.searchsorted(time, instants - half)
     most = int((np.searchsorted(time, instants + half) - first).max())
@@ -252,7 +301,11 @@ def _build_interpolation(time: Array, start: float, step: float, size: int) -> A
                 weight[:, k] *= (u - nodes[m]) / (nodes[k] - nodes[m])
     weight[np.abs(weight) < 1e-7] = 0.0
     made = csr_matrix(
-        (weight.ravel(), (first[:, None] + np.arange(4)).ravel(), 4 * np.arange(len(time) + 1)),
+        (
+            weight.ravel(),
+            (first[:, None] + np.arange(4)).ravel(),
+            4 * np.arange(len(time) + 1),
+        ),
         shape=(len(time), size),
     )
     made.eliminate_zeros()
@@ -273,10 +326,14 @@ def check_sampling_rates(record: Record, network: Network) -> None:
         return
     held = {c.name for c in network.inputs if c.quantity in HELD}
     inputs = {
-        n: np.repeat(x, FINER)[: FINER * (len(x) - 1) + 1] if n in held else through(x, FINER)
+        n: np.repeat(x, FINER)[: FINER * (len(x) - 1) + 1]
+        if n in held
+        else through(x, FINER)
         for n, x in record.inputs.items()
     }
-    fine = replace(record.unread(), step=record.step / FINER, inputs=inputs, slopes={}, size=0)
+    fine = replace(
+        record.unread(), step=record.step / FINER, inputs=inputs, slopes={}, size=0
+    )
     try:
         simulated = Problem(network, [fine]).simulate([network], 0)[:, :, 0]
     except BROKEN:
@@ -285,7 +342,9 @@ def check_sampling_rates(record: Record, network: Network) -> None:
         y = simulated[:, j]
         if not np.isfinite(y).all() or not y.std() > 0:
             continue
-        f, density = welch(y - y.mean(), 1 / fine.step, nperseg=min(len(y), 4096 * FINER))
+        f, density = welch(
+            y - y.mean(), 1 / fine.step, nperseg=min(len(y), 4096 * FINER)
+        )
         total = np.cumsum(density)
         edge = float(np.interp(EDGE * total[-1], total, f))
         if 2.0 * edge * steps[j] > 1.0:

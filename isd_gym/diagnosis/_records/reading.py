@@ -31,7 +31,10 @@ LEAST_SAMPLES = 32  # least number of samples of a record from which the scale o
 
 
 def read_record(
-    source: Table | Recording | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
+    source: Table | Recording | str | Path,
+    network: Network,
+    notes: list[str],
+    accept: Sequence[str] = (),
 ) -> Record:
     """Return a measured record in SI units (inputs) and units of the channels (outputs) after the data checks; those in `accept` (or
     'all') only warn."""
@@ -44,7 +47,11 @@ def read_record(
             return _read_recording(source, network, notes, accept)
     else:
         expected = {c.name: c.unit for c in (*network.inputs, *network.outputs)}
-        table = source if isinstance(source, Table) else read_table(source, expected=expected)
+        table = (
+            source
+            if isinstance(source, Table)
+            else read_table(source, expected=expected)
+        )
     channels = (*network.inputs, *network.outputs)
     for c in channels:
         try:
@@ -53,7 +60,13 @@ def read_record(
             raise InputError(f"{error}{without(network, c.name)}") from None
     if rises_unevenly(table.time):
         signals = {
-            c.name: Signal(table.time, table[c.name], table.units.get(c.name) or c.unit, "time", c.name)
+            c.name: Signal(
+                table.time,
+                table[c.name],
+                table.units.get(c.name) or c.unit,
+                "time",
+                c.name,
+            )
             for c in channels
         }
         return _read_recording(Recording(table.source, signals), network, notes, accept)
@@ -94,29 +107,46 @@ def _convert_table(table: Table, network: Network) -> Record:
     """Return the record of a uniformly sampled table, in the units of the model."""
 
     def values(c: Channel, unit: str) -> Array:
-        return convert(np.asarray(table[c.name]), table.units.get(c.name) or c.unit, unit)
+        return convert(
+            np.asarray(table[c.name]), table.units.get(c.name) or c.unit, unit
+        )
 
     inputs = {c.name: values(c, c.si) for c in network.inputs}
     measured = np.stack([values(c, c.unit) for c in network.outputs], axis=1)
-    return Record(Path(table.source).stem, table.step, inputs, measured, {}, float(table.time[0]))
+    return Record(
+        Path(table.source).stem, table.step, inputs, measured, {}, float(table.time[0])
+    )
 
 
 def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
     """Return the time scale of the rig and, where a simulation from rest tells them, the standard deviations of the outputs."""
     time, slowest = own_time(network), slowest_time(network)
-    scale = Scale(time or CAR, slowest=slowest or math.nan, period=2.0 * math.pi * time if time else math.inf)
+    scale = Scale(
+        time or CAR,
+        slowest=slowest or math.nan,
+        period=2.0 * math.pi * time if time else math.inf,
+    )
     if not network.inputs or 2 in count_derivatives(network).values():
         return scale
     try:
         raw = read().unread()
-        is_sound = raw.step > 0 and all(np.isfinite(x).all() for x in (*raw.inputs.values(), raw.measured))
+        is_sound = raw.step > 0 and all(
+            np.isfinite(x).all() for x in (*raw.inputs.values(), raw.measured)
+        )
         if not is_sound or raw.samples < LEAST_SAMPLES:
             return scale
-        rest = {c.name: raw.inputs[c.name][0] * (c.quantity == "displacement") for c in network.inputs}
+        rest = {
+            c.name: raw.inputs[c.name][0] * (c.quantity == "displacement")
+            for c in network.inputs
+        }
         moved = replace(raw, inputs={n: x - rest[n] for n, x in raw.inputs.items()})
         problem = Problem(network, [moved])
-        outputs = problem.simulate([network], 0)[moved.samples // 2 :, :, 0] / problem.factors
+        outputs = (
+            problem.simulate([network], 0)[moved.samples // 2 :, :, 0] / problem.factors
+        )
     except BROKEN:
         return scale
     spread = dict(zip(problem.channels, map(float, outputs.std(axis=0)), strict=True))
-    return replace(scale, spread={n: s for n, s in spread.items() if math.isfinite(s) and s > 0})
+    return replace(
+        scale, spread={n: s for n, s in spread.items() if math.isfinite(s) and s > 0}
+    )

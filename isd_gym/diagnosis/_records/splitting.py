@@ -24,7 +24,11 @@ MOVES = 25.0  # least ratio of the largest power to that of a rest; a decay with
 
 
 def split_records(
-    data: list[Record], validate: list[Record], notes: list[str], time: float, lead: float = 0.0
+    data: list[Record],
+    validate: list[Record],
+    notes: list[str],
+    time: float,
+    lead: float = 0.0,
 ) -> tuple[list[Record], list[Role]]:
     """Return training records and held-out segments, alternately for validation and test, with their roles: segments of `validate`, of
     the last third of the records, or of the motion of a single one. `lead`: simulated time before a segment [s]. How is noted."""
@@ -32,19 +36,25 @@ def split_records(
     if not held and len(training) > 1:
         count = max(1, len(training) // 3)
         training, held = training[:-count], training[-count:]
-        notes.append(f"held out for validation and test: {', '.join(r.name for r in held)}")
+        notes.append(
+            f"held out for validation and test: {', '.join(r.name for r in held)}"
+        )
     elif not held:
         (whole,) = training
         first, rest = _split_record(whole)
         training, held = [first], [rest]
         used = len(first) + len(rest)
-        still = f"; its last {1 - used / len(whole):.0%}, where nothing moves, is left out"
+        still = (
+            f"; its last {1 - used / len(whole):.0%}, where nothing moves, is left out"
+        )
         notes.append(
             "held out for validation and test: the last third of the motion of the only record"
             + still * (used < len(whole))
         )
     if lead:
-        training, held = ([_led_in(r, lead) for r in records] for records in (training, held))
+        training, held = (
+            [_led_in(r, lead) for r in records] for records in (training, held)
+        )
     # sorted by content: sums over records do not depend on the order of the files
     held = sorted(held, key=lambda r: (r.measured.shape, r.measured.tobytes(), r.name))
     segments: list[Record] = []
@@ -53,18 +63,24 @@ def split_records(
         seconds = SEGMENT * time
         if r.inputs:  # a short record with inputs gives two to four segments
             duration = len(r) * r.interval
-            seconds = min(seconds, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration)
+            seconds = min(
+                seconds, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration
+            )
         own = cut_segments(r, seconds, min(300, len(r) // 2), lead)
         segments += own
         # the first half of every run may be driven and the second coast: neither half is for one purpose alone
         after = n % 2 if len(own) > 1 else 0
-        roles += ["choose" if (after + k) % 2 == 0 else "report" for k in range(len(own))]
+        roles += [
+            "choose" if (after + k) % 2 == 0 else "report" for k in range(len(own))
+        ]
     if "report" in roles:
         notes.append(
             f"{len(segments)} held-out segments, alternately for validation (choice of effects) and test (reported figures)"
         )
     else:
-        notes.append("too little is held out for test records: the reported figures are those of validation")
+        notes.append(
+            "too little is held out for test records: the reported figures are those of validation"
+        )
     fitted: list[Role] = ["fit"] * len(training)
     return [*training, *segments], fitted + roles
 
@@ -79,7 +95,9 @@ def _split_record(record: Record) -> tuple[Record, Record]:
     """Split a record after two thirds of the path of its outputs, since a decay hardly moves in its last third."""
     y = record.measured - record.measured.mean(axis=0)
     width = max(1, int(0.2 * record.pace / record.interval))
-    smooth = np.apply_along_axis(lambda x: np.convolve(x, np.ones(width) / width, mode="valid"), 0, y)
+    smooth = np.apply_along_axis(
+        lambda x: np.convolve(x, np.ones(width) / width, mode="valid"), 0, y
+    )
     change = np.abs(np.diff(smooth, axis=0)) / np.maximum(y.std(axis=0), 1e-300)
     end = _find_rest(record, y)
     path = np.cumsum(np.sum(change, axis=1))[: max(end - width, 1)]
@@ -92,7 +110,9 @@ def _split_record(record: Record) -> tuple[Record, Record]:
 def _find_rest(record: Record, y: Array) -> int:
     """Return the sample at which the rest of a record with outputs (n, channels) begins, if the rest is more than half of the record."""
     # the pace of a record at rest is the rest's
-    length = max(16, min(math.ceil(6 * record.pace / record.interval), len(y) // (4 * WINDOWS)))
+    length = max(
+        16, min(math.ceil(6 * record.pace / record.interval), len(y) // (4 * WINDOWS))
+    )
     count = len(y) // length
     if count < WINDOWS:
         return len(y)
@@ -106,7 +126,9 @@ def _find_rest(record: Record, y: Array) -> int:
     return len(y) if last > len(y) // 2 else max(last + last // 4, WINDOWS * length)
 
 
-def cut_segments(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
+def cut_segments(
+    record: Record, seconds: float, least: int = 300, lead: float = 0.0
+) -> list[Record]:
     """Cut a record into segments of equal length of at least some seconds, each with a lead [s] that is simulated but not compared."""
     count = max(1, int(len(record) * record.interval / seconds))
     count = min(count, max(1, len(record) // least))

@@ -61,7 +61,9 @@ def is_observed(network: Network, pair: Pair) -> bool:
     told = tuple(c for c in network.outputs if c.offset != "record")
     try:
         probe = network.probe(network.free_name("travel"), "displacement", between=pair)
-        space = linearise(bare(replace(network, outputs=(*told, probe), uncertainty={})))
+        space = linearise(
+            bare(replace(network, outputs=(*told, probe), uncertainty={}))
+        )
     except (InputError, ArithmeticError, np.linalg.LinAlgError):
         return True
     rows = np.vstack([space.A, space.C[:-1]])
@@ -74,10 +76,14 @@ def is_observed(network: Network, pair: Pair) -> bool:
     return bool(np.all(np.abs(directions[rank:] @ space.C[-1]) < NO_CHANGE))
 
 
-def travels(problem: Problem, network: Network, motion: Mapping[Pair, el.Motion]) -> dict[Pair, Travel]:
+def travels(
+    problem: Problem, network: Network, motion: Mapping[Pair, el.Motion]
+) -> dict[Pair, Travel]:
     """Return what the training records tell about the distance of every pair of nodes."""
     edges = np.cumsum([problem.records[i].samples for i in problem.estimation])[:-1]
-    return {pair: _travel(network, pair, np.split(m.d, edges)) for pair, m in motion.items()}
+    return {
+        pair: _travel(network, pair, np.split(m.d, edges)) for pair, m in motion.items()
+    }
 
 
 def _travel(network: Network, pair: Pair, parts: list[Array]) -> Travel:

@@ -51,7 +51,9 @@ class Answer:
     @property
     def falls(self) -> float:
         """Decrease of the error beyond noise by the foremost set."""
-        return beyond_noise(self.refit, self.noise) - beyond_noise(self.foremost, self.noise)
+        return beyond_noise(self.refit, self.noise) - beyond_noise(
+            self.foremost, self.noise
+        )
 
     @property
     def leaves(self) -> float:
@@ -62,7 +64,9 @@ class Answer:
     @property
     def certain(self) -> tuple[bool, ...]:
         """Whether each member of the simplest set has its kind and place in every set of the band."""
-        return tuple(all(m.kind in row.kinds for row in self.band) for m in self.simplest.members)
+        return tuple(
+            all(m.kind in row.kinds for row in self.band) for m in self.simplest.members
+        )
 
 
 def removed_share(before: Array, after: Array, noise: Array) -> float:
@@ -85,7 +89,9 @@ def excess(row: Row, noise: float, c: Criteria) -> float:
 class Table:
     """Rows with the noise level of the best of them."""
 
-    def __init__(self, rows: Sequence[Row], best: Row, least: Array, noise: Array, c: Criteria):
+    def __init__(
+        self, rows: Sequence[Row], best: Row, least: Array, noise: Array, c: Criteria
+    ):
         self.c = c
         #: RMS noise over channels as a share of the deviation
         self.noise = float(np.sqrt(np.mean(np.minimum(noise, best.validation) ** 2)))
@@ -109,7 +115,10 @@ class Table:
 
     def is_alike(self, row: Row, best: Row) -> bool:
         """Return whether chance makes the difference to the best set: the best set predicts no better, and leaves a similar error."""
-        return not self.is_better(best, row) and self.leaves(best, row) >= self.c.one_more_leaves
+        return (
+            not self.is_better(best, row)
+            and self.leaves(best, row) >= self.c.one_more_leaves
+        )
 
     def width(self, best: Row) -> float:
         """Return the difference of errors that is no difference beside a set: it grows with what the set leaves."""
@@ -132,19 +141,31 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
     if not sound:
         return Answer(refit, (), (), refit, c.least_width, singles)
     # faults of sensors and drives only where forces alone leave far more, or explain nothing
-    best, table, chosen = _best_of(_forces_first(sound, noise, c), rows, least, noise, c)
+    best, table, chosen = _best_of(
+        _forces_first(sound, noise, c), rows, least, noise, c
+    )
     if not chosen.members:
         best, table, chosen = _best_of(sound, rows, least, noise, c)
     if not chosen.members:
         gain = table.compare(best, refit)
-        return Answer(refit, (), (), best, table.width(best), singles, table.noise, gain)
+        return Answer(
+            refit, (), (), best, table.width(best), singles, table.noise, gain
+        )
     width = table.width(chosen)
     pool = [row for row in sound if row.blames <= chosen.blames]
     same = [row for row in pool if len(row.members) == len(chosen.members)]
-    near = [row for row in same if row.error - chosen.error < width or table.is_alike(row, chosen)]
+    near = [
+        row
+        for row in same
+        if row.error - chosen.error < width or table.is_alike(row, chosen)
+    ]
     fewest = min(near, key=lambda row: (row.parameters, row.error))
     simplest = simplest_law(same, fewest, refit, c)
-    others = [row for row in near if row.kinds != simplest.kinds and table.competes(row, simplest)]
+    others = [
+        row
+        for row in near
+        if row.kinds != simplest.kinds and table.competes(row, simplest)
+    ]
     band = (simplest, *sorted(others, key=lambda r: (r.parameters, r.error)))
     odds = np.exp([(chosen.error - row.error) / width for row in band])
     weights = tuple((odds / odds.sum()).tolist())
@@ -178,11 +199,21 @@ def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
     material amount (in power), and each of them must remove a share of the rest."""
     c, chosen = table.c, refit
     for count in sorted({len(row.members) for row in rows}):
-        best = min((row for row in rows if len(row.members) == count), key=lambda row: row.error)
+        best = min(
+            (row for row in rows if len(row.members) == count),
+            key=lambda row: row.error,
+        )
         falls = beyond_noise(chosen, table.noise) - beyond_noise(best, table.noise)
-        is_material = chosen.error**2 - best.error**2 > c.material**2 and falls > table.width(best)
+        is_material = (
+            chosen.error** 2 - best.error** 2 > c.material** 2
+            and falls > table.width(best)
+        )
         allowed = c.one_more_leaves ** (count - len(chosen.members))
-        if is_material and table.leaves(best, chosen) < allowed and table.is_better(best, chosen):
+        if (
+            is_material
+            and table.leaves(best, chosen) < allowed
+            and table.is_better(best, chosen)
+        ):
             chosen = best
     return chosen
 
@@ -193,6 +224,7 @@ def simplest_law(rows: Sequence[Row], best: Row, refit: Row, c: Criteria) -> Row
     alike = [
         row
         for row in rows
-        if row.kinds == best.kinds and refit.error**2 - row.error**2 >= c.within_kind * removed
+        if row.kinds == best.kinds
+        and refit.error**2 - row.error**2 >= c.within_kind * removed
     ]
     return min([*alike, best], key=lambda row: (row.parameters, row.error))

@@ -36,18 +36,25 @@ class Gate:
     def to_dict(self) -> dict[str, Any]:
         """As the JSON of a diagnosis has it."""
         return {"gate": self.name} | {
-            k: getattr(self, k) for k in ("passed", "value", "relation", "limit", "text")
+            k: getattr(self, k)
+            for k in ("passed", "value", "relation", "limit", "text")
         }
 
 
 def gate(name: str, value: float, relation: Relation, limit: float, text: str) -> Gate:
     """Return a gate that passes if ``value relation limit`` is true. Infinite values become `MAX_GATE_VALUE`."""
     value = min(max(float(value), -MAX_GATE_VALUE), MAX_GATE_VALUE)
-    return Gate(name, COMPARE[relation](value, limit), value, float(limit), text, relation)
+    return Gate(
+        name, COMPARE[relation](value, limit), value, float(limit), text, relation
+    )
 
 
 def table_gates(
-    explained: float, moved: float, errors: float, confirmed: float, c: Criteria = CRITERIA
+    explained: float,
+    moved: float,
+    errors: float,
+    confirmed: float,
+    c: Criteria = CRITERIA,
 ) -> tuple[Gate, ...]:
     """Return the conditions for a table of a force, by explained fraction, error reduction, standard errors of the gain and explained
     fraction of the test records."""
@@ -55,8 +62,16 @@ def table_gates(
     moves = "largest share of a channel's standard deviation by which the error falls"
     density = "standard errors by which the log predictive density exceeds the refitted model's"
     return (
-        gate("explains", explained, ">=", c.least_removed, f"{removed} the validation records"),
+        gate(
+            "explains",
+            explained,
+            ">=",
+            c.least_removed,
+            f"{removed} the validation records",
+        ),
         gate("material", moved, ">=", c.material, moves),
         gate("predicts better", errors, ">", c.elpd_errors, density),
-        gate("confirmed", confirmed, ">=", c.least_removed, f"{removed} the test records"),
+        gate(
+            "confirmed", confirmed, ">=", c.least_removed, f"{removed} the test records"
+        ),
     )

@@ -32,7 +32,9 @@ def repeats(element: el.Element, motion: el.Motion, c: Criteria = CRITERIA) -> b
     return bool(c.periods * getattr(element, element.periodic[0]) <= high - low)
 
 
-def find_contradiction(problem: Problem, fit: Fit, element: el.Element, c: Criteria = CRITERIA) -> str:
+def find_contradiction(
+    problem: Problem, fit: Fit, element: el.Element, c: Criteria = CRITERIA
+) -> str:
     """Return how the values of a law contradict its name on these records; empty where they do not."""
     if not element.well_formed():
         return "its values contradict its name"
@@ -48,7 +50,11 @@ def find_contradiction(problem: Problem, fit: Fit, element: el.Element, c: Crite
     scales = {"m": motion.reach, "m/s": float(np.abs(motion.v).max())}
     for f in el.parameter_fields(type(element)):
         scale = scales.get(f.metadata["unit"])
-        if scale and not f.metadata["fixed"] and getattr(element, f.name) > FURTHEST * scale:
+        if (
+            scale
+            and not f.metadata["fixed"]
+            and getattr(element, f.name) > FURTHEST * scale
+        ):
             return f"its {f.name.replace('_', ' ')} is far beyond the measured motion"
     if element.plane != "time":
         axis = motion.v if element.plane == "rate" else motion.d

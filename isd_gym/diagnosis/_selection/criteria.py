@@ -121,4 +121,6 @@ CRITERIA = Criteria()
 
 def table(c: Criteria = CRITERIA) -> list[dict[str, str | float]]:
     """The criteria as rows: id, limit, unit, why, source."""
-    return [{"id": f.name, "limit": getattr(c, f.name), **f.metadata} for f in fields(c)]
+    return [
+        {"id": f.name, "limit": getattr(c, f.name), **f.metadata} for f in fields(c)
+    ]

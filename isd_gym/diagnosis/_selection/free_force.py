@@ -78,12 +78,16 @@ class Table(Structure):
     @property
     def own(self) -> Structure:
         """The network with its own free parameters alone."""
-        return Structure(self.network, self.free[: len(self.free) - self.basis.shape[1]])
+        return Structure(
+            self.network, self.free[: len(self.free) - self.basis.shape[1]]
+        )
 
     def _network(self, x: Array) -> Network:
         own = self.own
         force = self.basis @ x[len(own.free) :]
-        return own.at(x[: len(own.free)]).with_table(self.element, force.reshape(self.shape).tolist())
+        return own.at(x[: len(own.free)]).with_table(
+            self.element, force.reshape(self.shape).tolist()
+        )
 
     @property
     def start(self) -> Array:
@@ -99,7 +103,9 @@ def _axis(values: Array, count: int) -> Array:
     reach = max(high, -low, 1e-12)
     low, high = min(low, -0.05 * reach), max(high, 0.05 * reach)
     below = max(1, round((count - 1) * -low / (high - low)))
-    return np.concatenate([np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, count - below)[1:]])
+    return np.concatenate(
+        [np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, count - below)[1:]]
+    )
 
 
 def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -> Array:
@@ -107,16 +113,33 @@ def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -
     covariance: Any = np.ones((1, 1))
     for x in axes:
         scale = length * 0.5 * float(np.ptp(x))
-        covariance = np.kron(covariance, np.exp(-0.5 * ((x[:, None] - x[None, :]) / scale) ** 2))
-    at = int(np.ravel_multi_index([int(np.argmin(np.abs(x))) for x in axes], [len(x) for x in axes]))
-    covariance = covariance - np.outer(covariance[:, at], covariance[at]) / covariance[at, at]
+        covariance = np.kron(
+            covariance, np.exp(-0.5 * ((x[:, None] - x[None, :]) / scale) ** 2)
+        )
+    at = int(
+        np.ravel_multi_index(
+            [int(np.argmin(np.abs(x))) for x in axes], [len(x) for x in axes]
+        )
+    )
+    covariance = (
+        covariance - np.outer(covariance[:, at], covariance[at]) / covariance[at, at]
+    )
     values, vectors = np.linalg.eigh(covariance)
     keep = np.argsort(values)[::-1][:most]
     keep = keep[values[keep] > KEPT * values[keep[0]]]
-    return np.asarray(sigma * vectors[:, keep] * np.sqrt(values[keep]), dtype=np.float64)
+    return np.asarray(
+        sigma * vectors[:, keep] * np.sqrt(values[keep]), dtype=np.float64
+    )
 
 
-def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: float, sigma: float) -> Table:
+def table(
+    fit: Fit,
+    pair: tuple[str, str],
+    over: Over,
+    m: el.Motion,
+    length: float,
+    sigma: float,
+) -> Table:
     """Return the refitted nominal model with a table between two nodes. `length`: share of half the motion's range; `sigma`: deviation of
     the force [N]."""
     network, base = fit.network, fit.structure
@@ -127,12 +150,17 @@ def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: flo
     shape = tuple(map(len, axes.values()))
     given: dict[str, Any] = {k: tuple(x.tolist()) for k, x in axes.items()}
     element = el.TabulatedForce(name, pair, force=np.zeros(shape).tolist(), **given)  # type: ignore[call-arg]
-    new = [Free(f"{name}.{k}", False, 0.0, 1.0, -math.inf, math.inf, 0) for k in range(basis.shape[1])]
+    new = [
+        Free(f"{name}.{k}", False, 0.0, 1.0, -math.inf, math.inf, 0)
+        for k in range(basis.shape[1])
+    ]
     outputs = cells_beside(network, element)
     built = replace(network, elements=(*network.elements, element), outputs=outputs)
     assemble(bare(built))
     free, offsets = (*base.free, *new), base.offsets
-    return Table(built, free, offsets=offsets, element=name, over=over, shape=shape, basis=basis)
+    return Table(
+        built, free, offsets=offsets, element=name, over=over, shape=shape, basis=basis
+    )
 
 
 # ------------------------------------------------------------------------------------------------------ the fit
@@ -150,15 +178,23 @@ def _fitter(problem: Problem, base: Fit, least: Array) -> Fitter:
 def gain(problem: Problem, fitter: Fitter, base: Fit, structure: Table) -> float:
     """Return the decrease of the cost that a table is expected to bring, to first order."""
     x = _start_values(base, structure)
-    left = {i: (problem.records[i].measured - base.outputs[i])[:, :, None] for i in problem.estimation}
+    left = {
+        i: (problem.records[i].measured - base.outputs[i])[:, :, None]
+        for i in problem.estimation
+    }
     H, g, _ = fitter.normal_equations(structure, x, base.initial, left)
     own = np.delete(np.arange(len(H)), np.s_[len(base.x) : len(x)])  # without the table
-    gains = (g[k, 0] @ np.linalg.solve(H[np.ix_(k, k)], g[k, 0]) for k in (np.arange(len(H)), own))
+    gains = (
+        g[k, 0] @ np.linalg.solve(H[np.ix_(k, k)], g[k, 0])
+        for k in (np.arange(len(H)), own)
+    )
     whole, without = map(float, gains)
     return whole - without
 
 
-def _ranked(problem: Problem, base: Fit, least: Array, forces: PlaceForces) -> list[Table]:
+def _ranked(
+    problem: Problem, base: Fit, least: Array, forces: PlaceForces
+) -> list[Table]:
     """Return tables over rate and over elongation at every pair, largest expected gain first, on as few samples as the motion needs."""
     motion = motions(problem, base)
     known = travels(problem, base.network, motion)
@@ -175,16 +211,23 @@ def _ranked(problem: Problem, base: Fit, least: Array, forces: PlaceForces) -> l
             if over == "elongation" and not known[pair].is_known:
                 continue
             try:
-                built = table(base, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair))
+                built = table(
+                    base, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair)
+                )
                 ranked.append((gain(problem.rough, rough, fit, built), built))
             except BROKEN:
                 continue
     return [s for _, s in sorted(ranked, key=lambda t: -t[0])]
 
 
-def is_told(problem: Problem, fit: Fit, pair: tuple[str, str], motion: el.Motion) -> bool:
+def is_told(
+    problem: Problem, fit: Fit, pair: tuple[str, str], motion: el.Motion
+) -> bool:
     """Return whether the records show a force over the distance of two nodes."""
-    return not order_told(fit.network, pair) and travels(problem, fit.network, {pair: motion})[pair].is_known
+    return (
+        not order_told(fit.network, pair)
+        and travels(problem, fit.network, {pair: motion})[pair].is_known
+    )
 
 
 @dataclass(frozen=True)
@@ -209,15 +252,26 @@ def fit_free_force(
     forces = place_forces(problem, base)
     ranked = _ranked(problem, base, least, forces)
     first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
-    finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
+    finals = list(
+        {id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values()
+    )
     tried = [row for s in finals if (row := _fit_table(evaluator, base, s)) is not None]
     found = _best_table(tried)
     if found is not None and _gained(evaluator, refit, found)[0] < ENOUGH:
         motion = motions(problem, base)
-        for pair in list(dict.fromkeys(s.network.element(s.element).between for s in ranked))[:BOTH]:
+        for pair in list(
+            dict.fromkeys(s.network.element(s.element).between for s in ranked)
+        )[:BOTH]:
             if not is_told(problem, base, pair, motion[pair]):
                 continue
-            built = table(base, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
+            built = table(
+                base,
+                pair,
+                "both",
+                motion[pair],
+                LENGTHS["both"][0],
+                STRONG * forces.at(pair),
+            )
             row = _fit_table(evaluator, base, built)
             tried += [row] if row is not None else []
         found = _best_table(tried)
@@ -243,11 +297,15 @@ def _structure(row: Row) -> Table:
     return structure
 
 
-def _gained(evaluator: HeldOutEvaluator, refit: Row, row: Row) -> tuple[float, float, float, float]:
+def _gained(
+    evaluator: HeldOutEvaluator, refit: Row, row: Row
+) -> tuple[float, float, float, float]:
     """Return what a table gains over the refitted nominal model: explained fraction, largest error reduction of a channel, standard errors
     of the gain, and explained fraction of the test records."""
     noise = evaluator.noise_share(row.held)
-    moved = float(np.sqrt(np.maximum(refit.validation**2 - row.validation**2, 0.0)).max())
+    moved = float(
+        np.sqrt(np.maximum(refit.validation**2 - row.validation**2, 0.0)).max()
+    )
     densities = (x.log_density(row, evaluator.least_noise) for x in (row, refit))
     return (
         min(removed_share(refit.validation, row.validation, noise), 1.0),
@@ -270,7 +328,9 @@ def _fit_table(evaluator: HeldOutEvaluator, base: Fit, structure: Table) -> Row 
         x = _start_values(base, structure)
         found = rough.fit(structure, x, start.initial, start.offset, iterations=STEPS)
         if rough is not fitter:
-            found = fitter.fit(structure, found.x, found.initial, found.offset, iterations=LAST_STEPS)
+            found = fitter.fit(
+                structure, found.x, found.initial, found.offset, iterations=LAST_STEPS
+            )
         return row_of(evaluator, found)
     except BROKEN:
         return None
@@ -286,7 +346,9 @@ def _best_table(tried: Sequence[Row]) -> Row | None:
     return min(tried, key=square, default=None)
 
 
-def _refine_length(evaluator: HeldOutEvaluator, base: Fit, found: Row, forces: PlaceForces) -> Row:
+def _refine_length(
+    evaluator: HeldOutEvaluator, base: Fit, found: Row, forces: PlaceForces
+) -> Row:
     """Return the table with a shorter correlation length, where that errs clearly less."""
     old = _structure(found)
     pair = old.network.element(old.element).between
@@ -305,10 +367,14 @@ def _refine_length(evaluator: HeldOutEvaluator, base: Fit, found: Row, forces: P
 # ------------------------------------------------------------------------------------------------- what is told
 
 
-def _tabulated(problem: Problem, least: Array, best: Fit, explained: float) -> Tabulated:
+def _tabulated(
+    problem: Problem, least: Array, best: Fit, explained: float
+) -> Tabulated:
     structure = best.structure
     assert isinstance(structure, Table)
-    f = _fitter(problem, best, least).fit(structure, best.x, best.initial, best.offset, iterations=0)
+    f = _fitter(problem, best, least).fit(
+        structure, best.x, best.initial, best.offset, iterations=0
+    )
     assert f.hessian is not None
     own = len(structure.own.free)
     covariance = np.linalg.inv(f.hessian + np.diag(1 / structure.sigma**2))[own:, own:]
@@ -317,14 +383,20 @@ def _tabulated(problem: Problem, least: Array, best: Fit, explained: float) -> T
     spread = Z95 * np.sqrt(np.maximum(variance, 0.0))
     e = best.network.element(structure.element)
     assert isinstance(e, el.TabulatedForce)
-    force, low, high = (y.reshape(structure.shape) for y in (force, force - spread, force + spread))
+    force, low, high = (
+        y.reshape(structure.shape) for y in (force, force - spread, force + spread)
+    )
     shares = _shares(problem, best, e) if structure.over == "both" else ()
     near = tuple(nearest(problem, best, e))
     over, axes = structure.over, (e.elongation, e.rate)
-    return Tabulated(e.between, over, e.name, explained, *axes, force, low, high, near, shares)
+    return Tabulated(
+        e.between, over, e.name, explained, *axes, force, low, high, near, shares
+    )
 
 
-def _shares(problem: Problem, best: Fit, e: el.TabulatedForce) -> tuple[tuple[str, float], ...]:
+def _shares(
+    problem: Problem, best: Fit, e: el.TabulatedForce
+) -> tuple[tuple[str, float], ...]:
     """Shares of the square of a table's force, over the measured motion, that functions of one argument alone give."""
     m = motions(problem, best, (e.between,))[e.between]
     thin = slice(None, None, max(1, len(m.d) // MARGINAL))
@@ -340,16 +412,28 @@ def _shares(problem: Problem, best: Fit, e: el.TabulatedForce) -> tuple[tuple[st
     return tuple(out)
 
 
-def nearest(problem: Problem, best: Fit, e: el.TabulatedForce) -> list[tuple[str, float]]:
+def nearest(
+    problem: Problem, best: Fit, e: el.TabulatedForce
+) -> list[tuple[str, float]]:
     """Return at most three known laws at the place of a table, best first, with the share of its force over the measured motion that
     each gives with the best size."""
     m, network = motions(problem, best, (e.between,))[e.between], problem.network
-    here = [h for h in hypotheses(network) if follows_motion(h) and set(h.where) == set(e.between)]
+    here = [
+        h
+        for h in hypotheses(network)
+        if follows_motion(h) and set(h.where) == set(e.between)
+    ]
     known = travels(problem, best.network, {e.between: m})
     laws = [h for h in here if not h.kind.periodic and is_admissible(h, known)]
     starts = starts_of(problem, best, {(h.where[0], h.where[1]): m for h in laws}, laws)
     step = problem.records[problem.estimation[0]].step
-    forces = law_forces(network, e.between, m, step, [(h, way) for h, start in starts for way in start.ways])
+    forces = law_forces(
+        network,
+        e.between,
+        m,
+        step,
+        [(h, way) for h, start in starts for way in start.ways],
+    )
     target, at, out = e.at(m.d, m.v), 0, dict[str, float]()
     for h, start in starts:
         columns = forces[:, at : at + len(start.ways)]
@@ -358,7 +442,9 @@ def nearest(problem: Problem, best: Fit, e: el.TabulatedForce) -> list[tuple[str
             continue
         size = np.linalg.lstsq(columns, target, rcond=None)[0]
         if start.signed or np.all(size > 0):
-            share = 1.0 - float(np.sum((target - columns @ size) ** 2) / max(np.sum(target**2), 1e-300))
+            share = 1.0 - float(
+                np.sum((target - columns @ size) ** 2) / max(np.sum(target**2), 1e-300)
+            )
             out[h.effect] = max(out.get(h.effect, 0.0), share)
     ranked = sorted(out.items(), key=lambda t: -t[1])
     return [(name, share) for name, share in ranked if share > 0.05][:3]

@@ -10,7 +10,14 @@ import numpy as np
 from ..._common.errors import InputError
 from .._estimation.gauss_newton import Fitter, residuals
 from .._estimation.initial_states import next_states, transfer_states
-from .._estimation.noise import Floor, floors_of, independent_share, noise_of, weights_of, white_weights
+from .._estimation.noise import (
+    Floor,
+    floors_of,
+    independent_share,
+    noise_of,
+    weights_of,
+    white_weights,
+)
 from .._estimation.structure import base_structure
 from .._hypotheses.law_matching import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
@@ -40,12 +47,15 @@ class HeldOutEvaluator:
         self.training_deviation = problem.deviation()
         #: smallest noise that residuals are weighted with (channels,) [unit of the channel]
         self.least_noise = np.maximum(
-            [f.deviation for f in self.noise_estimates], LEAST_NOISE * self.training_deviation
+            [f.deviation for f in self.noise_estimates],
+            LEAST_NOISE * self.training_deviation,
         )
         self.validation_deviation = problem.deviation(problem.choosing)
         self.test_deviation = problem.deviation(problem.reporting)
         self._envelopes: dict[Fit, Array] = {}
-        self._responses: tuple[Fit, dict[int, Array]] | None = None  # they are large: only the last
+        self._responses: tuple[Fit, dict[int, Array]] | None = (
+            None  # they are large: only the last
+        )
 
     @cached_property
     def plain_fitter(self) -> Fitter:
@@ -61,7 +71,9 @@ class HeldOutEvaluator:
     # -- errors -------------------------------------------------------------------------------------------
     def nrmse(self, fit: Fit, records: Sequence[int], deviation: Array) -> Array:
         """Return the RMS error over the deviation (channels,)."""
-        r = np.concatenate([self.problem.records[i].measured - fit.outputs[i] for i in records])
+        r = np.concatenate(
+            [self.problem.records[i].measured - fit.outputs[i] for i in records]
+        )
         return np.asarray(np.sqrt(np.mean(r**2, axis=0)) / deviation, dtype=np.float64)
 
     @cached_property
@@ -83,7 +95,9 @@ class HeldOutEvaluator:
         states of a simulation `near` it if given. Raise InputError where a law breaks down on a whole record of the user."""
         p, fitter = self.problem, self.plain_fitter
         if near is None:
-            held = fitter.follow(fit.structure, fit.x, p.held, None, (self._states_after_training(fit),))
+            held = fitter.follow(
+                fit.structure, fit.x, p.held, None, (self._states_after_training(fit),)
+            )
         else:
             states = transfer_states(p, near.network, near.initial, fit.structure)
             held = fitter.follow(fit.structure, fit.x, p.held, states)
@@ -97,28 +111,43 @@ class HeldOutEvaluator:
         if self.whole is None:
             return []
         structure = base_structure(self.problem.network)
-        broken = self._broken_records(structure, structure.start, range(len(self.whole.records)), {})
+        broken = self._broken_records(
+            structure, structure.start, range(len(self.whole.records)), {}
+        )
         return [i for i in range(len(self.whole.records)) if i not in broken]
 
     def first_states(self, *fits: Fit) -> dict[int, Array]:
         """Return the initial states of whole records, from fits of the records that begin with them."""
         out: dict[int, Array] = {}
-        pieces = [(self.problem.records[j], f.initial[j]) for f in fits for j in f.initial]
+        pieces = [
+            (self.problem.records[j], f.initial[j]) for f in fits for j in f.initial
+        ]
         for i, record in enumerate(self.whole.records if self.whole else []):
             for piece, state in pieces:
-                if piece.name == record.name and abs(piece.start - record.start) < 0.5 * record.interval:
+                if (
+                    piece.name == record.name
+                    and abs(piece.start - record.start) < 0.5 * record.interval
+                ):
                     out[i] = state
         return out
 
     def _broken_records(
-        self, structure: Structure, x: Array, records: Sequence[int], initial: Mapping[int, Array]
+        self,
+        structure: Structure,
+        x: Array,
+        records: Sequence[int],
+        initial: Mapping[int, Array],
     ) -> list[int]:
         """Return the whole records on which a simulation breaks down."""
         assert self.whole is not None
         fitter = Fitter(self.whole, white_weights(self.least_noise))
         out = []
-        for i in records:  # one by one: a record that breaks down must not hide the others
-            at = fitter.begin(structure, x, {k: v for k, v in initial.items() if k == i}, None, [i])
+        for (
+            i
+        ) in records:  # one by one: a record that breaks down must not hide the others
+            at = fitter.begin(
+                structure, x, {k: v for k, v in initial.items() if k == i}, None, [i]
+            )
             if not np.isfinite(fitter.seen(structure, at, [i]).total):
                 out.append(i)
         return out
@@ -129,7 +158,9 @@ class HeldOutEvaluator:
             return
         # a model that breaks down from the start that the first samples tell owes its success to start values that no sensor sees
         for states in (self.first_states(fit, held), {}):
-            broken = self._broken_records(fit.structure, fit.x, self._simulated_by_nominal, states)
+            broken = self._broken_records(
+                fit.structure, fit.x, self._simulated_by_nominal, states
+            )
             if broken:
                 raise InputError(
                     f"the simulation breaks down on the record {self.whole.records[broken[0]].name}"
@@ -138,10 +169,17 @@ class HeldOutEvaluator:
     def _states_after_training(self, fit: Fit) -> dict[int, Array]:
         """Return the initial states of held-out records that continue a training record."""
         p = self.problem
-        continues = {j: i for j in p.held for i in p.estimation if p.records[j].follows(p.records[i])}
+        continues = {
+            j: i
+            for j in p.held
+            for i in p.estimation
+            if p.records[j].follows(p.records[i])
+        }
         if not continues or not len(next(iter(fit.initial.values()))):
             return {}
-        ends = next_states(p, fit.structure, fit.x, {i: fit.initial[i] for i in continues.values()})
+        ends = next_states(
+            p, fit.structure, fit.x, {i: fit.initial[i] for i in continues.values()}
+        )
         return {j: ends[i] for j, i in continues.items()}
 
     # -- noise --------------------------------------------------------------------------------------------
@@ -151,11 +189,19 @@ class HeldOutEvaluator:
         p, out = self.problem, []
         first = p.records[p.choosing[0]]
         for j, known in enumerate(self.noise_estimates):
-            series = [p.records[i].measured[:, j] - held.outputs[i][:, j] for i in p.choosing]
+            series = [
+                p.records[i].measured[:, j] - held.outputs[i][:, j] for i in p.choosing
+            ]
             left = noise_of(series, first.interval, time=p.time, white=first.filtered)
-            out.append(known.deviation if known.source in ("owner", "input") else min(left, known.deviation))
+            out.append(
+                known.deviation
+                if known.source in ("owner", "input")
+                else min(left, known.deviation)
+            )
         share = np.array(out) / self.validation_deviation
-        return np.asarray(np.minimum(share, self.nrmse(held, p.choosing, self.validation_deviation)))
+        return np.asarray(
+            np.minimum(share, self.nrmse(held, p.choosing, self.validation_deviation))
+        )
 
     def test_noise(self, noise: Array) -> Array:
         """Return the noise as a share of the deviation on the test records, from that on the validation records (channels,)."""
@@ -173,12 +219,16 @@ class HeldOutEvaluator:
         """Return the excess error (channels,), as a share of the deviation, that unmodelled effects of a share `size` of the typical
         force leave beside a fitted model."""
         if fit not in self._envelopes:
-            change = {i: y * (size / SMALL) for i, y in self.unmodelled_responses(fit).items()}
+            change = {
+                i: y * (size / SMALL) for i, y in self.unmodelled_responses(fit).items()
+            }
             envelope = np.full(len(self.problem.channels), least)
             if next(iter(change.values())).shape[2]:
                 _, left = self.plain_fitter.refit(fit, change)
                 r = np.concatenate([*left.values()]) * self.least_noise[:, None]
-                shares = np.sqrt(np.mean(r**2, axis=0)) / self.training_deviation[:, None]
+                shares = (
+                    np.sqrt(np.mean(r**2, axis=0)) / self.training_deviation[:, None]
+                )
                 envelope = np.maximum(least, np.quantile(shares, 0.95, axis=1))
             self._envelopes[fit] = envelope
         return self._envelopes[fit]

@@ -71,7 +71,9 @@ class Blocks:
         """
         floor = np.minimum(share * (least / level) ** 2, 1.0)
         ratio = share * self.power / level**2 / floor
-        return np.asarray(-np.sum(self.samples[:, None] * share * np.log1p(ratio), axis=1))
+        return np.asarray(
+            -np.sum(self.samples[:, None] * share * np.log1p(ratio), axis=1)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,9 @@ def row_of(evaluator: HeldOutEvaluator, fit: Fit, near: Fit | None = None) -> Ro
     whose initial states are tried, too."""
     p, held = evaluator.problem, evaluator.held_fit(fit, near)
     left = residuals(p, fit)
-    level = np.maximum(np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)), evaluator.least_noise)
+    level = np.maximum(
+        np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)), evaluator.least_noise
+    )
     contradictions = [find_contradiction(p, fit, element) for element in fit.elements]
     return Row(
         fit=fit,
@@ -173,7 +177,9 @@ def _blocks(evaluator: HeldOutEvaluator, fit: Fit, records: Sequence[int]) -> Bl
     return Blocks(np.array(power), np.array(samples))
 
 
-def block_edges(measured: Array, blocks: int = BLOCKS, least: int = LEAST_BLOCK) -> Array:
+def block_edges(
+    measured: Array, blocks: int = BLOCKS, least: int = LEAST_BLOCK
+) -> Array:
     """Return indices (edges,) of blocks of equal signal energy of measured channels (samples, channels): a decay has most in its first
     periods."""
     deviation = measured - measured.mean(axis=0)
@@ -210,5 +216,7 @@ def compare(first: Array, second: Array) -> Comparison:
     """Return the difference of log predictive densities (blocks,) [nats] and its standard error, which is infinite for a single block."""
     difference = np.asarray(first) - np.asarray(second)
     count = len(difference)
-    dse = math.sqrt(count * float(np.var(difference, ddof=1))) if count > 1 else math.inf
+    dse = (
+        math.sqrt(count * float(np.var(difference, ddof=1))) if count > 1 else math.inf
+    )
     return Comparison(float(difference.sum()), dse)

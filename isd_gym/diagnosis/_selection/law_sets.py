@@ -71,7 +71,9 @@ class Search:
                 self._extend(rows)
         except TimeUp:
             count = max(len(row.members) for row in rows)
-            self.clock.leave_out(f"the search for {ORDINALS[min(count, len(ORDINALS) - 1)]} effect")
+            self.clock.leave_out(
+                f"the search for {ORDINALS[min(count, len(ORDINALS) - 1)]} effect"
+            )
         return answer_of(rows, self.least_noise, self.noise, self.criteria)
 
     def _extend(self, rows: list[Row]) -> None:
@@ -79,8 +81,13 @@ class Search:
         s, noise = self.settings, float(np.sqrt(np.mean(self.noise**2)))
         front = [rows[0].fit]
         for depth in range(s.depth):
-            label = "; ".join(h.label for h in front[0].structure.hypotheses) or "refitted model"
-            self.say(f"looking for {ORDINALS[min(depth, len(ORDINALS) - 1)]} effect (beside the {label})")
+            label = (
+                "; ".join(h.label for h in front[0].structure.hypotheses)
+                or "refitted model"
+            )
+            self.say(
+                f"looking for {ORDINALS[min(depth, len(ORDINALS) - 1)]} effect (beside the {label})"
+            )
             found: dict[frozenset[object], Fit] = {}
             for fit in front:
                 for more in Stage(self.problem, fit, self.least_noise, s).run():
@@ -103,19 +110,28 @@ class Search:
 
     def _with_fewer(self, fit: Fit) -> list[Fit]:
         """Return fits with one law less, from the values of a fit: alone, a law may have ended in another optimum."""
-        known = {f.path: float(v) for f, v in zip(fit.structure.free, fit.x, strict=True)}
+        known = {
+            f.path: float(v) for f, v in zip(fit.structure.free, fit.x, strict=True)
+        }
         laws = list(zip(fit.hypotheses, fit.elements, strict=True))
         out = []
         for k in range(len(laws)):
             structure = base_structure(self.problem.network)
             try:
                 for law, element in laws[:k] + laws[k + 1 :]:
-                    structure = add(freed(structure, law), law, parameter_values(element))
+                    structure = add(
+                        freed(structure, law), law, parameter_values(element)
+                    )
                 x = structure.start_from(known)
             except FAILS:
                 continue
             fewer = try_fit(
-                self.evaluator.plain_fitter, structure, x, None, None, self.settings.further_steps
+                self.evaluator.plain_fitter,
+                structure,
+                x,
+                None,
+                None,
+                self.settings.further_steps,
             )
             out += [fewer] if fewer is not None else []
         return out
@@ -134,7 +150,11 @@ class Search:
         best = min(found, key=lambda row: row.error, default=None)
         out = []
         for row in found:
-            again = self._row(row.fit, best.held) if best is not None and row.is_lost else None
+            again = (
+                self._row(row.fit, best.held)
+                if best is not None and row.is_lost
+                else None
+            )
             out.append(row if again is None or row.error < again.error else again)
         return out
 
@@ -154,13 +174,19 @@ class Search:
         try:
             if not p.network.inputs or is_lightly_damped(p.network):
                 x = fit_segments(p, structure, structure.start, fitter)
-                found += [fitter.fit(structure, x, iterations=REFIT)] if x is not None else []
+                found += (
+                    [fitter.fit(structure, x, iterations=REFIT)]
+                    if x is not None
+                    else []
+                )
         except TimeUp:
             self.clock.leave_out("further starts of the refit")
         except BROKEN:
             pass
         plainly = fitter.follow(structure, structure.start, p.estimation)
-        found.append(fitter.fit(structure, None, plainly.initial, plainly.offset, iterations=0))
+        found.append(
+            fitter.fit(structure, None, plainly.initial, plainly.offset, iterations=0)
+        )
         gaps = [gap(p, fit) for fit in found]
         # the nominal model where every refit has lost the motion
         return found[int(np.argmin(np.append(gaps[:-1], ASTRAY * gaps[-1])))]

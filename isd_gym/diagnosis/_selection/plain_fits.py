@@ -62,7 +62,11 @@ def freed(structure: Structure, law: Hypothesis) -> Structure:
     """Return the structure in which a law may take the place of an element of its kind that the law contains: the element's parameters
     are free."""
     here = beside(structure.network, law.where) if law.place == "between" else []
-    names = {e.name for e in here if e.type in law.kind.contains and e.mechanism == law.kind.mechanism}
+    names = {
+        e.name
+        for e in here
+        if e.type in law.kind.contains and e.mechanism == law.kind.mechanism
+    }
     free = tuple(
         replace(f, sigma=WIDE, low=f.mean - FAR, high=f.mean + FAR)
         if f.log and f.path.rpartition(".")[0] in names
@@ -91,7 +95,9 @@ def try_fit(
 class Stage:
     """Plain fits of all laws beside a fitted set."""
 
-    def __init__(self, problem: Problem, base: Fit, least: Array, rules: SearchSettings):
+    def __init__(
+        self, problem: Problem, base: Fit, least: Array, rules: SearchSettings
+    ):
         self.whole, self.least, self.rules = problem, least, rules
         self.full = Fitter(problem, white_weights(least))
         self.problem = problem.rough
@@ -105,7 +111,9 @@ class Stage:
         """Return the fits with one more law, smallest cost first: all laws with at most one parameter more, and the best others."""
         rules, is_first = self.rules, not self.base.structure.hypotheses
         shortlist, kept = (
-            (rules.shortlist, rules.kept) if is_first else (rules.shortlist_further, rules.kept_further)
+            (rules.shortlist, rules.kept)
+            if is_first
+            else (rules.shortlist_further, rules.kept_further)
         )
         starts = self.starts()
         beside, alone, sized = self.misfits(starts)
@@ -121,40 +129,65 @@ class Stage:
                 own[starts[k].law].append(starts[k])
         by_law = {law: found for law, found in own.items() if found}
         laws = self.with_special_cases(list(by_law)[:shortlist], by_law)
-        begun = [fit for found in self.each(self.first_fits, [by_law[law] for law in laws]) for fit in found]
+        begun = [
+            fit
+            for found in self.each(self.first_fits, [by_law[law] for law in laws])
+            for fit in found
+        ]
         return self.finish(sorted(begun, key=lambda fit: fit.cost), kept)
 
     def each(self, work: Callable[[I], O], items: Sequence[I]) -> list[O]:
         """Return what a function makes of each item, in threads: the kernel does not hold the interpreter."""
-        with ThreadPoolExecutor(self.rules.jobs, initializer=adopt, initargs=(running(),)) as pool:
+        with ThreadPoolExecutor(
+            self.rules.jobs, initializer=adopt, initargs=(running(),)
+        ) as pool:
             return list(pool.map(work, items))
 
     @staticmethod
-    def with_special_cases(laws: Sequence[Hypothesis], every: Iterable[Hypothesis]) -> list[Hypothesis]:
+    def with_special_cases(
+        laws: Sequence[Hypothesis], every: Iterable[Hypothesis]
+    ) -> list[Hypothesis]:
         """Return laws and the special cases of them that were simulated."""
         simple = {(name, law.where) for law in laws for name in law.kind.contains}
-        return [*laws, *(law for law in every if law not in laws and (law.effect, law.where) in simple)]
+        return [
+            *laws,
+            *(
+                law
+                for law in every
+                if law not in laws and (law.effect, law.where) in simple
+            ),
+        ]
 
     # -- starts -------------------------------------------------------------------------------------------
     def starts(self) -> list[Start]:
         """Return the starts of all admissible laws: several sizes, beside refitted and nominal parameters."""
         base, network = self.base, self.base.structure.network
-        refitted = {f.path: float(v) for f, v in zip(base.structure.free, base.x, strict=True)}
-        nominal = {f.path: refitted[f.path] if f.owner >= 0 else f.mean for f in base.structure.free}
-        have = {(h.kind.mechanism, frozenset(h.where)) for h in base.structure.hypotheses}
+        refitted = {
+            f.path: float(v) for f, v in zip(base.structure.free, base.x, strict=True)
+        }
+        nominal = {
+            f.path: refitted[f.path] if f.owner >= 0 else f.mean
+            for f in base.structure.free
+        }
+        have = {
+            (h.kind.mechanism, frozenset(h.where)) for h in base.structure.hypotheses
+        }
         motion = motions(self.whole, base)
         known = travels(self.whole, base.network, motion)
         laws = [
             h
             for h in hypotheses(network)
-            if (h.kind.mechanism, frozenset(h.where)) not in have and is_admissible(h, known)
+            if (h.kind.mechanism, frozenset(h.where)) not in have
+            and is_admissible(h, known)
         ]
         is_further = bool(base.structure.hypotheses)
         most = self.rules.starts_further if is_further else self.rules.starts
         out: list[Start] = []
         count: dict[Hypothesis, int] = defaultdict(int)
         seen = measured_motions(self.whole, base, self.least)
-        for law, start in starts_of(self.whole, base, {p: joined(m) for p, m in seen.items()}, laws):
+        for law, start in starts_of(
+            self.whole, base, {p: joined(m) for p, m in seen.items()}, laws
+        ):
             sizes = self.rules.sizes if start.grows else (1.0,)
             tries = [(s, refitted) for s in (sizes[:2] if is_further else sizes)]
             tries += [] if is_further else [(1.0, nominal)]
@@ -164,14 +197,20 @@ class Stage:
                     # a size that the element proposes is always tried: it tells the size that the residual asks for
                     if k and count[law] >= most:
                         continue
-                    found = self.start(law, way | {name: way[name] * by for name in start.grows}, values)
+                    found = self.start(
+                        law,
+                        way | {name: way[name] * by for name in start.grows},
+                        values,
+                    )
                     if found is None:
                         continue
                     count[law] += 1
                     out.append(found if k else replace(found, proposed=start))
         return out
 
-    def start(self, law: Hypothesis, values: Mapping[str, float], known: Mapping[str, float]) -> Start | None:
+    def start(
+        self, law: Hypothesis, values: Mapping[str, float], known: Mapping[str, float]
+    ) -> Start | None:
         """Return a start with values of a law and known parameters by path, transformed; None where the model has no place for it."""
         try:
             built = add(freed(self.base.structure, law), law, values)
@@ -182,19 +221,25 @@ class Stage:
         return Start(law, built, x)
 
     def sized(
-        self, left: Array, own: Mapping[tuple[Hypothesis, int], Sequence[tuple[Start, Array]]]
+        self,
+        left: Array,
+        own: Mapping[tuple[Hypothesis, int], Sequence[tuple[Start, Array]]],
     ) -> list[Start]:
         """Return the starts with the size that the residual asks for to first order: the combination of the responses of what an element
         proposed that leaves least of a residual `left` (rows,)."""
         base, out = self.base, []
-        refitted = {f.path: float(v) for f, v in zip(base.structure.free, base.x, strict=True)}
+        refitted = {
+            f.path: float(v) for f, v in zip(base.structure.free, base.x, strict=True)
+        }
         for (law, _), found in own.items():
             proposal = found[0][0].proposed
             assert proposal is not None
             if len(found) < len(proposal.ways):
                 continue  # a way broke down
             responses = np.stack([left - rows for _, rows in found], axis=1)
-            amplitude = np.asarray(np.linalg.lstsq(responses, left, rcond=None)[0], dtype=np.float64)
+            amplitude = np.asarray(
+                np.linalg.lstsq(responses, left, rcond=None)[0], dtype=np.float64
+            )
             if not (proposal.signed or amplitude[0] > 0.0):
                 continue
             start = self.start(law, law.kind.sized(proposal, amplitude), refitted)
@@ -209,7 +254,9 @@ class Stage:
         residual = residual_of(p, self.coarse, now)
         beside, alone = np.full((2, len(starts)), math.inf)
         columns = len(p.channels)
-        probes: dict[tuple[Hypothesis, int], list[tuple[Start, Array]]] = defaultdict(list)
+        probes: dict[tuple[Hypothesis, int], list[tuple[Start, Array]]] = defaultdict(
+            list
+        )
         networks = [start.structure.at(start.x) for start in starts]
         for chunk, seen in simulate_variants(p, now, networks):
             rows = np.zeros((len(residual.left), len(chunk)))
@@ -218,7 +265,9 @@ class Stage:
                 offset = np.repeat(now.offset[i][:, None], y.shape[2], axis=1)[:columns]
                 with np.errstate(over="ignore", invalid="ignore"):
                     left = p.records[i].measured[:, :, None] - y - offset[None]
-                    rows[first:last] = self.coarse.weights(left).reshape(last - first, -1)
+                    rows[first:last] = self.coarse.weights(left).reshape(
+                        last - first, -1
+                    )
             is_finite = np.asarray((np.abs(rows) < 1e100).all(axis=0))
             rows[:, ~is_finite] = 0.0
             own = len(now.x)
@@ -226,7 +275,9 @@ class Stage:
                 x = starts[k].x[:own] if own else np.zeros(0)
                 structure = now.structure
                 if own and len(x) == own:
-                    rows[len(rows) - own :, lane] = (structure.mean - x) / structure.sigma
+                    rows[len(rows) - own :, lane] = (
+                        structure.mean - x
+                    ) / structure.sigma
             projected = residual.without(rows)
             for out, left in ((beside, projected), (alone, rows)):
                 square = left[: len(rows) - own].reshape(-1, columns, len(chunk)) ** 2
@@ -234,7 +285,9 @@ class Stage:
                 out[chunk] = np.where(is_finite, cost, math.inf)
             for lane, k in enumerate(chunk):
                 if starts[k].proposed is not None and is_finite[lane]:
-                    probes[starts[k].law, id(starts[k].proposed)].append((starts[k], projected[:, lane]))
+                    probes[starts[k].law, id(starts[k].proposed)].append(
+                        (starts[k], projected[:, lane])
+                    )
         return beside, alone, self.sized(residual.left, probes)
 
     # -- fits ---------------------------------------------------------------------------------------------
@@ -244,10 +297,21 @@ class Stage:
         for start in starts[: rules.fitted]:
             for states in self.states(start):
                 offset = None if states is None else self.now.offset
-                fit = try_fit(self.coarse, start.structure, start.x, states, offset, rules.first_steps)
+                fit = try_fit(
+                    self.coarse,
+                    start.structure,
+                    start.x,
+                    states,
+                    offset,
+                    rules.first_steps,
+                )
                 out += [fit] if fit is not None else []
         best = starts[0]
-        x = fit_segments(self.problem, best.structure, best.x, self.coarse) if self.is_lost else None
+        x = (
+            fit_segments(self.problem, best.structure, best.x, self.coarse)
+            if self.is_lost
+            else None
+        )
         if x is not None:
             fit = try_fit(self.coarse, best.structure, x, None, None, rules.first_steps)
             out += [fit] if fit is not None else []
@@ -257,7 +321,9 @@ class Stage:
     def is_lost(self) -> bool:
         """Return whether the set may have lost the phase of a lightly damped motion: the best start of each law is fitted to growing segments,
         too."""
-        is_free = not self.problem.network.inputs or is_lightly_damped(self.problem.network)
+        is_free = not self.problem.network.inputs or is_lightly_damped(
+            self.problem.network
+        )
         return is_free and gap(self.problem, self.now) > self.rules.lost**2
 
     def states(self, start: Start) -> list[dict[int, Array] | None]:
@@ -293,16 +359,24 @@ class Stage:
             is_small = len(fit.x) <= len(self.base.x) + 1
             is_hopeless = fit.cost > self.rules.hopeless * begun[0].cost
             # few steps say little about a law with one parameter while the set still misses much
-            is_left = is_hopeless and bool(self.base.structure.hypotheses) if is_small else True
+            is_left = (
+                is_hopeless and bool(self.base.structure.hypotheses)
+                if is_small
+                else True
+            )
             if law not in chosen and not (len(chosen) >= kept and is_left):
                 chosen[law] = fit
-        out = self.continued(self.coarse, list(chosen.values()), self.rules.further_steps)
+        out = self.continued(
+            self.coarse, list(chosen.values()), self.rules.further_steps
+        )
         out += self.special_cases(out)
         out.sort(key=lambda f: f.cost)
         if self.problem is self.whole:
             return out
         last = self.continued(self.full, out[:kept], self.rules.last_steps)
-        return sorted(last + self.continued(self.full, out[kept:], 0), key=lambda f: f.cost)
+        return sorted(
+            last + self.continued(self.full, out[kept:], 0), key=lambda f: f.cost
+        )
 
     def continued(self, fitter: Fitter, fits: Sequence[Fit], steps: int) -> list[Fit]:
         """Return further fits from the values and states of fits."""
@@ -331,7 +405,9 @@ class Stage:
         law, name = fit.structure.hypotheses[-1], fit.structure.names[-1]
         values = parameter_values(fit.network.element(name))
         motion = motions(self.problem, fit).get((law.where[0], law.where[-1]))
-        known = {f.path: float(v) for f, v in zip(fit.structure.free, fit.x, strict=True)}
+        known = {
+            f.path: float(v) for f, v in zip(fit.structure.free, fit.x, strict=True)
+        }
         kept = {path: v for path, v in known.items() if path.rpartition(".")[0] != name}
         try:
             special = law.kind.special(plainer.effect, values, motion)

@@ -58,7 +58,9 @@ def covariance(evaluator: HeldOutEvaluator, fit: Fit) -> Array | None:
     fitter = Fitter(problem, evaluator.weights(fit))
     effects = dict(evaluator.unmodelled_responses(fit))
     responses = {
-        i: np.concatenate([(problem.records[i].measured - fit.outputs[i])[:, :, None], y], axis=2)
+        i: np.concatenate(
+            [(problem.records[i].measured - fit.outputs[i])[:, :, None], y], axis=2
+        )
         for i, y in effects.items()
     }
     p = len(fit.x)
@@ -66,7 +68,9 @@ def covariance(evaluator: HeldOutEvaluator, fit: Fit) -> Array | None:
     for _ in range(PASSES):
         steps = deviations(fit.structure, fit.x, _inverse(H)[:p, :p])
         try:
-            found = fitter.normal_equations(fit.structure, fit.x, fit.initial, responses, over=steps)
+            found = fitter.normal_equations(
+                fit.structure, fit.x, fit.initial, responses, over=steps
+            )
         except BROKEN:
             break
         if not np.isfinite(found[0]).all():  # the model does not simulate so far away
@@ -75,15 +79,24 @@ def covariance(evaluator: HeldOutEvaluator, fit: Fit) -> Array | None:
     inverse = _inverse(H)
     shift = inverse @ g[:, 1:]
     # normal equations of the effects' sizes, parameters eliminated; the prior of each size has variance 1
-    gram, right = np.eye(shift.shape[1]) - g[:, 1:].T @ shift, -g[:, 1:].T @ inverse @ g[:, 0]
+    gram, right = (
+        np.eye(shift.shape[1]) - g[:, 1:].T @ shift,
+        -g[:, 1:].T @ inverse @ g[:, 0],
+    )
     scores: list[Array] = []
     for i, (a, c) in parts.items():
         gram, right = gram + c[:, 1:].T @ c[:, 1:], right + c[:, 1:].T @ c[:, 0]
-        score = (a * c[:, :1]).reshape(len(problem.records[i]), -1, a.shape[1]).sum(axis=1)
+        score = (
+            (a * c[:, :1]).reshape(len(problem.records[i]), -1, a.shape[1]).sum(axis=1)
+        )
         edges = block_edges(problem.records[i].measured)
         scores += [score[m:n].sum(axis=0) for m, n in pairwise(edges)]
     cost = sum(float(np.sum(c[:, 0] ** 2)) for _, c in parts.values())
-    largest = np.clip(shift @ sizes_within(gram - np.eye(len(gram)), cost), -LARGEST_SHIFT, LARGEST_SHIFT)
+    largest = np.clip(
+        shift @ sizes_within(gram - np.eye(len(gram)), cost),
+        -LARGEST_SHIFT,
+        LARGEST_SHIFT,
+    )
     size = np.linalg.solve(gram, right)
     spread = np.linalg.inv(gram) + np.outer(size, size)
     block = np.array(scores) - np.mean(scores, axis=0)
@@ -92,13 +105,20 @@ def covariance(evaluator: HeldOutEvaluator, fit: Fit) -> Array | None:
     down = g[:, 0].copy()
     down[:p] += (fit.structure.mean - fit.x) / fit.structure.sigma**2
     step = inverse @ down
-    out = inverse * np.outer(wider, wider) + shift @ spread @ shift.T + np.outer(step, step)
+    out = (
+        inverse * np.outer(wider, wider)
+        + shift @ spread @ shift.T
+        + np.outer(step, step)
+    )
     whole = np.diag(inverse) + np.sum(largest**2, axis=1)
     is_added = [
-        any(f.path.startswith(f"{name}.") for name in fit.structure.names) for f in fit.structure.free
+        any(f.path.startswith(f"{name}.") for name in fit.structure.names)
+        for f in fit.structure.free
     ]
     grown = np.ones(len(out))
-    grown[:p] = np.where(is_added, np.sqrt(np.maximum(whole / np.diag(out), 1.0))[:p], 1.0)
+    grown[:p] = np.where(
+        is_added, np.sqrt(np.maximum(whole / np.diag(out), 1.0))[:p], 1.0
+    )
     return np.asarray((out * np.outer(grown, grown))[:p, :p])
 
 
@@ -125,11 +145,14 @@ def _inverse(matrix: Array) -> Array:
     """Return the inverse of a symmetric positive definite matrix, whatever the units of its rows."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     return np.asarray(
-        scale[:, None] * np.linalg.inv(matrix * np.outer(scale, scale)) * scale, dtype=np.float64
+        scale[:, None] * np.linalg.inv(matrix * np.outer(scale, scale)) * scale,
+        dtype=np.float64,
     )
 
 
-def intervals(evaluator: HeldOutEvaluator, f: Fit, known: Array | None = None) -> dict[str, Quantity]:
+def intervals(
+    evaluator: HeldOutEvaluator, f: Fit, known: Array | None = None
+) -> dict[str, Quantity]:
     """Return every free parameter with its 95 % interval, by path; no interval is wider than the stated uncertainty."""
     problem = evaluator.problem
     matrix = covariance(evaluator, f) if known is None else known
@@ -140,7 +163,9 @@ def intervals(evaluator: HeldOutEvaluator, f: Fit, known: Array | None = None) -
     prior = problem.network.parameters
     for k, q in enumerate(f.structure.free):
         ends = q.interval(f.x[k], math.sqrt(variance[k]))
-        out[q.path] = Quantity(q.back(f.x[k]), *ends, f.network.unit_of(q.path), prior.get(q.path))
+        out[q.path] = Quantity(
+            q.back(f.x[k]), *ends, f.network.unit_of(q.path), prior.get(q.path)
+        )
     return out
 
 
@@ -149,7 +174,12 @@ def with_posterior(network: Network, quantities: Mapping[str, Quantity]) -> Netw
     interval keep theirs."""
     own, found = network.parameters, {}
     for path, q in quantities.items():
-        if path not in own or q.value == 0 or not math.isfinite(q.low) or not math.isfinite(q.high):
+        if (
+            path not in own
+            or q.value == 0
+            or not math.isfinite(q.low)
+            or not math.isfinite(q.high)
+        ):
             continue
         if q.value > 0 and q.low > 0:
             sigma = math.expm1(min(0.5 * math.log(q.high / q.low) / Z95, 10.0))
@@ -183,9 +213,16 @@ def sums_with_dampers(
     for name in pair:
         own = f"{element.name}.{name}"
         paths = {own, *scale}
-        slopes = [scale[q.path] if q.log else 1.0 for q in structure.free if q.path in paths]
+        slopes = [
+            scale[q.path] if q.log else 1.0 for q in structure.free if q.path in paths
+        ]
         places = [k for k, q in enumerate(structure.free) if q.path in paths]
-        variance = float(np.array(slopes) @ matrix[np.ix_(places, places)] @ np.array(slopes))
-        total, half = getattr(element, name) + beside, Z95 * math.sqrt(max(variance, 0.0))
+        variance = float(
+            np.array(slopes) @ matrix[np.ix_(places, places)] @ np.array(slopes)
+        )
+        total, half = (
+            getattr(element, name) + beside,
+            Z95 * math.sqrt(max(variance, 0.0)),
+        )
         out[own] = Quantity(total, total - half, total + half, network.unit_of(own))
     return out

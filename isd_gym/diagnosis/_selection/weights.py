@@ -65,6 +65,8 @@ def probability(sets: Sequence[WeightedSet], **wanted: object) -> float:
     """Return the sum of the weights of the sets with a statement whose fields have the wanted values."""
     total = 0.0
     for s in sets:
-        if any(all(getattr(x, k) == v for k, v in wanted.items()) for x in s.statements):
+        if any(
+            all(getattr(x, k) == v for k, v in wanted.items()) for x in s.statements
+        ):
             total += s.weight
     return total

@@ -13,11 +13,14 @@ def through(values: Array, every: int, *, by: int = 0) -> Array:
     """A record at `every` times its rate, by a cubic spline through its samples, or its `by`-th derivative by the sample."""
     n = len(values)
     return np.asarray(
-        CubicSpline(np.arange(n), values)(np.arange(every * (n - 1) + 1) / every, by), dtype=np.float64
+        CubicSpline(np.arange(n), values)(np.arange(every * (n - 1) + 1) / every, by),
+        dtype=np.float64,
     )
 
 
-def interpolated(values: Array, every: int, step: float, *, held: bool, sparse: bool) -> Array:
+def interpolated(
+    values: Array, every: int, step: float, *, held: bool, sparse: bool
+) -> Array:
     """Return a record (n,) at `every` times its rate: held, linear, or through a spline if samples are sparse or smooth, since a straight
     line reduces the amplitude by a twelfth of the squared angle between samples."""
     if held or every == 1 or not (sparse or is_smooth(values, step)):
@@ -32,7 +35,12 @@ def differences(values: Array, step: float) -> tuple[Array, Array]:
 
 
 def splined_input(
-    values: Array, slopes: tuple[Array, Array] | None, step: float, every: int, *, sparse: bool
+    values: Array,
+    slopes: tuple[Array, Array] | None,
+    step: float,
+    every: int,
+    *,
+    sparse: bool,
 ) -> tuple[Array, ...]:
     """Return an input (n,) at `every` times its rate with its first and second derivative: of a spline, or differences where noise
     dominates."""
@@ -43,7 +51,9 @@ def splined_input(
         splined = [False, False]
     x = through(values, every) if sparse or splined[0] else upsample(values, every)
     derived = [
-        through(values, every, by=k + 1) / step ** (k + 1) if splined[k] else upsample(slopes[k], every)
+        through(values, every, by=k + 1) / step ** (k + 1)
+        if splined[k]
+        else upsample(slopes[k], every)
         for k in (0, 1)
     ]
     return x, *derived

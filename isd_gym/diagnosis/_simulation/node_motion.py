@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 LATEST = 200
 
 
-def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = None) -> Array:
+def motion_rows_of(
+    asm: Assembly, time: float, nodes: Sequence[str] | None = None
+) -> Array:
     """Return displacement, and velocity times `time` [s], of nodes as rows over the states."""
     x = asm.columns("x")
     every = [n for n in asm.network.nodes if n not in asm.network.moved_nodes]
@@ -29,7 +31,9 @@ def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = Non
 def transfer_matrix(source: Assembly, target: Assembly, time: float) -> Array:
     """Return the matrix from initial states of `source` to those of `target`, with equal motion of common nodes."""
     moved = source.network.moved_nodes
-    both = [n for n in source.network.nodes if n in target.network.nodes and n not in moved]
+    both = [
+        n for n in source.network.nodes if n in target.network.nodes and n not in moved
+    ]
     if not both or not target.size[0]:
         return np.zeros((target.size[0], source.size[0]))
     own, other = motion_rows_of(target, time, both), motion_rows_of(source, time, both)

@@ -53,16 +53,22 @@ class Record:
     )
     thin: int = 1  # every `thin`-th sample of the filtered outputs is compared
     margin: int = 0  # compared samples left out at either end, where the filter extrapolates; inputs cover these samples
-    lead: int = (
-        0  # compared samples of inputs before the first compared sample: laws with memory forget their start
+    lead: int = 0  # compared samples of inputs before the first compared sample: laws with memory forget their start
+    reading: OutputSampler | None = (
+        None  # sampler of simulated outputs at the time stamps of each channel
     )
-    reading: OutputSampler | None = None  # sampler of simulated outputs at the time stamps of each channel
     clocks: tuple[str, ...] = ()  # clocks whose stamps are late by an unknown lag
-    late: tuple[Array, ...] = ()  # (channels,) for each clock: whether a channel has its stamps
-    lags: Mapping[str, float] = field(default_factory=dict)  # [s] assumed lag of each clock
+    late: tuple[
+        Array, ...
+    ] = ()  # (channels,) for each clock: whether a channel has its stamps
+    lags: Mapping[str, float] = field(
+        default_factory=dict
+    )  # [s] assumed lag of each clock
     #: RMS white noise of moved nodes' displacements before the low-pass [SI]; without an entry it is estimated
     input_noise: Mapping[str, float] = field(default_factory=dict)
-    size: int = 0  # samples of the grid, where the compared samples do not tell the number
+    size: int = (
+        0  # samples of the grid, where the compared samples do not tell the number
+    )
     source: Recording | None = None
 
     def __len__(self) -> int:
@@ -72,7 +78,9 @@ class Record:
     @property
     def samples(self) -> int:
         """Number of samples of the inputs."""
-        return self.size or (len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured))
+        return self.size or (
+            len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured)
+        )
 
     @property
     def interval(self) -> float:
@@ -81,7 +89,10 @@ class Record:
 
     @property
     def time(self) -> Array:
-        return np.asarray(self.start + self.interval * (self.before + np.arange(len(self))), dtype=np.float64)
+        return np.asarray(
+            self.start + self.interval * (self.before + np.arange(len(self))),
+            dtype=np.float64,
+        )
 
     @property
     def before(self) -> int:
@@ -91,16 +102,23 @@ class Record:
     @cached_property
     def pace(self) -> float:
         """Time scale of the motion [s]: the inverse of the circular frequency that halves the power of the outputs."""
-        return min(pace(self.measured[:, j], self.interval) for j in range(self.measured.shape[1]))
+        return min(
+            pace(self.measured[:, j], self.interval)
+            for j in range(self.measured.shape[1])
+        )
 
     @property
     def filtered(self) -> bool:
         """Whether the compared outputs are low-pass filtered."""
-        return self.taps is not None or (self.reading is not None and self.reading.filtered)
+        return self.taps is not None or (
+            self.reading is not None and self.reading.filtered
+        )
 
     def unread(self) -> Record:
         """Return the record without filter and sampler: a simulation is compared at every sample of the inputs."""
-        return replace(self, taps=None, thin=1, lead=0, reading=None, clocks=(), late=())
+        return replace(
+            self, taps=None, thin=1, lead=0, reading=None, clocks=(), late=()
+        )
 
     def seen(self, values: Array) -> Array:
         """Return the values (samples, ...) at the compared samples."""
@@ -123,9 +141,13 @@ class Record:
     def part(self, first: int, stop: int, name: str, lead: int = 0) -> Record:
         """Return compared samples first to stop - 1 as a record; at most `lead` samples before the first lead in."""
         back = 0 if self.reading else min(max(lead, self.lead), self.lead + first)
-        back -= back % WHOLE  # a record can be thinned by each factor up to `MAX_THINNING`
+        back -= (
+            back % WHOLE
+        )  # a record can be thinned by each factor up to `MAX_THINNING`
         begin = self.lead + first - back
-        cut = slice(begin * self.thin, (self.lead + stop - 1 + 2 * self.margin) * self.thin + 1)
+        cut = slice(
+            begin * self.thin, (self.lead + stop - 1 + 2 * self.margin) * self.thin + 1
+        )
         return replace(
             self,
             name=name,
@@ -134,7 +156,9 @@ class Record:
             slopes={k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
             start=self.start + begin * self.interval,
             lead=back,
-            reading=None if self.reading is None else self.reading.part(first, stop, cut),
+            reading=None
+            if self.reading is None
+            else self.reading.part(first, stop, cut),
             size=self.size and cut.stop - cut.start,
         )
 
@@ -154,11 +178,19 @@ def thinned(record: Record, by: int, held: Collection[str]) -> Record:
     taps, n = firwin(8 * by + 1, 0.9 / by, window=("kaiser", 5.0)), record.samples
     edges = np.arange(0, n, by)
     inputs = {
-        k: np.add.reduceat(v, edges) / np.diff(np.append(edges, n)) if k in held else low_pass(v, taps, by)
+        k: np.add.reduceat(v, edges) / np.diff(np.append(edges, n))
+        if k in held
+        else low_pass(v, taps, by)
         for k, v in record.inputs.items()
     }
     lead = record.lead // by
-    return replace(record, step=record.step * by, inputs=inputs, lead=lead, measured=record.measured[::by])
+    return replace(
+        record,
+        step=record.step * by,
+        inputs=inputs,
+        lead=lead,
+        measured=record.measured[::by],
+    )
 
 
 def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
@@ -187,7 +219,11 @@ def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array
 def bare(network: Network) -> Network:
     """Return the network without motor and sensor effects, which act outside the kernel."""
     kept = tuple(e for e in network.elements if e.place == "between")
-    return network if len(kept) == len(network.elements) else replace(network, elements=kept)
+    return (
+        network
+        if len(kept) == len(network.elements)
+        else replace(network, elements=kept)
+    )
 
 
 #: exceptions of a simulation or a fit that breaks down
@@ -218,14 +254,20 @@ class Problem:
     ):
         self.network = network
         self.records = list(records)
-        self.roles: list[Role] = list(roles) if roles is not None else ["fit"] * len(self.records)
+        self.roles: list[Role] = (
+            list(roles) if roles is not None else ["fit"] * len(self.records)
+        )
         self.step = step
         self.channels = [c.name for c in network.outputs]
         self.factors = np.array([convert(1.0, c.si, c.unit) for c in network.outputs])
         #: whether all records of a channel share an unknown offset (channels,)
-        self.shared_offset = np.array([c.offset == "free" for c in network.outputs], bool)
+        self.shared_offset = np.array(
+            [c.offset == "free" for c in network.outputs], bool
+        )
         #: whether each record of a channel has an unknown offset of its own (channels,)
-        self.record_offset = np.array([c.offset == "record" for c in network.outputs], bool)
+        self.record_offset = np.array(
+            [c.offset == "record" for c in network.outputs], bool
+        )
         self._time = time
         self._spans: dict[int, float] = {}
         self.memory = SimulationCache()
@@ -262,7 +304,10 @@ class Problem:
 
     def every(self, record: Record) -> int:
         """Return the number of physics steps per sample of the inputs."""
-        return min(max(1, math.ceil(record.step / (self.step * self.scale(record)) - 1e-9)), FINEST)
+        return min(
+            max(1, math.ceil(record.step / (self.step * self.scale(record)) - 1e-9)),
+            FINEST,
+        )
 
     def _sparse(self, record: Record) -> bool:
         """Return whether samples are so sparse that linear interpolation reduces the amplitude."""
@@ -272,7 +317,11 @@ class Problem:
         """Return the prior standard deviation of a record's initial motion [m], from the range of the record."""
         if index not in self._spans:
             record, spans = self.records[index], [0.0]
-            lengths = {"displacement": 1.0, "velocity": self.time, "acceleration": self.time**2}
+            lengths = {
+                "displacement": 1.0,
+                "velocity": self.time,
+                "acceleration": self.time**2,
+            }
             for c in self.network.moving:
                 spans.append(float(np.ptp(record.inputs[c.name])) * lengths[c.quantity])
             for j, c in enumerate(self.network.outputs):
@@ -285,10 +334,15 @@ class Problem:
     def measured(self, records: Sequence[int] | None = None) -> Array:
         """Return the measured outputs of records (samples, channels), one after the other; of the training records by default."""
         return np.concatenate(
-            [self.records[i].measured for i in (self.estimation if records is None else records)]
+            [
+                self.records[i].measured
+                for i in (self.estimation if records is None else records)
+            ]
         )
 
-    def with_records(self, records: Sequence[Record], roles: Sequence[Role] | None = None) -> Problem:
+    def with_records(
+        self, records: Sequence[Record], roles: Sequence[Role] | None = None
+    ) -> Problem:
         """Return the problem with other records; the roles stay unless given."""
         return Problem(self.network, records, roles or self.roles, self.step, self.time)
 
@@ -308,12 +362,21 @@ class Problem:
         if max(by, default=1) < 2:
             return self
         held = {c.name for c in self.network.inputs if c.quantity in HELD}
-        records = [thinned(r, k, held) if k > 1 else r for r, k in zip(self.records, by, strict=True)]
+        records = [
+            thinned(r, k, held) if k > 1 else r
+            for r, k in zip(self.records, by, strict=True)
+        ]
         return Problem(self.network, records, self.roles, 1.01 * COARSE, self.time)
 
     def _spare(self, record: Record) -> int:
         """Return the factor by which a record may be thinned."""
-        most = int(min(COARSE * self.scale(record) / record.step, record.samples / MIN_SAMPLES, MAX_THINNING))
+        most = int(
+            min(
+                COARSE * self.scale(record) / record.step,
+                record.samples / MIN_SAMPLES,
+                MAX_THINNING,
+            )
+        )
         if record.reading is not None:
             return 1
         if record.taps is None:
@@ -333,21 +396,28 @@ class Problem:
     @cached_property
     def loose(self) -> Problem:
         """Return the problem with one offset per record in place of one offset for all records."""
-        outputs = tuple(replace(c, offset="record" if c.offset else None) for c in self.network.outputs)
+        outputs = tuple(
+            replace(c, offset="record" if c.offset else None)
+            for c in self.network.outputs
+        )
         network = replace(self.network, outputs=outputs)
         return Problem(network, self.records, self.roles, self.step, self.time)
 
     def deviation(self, records: Sequence[int] | None = None) -> Array:
         """Return the deviation (channels,) within measured records, of which segments with one name are one, by default those to fit by;
         at least 1e-300."""
-        pick = [self.records[i] for i in (self.estimation if records is None else records)]
+        pick = [
+            self.records[i] for i in (self.estimation if records is None else records)
+        ]
         return deviation_within([r.measured for r in pick], [r.name for r in pick])
 
     def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
         """Return offsets (channels,) and further lags (clocks,) of a record at the start of a fit: zero but for known shared offsets."""
         out = np.zeros(len(self.channels) + len(self.records[index].clocks))
         if shared is not None:
-            out[np.flatnonzero(self.shared_offset)] = np.asarray(shared)[self.shared_offset]
+            out[np.flatnonzero(self.shared_offset)] = np.asarray(shared)[
+                self.shared_offset
+            ]
         return out
 
     def common(self, outputs: Array) -> Array:
@@ -359,7 +429,9 @@ class Problem:
 
     def moves(self, index: int) -> NDArray[np.bool_]:
         """Return which nuisances may move in a single record: offsets per record, and every lag."""
-        return np.concatenate([self.record_offset, np.ones(len(self.records[index].clocks), bool)])
+        return np.concatenate(
+            [self.record_offset, np.ones(len(self.records[index].clocks), bool)]
+        )
 
     def nuisances(self, index: int, outputs: Array) -> Array:
         """Return the derivatives of the outputs of a record by its nuisances (samples, channels, nuisances)."""
@@ -407,12 +479,16 @@ class Problem:
         groups: dict[tuple[Any, ...], list[int]] = {}
         for i in records:
             r = self.records[i]
-            groups.setdefault((r.samples, r.step, self.every(r), *r.slopes), []).append(i)
+            groups.setdefault((r.samples, r.step, self.every(r), *r.slopes), []).append(
+                i
+            )
         out: dict[int, Array] = {}
         for (samples, *_), members in groups.items():
             size = max(1, LARGEST // (samples * len(networks)))
             for k in range(0, len(members), size):
-                out |= self._side_by_side(networks, members[k : k + size], initial, like)
+                out |= self._side_by_side(
+                    networks, members[k : k + size], initial, like
+                )
         return {i: out[i] for i in records}
 
     def _side_by_side(
@@ -427,8 +503,12 @@ class Problem:
         records = [self.records[i] for i in members]
         record, wide = records[0], len(networks)
         every = self.every(record)
-        pure = {id(n): bare(n) for n in networks}  # lanes with different initial states share a network
-        plant = Plant([pure[id(n)] for n in networks] * len(records), record.step / every)
+        pure = {
+            id(n): bare(n) for n in networks
+        }  # lanes with different initial states share a network
+        plant = Plant(
+            [pure[id(n)] for n in networks] * len(records), record.step / every
+        )
         inputs, slopes = self._inputs_of_lanes(plant, networks, records)
         start = None
         if plant.n:
@@ -436,7 +516,13 @@ class Problem:
             if initial is not None:
                 given = np.concatenate([initial[i] for i in members], axis=1)
             start = self._start(plant, given, like)
-        out = plant.run(inputs, every=every, samples=record.samples, initial=start, derivatives=slopes)
+        out = plant.run(
+            inputs,
+            every=every,
+            samples=record.samples,
+            initial=start,
+            derivatives=slopes,
+        )
         with np.errstate(all="ignore"):  # the caller detects a diverged simulation
             out = out * self.factors[:, None]
             self._distort(out, networks, record.step)
@@ -471,10 +557,17 @@ class Problem:
             if c.name in curves:
                 fine = [curve[0] for curve in curves[c.name]]
             else:
-                fine = [self._fine(r, c.name, every, c.quantity in HELD, sparse) for r in records]
+                fine = [
+                    self._fine(r, c.name, every, c.quantity in HELD, sparse)
+                    for r in records
+                ]
             if motored and c.quantity == "current":
                 step = record.step / every
-                made = [effective_current(n, c.elements[0], f[:, None], step) for f in fine for n in networks]
+                made = [
+                    effective_current(n, c.elements[0], f[:, None], step)
+                    for f in fine
+                    for n in networks
+                ]
                 inputs[c.name] = np.concatenate(made, axis=1)
             else:
                 inputs[c.name] = lanes(fine)
@@ -490,7 +583,9 @@ class Problem:
                     j = self.channels.index(e.where[0])
                     out[:, j, lane] = e.apply(out[:, j, lane], step)
 
-    def _bent(self, record: Record, name: str, every: int, sparse: bool) -> tuple[Array, ...]:
+    def _bent(
+        self, record: Record, name: str, every: int, sparse: bool
+    ) -> tuple[Array, ...]:
         """Return an input that is differentiated at the physics steps, with its derivatives."""
         given, slopes = record.inputs[name], record.slopes.get(name)
         return self.memory.made(
@@ -499,24 +594,39 @@ class Problem:
             lambda: splined_input(given, slopes, record.step, every, sparse=sparse),
         )
 
-    def _fine(self, record: Record, name: str, every: int, held: bool, sparse: bool) -> Array:
+    def _fine(
+        self, record: Record, name: str, every: int, held: bool, sparse: bool
+    ) -> Array:
         """Return an input at the physics steps."""
         given = record.inputs[name]
         key = ("fine", id(given), record.step, every, held, sparse)
         return self.memory.made(
-            key, given, lambda: (interpolated(given, every, record.step, held=held, sparse=sparse),)
+            key,
+            given,
+            lambda: (
+                interpolated(given, every, record.step, held=held, sparse=sparse),
+            ),
         )[0]
 
-    def _start(self, plant: Plant, initial: Array | None, like: Network | None) -> Array:
+    def _start(
+        self, plant: Plant, initial: Array | None, like: Network | None
+    ) -> Array:
         lanes = len(plant.networks)
         if initial is None:
             return np.zeros((plant.n, lanes))
         source = plant.assemblies[0] if like is None else assemble(bare(like))
         # most lanes differ in parameters that the motion of the nodes does not depend on
-        keys = [asm.position.tobytes() + asm.velocity.tobytes() for asm in plant.assemblies]
+        keys = [
+            asm.position.tobytes() + asm.velocity.tobytes() for asm in plant.assemblies
+        ]
         distinct = dict(zip(keys, plant.assemblies, strict=True))
-        maps = {key: transfer_matrix(source, asm, self.time) for key, asm in distinct.items()}
-        return np.stack([maps[key] @ initial[:, k] for k, key in enumerate(keys)], axis=1)
+        maps = {
+            key: transfer_matrix(source, asm, self.time)
+            for key, asm in distinct.items()
+        }
+        return np.stack(
+            [maps[key] @ initial[:, k] for k, key in enumerate(keys)], axis=1
+        )
 
 
 class SimulationCache:
@@ -524,7 +634,9 @@ class SimulationCache:
 
     def __init__(self, limit: int = 200_000_000):
         self.limit, self.size = limit, 0
-        self._kept: OrderedDict[tuple[object, ...], tuple[object, tuple[Array, ...]]] = OrderedDict()
+        self._kept: OrderedDict[
+            tuple[object, ...], tuple[object, tuple[Array, ...]]
+        ] = OrderedDict()
         self._lock = Lock()
 
     def get(self, key: tuple[object, ...]) -> tuple[Array, ...] | None:
@@ -544,7 +656,9 @@ class SimulationCache:
             self.put(key, of, known)
         return known
 
-    def put(self, key: tuple[object, ...], of: object, values: tuple[Array, ...]) -> None:
+    def put(
+        self, key: tuple[object, ...], of: object, values: tuple[Array, ...]
+    ) -> None:
         """Store values. `of` is the object whose identity is part of the key; the cache keeps `of` alive."""
         with self._lock:
             if key not in self._kept:

@@ -68,7 +68,11 @@ _RUNNING: ContextVar[TimeLimit | None] = ContextVar("time limit", default=None)
 def check_time() -> None:
     """Raise `TimeUp` if the time of the running stage is over."""
     limit = _RUNNING.get()
-    if limit is not None and limit.deadline is not None and limit.seconds > limit.deadline:
+    if (
+        limit is not None
+        and limit.deadline is not None
+        and limit.seconds > limit.deadline
+    ):
         raise TimeUp(f"{limit.deadline:g} s are over")
 
 

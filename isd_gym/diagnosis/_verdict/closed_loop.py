@@ -56,7 +56,9 @@ def decide_under_feedback(
     if not brief:
         worst = max(feedback, key=lambda f: f.share)
         text = f"share of {worst.input} that past outputs explain; under feedback whole records are no comparison"
-        gates.append(gate("open loop", max(worst.share, LINEAR[0]), "<", LINEAR[0], text))
+        gates.append(
+            gate("open loop", max(worst.share, LINEAR[0]), "<", LINEAR[0], text)
+        )
     for e in fit.elements:
         for f in feedback:
             share = imitated_share(problem, fit, e, f.input)
@@ -94,4 +96,8 @@ def imitated_share(problem: Problem, fit: Fit, element: Element, name: str) -> f
     if float(beyond[0] @ beyond[0]) < NEARLY_LINEAR * float(f @ f):
         return correlation(f, u)
     # a controller that switches with the position imitates forces over travel
-    return correlation(*beyond) if element.plane == "rate" else max(correlation(f, u), correlation(*beyond))
+    return (
+        correlation(*beyond)
+        if element.plane == "rate"
+        else max(correlation(f, u), correlation(*beyond))
+    )

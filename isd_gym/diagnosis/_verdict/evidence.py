@@ -10,7 +10,12 @@ import numpy as np
 
 from .._hypotheses.motion import motions
 from .._selection.answer import removed_share
-from .._selection.uncertainty import covariance, intervals, parameters_at_limits, sums_with_dampers
+from .._selection.uncertainty import (
+    covariance,
+    intervals,
+    parameters_at_limits,
+    sums_with_dampers,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -63,7 +68,10 @@ class Evidence:
 
     def excess(self, errors: tuple[float, ...]) -> tuple[float, ...]:
         """Return errors beyond noise."""
-        return tuple(math.sqrt(max(x**2 - f**2, 0.0)) for x, f in zip(errors, self.noise, strict=True))
+        return tuple(
+            math.sqrt(max(x**2 - f**2, 0.0))
+            for x, f in zip(errors, self.noise, strict=True)
+        )
 
     def width(self, errors: tuple[float, ...]) -> float:
         """Return errors beyond noise, mean over channels."""
@@ -72,11 +80,15 @@ class Evidence:
     @property
     def agrees_before(self) -> bool:
         """Whether the nominal model errs by no more than unmodelled effects make."""
-        return all(x < w for x, w in zip(self.excess(self.before), self.envelope, strict=True))
+        return all(
+            x < w for x, w in zip(self.excess(self.before), self.envelope, strict=True)
+        )
 
     def has_credible_noise(self, misses: float) -> bool:
         """Return whether a noise that is only bounded covers a small error only."""
-        return all(k or r < misses for k, r in zip(self.noise_known, self.refit, strict=True))
+        return all(
+            k or r < misses for k, r in zip(self.noise_known, self.refit, strict=True)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +104,9 @@ class Measurements:
     sums: dict[str, Quantity] = field(default_factory=dict)
 
 
-def collect_evidence(evaluator: HeldOutEvaluator, answer: Answer, c: Criteria) -> Measurements:
+def collect_evidence(
+    evaluator: HeldOutEvaluator, answer: Answer, c: Criteria
+) -> Measurements:
     """Measure the foremost set."""
     refit, best = answer.refit, answer.foremost
     noise = evaluator.noise_share(answer.best.held)
@@ -105,12 +119,16 @@ def collect_evidence(evaluator: HeldOutEvaluator, answer: Answer, c: Criteria) -
         after=_numbers(best.validation),
         noise=_numbers(noise),
         noise_known=tuple(f.known for f in evaluator.noise_estimates),
-        envelope=_numbers(evaluator.unmodelled_envelope(refit.fit, c.small_effect, c.material)),
+        envelope=_numbers(
+            evaluator.unmodelled_envelope(refit.fit, c.small_effect, c.material)
+        ),
         training_refit=_numbers(refit.training),
         elpd_diff=answer.gain.elpd_diff,
         elpd_dse=answer.gain.dse,
         explained=removed_share(refit.validation, best.validation, noise),
-        test_explained=removed_share(refit.test, best.test, evaluator.test_noise(noise)),
+        test_explained=removed_share(
+            refit.test, best.test, evaluator.test_noise(noise)
+        ),
         limits=parameters_at_limits(fit),
         refit_limits=parameters_at_limits(refit.fit),
         support=_support(evaluator, best),
@@ -118,7 +136,9 @@ def collect_evidence(evaluator: HeldOutEvaluator, answer: Answer, c: Criteria) -
     sums: dict[str, Quantity] = {}
     for element in fit.elements:
         if matrix is not None and element.place == "between":
-            sums |= sums_with_dampers(fit.network, fit.structure, fit.x, element, matrix)
+            sums |= sums_with_dampers(
+                fit.network, fit.structure, fit.x, element, matrix
+            )
     return Measurements(evidence, noise, intervals(evaluator, fit, matrix), sums)
 
 
@@ -131,7 +151,11 @@ def _support(evaluator: HeldOutEvaluator, row: Row) -> float:
     """Return the smallest share of the samples on the rarer side of a law's characteristic point."""
     found = [1.0]
     for e in row.fit.elements:
-        motion = motions(evaluator.problem, row.fit).get(e.between) if e.place == "between" else None
+        motion = (
+            motions(evaluator.problem, row.fit).get(e.between)
+            if e.place == "between"
+            else None
+        )
         if motion is not None:
             found.append(e.support(motion))
     return float(np.min(found))

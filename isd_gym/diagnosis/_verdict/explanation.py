@@ -48,7 +48,9 @@ def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float
     return [(round(out[k][0], 2), round(out[k][1], 2)) for k in best]
 
 
-def find_condition(residual: Array, width: int, conditions: Iterable[tuple[NDArray[np.bool_], str]]) -> str:
+def find_condition(
+    residual: Array, width: int, conditions: Iterable[tuple[NDArray[np.bool_], str]]
+) -> str:
     """Return the words of the condition (mask of samples (n,), words) under which a residual's energy over `width` samples is highest;
     "everywhere" below 1.6 times the mean."""
     energy = residual**2
@@ -58,7 +60,9 @@ def find_condition(residual: Array, width: int, conditions: Iterable[tuple[NDArr
     mean, best = energy.mean(), (1.6, "everywhere")
     for mask, text in conditions:
         if 0.01 < mask.mean() < 0.5:
-            best = max(best, (float(energy[mask].mean() / mean), text), key=lambda b: b[0])
+            best = max(
+                best, (float(energy[mask].mean() / mean), text), key=lambda b: b[0]
+            )
     return best[1]
 
 
@@ -72,7 +76,10 @@ def conditions(
     problem: Problem, motion: dict[tuple[str, str], Motion], n: int, width: int
 ) -> Iterator[tuple[NDArray[np.bool_], str]]:
     """Yield conditions on the motion of node pairs and on currents in the first fitted record: masks of samples (n,) and their words."""
-    record, known = problem.records[problem.estimation[0]], travels(problem, problem.network, motion)
+    record, known = (
+        problem.records[problem.estimation[0]],
+        travels(problem, problem.network, motion),
+    )
     for (a, b), m in motion.items():
         turns = {a, b} & problem.network.rotating
         scale, length, speed = (1.0, "rad", "rad/s") if turns else (1e3, "mm", "m/s")
@@ -83,9 +90,15 @@ def conditions(
         for q in (0.8, 0.95):
             level = float(np.quantile(np.abs(d), q))
             if known[a, b].is_known and not order_told(problem.network, (a, b)):
-                yield np.abs(d) > level, f"|travel of {a}-{b}| is beyond {scale * level:.3g} {length}"
+                yield (
+                    np.abs(d) > level,
+                    f"|travel of {a}-{b}| is beyond {scale * level:.3g} {length}",
+                )
             level = float(np.quantile(np.abs(v), q))
-            yield np.abs(v) > level, f"|velocity of {a}-{b}| is above {level:.3g} {speed}"
+            yield (
+                np.abs(v) > level,
+                f"|velocity of {a}-{b}| is above {level:.3g} {speed}",
+            )
             low, high = np.quantile(v, 1 - q), np.quantile(v, q)
             if low < 0.0 < high:
                 yield v > high, f"{a}-{b} extends faster than {high:.3g} {speed}"
@@ -106,9 +119,14 @@ def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]
     excess, spread = [], problem.deviation()
     for j in range(len(problem.channels)):
         every = np.concatenate(
-            [problem.records[i].measured[:, j] - fit.outputs[i][:, j] for i in problem.estimation]
+            [
+                problem.records[i].measured[:, j] - fit.outputs[i][:, j]
+                for i in problem.estimation
+            ]
         )
-        excess.append(max(float(np.mean(every**2)) - floor[j] ** 2, 0.0) / float(spread[j]) ** 2)
+        excess.append(
+            max(float(np.mean(every**2)) - floor[j] ** 2, 0.0) / float(spread[j]) ** 2
+        )
     total = sum(excess) or 1.0
     out = []
     first = problem.estimation[0]
@@ -123,10 +141,16 @@ def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]
     return tuple(sorted(out, key=lambda p: -p.share))
 
 
-def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) -> Law | None:
+def draw_law(
+    problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]
+) -> Law | None:
     """Return the force of an effect over travel or rate, with a band from the intervals of its parameters."""
     e = fit.network.element(name)
-    motion = motions(problem, fit, (e.between,)).get(e.between) if e.place == "between" else None
+    motion = (
+        motions(problem, fit, (e.between,)).get(e.between)
+        if e.place == "between"
+        else None
+    )
     if motion is None or e.plane == "time":
         return None
     visited = motion.v if e.plane == "rate" else motion.d
@@ -137,11 +161,19 @@ def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quanti
     for key, q in quantities.items():
         for value in (q.low, q.high):
             try:
-                changed = fit.network.with_parameters({f"{name}.{key}": value}).element(name)
+                changed = fit.network.with_parameters({f"{name}.{key}": value}).element(
+                    name
+                )
             except InputError:
                 continue
             spread = np.maximum(spread, np.abs(changed.curve(axis) - middle))
-    return _law(name, e.plane == "rate", axis, (middle, middle - spread, middle + spread), visited)
+    return _law(
+        name,
+        e.plane == "rate",
+        axis,
+        (middle, middle - spread, middle + spread),
+        visited,
+    )
 
 
 def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
@@ -149,11 +181,27 @@ def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
     motion = motions(problem, fit, (t.between,))[t.between]
     is_rate = t.over == "rate"
     still = int(np.argmin(np.abs(t.rate))) if t.over == "both" else slice(None)
-    force, low, high = (x[:, still] if t.over == "both" else x for x in (t.force, t.low, t.high))
+    force, low, high = (
+        x[:, still] if t.over == "both" else x for x in (t.force, t.low, t.high)
+    )
     axis = np.array(t.rate if is_rate else t.elongation)
-    return _law(t.element, is_rate, axis, (force, low, high), motion.v if is_rate else motion.d)
+    return _law(
+        t.element, is_rate, axis, (force, low, high), motion.v if is_rate else motion.d
+    )
 
 
-def _law(name: str, is_rate: bool, axis: Array, curves: tuple[Array, Array, Array], visited: Array) -> Law:
+def _law(
+    name: str,
+    is_rate: bool,
+    axis: Array,
+    curves: tuple[Array, Array, Array],
+    visited: Array,
+) -> Law:
     """Return a curve with its band, and some of the operating points."""
-    return Law(name, "rate" if is_rate else "travel", axis, *curves, visited[:: max(1, len(visited) // 2000)])
+    return Law(
+        name,
+        "rate" if is_rate else "travel",
+        axis,
+        *curves,
+        visited[:: max(1, len(visited) // 2000)],
+    )

@@ -57,9 +57,17 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON file."""
-        levels = {"place": grade(self.place_probability), "kind": grade(self.kind_probability)}
-        head = {k: v for k, v in vars(self).items() if k not in ("laws", "named", "sets")}
-        lists = {"laws": [x.to_dict() for x in self.laws], "sets": [x.to_dict() for x in self.sets]}
+        levels = {
+            "place": grade(self.place_probability),
+            "kind": grade(self.kind_probability),
+        }
+        head = {
+            k: v for k, v in vars(self).items() if k not in ("laws", "named", "sets")
+        }
+        lists = {
+            "laws": [x.to_dict() for x in self.laws],
+            "sets": [x.to_dict() for x in self.sets],
+        }
         return head | {"grade": levels, "named": self.named} | lists
 
 
@@ -92,7 +100,11 @@ class Finder:
                     if other == kind:
                         laws |= of_place
                 found.append(replace(self._finding((), kind, laws), named=False))
-        return tuple(sorted(found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)))
+        return tuple(
+            sorted(
+                found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)
+            )
+        )
 
     def _laws(self) -> dict[tuple[tuple[str, ...], str], dict[str, Statement]]:
         """Return the statements of all sets by place and kind, then by law."""
@@ -111,26 +123,49 @@ class Finder:
                 return False
         return len(found) > 1
 
-    def _finding(self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> Finding:
+    def _finding(
+        self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]
+    ) -> Finding:
         """Return the finding of a kind at a place, or at any place where `place` is empty."""
-        where: dict[str, object] = {"kind": kind, "place": place} if place else {"kind": kind}
-        of_kind = probability(self.sets, **where) * (1.0 - self._mistaken("kind", kind, laws))
+        where: dict[str, object] = (
+            {"kind": kind, "place": place} if place else {"kind": kind}
+        )
+        of_kind = probability(self.sets, **where) * (
+            1.0 - self._mistaken("kind", kind, laws)
+        )
         of_place = of_kind
         if place:
-            of_place = probability(self.sets, place=place) * (1.0 - self._mistaken("place", kind, laws))
+            of_place = probability(self.sets, place=place) * (
+                1.0 - self._mistaken("place", kind, laws)
+            )
         entries = []
         for law, statement in laws.items():
-            own = probability(self.sets, **where, law=law) * (1.0 - self._mistaken("law", kind, laws))
-            entries.append(LawProbability(law, own, self._values(statement) if place else {}))
+            own = probability(self.sets, **where, law=law) * (
+                1.0 - self._mistaken("law", kind, laws)
+            )
+            entries.append(
+                LawProbability(law, own, self._values(statement) if place else {})
+            )
         ranked = tuple(sorted(entries, key=lambda e: (-e.probability, e.effect)))
-        return Finding(place, of_place, kind, of_kind, ranked, any(s in self.named for s in laws.values()))
+        return Finding(
+            place,
+            of_place,
+            kind,
+            of_kind,
+            ranked,
+            any(s in self.named for s in laws.values()),
+        )
 
     def _mistaken(self, level: str, kind: str, laws: Mapping[str, Statement]) -> float:
         """Return the share of statements of a level that are wrong. The free force stands for laws outside the library."""
         if FREE_FORCE in laws:
             return MISTAKEN["free" if kind in NAMELESS and level != "place" else "kind"]
         usual = share_mistaken(level, self.evidence, self.criteria)
-        return max(usual, MISTAKEN["extra"]) if self.is_doubted and level != "place" else usual
+        return (
+            max(usual, MISTAKEN["extra"])
+            if self.is_doubted and level != "place"
+            else usual
+        )
 
     def _values(self, statement: Statement) -> dict[str, Quantity]:
         """Return the values of a law in the likeliest set with the statement; with intervals where they are those of the foremost."""
@@ -143,7 +178,9 @@ class Finder:
                 path = f"{element.name}.{key}"
                 known = self.quantities.get(path)
                 is_own = known is not None and known.value == value
-                unknown = Quantity(value, float("nan"), float("nan"), fit.network.unit_of(path))
+                unknown = Quantity(
+                    value, float("nan"), float("nan"), fit.network.unit_of(path)
+                )
                 out[key] = known if known is not None and is_own else unknown
             return out
         return {}

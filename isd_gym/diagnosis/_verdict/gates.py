@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from .._selection.answer import Answer
     from .evidence import Evidence
 
-Verdict = Literal["missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"]
+Verdict = Literal[
+    "missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"
+]
 #: Condition that led to a verdict without a name.
 #:
 #: - gates: a gate failed, or all passed.

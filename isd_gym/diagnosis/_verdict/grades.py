@@ -56,7 +56,9 @@ OBSERVED: dict[str, dict[str, dict[Grade, tuple[int, int]]]] = {
 
 def grade(probability: float) -> Grade:
     """Return the grade of a probability: certain from 0.8 on, probable from 0.5 on, else possible."""
-    return next((name for name, least in LEAST.items() if probability >= least), "possible")
+    return next(
+        (name for name, least in LEAST.items() if probability >= least), "possible"
+    )
 
 
 def share_mistaken(level: str, e: Evidence, c: Criteria = CRITERIA) -> float:
@@ -65,12 +67,20 @@ def share_mistaken(level: str, e: Evidence, c: Criteria = CRITERIA) -> float:
     explained = min(e.explained, e.test_explained) if is_law else e.explained
     is_partly = explained < (c.alone_removes if is_law else c.least_explained)
     is_doubtful = is_law and (e.width(e.after) > c.wide_gap or e.support < SUPPORT)
-    own = max(MISTAKEN[level], MISTAKEN["partly"]) if is_partly or is_doubtful else MISTAKEN[level]
+    own = (
+        max(MISTAKEN[level], MISTAKEN["partly"])
+        if is_partly or is_doubtful
+        else MISTAKEN[level]
+    )
     return max(own, MISTAKEN["weak"]) if e.explained < c.least_removed else own
 
 
 def observed(level: str, name: Grade) -> str:
     """Return how often statements of a level and a grade were true, such as ``true: 248 of 264 on simulated rigs``; empty if there were none."""
     counts = {rigs: rows[level][name] for rigs, rows in OBSERVED.items()}
-    told = [f"{true} of {stated} on {rigs} rigs" for rigs, (stated, true) in counts.items() if stated]
+    told = [
+        f"{true} of {stated} on {rigs} rigs"
+        for rigs, (stated, true) in counts.items()
+        if stated
+    ]
     return f"true: {', '.join(told)}" if told else ""

@@ -23,14 +23,20 @@ if TYPE_CHECKING:
 #: an addition that makes the error on the test records larger
 NOT_BORNE_OUT = "On the test records the error is larger with this addition."
 WORDS: dict[str, dict[str, str]] = json.loads(
-    (resources.files(__package__) / "templates" / "words.json").read_text(encoding="utf-8")
+    (resources.files(__package__) / "templates" / "words.json").read_text(
+        encoding="utf-8"
+    )
 )
 #: what to do about a failed gate, most urgent first; kinds of effects in words; test on the rig that shows whether an effect of a kind is there
 ADVICE, KINDS, TESTS = WORDS["advice"], WORDS["kinds"], WORDS["tests"]
 #: error of which a candidate removes a share (`Evidence.explained`)
 EXCESS = "the squared held-out error beyond noise"
 RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
-OVER = {"rate": "their rate", "elongation": "their distance", "both": "their distance and rate"}
+OVER = {
+    "rate": "their rate",
+    "elongation": "their distance",
+    "both": "their distance and rate",
+}
 #: parameters whose change is stated
 CHANGES = 2
 #: probability from which on a further kind is mentioned, and from which on the title mentions a kind
@@ -53,7 +59,13 @@ class Statements:
     @property
     def text(self) -> str:
         """All sentences but the title."""
-        return " ".join([*self.finding, *self.remarks, *(f"Next: {step}" for step in self.next_steps)])
+        return " ".join(
+            [
+                *self.finding,
+                *self.remarks,
+                *(f"Next: {step}" for step in self.next_steps),
+            ]
+        )
 
 
 def summary_of(document: Mapping[str, Any]) -> str:
@@ -64,10 +76,17 @@ def summary_of(document: Mapping[str, Any]) -> str:
 def statements_of(document: Mapping[str, Any]) -> Statements:
     """Return the sentences about the JSON document of a diagnosis (`isd-diagnosis/1`); its `summary` is not read."""
     d = {"not_tried": [], "closed_loop": [], **document}
-    uses: dict[str, dict[str, None]] = {"title": {}, "finding": {}, "remark": {}, "next": {}}
+    uses: dict[str, dict[str, None]] = {
+        "title": {},
+        "finding": {},
+        "remark": {},
+        "next": {},
+    }
     rendered = _template().render(d=d, facts=Facts(d))
     for use, text in re.findall(
-        r"^(title|finding|remark|next):(.*?)(?=^(?:title|finding|remark|next):|\Z)", rendered, re.M | re.S
+        r"^(title|finding|remark|next):(.*?)(?=^(?:title|finding|remark|next):|\Z)",
+        rendered,
+        re.M | re.S,
     ):
         uses[use][" ".join(text.split())] = None  # a sentence stands once
     title, *others = (tuple(text for text in texts if text) for texts in uses.values())
@@ -84,7 +103,9 @@ def _template() -> Template:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: re.sub(r"\s+", " ", value) if isinstance(value, str) else value,
+        finalize=lambda value: (
+            re.sub(r"\s+", " ", value) if isinstance(value, str) else value
+        ),
     )  # plain text: nothing is escaped
     filters = (
         candidate_text, described, failures, plain_number, plain_value, spoken, _between, _capital, _in_unit_of, _kind, _parameter,
@@ -106,7 +127,11 @@ def plain_number(value: float | None, digits: int = 4) -> str:
     if value is None:
         return "unknown"
     text = f"{value:.{digits}g}"
-    return np.format_float_positional(float(text), trim="-") if 1e4 <= abs(value) < 1e7 else text
+    return (
+        np.format_float_positional(float(text), trim="-")
+        if 1e4 <= abs(value) < 1e7
+        else text
+    )
 
 
 def described(effect: Mapping[str, Any]) -> str:
@@ -166,7 +191,11 @@ def _capital(text: str) -> str:
 
 
 def _percent(value: float | None, digits: int = 1) -> str:
-    return "an unknown share" if value is None else f"{round(100 * value, digits) + 0.0:.{digits}f} %"
+    return (
+        "an unknown share"
+        if value is None
+        else f"{round(100 * value, digits) + 0.0:.{digits}f} %"
+    )
 
 
 def _square(value: float | None) -> float:
@@ -191,8 +220,14 @@ def failures(gates: Iterable[Mapping[str, Any]]) -> str:
 
 def _failure(g: Mapping[str, Any]) -> str:
     name, value, limit = g["gate"], g["value"], g["limit"]
-    if value is not None and g["relation"] == ">=" and name in ("adequate", "confirmed", "explains"):
-        records = "the test records" if name == "confirmed" else "the validation records"
+    if (
+        value is not None
+        and g["relation"] == ">="
+        and name in ("adequate", "confirmed", "explains")
+    ):
+        records = (
+            "the test records" if name == "confirmed" else "the validation records"
+        )
         if value < 0.0:
             return f"it increases the squared error on {records}"
         digits = 1 if round(100.0 * value) == round(100.0 * limit) else 0
@@ -219,9 +254,13 @@ def _failure(g: Mapping[str, Any]) -> str:
 
 def _without(rival: Mapping[str, Any], common: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the effects of a candidate that are not among common effects."""
-    known = [(e, sorted(w)) for e, w in zip(common["effects"], common["where"], strict=True)]
+    known = [
+        (e, sorted(w)) for e, w in zip(common["effects"], common["where"], strict=True)
+    ]
     rest = [
-        (e, w) for e, w in zip(rival["effects"], rival["where"], strict=True) if (e, sorted(w)) not in known
+        (e, w)
+        for e, w in zip(rival["effects"], rival["where"], strict=True)
+        if (e, sorted(w)) not in known
     ]
     return {"effects": [e for e, _ in rest], "where": [w for _, w in rest]}
 
@@ -231,7 +270,9 @@ def _test_of_law(finding: Mapping[str, Any]) -> str:
     if not finding["laws"]:
         return ""
     law = finding["laws"][0]
-    known = {k: plain_value(q["value"], q["unit"]) for k, q in law["parameters"].items()}
+    known = {
+        k: plain_value(q["value"], q["unit"]) for k, q in law["parameters"].items()
+    }
     test = TYPES[law["effect"]].test if law["effect"] in TYPES else ""
     return _lower(test.format_map(known)) if known and test else ""
 
@@ -251,13 +292,17 @@ def is_gain(candidate: Mapping[str, Any] | None) -> bool:
     """Return whether a candidate (`best_candidate`) reduces the error on validation records, and on test records over all channels."""
     if candidate is None or not (candidate["explained"] or 0.0) > 0.0:
         return False
-    before, after = (sum(map(_square, candidate["error"][s].values())) for s in ("refit", "after"))
+    before, after = (
+        sum(map(_square, candidate["error"][s].values())) for s in ("refit", "after")
+    )
     return after < before
 
 
 def most_gained(errors: Mapping[str, Mapping[str, float]], old: str, new: str) -> str:
     """Return the channel whose squared error falls most."""
-    return max(errors[old], key=lambda c: _square(errors[old][c]) - _square(errors[new][c]))
+    return max(
+        errors[old], key=lambda c: _square(errors[old][c]) - _square(errors[new][c])
+    )
 
 
 class Facts:
@@ -293,8 +338,15 @@ class Facts:
         d, least = self.d, self.d["criteria"]["least_removed"]
         tried = (d["best_candidate"], d["best_table"])
         is_short = all(t is None or (t["explained"] or 0.0) < least for t in tried)
-        likely = self.places or [f for f in d["findings"] if f["kind_probability"] >= PERHAPS]
-        return is_short and d["best_table"] is not None and not d["not_tried"] and not likely
+        likely = self.places or [
+            f for f in d["findings"] if f["kind_probability"] >= PERHAPS
+        ]
+        return (
+            is_short
+            and d["best_table"] is not None
+            and not d["not_tried"]
+            and not likely
+        )
 
     @property
     def bounded(self) -> dict[str, float]:
@@ -308,8 +360,15 @@ class Facts:
         """Error of the refitted model beyond noise, noise, and error that unmodelled effects leave, by channel."""
         e = self.d["evidence"]
         return [
-            {"channel": c, "excess": max(r**2 - f**2, 0.0) ** 0.5, "noise": f, "envelope": w}
-            for c, r, f, w in zip(e["channels"], e["refit"], e["noise"], e["envelope"], strict=True)
+            {
+                "channel": c,
+                "excess": max(r**2 - f**2, 0.0) ** 0.5,
+                "noise": f,
+                "envelope": w,
+            }
+            for c, r, f, w in zip(
+                e["channels"], e["refit"], e["noise"], e["envelope"], strict=True
+            )
             if None not in (r, f, w)
         ]
 
@@ -326,19 +385,29 @@ class Facts:
             if q.get("prior") and None not in (q["value"], q["low"], q["high"])
             and not q["low"] <= q["prior"] <= q["high"]
         ]  # fmt: skip
-        return sorted(moved, key=lambda item: -abs(item[1]["value"] / item[1]["prior"] - 1.0))
+        return sorted(
+            moved, key=lambda item: -abs(item[1]["value"] / item[1]["prior"] - 1.0)
+        )
 
     @property
     def kinds(self) -> list[Mapping[str, Any]]:
         """Findings whose kind is probable."""
         least = self.d["criteria"]["probable"]
-        return [f for f in self.d["findings"] if f["kind"] != "other" and f["kind_probability"] >= least]
+        return [
+            f
+            for f in self.d["findings"]
+            if f["kind"] != "other" and f["kind_probability"] >= least
+        ]
 
     @property
     def places(self) -> dict[tuple[str, ...], float]:
         """Places that are certain, with their probabilities."""
         found, least = self.d["findings"], self.d["criteria"]["certain"]
-        return {tuple(f["place"]): f["place_probability"] for f in found if f["place_probability"] >= least}
+        return {
+            tuple(f["place"]): f["place_probability"]
+            for f in found
+            if f["place_probability"] >= least
+        }
 
     @property
     def further_kinds(self) -> dict[str, list[Mapping[str, Any]]]:
@@ -351,11 +420,16 @@ class Facts:
         others = [
             f
             for f in self.d["findings"]
-            if f not in kinds and f["kind"] not in open_kinds and f["kind_probability"] >= POSSIBLE
+            if f not in kinds
+            and f["kind"] not in open_kinds
+            and f["kind_probability"] >= POSSIBLE
         ]
         rest = 1.0 - max((f["kind_probability"] for f in kinds), default=0.0)
         beside = [f for f in others if f["kind_probability"] > 2.0 * rest]
-        told = {"Perhaps beside it": beside, "Also possible": [f for f in others if f not in beside]}
+        told = {
+            "Perhaps beside it": beside,
+            "Also possible": [f for f in others if f not in beside],
+        }
         return told if kinds else {}
 
     @property
@@ -365,10 +439,19 @@ class Facts:
         if d["verdict"] != "ambiguous" or len(rivals) < 2:
             return None
         first, *others = (
-            [(e, sorted(w)) for e, w in zip(r["effects"], r["where"], strict=True)] for r in rivals
+            [(e, sorted(w)) for e, w in zip(r["effects"], r["where"], strict=True)]
+            for r in rivals
         )
-        shared = [k for k, effect in enumerate(first) if all(effect in other for other in others)]
-        return {key: [rivals[0][key][k] for k in shared] for key in ("effects", "where")} if shared else None
+        shared = [
+            k
+            for k, effect in enumerate(first)
+            if all(effect in other for other in others)
+        ]
+        return (
+            {key: [rivals[0][key][k] for k in shared] for key in ("effects", "where")}
+            if shared
+            else None
+        )
 
     @property
     def kind_to_test(self) -> Mapping[str, Any] | None:
@@ -383,11 +466,19 @@ class Facts:
         )
         chances = [f["kind_probability"] for f in found]
         # kinds that are as likely are effects of one candidate
-        return found[0] if chances and chances[0] >= POSSIBLE and chances[0] not in chances[1:] else None
+        return (
+            found[0]
+            if chances and chances[0] >= POSSIBLE and chances[0] not in chances[1:]
+            else None
+        )
 
     @property
     def advice(self) -> str:
         """What to do about the most urgent failed gate; empty where none failed."""
         best = self.d["best_candidate"]
-        failed = {g["gate"] for g in best["failed_gates"] if not g["passed"]} if self.is_gain else set()
+        failed = (
+            {g["gate"] for g in best["failed_gates"] if not g["passed"]}
+            if self.is_gain
+            else set()
+        )
         return next((text for name, text in ADVICE.items() if name in failed), "")

@@ -83,10 +83,22 @@ def initial_state(
     problem = Problem(network, [record])
     structure = base_structure(network)
     noise = np.array([f.deviation for f in floors_of(problem)])
-    fit = Fitter(problem, white_weights(noise)).follow(structure, structure.start, [0], iterations=ITERATIONS)
+    fit = Fitter(problem, white_weights(noise)).follow(
+        structure, structure.start, [0], iterations=ITERATIONS
+    )
     if not np.isfinite(fit.outputs[0]).all():
-        raise InputError(f"initial state: model '{network.name}' breaks down over {record.name}")
-    over = transfer_matrix(assemble(bare(network)), assemble(Network.load(model)), problem.time)
-    time = np.asarray(record.start + record.step * np.arange(record.samples), dtype=np.float64)
-    inputs = {c.name: convert(record.inputs[c.name], c.si, c.unit) for c in network.inputs}
-    return FittedInitialState(over @ fit.initial[0], time, inputs, tuple(lags), tuple(notes))
+        raise InputError(
+            f"initial state: model '{network.name}' breaks down over {record.name}"
+        )
+    over = transfer_matrix(
+        assemble(bare(network)), assemble(Network.load(model)), problem.time
+    )
+    time = np.asarray(
+        record.start + record.step * np.arange(record.samples), dtype=np.float64
+    )
+    inputs = {
+        c.name: convert(record.inputs[c.name], c.si, c.unit) for c in network.inputs
+    }
+    return FittedInitialState(
+        over @ fit.initial[0], time, inputs, tuple(lags), tuple(notes)
+    )

@@ -36,8 +36,12 @@ def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
                     f"--initial {shown(word)}: give NODE=VALUE or NODE.velocity=VALUE (SI units), a file, or fit"
                 )
             data = read_json(Path(word))
-            if not isinstance(data, dict) or not all(isinstance(v, dict) for v in data.values()):
-                raise InputError(f"{word}: must be an object {{node: {{displacement, velocity}}}}")
+            if not isinstance(data, dict) or not all(
+                isinstance(v, dict) for v in data.values()
+            ):
+                raise InputError(
+                    f"{word}: must be an object {{node: {{displacement, velocity}}}}"
+                )
             for node, motion in data.items():
                 for key, x in motion.items():
                     _put(out, node, key, number(x, f"{word}: {shown(node)}"), word)
@@ -57,14 +61,21 @@ def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
     return out
 
 
-def _put(out: dict[str, dict[str, float]], node: str, key: str, value: float, word: str) -> None:
+def _put(
+    out: dict[str, dict[str, float]], node: str, key: str, value: float, word: str
+) -> None:
     if key not in MOTION:
-        raise InputError(f"--initial {word}: no {shown(key)} of a node (there are {', '.join(MOTION)})")
+        raise InputError(
+            f"--initial {word}: no {shown(key)} of a node (there are {', '.join(MOTION)})"
+        )
     out.setdefault(node, {})[key] = value
 
 
 def state_of(
-    network: Network, motions: Mapping[str, Mapping[str, float]], inputs: Mapping[str, Any], step: float
+    network: Network,
+    motions: Mapping[str, Mapping[str, float]],
+    inputs: Mapping[str, Any],
+    step: float,
 ) -> np.ndarray:
     """Return the state in which nodes have given motions and all other nodes rest.
 
@@ -83,9 +94,17 @@ def state_of(
     free, rows, given = free_motions(network, inputs, step)
     for node in motions:
         if node not in free:
-            why = "is moved by an input" if node in network.moved_nodes else "is no node of the model"
-            raise InputError(f"--initial: {shown(node)} {why} (free are {', '.join(free)})")
-    told = np.array([motions.get(node, {}).get(key, math.nan) for key in MOTION for node in free])
+            why = (
+                "is moved by an input"
+                if node in network.moved_nodes
+                else "is no node of the model"
+            )
+            raise InputError(
+                f"--initial: {shown(node)} {why} (free are {', '.join(free)})"
+            )
+    told = np.array(
+        [motions.get(node, {}).get(key, math.nan) for key in MOTION for node in free]
+    )
     known = ~np.isnan(told)
     b, w = np.where(known, told, 0.0) - given, np.where(known, 1.0, LOOSE)
     state = np.linalg.lstsq(rows * w[:, None], b * w, rcond=None)[0]
@@ -107,10 +126,16 @@ def free_motions(
     free = [n for n in asm.network.nodes if n not in asm.network.moved_nodes]
     x, r, v = (asm.columns(part) for part in ("x", "r", "v"))
     rows = np.vstack([asm.position[: len(free)], asm.velocity[: len(free)]])
-    lead = [np.asarray(inputs[c.name], float) for c in network.inputs if c.quantity == "displacement"]
+    lead = [
+        np.asarray(inputs[c.name], float)
+        for c in network.inputs
+        if c.quantity == "displacement"
+    ]
     given = np.zeros(len(rows))
     if len(lead) == r.stop - r.start:
-        given = rows[:, r] @ [u[0] for u in lead] + rows[:, v] @ [(u[1] - u[0]) / step for u in lead]
+        given = rows[:, r] @ [u[0] for u in lead] + rows[:, v] @ [
+            (u[1] - u[0]) / step for u in lead
+        ]
     return free, rows[:, x], np.asarray(given, dtype=np.float64)
 
 

@@ -63,11 +63,16 @@ class PredictionErrors:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON: name of the model, errors and notes."""
-        return {"model": self.model, "errors": [asdict(r) for r in self.rows], "notes": list(self.notes)}
+        return {
+            "model": self.model,
+            "errors": [asdict(r) for r in self.rows],
+            "notes": list(self.notes),
+        }
 
 
 def prediction_errors(
-    data: Sequence[Table | Recording | str | Path], model: Network | str | Path | Mapping[str, Any]
+    data: Sequence[Table | Recording | str | Path],
+    model: Network | str | Path | Mapping[str, Any],
 ) -> PredictionErrors:
     """Return the errors of a model on records, with the parameters of the model.
 
@@ -98,12 +103,16 @@ def prediction_errors(
             structure, structure.start, problem.estimation, iterations=ITERATIONS
         )
     except BROKEN as error:
-        raise InputError(f"model '{network.name}' does not simulate the records: {error}") from None
+        raise InputError(
+            f"model '{network.name}' does not simulate the records: {error}"
+        ) from None
     left = [problem.records[i].measured - fit.outputs[i] for i in problem.estimation]
     for record, residual in zip(problem.records, left, strict=True):
         if not np.isfinite(residual).all():
             raise InputError(f"model '{network.name}' breaks down over {record.name}")
-    groups = [(r.name, [r.measured], [e]) for r, e in zip(problem.records, left, strict=True)]
+    groups = [
+        (r.name, [r.measured], [e]) for r, e in zip(problem.records, left, strict=True)
+    ]
     if len(groups) > 1:
         groups.append(("all records", [r.measured for r in problem.records], left))
     rows = []
@@ -111,14 +120,25 @@ def prediction_errors(
         rms = channel_rms(errors)
         deviation = deviation_within(measured, range(len(measured)))
         for j, c in enumerate(network.outputs):
-            known = float(floors[j].deviation / deviation[j]) if floors[j].known else None
+            known = (
+                float(floors[j].deviation / deviation[j]) if floors[j].known else None
+            )
             rows.append(
-                PredictionError(name, c.name, c.unit, float(rms[j]), float(rms[j] / deviation[j]), known)
+                PredictionError(
+                    name,
+                    c.name,
+                    c.unit,
+                    float(rms[j]),
+                    float(rms[j] / deviation[j]),
+                    known,
+                )
             )
     return PredictionErrors(network.name, tuple(rows), (*notes, *map(str, lags)))
 
 
-def removed_share(found: PredictionErrors, other: PredictionErrors) -> dict[str, float | None]:
+def removed_share(
+    found: PredictionErrors, other: PredictionErrors
+) -> dict[str, float | None]:
     """Return the share of the squared error of another model beyond noise that a model removes on the same records, by channel.
 
     1 where the model errs by no more than noise, 0 where both err alike, negative where the model errs more. None where the other model errs

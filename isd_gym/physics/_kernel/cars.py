@@ -93,7 +93,11 @@ def drive(
     c_at = (substeps + 1) * at.inputs
     road_at = c_at + substeps * nc
     shape_at = road_at + substeps * (2 + CAR.tracks)
-    shape_size = shape_rows(at.states, CAR.tracks, CAR.currents, setup[LINE], substeps) if setup[SHAPE] else 0
+    shape_size = (
+        shape_rows(at.states, CAR.tracks, CAR.currents, setup[LINE], substeps)
+        if setup[SHAPE]
+        else 0
+    )
     span = (shape_at + shape_size) * WIDTH  # memory of a group
     together = 1 if own else TOGETHER
     broken = 0
@@ -108,18 +112,56 @@ def drive(
                 for j in range(CAR.currents):
                     current = load(cars, (CAR.current + j) * wide + first)
                     target = clip(
-                        load(cars, (CAR.target + j) * wide + first), spread(settings[CURRENT_LIMIT])
+                        load(cars, (CAR.target + j) * wide + first),
+                        spread(settings[CURRENT_LIMIT]),
                     )
-                    current = current + clip(target - current, spread(settings[SLEW_LIMIT]))
+                    current = current + clip(
+                        target - current, spread(settings[SLEW_LIMIT])
+                    )
                     store(cars, (CAR.current + j) * wide + first, current)
             tracks_at = ground(
-                setup, cars, ways, table, rings, ahead, settings, u, road_at, wide, first, count
+                setup,
+                cars,
+                ways,
+                table,
+                rings,
+                ahead,
+                settings,
+                u,
+                road_at,
+                wide,
+                first,
+                count,
             )
             if setup[SHAPE]:
                 state = states[group * size : (group + 1) * size]
                 points = ahead.shape[1] // CAR.tracks
-                foresee(setup, at, state, cars, ways, history, settings, u, shape_at, wide, group, points)
-            wheels(setup, at.inputs, cars, history, u, tracks_at, mats[0], wide, group, count)
+                foresee(
+                    setup,
+                    at,
+                    state,
+                    cars,
+                    ways,
+                    history,
+                    settings,
+                    u,
+                    shape_at,
+                    wide,
+                    group,
+                    points,
+                )
+            wheels(
+                setup,
+                at.inputs,
+                cars,
+                history,
+                u,
+                tracks_at,
+                mats[0],
+                wide,
+                group,
+                count,
+            )
             for j in range(nc):
                 row = setup[CAR.current_of + j]
                 if setup[DRIVE_ACTS]:
@@ -135,23 +177,60 @@ def drive(
         for k in range(substeps):
             for group in range(head, tail):
                 u = room[(group - head) * span : (group - head + 1) * span]
-                pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
+                pool, state = (
+                    pool_of(mats, own, at, group),
+                    states[group * size : (group + 1) * size],
+                )
                 count = min(WIDTH, setup[COUNT] - group * WIDTH)
-                march(pool, own, at, ints, state, u, u[c_at * WIDTH :], k, k, 1, WIDTH, 0, count, k + 1)
+                march(
+                    pool,
+                    own,
+                    at,
+                    ints,
+                    state,
+                    u,
+                    u[c_at * WIDTH :],
+                    k,
+                    k,
+                    1,
+                    WIDTH,
+                    0,
+                    count,
+                    k + 1,
+                )
         for group in range(head, tail):
             first = group * WIDTH
             count = min(WIDTH, setup[COUNT] - first)
-            pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
+            pool, state = (
+                pool_of(mats, own, at, group),
+                states[group * size : (group + 1) * size],
+            )
             outputs(pool, own, at, ints, state, count)
-            broken += record_outcome(at, state, cars, settings, results, wide, first, count)
+            broken += record_outcome(
+                at, state, cars, settings, results, wide, first, count
+            )
             if setup[SHAPE]:
                 u = room[(group - head) * span : (group - head + 1) * span]
-                shape(setup, at, state, cars, history, settings, results, u, shape_at, wide, group)
+                shape(
+                    setup,
+                    at,
+                    state,
+                    cars,
+                    history,
+                    settings,
+                    results,
+                    u,
+                    shape_at,
+                    wide,
+                    group,
+                )
             for l in range(count):
                 for j in range(CAR.measured):
                     seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)]
                 for j in range(CAR.currents):
-                    seen_out[first + l, CAR.measured + j] = cars[U((CAR.current + j) * wide + first + l)]
+                    seen_out[first + l, CAR.measured + j] = cars[
+                        U((CAR.current + j) * wide + first + l)
+                    ]
             if shows == WHOLE:
                 show_state(at, state, cars, settings, wide, first, count, seen_out)
             elif shows == AHEAD:
@@ -160,7 +239,9 @@ def drive(
     return broken
 
 
-def ground(setup, cars, ways, table, rings, ahead, settings, u, room_at, wide, first, count):
+def ground(
+    setup, cars, ways, table, rings, ahead, settings, u, room_at, wide, first, count
+):
     """Write the tracks of a group in the physics steps of a control step at the first axle into u (.., 8) from row `room_at`.
 
     Each track has one height per physics step. Return the first row of the tracks.
@@ -169,13 +250,25 @@ def ground(setup, cars, ways, table, rings, ahead, settings, u, room_at, wide, f
     points = ahead.shape[1] // CAR.tracks
     tracks_at = room_at + substeps
     begin = 0
-    for t in range(CAR.tracks):  # the only track, or half the sum and half the difference of left and right
-        end, track_at = CAR.sum_filters if t == 0 else CAR.filters, tracks_at + t * substeps
+    for t in range(
+        CAR.tracks
+    ):  # the only track, or half the sum and half the difference of left and right
+        end, track_at = (
+            CAR.sum_filters if t == 0 else CAR.filters,
+            tracks_at + t * substeps,
+        )
         for k in range(substeps):
-            store(u, (room_at + k) * WIDTH, noise(ways, (CAR.counter + t) * wide + first, 1))
+            store(
+                u,
+                (room_at + k) * WIDTH,
+                noise(ways, (CAR.counter + t) * wide + first, 1),
+            )
         for i in range(begin, end):
             rough = load(cars, (CAR.rough + i) * wide + first)
-            gain, pole = load(cars, (CAR.gain + i) * wide + first), load(cars, (CAR.pole + i) * wide + first)
+            gain, pole = (
+                load(cars, (CAR.gain + i) * wide + first),
+                load(cars, (CAR.pole + i) * wide + first),
+            )
             for k in range(substeps):
                 rough = pole * rough + gain * load(u, (room_at + k) * WIDTH)
                 place = (track_at + k) * WIDTH
@@ -192,7 +285,10 @@ def ground(setup, cars, ways, table, rings, ahead, settings, u, room_at, wide, f
         track_at = tracks_at + t * substeps
         if table.shape[0] > 0:
             for l in range(count):
-                place, end = (CAR.profile + t) * wide + first + l, (CAR.profile_end + t) * wide + first + l
+                place, end = (
+                    (CAR.profile + t) * wide + first + l,
+                    (CAR.profile_end + t) * wide + first + l,
+                )
                 for k in range(substeps):
                     if ways[place] < ways[end]:
                         u[(track_at + k) * WIDTH + l] += table[ways[place]]
@@ -217,12 +313,21 @@ def wheels(setup, inputs, cars, history, u, tracks_at, h, wide, group, count):
     A wheel behind the first axle meets the height of the first axle `late` steps before, linear between two
     steps.
     """
-    substeps, kept, now, first = setup[SUBSTEPS], setup[KEPT], setup[KEPT_NOW], group * WIDTH
+    substeps, kept, now, first = (
+        setup[SUBSTEPS],
+        setup[KEPT],
+        setup[KEPT_NOW],
+        group * WIDTH,
+    )
     if kept > 0:
         for t in range(CAR.tracks):
             place, passed = now, (group * CAR.tracks + t) * kept
             for k in range(substeps):
-                store(history, (passed + place) * WIDTH, load(u, (tracks_at + t * substeps + k) * WIDTH))
+                store(
+                    history,
+                    (passed + place) * WIDTH,
+                    load(u, (tracks_at + t * substeps + k) * WIDTH),
+                )
                 place = place + 1 if place + 1 < kept else 0
     for c in range(CAR.corners):
         track, row = setup[CAR.track + c], 3 * c + CAR.columns
@@ -287,7 +392,9 @@ def meet_again(history, cars, late_at, passed, kept, now, u, met_at, substeps, c
             back = int(lane)
             part = lane - back
             place = now - back if now >= back else now - back + kept
-            older = history[(passed + (place - 1 if place > 0 else kept - 1)) * WIDTH + l]
+            older = history[
+                (passed + (place - 1 if place > 0 else kept - 1)) * WIDTH + l
+            ]
             for k in range(substeps):
                 newer = history[(passed + place) * WIDTH + l]
                 u[(met_at + k) * WIDTH + l] = (1.0 - part) * newer + part * older
@@ -318,7 +425,10 @@ def look(setup, ahead, track, cars, wide, first, count, seen_out):
     to = CAR.measured + CAR.currents + track * shown
     for l in range(count):
         e = first + l
-        height, row = cars[U(height_at + l)], ahead[e, track * points : (track + 1) * points]
+        height, row = (
+            cars[U(height_at + l)],
+            ahead[e, track * points : (track + 1) * points],
+        )
         near, far = seen_out[e, to : to + before], seen_out[e, to + before : to + shown]
         source = row[begin : begin + before]
         for i in range(before):
@@ -333,10 +443,16 @@ def record_outcome(at, state, cars, settings, results, wide, first, count):
     The cost of a broken car is the cost at the violated bounds.
     """
     for i in range(at.outputs):
-        store(cars, (CAR.outputs + i) * wide + first, load(state, (at.outcome + i) * WIDTH))
+        store(
+            cars,
+            (CAR.outputs + i) * wide + first,
+            load(state, (at.outcome + i) * WIDTH),
+        )
     good = spread(0.0) < spread(1.0)
     for j in range(CAR.measured):
-        good = good & (abs(load(state, (at.outcome + j) * WIDTH)) <= settings[U(CAR.bounds + j)])
+        good = good & (
+            abs(load(state, (at.outcome + j) * WIDTH)) <= settings[U(CAR.bounds + j)]
+        )
     everyone = (1 << count) - 1
     wrong = ~bits(good) & everyone
     weight, cost = CAR.weights, CAR.cost
@@ -344,12 +460,16 @@ def record_outcome(at, state, cars, settings, results, wide, first, count):
     for j in range(CAR.accelerations):
         x = load(state, (at.outcome + j) * WIDTH)
         if wrong:
-            x = select(abs(x) <= settings[CAR.bounds + j], x, spread(settings[CAR.bounds + j]))
+            x = select(
+                abs(x) <= settings[CAR.bounds + j], x, spread(settings[CAR.bounds + j])
+            )
         term = square(settings[weight + j], x)
         total = total + term
         store(results, (cost + j) * wide + first, term)
         if j == 0:
-            beyond = select(spread(ACCELERATION_LIMIT) < abs(x), spread(1.0), spread(0.0))
+            beyond = select(
+                spread(ACCELERATION_LIMIT) < abs(x), spread(1.0), spread(0.0)
+            )
             store(results, CAR.exceeds * wide + first, beyond)
     weight, cost = weight + CAR.accelerations, cost + CAR.accelerations
     term, beyond = spread(0.0), spread(0.0)
@@ -357,7 +477,9 @@ def record_outcome(at, state, cars, settings, results, wide, first, count):
         j = CAR.accelerations + 4 * c
         x = load(state, (at.outcome + j) * WIDTH)
         if wrong:
-            x = select(abs(x) <= settings[CAR.bounds + j], x, spread(settings[CAR.bounds + j]))
+            x = select(
+                abs(x) <= settings[CAR.bounds + j], x, spread(settings[CAR.bounds + j])
+            )
         term = term + square(settings[weight + c], x)
         beyond = select(spread(TRAVEL_LIMIT) < abs(x), spread(1.0), beyond)
     total = total + term
@@ -377,7 +499,9 @@ def record_outcome(at, state, cars, settings, results, wide, first, count):
     weight += CAR.corners
     term = spread(0.0)
     for j in range(CAR.currents):
-        term = term + square(settings[weight + j], load(cars, (CAR.current + j) * wide + first))
+        term = term + square(
+            settings[weight + j], load(cars, (CAR.current + j) * wide + first)
+        )
     total = total + term
     store(results, (cost + 2) * wide + first, term)
     store(results, REWARD * wide + first, -total)
@@ -394,26 +518,36 @@ def shape_rows(states, tracks, currents, line, substeps):
     return states + tracks * line + currents + (tracks + 1) * substeps
 
 
-def foresee(setup, at, state, cars, ways, history, settings, u, x_at, wide, group, points):
+def foresee(
+    setup, at, state, cars, ways, history, settings, u, x_at, wide, group, points
+):
     """Add the value of the news of the road in a control step to the value of the state before the step.
 
     The news are the rises of the tracks in the physics steps, less their expectations before the control step. The noise
     is drawn again from the counters, since a road with a preview was drawn earlier.
     """
     substeps, first = setup[SUBSTEPS], group * WIDTH
-    size = car_state(setup, at, state, cars, history, settings, u, x_at, wide, group, setup[KEPT_NOW])
+    size = car_state(
+        setup, at, state, cars, history, settings, u, x_at, wide, group, setup[KEPT_NOW]
+    )
     news_at, news = x_at + size, CAR.tracks * substeps
     noise_at = news_at + news
     begin = 0
     for t in range(CAR.tracks):
-        end, counter = CAR.sum_filters if t == 0 else CAR.filters, (CAR.counter + t) * wide + first
+        end, counter = (
+            CAR.sum_filters if t == 0 else CAR.filters,
+            (CAR.counter + t) * wide + first,
+        )
         for k in range(substeps):
             back = points * substeps + substeps - 1 - k
             store(u, (noise_at + k) * WIDTH, noise(ways, counter, -back))
             noise(ways, counter, back)
             store(u, (news_at + t * substeps + k) * WIDTH, spread(0.0))
         for i in range(begin, end):
-            gain, pole = load(cars, (CAR.gain + i) * wide + first), load(cars, (CAR.pole + i) * wide + first)
+            gain, pole = (
+                load(cars, (CAR.gain + i) * wide + first),
+                load(cars, (CAR.pole + i) * wide + first),
+            )
             height = spread(0.0)
             for k in range(substeps):
                 place, before = (news_at + t * substeps + k) * WIDTH, height
@@ -431,10 +565,16 @@ def foresee(setup, at, state, cars, ways, history, settings, u, x_at, wide, grou
     for i in range(news):
         slope = spread(0.0)
         for j in range(size):
-            slope = fused(spread(settings[U(place)]), load(u, (x_at + j) * WIDTH), slope)
+            slope = fused(
+                spread(settings[U(place)]), load(u, (x_at + j) * WIDTH), slope
+            )
             place += 1
         total = fused(slope, load(u, (news_at + i) * WIDTH), total)
-    store(cars, CAR.value * wide + first, total + square_form(settings, place, u, news_at, news))
+    store(
+        cars,
+        CAR.value * wide + first,
+        total + square_form(settings, place, u, news_at, news),
+    )
 
 
 def shape(setup, at, state, cars, history, settings, results, u, x_at, wide, group):
@@ -445,12 +585,18 @@ def shape(setup, at, state, cars, history, settings, results, u, x_at, wide, gro
     """
     first = group * WIDTH
     now = setup[KEPT_NOW] + setup[SUBSTEPS]
-    size = car_state(setup, at, state, cars, history, settings, u, x_at, wide, group, now)
+    size = car_state(
+        setup, at, state, cars, history, settings, u, x_at, wide, group, now
+    )
     before = load(cars, CAR.value * wide + first)
     value = square_form(settings, setup[SHAPE] + at.states * CAR.tracks, u, x_at, size)
     good = load(results, CAR.broken * wide + first) == 0.0
     value = select(good, value, before)
-    store(results, CAR.shaped * wide + first, load(results, REWARD * wide + first) + (before - value))
+    store(
+        results,
+        CAR.shaped * wide + first,
+        load(results, REWARD * wide + first) + (before - value),
+    )
     store(cars, CAR.value * wide + first, value)
 
 
@@ -460,7 +606,12 @@ def car_state(setup, at, state, cars, history, settings, u, x_at, wide, group, n
     The state is that of the car above the road of the first axle, the rises of each track behind the first axle
     in the last control steps, and the currents. `now` is the place in the stored tracks of the next physics step.
     """
-    first, kept, substeps, line = group * WIDTH, setup[KEPT], setup[SUBSTEPS], setup[LINE]
+    first, kept, substeps, line = (
+        group * WIDTH,
+        setup[KEPT],
+        setup[SUBSTEPS],
+        setup[LINE],
+    )
     lift = setup[SHAPE]
     for i in range(at.states):
         x = load(state, i * WIDTH)
@@ -474,7 +625,9 @@ def car_state(setup, at, state, cars, history, settings, u, x_at, wide, group, n
         for j in range(line):
             newer = (now - 1 - substeps * j + kept) % kept
             older = (now - 1 - substeps * (j + 1) + kept) % kept
-            rise = load(history, (passed + newer) * WIDTH) - load(history, (passed + older) * WIDTH)
+            rise = load(history, (passed + newer) * WIDTH) - load(
+                history, (passed + older) * WIDTH
+            )
             store(u, to * WIDTH, rise)
             to += 1
     for j in range(CAR.currents):
@@ -508,8 +661,15 @@ def driven(cars, past, depth, row, wide, e):
         low = int(back)
         part = back - low
         newer = past[place + low * step]
-        i = newer if part == 0.0 else ((1.0 - part) * newer + part * past[place + (low + 1) * step])
-    pole, most = cars[(CAR.lag_pole + row) * wide + e], cars[(CAR.saturation + row) * wide + e]
+        i = (
+            newer
+            if part == 0.0
+            else ((1.0 - part) * newer + part * past[place + (low + 1) * step])
+        )
+    pole, most = (
+        cars[(CAR.lag_pole + row) * wide + e],
+        cars[(CAR.saturation + row) * wide + e],
+    )
     if pole > 0.0:
         # exact mean of the first-order lag over the step
         was = cars[(CAR.lagged + row) * wide + e]
@@ -526,7 +686,9 @@ def road_noise(seed, gain, pole, start, out):
     r = start
     counters, drawn = np.empty(WIDTH, np.int64), np.empty(WIDTH)
     for l in range(WIDTH):  # `noise` increments the counters before the draw
-        counters[l] = np.int64(np.uint64(seed) + np.uint64(l + 1) * _GOLDEN - np.uint64(WIDTH) * _GOLDEN)
+        counters[l] = np.int64(
+            np.uint64(seed) + np.uint64(l + 1) * _GOLDEN - np.uint64(WIDTH) * _GOLDEN
+        )
     for k in range(0, out.shape[0], WIDTH):
         store(drawn, 0, noise(counters, 0, WIDTH))
         for l in range(min(WIDTH, out.shape[0] - k)):

@@ -19,7 +19,9 @@ from .. import elements as el
 from . import cars, contact, lanes, law_forces, layout, linear, newton, solve, steps
 
 
-def _dispatch(functions: Sequence[Callable[..., Any]], fallback: Callable[..., Any]) -> Callable[..., Any]:
+def _dispatch(
+    functions: Sequence[Callable[..., Any]], fallback: Callable[..., Any]
+) -> Callable[..., Any]:
     """Return a compiled function that calls functions[which]."""
     names = fallback.__code__.co_varnames[: fallback.__code__.co_argcount]
     of_law = ", ".join(names[1:])
@@ -27,7 +29,9 @@ def _dispatch(functions: Sequence[Callable[..., Any]], fallback: Callable[..., A
     for code in range(len(functions)):
         lines.append(f"    if which == {code}:\n        return law_{code}({of_law})")
     lines.append(f"    return fallback({', '.join(names)})")
-    scope: dict[str, Any] = {f"law_{code}": nb.njit(f, **_INNER) for code, f in enumerate(functions)}
+    scope: dict[str, Any] = {
+        f"law_{code}": nb.njit(f, **_INNER) for code, f in enumerate(functions)
+    }
     scope["fallback"] = nb.njit(fallback, **_INNER)
     exec("\n".join(lines), scope)
     return nb.njit(scope["dispatch"], **_INNER)
@@ -48,19 +52,29 @@ def law_code(cls: type[el.Element]) -> int:
 def stamp() -> int:
     """Return a number that changes with the code of the kernel and the laws."""
     smooth, dry = _laws()
-    return _stamp_of((*((c.type, c.law) for c in smooth), *((c.type, c.bound) for c in dry)))
+    return _stamp_of(
+        (*((c.type, c.law) for c in smooth), *((c.type, c.bound) for c in dry))
+    )
 
 
 @functools.cache
 def _stamp_of(registered: tuple[tuple[str, Any], ...]) -> int:
     digest = hashlib.sha256()
     for package in (str(__package__), el.__name__):
-        files = resources.files(package).iterdir()  # the package may be in a zip archive
-        for file in sorted((f for f in files if f.name.endswith(".py")), key=lambda f: f.name):
+        files = resources.files(
+            package
+        ).iterdir()  # the package may be in a zip archive
+        for file in sorted(
+            (f for f in files if f.name.endswith(".py")), key=lambda f: f.name
+        ):
             digest.update(file.read_bytes())
-    digest.update(resources.files(__name__.rsplit(".", 2)[0]).joinpath("cost.py").read_bytes())
+    digest.update(
+        resources.files(__name__.rsplit(".", 2)[0]).joinpath("cost.py").read_bytes()
+    )
     for name, law in registered:
-        digest.update(name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode())
+        digest.update(
+            name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode()
+        )
     return int.from_bytes(digest.digest()[:6], "big")
 
 
@@ -73,9 +87,22 @@ class Kernel(NamedTuple):
     drive: Callable[..., Any]  # see `cars.drive`
 
 
-_CLOSED = (layout.layout, linear.sums, linear.pooled, linear.number, linear.clip, linear.take)
+_CLOSED = (
+    layout.layout,
+    linear.sums,
+    linear.pooled,
+    linear.number,
+    linear.clip,
+    linear.take,
+)
 _ALONE = (contact.beside, contact.touch, contact.apply, contact.contact)
-_SEVERAL = (contact.among_others, contact.beside_others, contact.touch, contact.apply, contact.contacts)
+_SEVERAL = (
+    contact.among_others,
+    contact.beside_others,
+    contact.touch,
+    contact.apply,
+    contact.contacts,
+)
 _LAWS = (
     law_forces.parameters, law_forces.held, law_forces.seen, law_forces.force_beside, law_forces.update_friction, law_forces.push,
     newton.eliminate, newton.resting, newton.answers, newton.excess, newton.bracketed, newton.slopes, newton.newton,
@@ -158,14 +185,24 @@ if hasattr(
 def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kernel:
     jit.check_compiler()
     smooth, dry = _laws() if with_laws else ([], [])
-    names: dict[str, Any] = {k: v for module in _MODULES for k, v in vars(module).items()}
+    names: dict[str, Any] = {
+        k: v for module in _MODULES for k, v in vars(module).items()
+    }
     names["CAR"] = layout.cars_layout(car)
-    flavour = "_".join(map(str, ("laws" if with_laws else "several" if several else "closed", *car)))
+    flavour = "_".join(
+        map(str, ("laws" if with_laws else "several" if several else "closed", *car))
+    )
     if with_laws:
         names["law_force"] = _dispatch([c.law for c in smooth], law_forces.law_force)  # type: ignore[misc]
         names["law_bound"] = _dispatch([c.bound for c in dry], law_forces.law_bound)  # type: ignore[misc]
     laws_ = _LAWS if with_laws else (solve.unsolved, solve.as_it_is)
-    for plain in (*_CLOSED, *(_SEVERAL if several else _ALONE), *laws_, *_STEPS, *_ENTRIES):
+    for plain in (
+        *_CLOSED,
+        *(_SEVERAL if several else _ALONE),
+        *laws_,
+        *_STEPS,
+        *_ENTRIES,
+    ):
         # compiled functions read constants and functions from `names`; the name of a function is part of its
         # key in numba's disk cache, and the stamp excludes old laws
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
@@ -182,7 +219,11 @@ def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kerne
     return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
 
 
-def kernel(with_laws: bool = True, several: bool = False, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
+def kernel(
+    with_laws: bool = True,
+    several: bool = False,
+    car: layout.CarSize = layout.QUARTER_CAR,
+) -> Kernel:
     """Return the compiled kernel."""
     return _bind(stamp(), with_laws, several, car)
 

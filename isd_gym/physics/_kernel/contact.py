@@ -46,8 +46,14 @@ def contacts(mats, own, at, state):
             store(state, (at.acting + ns + p) * WIDTH, friction)
     begin, i = 0 if pushes else ns, 0
     while i + 4 <= n:
-        a, b = load(state, (at.step + i) * WIDTH), load(state, (at.step + i + 1) * WIDTH)
-        c, d = load(state, (at.step + i + 2) * WIDTH), load(state, (at.step + i + 3) * WIDTH)
+        a, b = (
+            load(state, (at.step + i) * WIDTH),
+            load(state, (at.step + i + 1) * WIDTH),
+        )
+        c, d = (
+            load(state, (at.step + i + 2) * WIDTH),
+            load(state, (at.step + i + 3) * WIDTH),
+        )
         k = at.gains + begin * at.rows + i
         for j in range(begin, nl):
             x = load(state, (at.acting + j) * WIDTH)
@@ -64,7 +70,11 @@ def contacts(mats, own, at, state):
     while i < n:
         x = load(state, (at.step + i) * WIDTH)
         for j in range(begin, nl):
-            x = fused(pooled(mats, own, at.gains + j * at.rows + i), load(state, (at.acting + j) * WIDTH), x)
+            x = fused(
+                pooled(mats, own, at.gains + j * at.rows + i),
+                load(state, (at.acting + j) * WIDTH),
+                x,
+            )
         store(state, i * WIDTH, x)
         i += 1
     for i in range(nl):
@@ -75,7 +85,9 @@ def contacts(mats, own, at, state):
             x = fused(gain, load(state, (at.acting + ns + p) * WIDTH), x)
         if pushes and p < ns:
             x = fused(
-                pooled(mats, own, at.gains + p * at.rows + n + i), load(state, (at.acting + p) * WIDTH), x
+                pooled(mats, own, at.gains + p * at.rows + n + i),
+                load(state, (at.acting + p) * WIDTH),
+                x,
             )
         store(state, ((at.elongation if i < ns else at.rate) + i) * WIDTH, x)
 
@@ -86,7 +98,11 @@ def among_others(mats, own, at, state, row, p, pushes):
     x = load(state, (at.step + row) * WIDTH)
     for j in range(0 if pushes else ns, at.laws):
         if j != p and j != ns + p:
-            x = fused(pooled(mats, own, at.gains + j * at.rows + row), load(state, (at.force + j) * WIDTH), x)
+            x = fused(
+                pooled(mats, own, at.gains + j * at.rows + row),
+                load(state, (at.force + j) * WIDTH),
+                x,
+            )
     return x
 
 
@@ -99,7 +115,9 @@ def beside_others(mats, own, at, state, p):
     """Return the rate of stop p in place of `beside`, for rows that `contacts` left out."""
     row, x = at.states + at.laws + p, spread(0.0)
     for j in range(at.step_columns):
-        x = fused(pooled(mats, own, at.matrix + j * at.rows + row), load(state, j * WIDTH), x)
+        x = fused(
+            pooled(mats, own, at.matrix + j * at.rows + row), load(state, j * WIDTH), x
+        )
     store(state, (at.step + row) * WIDTH, x)
     return among_others(mats, own, at, state, row, p, True)
 
@@ -121,7 +139,10 @@ def touch(mats, own, at, state, p):
         rate = load(state, (at.first + dry) * WIDTH)
         friction = clip(rate * pooled(mats, own, at.give + closed), level)
     if ns > stop:
-        upper, lower = pooled(mats, own, at.upper + closed), pooled(mats, own, at.lower + closed)
+        upper, lower = (
+            pooled(mats, own, at.upper + closed),
+            pooled(mats, own, at.lower + closed),
+        )
         free, yields = load(state, (at.first + stop) * WIDTH), spread(0.0)
         if rubs:
             yields = pooled(mats, own, at.gains + dry * at.rows + n + stop)
@@ -131,7 +152,11 @@ def touch(mats, own, at, state, p):
             extended = place > 0.0
             beyond = free - select(extended, upper, lower)
             alone = beyond * pooled(mats, own, at.per_elongation + closed)
-            alone = fused(beside(mats, own, at, state, p), pooled(mats, own, at.per_rate + closed), alone)
+            alone = fused(
+                beside(mats, own, at, state, p),
+                pooled(mats, own, at.per_rate + closed),
+                alone,
+            )
             shared = pooled(mats, own, at.per_friction + closed)
             held, slip, own_slip = friction, spread(0.0), spread(0.0)
             if rubs:
@@ -139,7 +164,11 @@ def touch(mats, own, at, state, p):
                     mats, own, at.gains + stop * at.rows + n + dry
                 )  # effect of the stop on the sliding
                 own_slip = pooled(mats, own, at.gains + dry * at.rows + n + dry)
-                held = clip(fused(slip, alone, rate) * pooled(mats, own, at.give_stopped + closed), level)
+                held = clip(
+                    fused(slip, alone, rate)
+                    * pooled(mats, own, at.give_stopped + closed),
+                    level,
+                )
             force = fused(shared, held, alone)
             touches = meets & (select(extended, force, -force) > 0.0)
             friction = select(touches, held, friction)
@@ -164,11 +193,19 @@ def touch(mats, own, at, state, p):
                         part = select(was * end < 0.0, was / (was - end), spread(0.0))
                         friction = select(turns, bound * (1.0 - 2.0 * part), friction)
                         push = select(turns, fused(shared, friction, alone), push)
-                        push = select(turns & (select(extended, push, -push) <= 0.0), spread(0.0), push)
+                        push = select(
+                            turns & (select(extended, push, -push) <= 0.0),
+                            spread(0.0),
+                            push,
+                        )
                         end = fused(own_slip, friction, fused(slip, push, rate))
                     # the acting force was a mean over the step; outputs use the force at its end
                     seen = select(end > 0.0, level, -level)
-                    store(state, (at.force + dry) * WIDTH, select(turns & (abs(end) > 1e-9), seen, friction))
+                    store(
+                        state,
+                        (at.force + dry) * WIDTH,
+                        select(turns & (abs(end) > 1e-9), seen, friction),
+                    )
                 else:
                     store(state, (at.force + dry) * WIDTH, friction)
         elif rubs:

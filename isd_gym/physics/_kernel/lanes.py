@@ -21,9 +21,13 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, regist
 
 from .layout import WIDTH
 
-_intrinsic: Any = intrinsic  # the type checker misjudges the arguments of the decorated functions
+_intrinsic: Any = (
+    intrinsic  # the type checker misjudges the arguments of the decorated functions
+)
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
-_DOUBLES, _WORDS, _BITS = (ir.VectorType(t, WIDTH) for t in (_DOUBLE, _WORD, ir.IntType(1)))
+_DOUBLES, _WORDS, _BITS = (
+    ir.VectorType(t, WIDTH) for t in (_DOUBLE, _WORD, ir.IntType(1))
+)
 
 
 class _Lanes(types.Type):
@@ -43,32 +47,45 @@ class _Model(models.PrimitiveModel):
 
 
 def _splat(builder: Any, value: Any, vector: ir.VectorType) -> Any:
-    one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    one = builder.insert_element(
+        ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0)
+    )
     return builder.shuffle_vector(
-        one, ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
+        one,
+        ir.Constant(vector, ir.Undefined),
+        ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH),
     )
 
 
 @lower_cast(types.Float, LANES)
 def _from_float(context, builder, fromty, toty, value):
-    return _splat(builder, context.cast(builder, value, fromty, types.float64), _DOUBLES)
+    return _splat(
+        builder, context.cast(builder, value, fromty, types.float64), _DOUBLES
+    )
 
 
 # ------------------------------------------------------------------------------------------ operators
 
 
-def _operator(symbol: Any, emit: Any, result: _Lanes, operand: _Lanes = LANES, arity: int = 2) -> None:
+def _operator(
+    symbol: Any, emit: Any, result: _Lanes, operand: _Lanes = LANES, arity: int = 2
+) -> None:
     """Define `symbol` for `arity` operands, at least one of which is lanes; the others are lanes or floats."""
 
     @infer_global(symbol)
     class _(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
-            fits = all(a == operand or (operand is LANES and isinstance(a, types.Float)) for a in args)
+            fits = all(
+                a == operand or (operand is LANES and isinstance(a, types.Float))
+                for a in args
+            )
             if len(args) == arity and operand in args and fits:
                 return signature(result, *([operand] * arity))
             return None
 
-    lower_builtin(symbol, *([operand] * arity))(lambda context, builder, sig, args: emit(builder, *args))
+    lower_builtin(symbol, *([operand] * arity))(
+        lambda context, builder, sig, args: emit(builder, *args)
+    )
 
 
 for _symbol, _name in (
@@ -82,7 +99,9 @@ for _symbol, _name in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="), (operator.ne, "!=")
 ):  # fmt: skip
     _compare = "fcmp_unordered" if _name == "!=" else "fcmp_ordered"
-    _operator(_symbol, lambda b, x, y, n=_name, c=_compare: getattr(b, c)(n, x, y), MASK)
+    _operator(
+        _symbol, lambda b, x, y, n=_name, c=_compare: getattr(b, c)(n, x, y), MASK
+    )
 _operator(operator.and_, lambda b, x, y: b.and_(x, y), MASK, MASK)
 _operator(operator.or_, lambda b, x, y: b.or_(x, y), MASK, MASK)
 _operator(operator.invert, lambda b, x: b.not_(x), MASK, MASK, 1)
@@ -100,7 +119,9 @@ def _call(builder: Any, name: str, *args: Any) -> Any:
 # -------------------------------------------------------------------------------- memory and functions
 
 
-def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: ir.Type) -> Any:
+def _address(
+    context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: ir.Type
+) -> Any:
     held = context.make_array(array_type)(context, builder, array)
     # NUMBA_BOUNDSCHECK=1, with a separate cache, checks all eight numbers
     if getattr(config, "BOUNDSCHECK", None):
@@ -108,12 +129,19 @@ def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any
         low = builder.icmp_signed("<", index, ir.Constant(index.type, 0))
         wrong = builder.or_(low, builder.icmp_signed(">", last, held.nitems))
         with builder.if_then(wrong, likely=False):
-            context.call_conv.return_user_exc(builder, IndexError, ("eight lanes reach beyond their array",))
+            context.call_conv.return_user_exc(
+                builder, IndexError, ("eight lanes reach beyond their array",)
+            )
     return builder.bitcast(builder.gep(held.data, [index]), vector.as_pointer())
 
 
 def _flat(array: Any, dtype: Any) -> bool:
-    return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C" and array.dtype == dtype
+    return (
+        isinstance(array, types.Array)
+        and array.ndim == 1
+        and array.layout == "C"
+        and array.dtype == dtype
+    )
 
 
 @_intrinsic
@@ -123,7 +151,9 @@ def load(typing, array, index):
         return None
 
     def emit(context, builder, sig, args):
-        return builder.load(_address(context, builder, sig.args[0], args[0], args[1], _DOUBLES), align=8)
+        return builder.load(
+            _address(context, builder, sig.args[0], args[0], args[1], _DOUBLES), align=8
+        )
 
     return LANES(array, types.intp), emit
 
@@ -135,7 +165,11 @@ def store(typing, array, index, lanes):
         return None
 
     def emit(context, builder, sig, args):
-        builder.store(args[2], _address(context, builder, sig.args[0], args[0], args[1], _DOUBLES), align=8)
+        builder.store(
+            args[2],
+            _address(context, builder, sig.args[0], args[0], args[1], _DOUBLES),
+            align=8,
+        )
         return context.get_dummy_value()
 
     return types.void(array, types.intp, lanes), emit
@@ -220,7 +254,9 @@ def noise(typing, counters, index, stride):
     def emit(context, builder, sig, args):
         def word(value: int) -> Any:
             return ir.Constant(
-                _WORDS, [ir.Constant(_WORD, value - (1 << 64) if value >> 63 else value)] * WIDTH
+                _WORDS,
+                [ir.Constant(_WORD, value - (1 << 64) if value >> 63 else value)]
+                * WIDTH,
             )
 
         def shifted(w: Any, by: int) -> Any:

@@ -20,7 +20,11 @@ def law_bound(which, p, d, v):
 
 def parameters(mats, own, at, j, l):
     """Return the parameters of law j in lane l."""
-    begin = at.own * WIDTH + (l * at.laws + j) * at.parameters if own else at.own + j * at.parameters
+    begin = (
+        at.own * WIDTH + (l * at.laws + j) * at.parameters
+        if own
+        else at.own + j * at.parameters
+    )
     return mats[begin : begin + at.parameters]
 
 
@@ -29,7 +33,10 @@ def seen(mats, own, at, state, row, l, skip):
     s = state[U((at.step + row) * WIDTH + l)]
     for i in range(at.laws):
         if i != skip:
-            s += number(mats, own, at.gains + i * at.rows + row, l) * state[U((at.acting + i) * WIDTH + l)]
+            s += (
+                number(mats, own, at.gains + i * at.rows + row, l)
+                * state[U((at.acting + i) * WIDTH + l)]
+            )
     return s
 
 
@@ -99,7 +106,11 @@ def push(mats, own, ints, state, sweep, j, l):
     single = nl - ns == 1
     k = at.acting + j
     # elongation, rate, and the rate at the single friction, from the forces at the end of the step
-    d, s, e = state[U((at.first + j) * WIDTH + l)], state[U((at.other + j) * WIDTH + l)], 0.0
+    d, s, e = (
+        state[U((at.first + j) * WIDTH + l)],
+        state[U((at.other + j) * WIDTH + l)],
+        0.0,
+    )
     for i in range(ns if single else nl):
         f = state[U((at.acting + i) * WIDTH + l)]
         column = at.gains + i * at.rows + n

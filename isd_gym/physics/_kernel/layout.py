@@ -31,7 +31,20 @@ GENERAL, QUIET, CONTACT = 0, 1, 2
 MEASURED, WHOLE, AHEAD = 0, 1, 2
 
 # Sizes of a plant: the head of `ints`, the first fields of `Layout`.
-STATES, INPUTS, CURRENTS, LAWS, SMOOTH, WAY, OUTPUTS, ROWS, COLUMNS, DIFFER, PARAMETERS, INSTANT = range(12)
+(
+    STATES,
+    INPUTS,
+    CURRENTS,
+    LAWS,
+    SMOOTH,
+    WAY,
+    OUTPUTS,
+    ROWS,
+    COLUMNS,
+    DIFFER,
+    PARAMETERS,
+    INSTANT,
+) = range(12)
 SIZES = 12  # their number; the laws' codes follow
 
 # integers of a batch of cars: head of `setup`
@@ -92,9 +105,7 @@ class CarsLayout(NamedTuple):
     measured: int  # number of signals of the network in an observation, in the order of the outputs
     signals: int  # number of these signals and the tyre loads
     # places in `setup`
-    columns: (
-        int  # for every corner, three columns of u for height, rate and acceleration of the road (-1: none)
-    )
+    columns: int  # for every corner, three columns of u for height, rate and acceleration of the road (-1: none)
     track: int  # of every corner
     behind: int  # for every corner, whether its track is delayed against the first axle
     leader: int  # for every track, its first corner
@@ -119,7 +130,9 @@ class CarsLayout(NamedTuple):
     profile_end: int
     counter: int  # counters of the random numbers of the only track, or of sum and difference
     # places in `settings`
-    weights: int  # factors on the squares of accelerations, travels, tyre loads and currents
+    weights: (
+        int  # factors on the squares of accelerations, travels, tyre loads and currents
+    )
     bounds: int  # of the measured signals
     # for every output and corner, the share of the road's height that is subtracted in an observation
     lifted: int
@@ -221,7 +234,13 @@ class Layout(NamedTuple):
 
 def layout(ints: Any) -> Layout:
     """Return the layout of `ints`; also called in compiled code."""
-    n, m, nc, nl, ns = ints[STATES], ints[INPUTS], ints[CURRENTS], ints[LAWS], ints[SMOOTH]
+    n, m, nc, nl, ns = (
+        ints[STATES],
+        ints[INPUTS],
+        ints[CURRENTS],
+        ints[LAWS],
+        ints[SMOOTH],
+    )
     rows, columns, differ, parameters, instant = (
         ints[ROWS], ints[COLUMNS], ints[DIFFER], ints[PARAMETERS], ints[INSTANT],
     )  # fmt: skip

@@ -49,12 +49,16 @@ def newton(mats, own, ints, state, l):
         share = 1.0
         for _ in range(14):
             for j in range(nl):
-                state[U((at.acting + j) * WIDTH + l)] = state[U(start + j)] + share * state[U(step + j)]
+                state[U((at.acting + j) * WIDTH + l)] = (
+                    state[U(start + j)] + share * state[U(step + j)]
+                )
             error, which = answers(mats, own, ints, state, l)
             if error < worst:
                 break
             share *= 0.5
-        if not error < worst:  # no descent: a cautious step towards the answers of the laws
+        if (
+            not error < worst
+        ):  # no descent: a cautious step towards the answers of the laws
             for j in range(nl):
                 state[U((at.acting + j) * WIDTH + l)] = state[U(start + j)]
             answers(mats, own, ints, state, l)
@@ -117,7 +121,9 @@ def bracketed(mats, own, ints, state, l):
     worst, who = math.inf, 0
     for _ in range(ROUNDS):
         for j in range(ns, nl):
-            state[U((at.acting + j) * WIDTH + l)] = resting(mats, own, ints, state, j, l)
+            state[U((at.acting + j) * WIDTH + l)] = resting(
+                mats, own, ints, state, j, l
+            )
         for j in range(ns):
             force = U((at.acting + j) * WIDTH + l)
             low = high = state[force]
@@ -157,8 +163,13 @@ def excess(mats, own, ints, state, j, l):
     """Return the answer of smooth law j of lane l minus its acting force; the single friction follows."""
     at = layout(ints)
     if at.laws - at.smooth == 1:
-        state[U((at.acting + at.smooth) * WIDTH + l)] = resting(mats, own, ints, state, at.smooth, l)
-    return force_beside(mats, own, ints, state, j, l, 0.0, 0.0)[0] - state[U((at.acting + j) * WIDTH + l)]
+        state[U((at.acting + at.smooth) * WIDTH + l)] = resting(
+            mats, own, ints, state, at.smooth, l
+        )
+    return (
+        force_beside(mats, own, ints, state, j, l, 0.0, 0.0)[0]
+        - state[U((at.acting + j) * WIDTH + l)]
+    )
 
 
 def resting(mats, own, ints, state, j, l):
@@ -166,7 +177,10 @@ def resting(mats, own, ints, state, j, l):
     at = layout(ints)
     row = at.states + j
     gain = number(mats, own, at.gains + j * at.rows + row, l)
-    rate, level = seen(mats, own, at, state, row, l, j), state[U((at.tried + j) * WIDTH + l)]
+    rate, level = (
+        seen(mats, own, at, state, row, l, j),
+        state[U((at.tried + j) * WIDTH + l)],
+    )
     return held(0, parameters(mats, own, at, j, l), rate, gain, level, 0.0, 0.0, False)
 
 
@@ -205,7 +219,9 @@ def eliminate(numbers, matrix, right, n):
     for k in range(n):
         best = k
         for i in range(k + 1, n):
-            if abs(numbers[U(matrix + i * n + k)]) > abs(numbers[U(matrix + best * n + k)]):
+            if abs(numbers[U(matrix + i * n + k)]) > abs(
+                numbers[U(matrix + best * n + k)]
+            ):
                 best = i
         if best != k:
             for j in range(n):

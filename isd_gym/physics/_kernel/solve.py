@@ -64,19 +64,30 @@ def at_once(mats, own, ints, state, count):
                 elif turns > QUICK:
                     new = f + between(mats, own, ints, state, j, l, column)
                 else:
-                    d, s = state[U((elongation + j) * WIDTH + l)], state[U((rate + j) * WIDTH + l)]
-                    code, z = ints[U(at.code + j)], state[U((at.memory + j) * WIDTH + l)]
+                    d, s = (
+                        state[U((elongation + j) * WIDTH + l)],
+                        state[U((rate + j) * WIDTH + l)],
+                    )
+                    code, z = (
+                        ints[U(at.code + j)],
+                        state[U((at.memory + j) * WIDTH + l)],
+                    )
                     last = state[U((at.elongation + j) * WIDTH + l)]
                     now = law_force(code, p, d, s, last, z, mats[0])[0]
                     away = 1e-7 * (1.0 + abs(f))
                     slope = (
-                        law_force(code, p, d + by_d * away, s + by_s * away, last, z, mats[0])[0] - now
+                        law_force(
+                            code, p, d + by_d * away, s + by_s * away, last, z, mats[0]
+                        )[0]
+                        - now
                     ) / away
                     new = f + (now - f) / (1.0 - slope if slope < 0.0 else 1.0)
                 if abs(new - f) > 1e-10 * (1.0 + abs(f)):
                     moved = True
                     for i in range(at.out_rows):
-                        state[U((at.outcome + i) * WIDTH + l)] += number(mats, own, column + i, l) * (new - f)
+                        state[U((at.outcome + i) * WIDTH + l)] += number(
+                            mats, own, column + i, l
+                        ) * (new - f)
                     state[U((at.acting + j) * WIDTH + l)] = new
         if moved:
             for i in range(at.outputs):
@@ -91,7 +102,10 @@ def yields(mats, own, ints, state, j, l, column, away):
     by_own = number(mats, own, at.out + (at.force + j) * at.out_rows + row, l)
     if ints[U(at.differs + j)] or not by_own < 0.0:
         return 0.0
-    d, s = state[U((at.outcome + row - at.laws) * WIDTH + l)], state[U((at.outcome + row) * WIDTH + l)]
+    d, s = (
+        state[U((at.outcome + row - at.laws) * WIDTH + l)],
+        state[U((at.outcome + row) * WIDTH + l)],
+    )
     s += number(mats, own, column + row, l) * away
     level = law_bound(-1 - ints[U(at.code + j)], parameters(mats, own, at, j, l), d, s)
     f = state[U((at.acting + j) * WIDTH + l)]
@@ -101,7 +115,11 @@ def yields(mats, own, ints, state, j, l, column, away):
 
 def between(mats, own, ints, state, j, l, column):
     """Return the instant change of the force of smooth law j of lane l, between a too small and a too large force."""
-    low, high, reach = 0.0, 0.0, 1.0 + abs(state[U((layout(ints).acting + j) * WIDTH + l)])
+    low, high, reach = (
+        0.0,
+        0.0,
+        1.0 + abs(state[U((layout(ints).acting + j) * WIDTH + l)]),
+    )
     if lacks(mats, own, ints, state, j, l, column, 0.0) > 0.0:
         while reach < 1e15 and lacks(mats, own, ints, state, j, l, column, high) > 0.0:
             low, high, reach = high, high + reach, 4.0 * reach
@@ -125,8 +143,14 @@ def lacks(mats, own, ints, state, j, l, column, change):
     at = layout(ints)
     nl, ns = at.laws, at.smooth
     to_d, to_s = at.outputs + j, at.outputs + nl + j
-    d = state[U((at.outcome + to_d) * WIDTH + l)] + number(mats, own, column + to_d, l) * change
-    s = state[U((at.outcome + to_s) * WIDTH + l)] + number(mats, own, column + to_s, l) * change
+    d = (
+        state[U((at.outcome + to_d) * WIDTH + l)]
+        + number(mats, own, column + to_d, l) * change
+    )
+    s = (
+        state[U((at.outcome + to_s) * WIDTH + l)]
+        + number(mats, own, column + to_s, l) * change
+    )
     if nl - ns == 1:
         friction_row = at.out + (at.force + ns) * at.out_rows
         follows = yields(mats, own, ints, state, ns, l, column, change)
@@ -220,18 +244,27 @@ def finish(mats, own, ints, state, left):
                 t = seen(mats, own, at, state, i, l, -1)
                 if i < n:
                     to = i
-                elif i < n + nl:  # elongations and rates; dry laws have the reverse order
+                elif (
+                    i < n + nl
+                ):  # elongations and rates; dry laws have the reverse order
                     to = (at.elongation if i < n + ns else at.rate) + i - n
                 else:
                     to = (at.rate if i < n + nl + ns else at.elongation) + i - n - nl
                 state[U(to * WIDTH + l)] = t
             for j in range(nl):
-                f, s = state[U((at.acting + j) * WIDTH + l)], state[U((at.rate + j) * WIDTH + l)]
+                f, s = (
+                    state[U((at.acting + j) * WIDTH + l)],
+                    state[U((at.rate + j) * WIDTH + l)],
+                )
                 if j < ns:
-                    state[U((at.memory + j) * WIDTH + l)] = state[U((at.coming + j) * WIDTH + l)]
+                    state[U((at.memory + j) * WIDTH + l)] = state[
+                        U((at.coming + j) * WIDTH + l)
+                    ]
                 elif ints[U(at.differs + j)] == 0 and abs(s) > 1e-9:
                     # the acting force was a mean over the step; outputs use the force at its end
                     d = state[U((at.elongation + j) * WIDTH + l)]
-                    f = law_bound(-1 - ints[U(at.code + j)], parameters(mats, own, at, j, l), d, s)
+                    f = law_bound(
+                        -1 - ints[U(at.code + j)], parameters(mats, own, at, j, l), d, s
+                    )
                     f = f if s > 0.0 else -f
                 state[U((at.force + j) * WIDTH + l)] = f

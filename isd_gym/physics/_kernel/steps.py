@@ -11,7 +11,9 @@ from .linear import U, clip, pooled, sums, take
 from .solve import at_once, solved
 
 
-def march(mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, count, now):
+def march(
+    mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, count, now
+):
     """Run a group of `count` lanes in place for `steps` steps, the first of which has number `now`.
 
     u (.., m, width) from row u_at and c (.., nc, width) from row c_at are flat. With `width` 1 all lanes
@@ -24,11 +26,15 @@ def march(mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, cou
         for j in range(nc):
             take(state, at.current + j, c, (c_at + k) * nc + j, width, first, count)
         for j in range(nl * at.differ):
-            store(state, (at.last + j) * WIDTH, load(state, (at.elongation + j) * WIDTH))
+            store(
+                state, (at.last + j) * WIDTH, load(state, (at.elongation + j) * WIDTH)
+            )
         if at.way == CONTACT:
             contact(mats, own, at, state)
         else:
-            sums(mats, own, at.matrix, at.rows, at.step_columns, state, at.step, at.rows)
+            sums(
+                mats, own, at.matrix, at.rows, at.step_columns, state, at.step, at.rows
+            )
             solved(mats, own, ints, state, count, now + k)
 
 
@@ -42,7 +48,10 @@ def outputs(mats, own, at, ints, state, count):
     sums(mats, own, at.out, at.out_rows, at.columns, state, at.outcome, at.out_rows)
     if at.instant:
         if at.way == CONTACT:
-            rate, gain = load(state, (at.outcome + at.outputs + at.laws) * WIDTH), spread(0.0)
+            rate, gain = (
+                load(state, (at.outcome + at.outputs + at.laws) * WIDTH),
+                spread(0.0),
+            )
             for j in range(at.laws):  # one friction
                 old = load(state, (at.force + j) * WIDTH)
                 column = at.out + (at.force + j) * at.out_rows
@@ -51,14 +60,20 @@ def outputs(mats, own, at, ints, state, count):
                 change = clip(still, pooled(mats, own, at.level)) - old
                 for i in range(at.outputs):
                     to = (at.outcome + i) * WIDTH
-                    store(state, to, fused(pooled(mats, own, column + i), change, load(state, to)))
+                    store(
+                        state,
+                        to,
+                        fused(pooled(mats, own, column + i), change, load(state, to)),
+                    )
         else:
             at_once(mats, own, ints, state, count)
 
 
 def pool_of(mats, own, at, group):
     """Return the numbers of a group."""
-    return mats[group * at.size * WIDTH : (group + 1) * at.size * WIDTH] if own else mats
+    return (
+        mats[group * at.size * WIDTH : (group + 1) * at.size * WIDTH] if own else mats
+    )
 
 
 def record(mats, ints, states, u, c, every, width, lanes, out):
@@ -75,15 +90,41 @@ def record(mats, ints, states, u, c, every, width, lanes, out):
     for group in range((lanes + WIDTH - 1) // WIDTH):
         first = group * WIDTH
         count = min(WIDTH, lanes - first)
-        pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
+        pool, state = (
+            pool_of(mats, own, at, group),
+            states[group * size : (group + 1) * size],
+        )
         for j in range(m):  # before the first step
             take(state, at.end + j, u, j, width, first, count)
         for k in range(out.shape[0]):
             if k > 0:
                 begin = (k - 1) * every
-                march(pool, own, at, ints, state, u, c, begin, begin, every, width, first, count, begin + 1)
+                march(
+                    pool,
+                    own,
+                    at,
+                    ints,
+                    state,
+                    u,
+                    c,
+                    begin,
+                    begin,
+                    every,
+                    width,
+                    first,
+                    count,
+                    begin + 1,
+                )
             for j in range(nc):  # a current acts from its sample onwards
-                take(state, at.current + j, c, min(k * every, last) * nc + j, width, first, count)
+                take(
+                    state,
+                    at.current + j,
+                    c,
+                    min(k * every, last) * nc + j,
+                    width,
+                    first,
+                    count,
+                )
             outputs(pool, own, at, ints, state, count)
             for i in range(ny):
                 for l in range(count):
@@ -103,7 +144,22 @@ def advance(mats, ints, state, u, c, lanes):
             for l in range(count):
                 work[U(i * WIDTH + l)] = state[i, first + l]
         pool = pool_of(pools, own, at, group)
-        march(pool, own, at, ints, work, flat_u, flat_c, 0, 0, u.shape[0] - 1, lanes, first, count, 1)
+        march(
+            pool,
+            own,
+            at,
+            ints,
+            work,
+            flat_u,
+            flat_c,
+            0,
+            0,
+            u.shape[0] - 1,
+            lanes,
+            first,
+            count,
+            1,
+        )
         for i in range(at.scratch):
             for l in range(count):
                 state[i, first + l] = work[U(i * WIDTH + l)]

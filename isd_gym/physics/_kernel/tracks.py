@@ -17,7 +17,9 @@ def track_noise(seed_sum, seed_difference, poles, gains, split, states, out):
     `states` (n,) [m] are continued in place.
     """
     count = out.shape[1]
-    seed_sum = road_noise(seed_sum, 1.0, 0.0, 0.0, out[0])  # unit variance, replaced by heights below
+    seed_sum = road_noise(
+        seed_sum, 1.0, 0.0, 0.0, out[0]
+    )  # unit variance, replaced by heights below
     seed_difference = road_noise(seed_difference, 1.0, 0.0, 0.0, out[1])
     for k in range(count):
         for i in range(split):

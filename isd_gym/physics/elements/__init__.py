@@ -68,10 +68,23 @@ from ._laws import (
     QuadraticDamping,
     TyreLiftOff,
 )
-from ._linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
+from ._linear import (
+    Inertance,
+    LinearDamping,
+    LinearStiffness,
+    Motor,
+    SeriesCompliance,
+    TerminalInertia,
+)
 from ._loaded import LoadDependentFriction, transmits
 from ._scheduled import ControlledDamper, ScheduledDamping, ScheduledFriction
-from ._sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
+from ._sensors import (
+    SensorBias,
+    SensorDeadZone,
+    SensorDelay,
+    SensorGain,
+    SensorMagnitude,
+)
 from ._table import TabulatedForce
 
 __all__ = [

@@ -93,10 +93,20 @@ def parameter(
         "plausible": None,
         "reach": None,
     }
-    return field(metadata=meta) if default is None else field(default=default, metadata=meta)
+    return (
+        field(metadata=meta)
+        if default is None
+        else field(default=default, metadata=meta)
+    )
 
 
-def plausible(of: Any, low: float = -math.inf, high: float = math.inf, *, reach: float | None = None) -> Any:
+def plausible(
+    of: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    reach: float | None = None,
+) -> Any:
     """Return a parameter with the range that is plausible for a missing effect.
 
     The diagnosis searches for the value within this range. A model file may exceed the range.
@@ -108,7 +118,11 @@ def plausible(of: Any, low: float = -math.inf, high: float = math.inf, *, reach:
         reach: Largest factor by which a fit may leave the start value.
     """
     meta = {**of.metadata, "plausible": (low, high), "reach": reach}
-    return field(metadata=meta) if of.default is MISSING else field(default=of.default, metadata=meta)
+    return (
+        field(metadata=meta)
+        if of.default is MISSING
+        else field(default=of.default, metadata=meta)
+    )
 
 
 # --------------------------------------------------------------------------- what an element may look at
@@ -123,7 +137,9 @@ def spoken(effect: str) -> str:
     Returns:
         Words; only names of persons have a capital.
     """
-    return " ".join(word.capitalize() if word in PERSONS else word for word in effect.split("_"))
+    return " ".join(
+        word.capitalize() if word in PERSONS else word for word in effect.split("_")
+    )
 
 
 @dataclass(frozen=True)
@@ -162,12 +178,16 @@ class Setting:
 
     network: Network  # the model
     where: tuple[str, ...]  # the place: two nodes, a motor, or a channel
-    motion: Motion | None  # relative motion of the two nodes; None at a motor or a channel
+    motion: (
+        Motion | None
+    )  # relative motion of the two nodes; None at a motor or a channel
     force: float  # typical force of the data [N]
     #: standard deviation of the motor's current [A], or of the channel [unit of the channel]
     signal: float = 1.0
     time: float = 0.05  # reciprocal of the typical circular frequency of the motion [s]
-    options: Mapping[str, str] = field(default_factory=dict)  # values of the choices that are not numbers
+    options: Mapping[str, str] = field(
+        default_factory=dict
+    )  # values of the choices that are not numbers
     #: measured channel [unit of the channel] or commanded current [A], (n,); None between two nodes
     samples: Array | None = None
     #: periods [m] in the spectrum of the missing force over travel, for laws that repeat over travel
@@ -197,8 +217,12 @@ class Start:
     values: dict[str, float]  # value by parameter
     #: value sets whose responses are projected together; the start values alone by default
     ways: tuple[dict[str, float], ...] = ()
-    grows: tuple[str, ...] = ()  # parameters that scale with the amplitude of the effect
-    inverse: bool = False  # whether the effect is proportional to the reciprocal of the parameters
+    grows: tuple[
+        str, ...
+    ] = ()  # parameters that scale with the amplitude of the effect
+    inverse: bool = (
+        False  # whether the effect is proportional to the reciprocal of the parameters
+    )
     signed: bool = False  # whether the effect may have either sign
 
     def __post_init__(self) -> None:
@@ -229,7 +253,9 @@ class Element:
     place: ClassVar[str] = "between"
     equation: ClassVar[str] = ""
     source: ClassVar[str] = ""
-    signature: ClassVar[str] = ""  # characteristic that distinguishes the element from similar ones
+    signature: ClassVar[str] = (
+        ""  # characteristic that distinguishes the element from similar ones
+    )
     test: ClassVar[str] = ""  # measurement that would identify the element
     choices: ClassVar[dict[str, tuple[str, ...]]] = {}
     law: ClassVar[Callable[..., tuple[float, float]] | None] = None
@@ -322,7 +348,9 @@ class Element:
         Raises:
             NotImplementedError: The element is between two nodes.
         """
-        raise NotImplementedError(f"{self.type} acts between two nodes, not on a signal")
+        raise NotImplementedError(
+            f"{self.type} acts between two nodes, not on a signal"
+        )
 
     def curve(self, axis: Array) -> Array:
         """Return the force of the element over rate or elongation, as `plane` states.
@@ -340,7 +368,9 @@ class Element:
         if cls.law is not None:
             return np.array(
                 [
-                    cls.law(p, 0.0, x, 0.0, 0.0, 1e-3)[0] if rate else cls.law(p, x, 0.0, x, 0.0, 1e-3)[0]
+                    cls.law(p, 0.0, x, 0.0, 0.0, 1e-3)[0]
+                    if rate
+                    else cls.law(p, x, 0.0, x, 0.0, 1e-3)[0]
                     for x in axis
                 ]
             )
@@ -365,7 +395,10 @@ class Element:
         one is known for sure: a second element is then more than a change of the first.
         """
         alike = [e for e in beside(network, where) if e.type == cls.type]
-        return all(cls.shaped_by and f"{e.name}.{cls.shaped_by}" not in network.uncertainty for e in alike)
+        return all(
+            cls.shaped_by and f"{e.name}.{cls.shaped_by}" not in network.uncertainty
+            for e in alike
+        )
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
@@ -390,11 +423,15 @@ class Element:
         values = dict(start.values)
         factor = float(np.clip(amplitude[0], -50.0 if start.signed else 0.1, 50.0))
         for key in start.grows:
-            values[key] = values[key] / factor if start.inverse else values[key] * factor
+            values[key] = (
+                values[key] / factor if start.inverse else values[key] * factor
+            )
         return values
 
     @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+    def special(
+        cls, simple: str, values: Mapping[str, float], motion: Motion | None
+    ) -> dict[str, float]:
         """Return start values of the type `simple`, one of `contains`, from the values of this type."""
         names = {f.name for f in parameter_fields(TYPES[simple])}
         return {key: value for key, value in values.items() if key in names}
@@ -461,13 +498,25 @@ def held_still(network: Network, where: tuple[str, ...]) -> bool:
     shifts the rest position.
     """
     held = {GROUND, *network.moved_nodes}
-    bodies = [(set(b.nodes), {p.name for p in b.points}, 1 + len(b.angles)) for b in network.bodies]
-    springs = [set(e.where) for e in network.elements if e.place == "between" and e.linear()[0] > 0]
+    bodies = [
+        (set(b.nodes), {p.name for p in b.points}, 1 + len(b.angles))
+        for b in network.bodies
+    ]
+    springs = [
+        set(e.where)
+        for e in network.elements
+        if e.place == "between" and e.linear()[0] > 0
+    ]
     grown = True
     while grown:
         more = {n for s in springs if s & held for n in s} - held
         # a body rests where as many of its points are held as it has ways to move
-        more |= {n for nodes, points, ways in bodies if len(points & held) >= ways for n in nodes} - held
+        more |= {
+            n
+            for nodes, points, ways in bodies
+            if len(points & held) >= ways
+            for n in nodes
+        } - held
         held |= more
         grown = bool(more)
     return set(where) <= held
@@ -475,7 +524,9 @@ def held_still(network: Network, where: tuple[str, ...]) -> bool:
 
 def driven_motor(network: Network, where: tuple[str, ...]) -> bool:
     """Return whether an input commands the current of a motor."""
-    return any(c.quantity == "current" and c.element == where[0] for c in network.inputs)
+    return any(
+        c.quantity == "current" and c.element == where[0] for c in network.inputs
+    )
 
 
 def parameter_fields(cls: type[Element]) -> tuple[Field[Any], ...]:
@@ -512,7 +563,9 @@ def register(cls: type[Element]) -> type[Element]:
     if not cls.type:
         raise InputError(f"{cls.__name__} has no type name")
     if cls.mechanism not in MECHANISMS:
-        raise InputError(f"element type '{cls.type}': mechanism must be one of {', '.join(MECHANISMS)}")
+        raise InputError(
+            f"element type '{cls.type}': mechanism must be one of {', '.join(MECHANISMS)}"
+        )
     TYPES[cls.type] = cls
     return cls
 
@@ -545,6 +598,10 @@ def register_file(path: str | Path) -> None:
     try:
         runpy.run_path(str(path), run_name=path.stem)
     except Exception as error:
-        raise InputError(f"{shown(str(path))} does not run: {type(error).__name__}: {error}") from None
+        raise InputError(
+            f"{shown(str(path))} does not run: {type(error).__name__}: {error}"
+        ) from None
     if before == TYPES:
-        raise InputError(f"{shown(str(path))} registers no element (isd_gym.physics.elements.register)")
+        raise InputError(
+            f"{shown(str(path))} registers no element (isd_gym.physics.elements.register)"
+        )

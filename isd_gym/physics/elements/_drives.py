@@ -28,13 +28,23 @@ def delayed(values: Array, steps: float, before: float | None = None) -> Array:
     """
     if steps < 0:
         ahead = min(math.ceil(-steps), len(values) - 1)
-        longer = np.concatenate([values, 2.0 * values[-1:] - values[-2 : -ahead - 2 : -1]])
+        longer = np.concatenate(
+            [values, 2.0 * values[-1:] - values[-2 : -ahead - 2 : -1]]
+        )
         part = ahead + steps if ahead == math.ceil(-steps) else 0.0
         whole = longer[ahead:]
-        return whole if part == 0.0 else (1.0 - part) * whole + part * longer[ahead - 1 : -1]
+        return (
+            whole
+            if part == 0.0
+            else (1.0 - part) * whole + part * longer[ahead - 1 : -1]
+        )
     low = math.floor(steps)
     part = steps - low
-    first = np.repeat(values[:1] if before is None else np.full_like(values[:1], before), low + 1, axis=0)
+    first = np.repeat(
+        values[:1] if before is None else np.full_like(values[:1], before),
+        low + 1,
+        axis=0,
+    )
     longer = np.concatenate([first, values])[: len(values) + 1]
     return longer[1:] if part == 0.0 else (1.0 - part) * longer[1:] + part * longer[:-1]
 
@@ -67,7 +77,9 @@ class ThrustSaturation(_Drive):
     current: float = plausible(parameter("A", 1.0, 50.0, open_end=True), reach=20.0)
 
     def apply(self, signal: Array, step: float) -> Array:
-        return np.asarray(self.current * np.tanh(signal / self.current), dtype=np.float64)
+        return np.asarray(
+            self.current * np.tanh(signal / self.current), dtype=np.float64
+        )
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
@@ -79,9 +91,7 @@ class ActuatorLag(_Drive):
     type = "actuator_lag"
     mechanism = "drive"
     equation = "tau dI/dt + I = I_command"
-    source = (
-        "L/R of Table 1 (26 mH / 3.8 Ohm = 6.8 ms) or a drive's bandwidth; slow hydraulic drives reach 0.5 s"
-    )
+    source = "L/R of Table 1 (26 mH / 3.8 Ohm = 6.8 ms) or a drive's bandwidth; slow hydraulic drives reach 0.5 s"
     signature = "thrust late and rounded after a step in current"
     test = (
         "Command a step of current on the held device: the thrust must reach 63 % after {time_constant}, "
@@ -95,14 +105,19 @@ class ActuatorLag(_Drive):
         if not self.time_constant > 0:
             return signal
         pole = math.exp(-step / self.time_constant)
-        share = (1.0 - pole) * self.time_constant / step  # mean of the decay over a step
-        state, _ = lfilter([0.0, 1.0 - pole], [1.0, -pole], signal, axis=0, zi=0.0 * signal[:1])
+        share = (
+            (1.0 - pole) * self.time_constant / step
+        )  # mean of the decay over a step
+        state, _ = lfilter(
+            [0.0, 1.0 - pole], [1.0, -pole], signal, axis=0, zi=0.0 * signal[:1]
+        )
         return np.asarray(signal + (state - signal) * share, dtype=np.float64)
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         return [
-            Start({"time_constant": t}, grows=("time_constant",)) for t in (0.05 * at.time, 0.25 * at.time)
+            Start({"time_constant": t}, grows=("time_constant",))
+            for t in (0.05 * at.time, 0.25 * at.time)
         ]
 
 
@@ -124,7 +139,10 @@ class ActuatorDelay(_Drive):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"delay": t}, grows=("delay",)) for t in (0.05 * at.time, 0.25 * at.time)]
+        return [
+            Start({"delay": t}, grows=("delay",))
+            for t in (0.05 * at.time, 0.25 * at.time)
+        ]
 
 
 @register
@@ -133,21 +151,24 @@ class DriveDeadZone(_Drive):
     mechanism = "drive"
     equation = "I_eff = sgn(I) max(|I| - I_d, 0)"
     source = "overlap of a valve's spool (Merritt, Hydraulic Control Systems, 1967), dead time of an inverter"
-    signature = (
-        "no thrust at small commands, whatever the motion; the thrust of large ones falls short by a constant"
-    )
+    signature = "no thrust at small commands, whatever the motion; the thrust of large ones falls short by a constant"
     test = "Hold the device and raise the command slowly: there must be no thrust below {threshold}, in either direction."
     shaped_by = "threshold"
     threshold: float = plausible(parameter("A", 0.01, 5.0, open_end=True), reach=20.0)
 
     def apply(self, signal: Array, step: float) -> Array:
-        return np.asarray(signal - np.clip(signal, -self.threshold, self.threshold), dtype=np.float64)
+        return np.asarray(
+            signal - np.clip(signal, -self.threshold, self.threshold), dtype=np.float64
+        )
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         if at.samples is None or not has_levels(at.samples):
             return []
-        return [Start({"threshold": share * at.signal}, grows=("threshold",)) for share in (0.1, 0.4)]
+        return [
+            Start({"threshold": share * at.signal}, grows=("threshold",))
+            for share in (0.1, 0.4)
+        ]
 
 
 @register
@@ -155,9 +176,7 @@ class QuadraticThrust(_Drive):
     type = "quadratic_thrust"
     mechanism = "drive"
     equation = "I_eff = I |I| / I_r (form 'signed'), I^2 / I_r (form 'square')"
-    source = (
-        "propellers and fans (thrust in proportion to the square of the speed), solenoids (of the current)"
-    )
+    source = "propellers and fans (thrust in proportion to the square of the speed), solenoids (of the current)"
     signature = "thrust grows with the square of the command: short of proportion below I_r, beyond it above"
     test = "Hold the device and double the command: the thrust must grow fourfold, and be that of the model at {reference}."
     shaped_by = "reference"
@@ -196,4 +215,10 @@ def has_levels(samples: Array) -> bool:
 
 
 #: order in which the effects of a drive act, in any model: bus, valve or amplifier, electric circuit, iron
-DRIVE_ORDER = (ActuatorDelay, DriveDeadZone, ActuatorLag, QuadraticThrust, ThrustSaturation)
+DRIVE_ORDER = (
+    ActuatorDelay,
+    DriveDeadZone,
+    ActuatorLag,
+    QuadraticThrust,
+    ThrustSaturation,
+)

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._base import Element, Motion, Setting, Start, beside, held_still, parameter, register, rms
+from ._base import (
+    Element,
+    Motion,
+    Setting,
+    Start,
+    beside,
+    held_still,
+    parameter,
+    register,
+    rms,
+)
 from ._laws import ConstantForce
 
 if TYPE_CHECKING:
@@ -42,7 +52,10 @@ class CoulombFriction(Element):
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        return not any(isinstance(e, CoulombFriction | StribeckFriction) for e in beside(network, where))
+        return not any(
+            isinstance(e, CoulombFriction | StribeckFriction)
+            for e in beside(network, where)
+        )
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
@@ -76,7 +89,9 @@ class StribeckFriction(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        level = next((e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0)
+        level = next(
+            (e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0
+        )
         return [
             Start(
                 {
@@ -91,24 +106,33 @@ class StribeckFriction(Element):
         ]
 
     @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+    def special(
+        cls, simple: str, values: Mapping[str, float], motion: Motion | None
+    ) -> dict[str, float]:
         rate = rms(motion.v) if motion is not None else 0.0
         share = math.exp(-((rate / values["stribeck_velocity"]) ** 2))
-        return {"level": values["level"] + (values["static_level"] - values["level"]) * share}
+        return {
+            "level": values["level"]
+            + (values["static_level"] - values["level"]) * share
+        }
 
     def well_formed(self) -> bool:
-        return self.level <= self.static_level  # a level that rises with speed mimics damping
+        return (
+            self.level <= self.static_level
+        )  # a level that rises with speed mimics damping
 
 
 @register
 class AsymmetricFriction(Element):
     type = "asymmetric_friction"
     mechanism = "dry_friction"
-    equation = "F in [-f_c, f_e]: f_e for v > 0 (extension), -f_c for v < 0 (compression)"
-    source = (
-        "seals and drives that rub differently either way; Armstrong-Helouvry et al., Automatica 30 (1994)"
+    equation = (
+        "F in [-f_c, f_e]: f_e for v > 0 (extension), -f_c for v < 0 (compression)"
     )
-    signature = "Coulomb friction about a constant force: it creeps to one side under vibration"
+    source = "seals and drives that rub differently either way; Armstrong-Helouvry et al., Automatica 30 (1994)"
+    signature = (
+        "Coulomb friction about a constant force: it creeps to one side under vibration"
+    )
     test = (
         "Pull the two parts slowly one way and the other: the force must be {extension} out and {compression} in, "
         "at every speed."
@@ -121,24 +145,34 @@ class AsymmetricFriction(Element):
 
     def parts(self) -> tuple[Element, ...]:
         # exact in sliding and sticking: a friction of the mean level plus a constant force
-        mean, lean = 0.5 * (self.extension + self.compression), 0.5 * (self.extension - self.compression)
+        mean, lean = (
+            0.5 * (self.extension + self.compression),
+            0.5 * (self.extension - self.compression),
+        )
         return (
             CoulombFriction(self.name, self.where, mean),  # type: ignore[call-arg]
             ConstantForce(f"{self.name} (lean)", self.where, lean),  # type: ignore[call-arg]
         )
 
     def curve(self, axis: Array) -> Array:
-        return np.where(axis > 0, self.extension, np.where(axis < 0, -self.compression, 0.0))
+        return np.where(
+            axis > 0, self.extension, np.where(axis < 0, -self.compression, 0.0)
+        )
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
         # if only a spring defines the zero, the constant part is a preload of the spring
-        rubs = any(isinstance(e, StribeckFriction | AsymmetricFriction) for e in beside(network, where))
+        rubs = any(
+            isinstance(e, StribeckFriction | AsymmetricFriction)
+            for e in beside(network, where)
+        )
         return not rubs and not held_still(network, where)
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        level = next((e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0)
+        level = next(
+            (e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0
+        )
         pairs = ((1.3, 0.7), (0.7, 1.3))
         return [
             Start({"extension": a * (level or at.small), "compression": b * (level or at.small)},
@@ -147,5 +181,7 @@ class AsymmetricFriction(Element):
         ]  # fmt: skip
 
     @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+    def special(
+        cls, simple: str, values: Mapping[str, float], motion: Motion | None
+    ) -> dict[str, float]:
         return {"level": 0.5 * (values["extension"] + values["compression"])}

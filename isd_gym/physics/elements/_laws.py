@@ -44,28 +44,40 @@ SURE_DAMPER = 0.5
 WHOLE_PERIODS = 120
 
 
-def _quadratic(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _quadratic(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     return p[0] * v * abs(v), z
 
 
-def _degressive(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _degressive(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     return p[0] * v / (1.0 + abs(v) / p[1]), z
 
 
-def _asymmetric(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _asymmetric(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     return (p[0] if v > 0.0 else p[1]) * v, z
 
 
-def _cubic(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _cubic(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     return p[0] * d * d * d, z
 
 
-def _gas(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _gas(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     # the length of the column is bounded at 1 %: below, the law has no meaning
     return p[0] * (1.0 - max(1.0 + d / p[1], 0.01) ** (-p[2])), z
 
 
-def _stop(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _stop(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     over = d - p[0] if d > 0.0 else d + p[0]
     touching = (d > p[0] and p[3] >= 0.0) or (d < -p[0] and p[3] <= 0.0)
     if not touching:
@@ -74,12 +86,18 @@ def _stop(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tu
     return (max(f, 0.0) if d > 0.0 else min(f, 0.0)), z  # a stop pushes and never pulls
 
 
-def _backlash(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _backlash(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     half = 0.5 * p[0]
-    return (p[1] * (d - half) if d > half else p[1] * (d + half) if d < -half else 0.0), z
+    return (
+        p[1] * (d - half) if d > half else p[1] * (d + half) if d < -half else 0.0
+    ), z
 
 
-def _bouc_wen(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _bouc_wen(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     level, stiffness, exponent, shape = p[0], p[1], p[2], p[3]
     way = d - d_last
     if level <= 0.0 or way == 0.0:
@@ -92,7 +110,11 @@ def _bouc_wen(p: Array, d: float, v: float, d_last: float, z: float, h: float) -
             rest = max(1.0 + a * u, 1e-12)
             home = -u if abs(a) < 1e-9 else -math.log(rest) / a
             ahead = min(x, home)
-            u = 0.0 if home <= x else u + (ahead if abs(a) < 1e-9 else rest * math.expm1(a * ahead) / a)
+            u = (
+                0.0
+                if home <= x
+                else u + (ahead if abs(a) < 1e-9 else rest * math.expm1(a * ahead) / a)
+            )
             x -= ahead
         if u >= 0.0:
             u = 1.0 - (1.0 - u) * math.exp(-x)
@@ -107,29 +129,41 @@ def _bouc_wen(p: Array, d: float, v: float, d_last: float, z: float, h: float) -
         slope = exponent * (power / u if exponent > 1.0 else 1.0) if u > 0.0 else 0.0
         y = slope * x
         decay = x if y < 1e-8 else -math.expm1(-y) / slope
-        m = min(u + (1.0 - power * (1.0 if u > 0.0 else 1.0 - 2.0 * shape)) * decay, 1.0)
-        change = power * (1.0 if u > 0.0 else 1.0 - 2.0 * shape) - abs(m) ** exponent * (
-            1.0 if m > 0.0 else 1.0 - 2.0 * shape
+        m = min(
+            u + (1.0 - power * (1.0 if u > 0.0 else 1.0 - 2.0 * shape)) * decay, 1.0
         )
-        better = m + (change + slope * (m - u)) * (0.5 * x if y < 1e-8 else (x - decay) / y)
+        change = power * (1.0 if u > 0.0 else 1.0 - 2.0 * shape) - abs(
+            m
+        ) ** exponent * (1.0 if m > 0.0 else 1.0 - 2.0 * shape)
+        better = m + (change + slope * (m - u)) * (
+            0.5 * x if y < 1e-8 else (x - decay) / y
+        )
         u = min(better, 1.0) if better > u else m
     z = level * u if way > 0.0 else -level * u
     return z, z
 
 
-def _cogging(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _cogging(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     return p[0] * math.sin(2.0 * math.pi * d / p[1] + p[2]), z
 
 
-def _lift_off(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _lift_off(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     return -max(p[0] * d - p[1], 0.0), z
 
 
-def _constant(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _constant(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     return p[0], z
 
 
-def _gravity(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _gravity(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     return p[0] * math.sin(d + p[1]), z
 
 
@@ -139,7 +173,9 @@ class ConstantForce(Element):
     mechanism = "constant"
     equation = "F = F0"
     source = "gravity along a slope, a preload, a drive's offset"
-    signature = "a drift that grows with the square of time where nothing holds the terminals"
+    signature = (
+        "a drift that grows with the square of time where nothing holds the terminals"
+    )
     test = "Let go of the two parts at rest: they must be pulled together with {force}."
     plane = "elongation"
     law = staticmethod(_constant)
@@ -168,7 +204,9 @@ class GravitySine(Element):
     replaces = ("linear_stiffness",)  # the slope at rest is the stiffness
     law = staticmethod(_gravity)
     torque: float = parameter("N", 1e-3, 1e4)  # [N m] at a rotation
-    rest: float = parameter("rad", -math.pi, math.pi, default=0.0, minimum=-math.inf, fixed=True)
+    rest: float = parameter(
+        "rad", -math.pi, math.pi, default=0.0, minimum=-math.inf, fixed=True
+    )
 
     def period(self) -> float:
         return TURN
@@ -182,7 +220,12 @@ class GravitySine(Element):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         held = sum(e.linear()[0] for e in at.beside if e.type == "linear_stiffness")
-        return [Start({"torque": held or at.small / rms(np.sin(at.moves.d))}, grows=("torque",))]
+        return [
+            Start(
+                {"torque": held or at.small / rms(np.sin(at.moves.d))},
+                grows=("torque",),
+            )
+        ]
 
 
 @register
@@ -216,10 +259,10 @@ class DegressiveDamping(Element):
     type = "degressive_damping"
     mechanism = "viscous"
     equation = "F = c v / (1 + |v| / v_d), in place of the linear damper"
-    source = "Dixon, The Shock Absorber Handbook: blow-off valves; shear-thinning fluids"
-    signature = (
-        "damping that is smaller at high speed: half of that at rest at v_d, and a force of at most c v_d"
+    source = (
+        "Dixon, The Shock Absorber Handbook: blow-off valves; shear-thinning fluids"
     )
+    signature = "damping that is smaller at high speed: half of that at rest at v_d, and a force of at most c v_d"
     test = "Double the speed: the force must grow by less than twice, the less the further beyond {knee}; near rest its slope is {damping}."
     plane = "rate"
     contains = ("linear_damping", "coulomb_friction")
@@ -235,7 +278,10 @@ class DegressiveDamping(Element):
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
         # without a known damper, dry friction with rounded corners would be mistaken for this law
         dampers = [e.name for e in beside(network, where) if e.type == "linear_damping"]
-        known = any(network.uncertainty.get(f"{name}.damping", 0.0) <= SURE_DAMPER for name in dampers)
+        known = any(
+            network.uncertainty.get(f"{name}.damping", 0.0) <= SURE_DAMPER
+            for name in dampers
+        )
         return known and super().stands(network, where)
 
     @classmethod
@@ -248,10 +294,16 @@ class DegressiveDamping(Element):
         return [Start({"damping": damping, "knee": knee}, signed=True)]
 
     @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+    def special(
+        cls, simple: str, values: Mapping[str, float], motion: Motion | None
+    ) -> dict[str, float]:
         rate = rms(motion.v) if motion is not None else values["knee"]
         slope = values["damping"] / (1.0 + rate / values["knee"])
-        return {"level": slope * rate} if simple == "coulomb_friction" else {"damping": slope}
+        return (
+            {"level": slope * rate}
+            if simple == "coulomb_friction"
+            else {"damping": slope}
+        )
 
     def differs_from_limit(self, motion: Motion) -> bool:
         """Return whether the knee is within the rates of the motion; for a much smaller knee the law is dry friction."""
@@ -264,7 +316,9 @@ class AsymmetricDamping(Element):
     mechanism = "viscous"
     equation = "F = c_e v for v > 0 (extension), c_c v for v < 0 (compression), beside what stands there"
     source = "Dixon, The Shock Absorber Handbook: rebound and bump damping differ"
-    signature = "an even part in the force-velocity plane; a mean offset under vibration"
+    signature = (
+        "an even part in the force-velocity plane; a mean offset under vibration"
+    )
     test = (
         "Vibrate the two parts without a mean load: they must creep to one side, the more the faster the "
         "motion."
@@ -278,16 +332,30 @@ class AsymmetricDamping(Element):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         c = at.small / rms(at.moves.v)
-        sides = ({"extension": c, "compression": 0.0}, {"extension": 0.0, "compression": c})
-        return [Start({"extension": c, "compression": c}, sides, ("extension", "compression"), signed=True)]
+        sides = (
+            {"extension": c, "compression": 0.0},
+            {"extension": 0.0, "compression": c},
+        )
+        return [
+            Start(
+                {"extension": c, "compression": c},
+                sides,
+                ("extension", "compression"),
+                signed=True,
+            )
+        ]
 
     @classmethod
     def sized(cls, start: Start, amplitude: Array) -> dict[str, float]:
         keys = ("extension", "compression")
-        return {k: float(a) * start.values[k] for k, a in zip(keys, amplitude, strict=True)}
+        return {
+            k: float(a) * start.values[k] for k, a in zip(keys, amplitude, strict=True)
+        }
 
     @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+    def special(
+        cls, simple: str, values: Mapping[str, float], motion: Motion | None
+    ) -> dict[str, float]:
         return {"damping": 0.5 * (values["extension"] + values["compression"])}
 
     def differing(self, beside: Sequence[Element]) -> tuple[str, str] | None:
@@ -311,7 +379,13 @@ class CubicStiffness(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"stiffness": at.small / rms(at.moves.d**3)}, grows=("stiffness",), signed=True)]
+        return [
+            Start(
+                {"stiffness": at.small / rms(at.moves.d**3)},
+                grows=("stiffness",),
+                signed=True,
+            )
+        ]
 
 
 @register
@@ -336,12 +410,17 @@ class GasSpring(Element):
     def starts(cls, at: Setting) -> list[Start]:
         lengths = [s * at.moves.reach for s in (1.5, 4.0, 12.0)]
         return [
-            Start({"force": at.small * x / (1.3 * rms(at.moves.d)), "length": x}, grows=("force",))
+            Start(
+                {"force": at.small * x / (1.3 * rms(at.moves.d)), "length": x},
+                grows=("force",),
+            )
             for x in lengths
         ]
 
     @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+    def special(
+        cls, simple: str, values: Mapping[str, float], motion: Motion | None
+    ) -> dict[str, float]:
         return {"stiffness": values["force"] * values["exponent"] / values["length"]}
 
 
@@ -350,12 +429,16 @@ class BumpStop(Element):
     type = "bump_stop"
     mechanism = "elastic"
     equation = "F = k (|d| - clearance) sgn d + c v in contact, never pulling; 0 else"
-    source = "deputy cylinder stroke of Table 1: +-100 mm / 4.056 = +-24.65 mm at the device"
+    source = (
+        "deputy cylinder stroke of Table 1: +-100 mm / 4.056 = +-24.65 mm at the device"
+    )
     signature = "nothing below a travel, a stiff spring beyond it"
     test = "Load the two parts slowly: nothing extra below {clearance}, a slope of {stiffness} beyond it."
     contains = ("linear_stiffness",)  # without clearance
     shaped_by = "clearance"
-    choices: ClassVar[dict[str, tuple[str, ...]]] = {"side": ("both", "extension", "compression")}
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {
+        "side": ("both", "extension", "compression")
+    }
     law = staticmethod(_stop)
     clearance: float = parameter("m", 1e-3, 0.1)
     stiffness: float = parameter("N/m", 1e4, 5e6)
@@ -386,12 +469,25 @@ class BumpStop(Element):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         d, side, out = at.moves.d, at.options["side"], []
-        x = np.abs(d) if side == "both" else np.maximum(d if side == "extension" else -d, 0.0)
+        x = (
+            np.abs(d)
+            if side == "both"
+            else np.maximum(d if side == "extension" else -d, 0.0)
+        )
         for q in (0.5, 0.75, 0.9, 0.97, 0.995):
-            gap = float(np.quantile(x, q)) if side == "both" else float(np.quantile(x, 0.5 + 0.5 * q))
+            gap = (
+                float(np.quantile(x, q))
+                if side == "both"
+                else float(np.quantile(x, 0.5 + 0.5 * q))
+            )
             over = np.maximum(x - gap, 0.0)
             if gap > 0 and over.max() > 1e-3 * at.moves.reach:
-                out.append(Start({"clearance": gap, "stiffness": at.small / rms(over)}, grows=("stiffness",)))
+                out.append(
+                    Start(
+                        {"clearance": gap, "stiffness": at.small / rms(over)},
+                        grows=("stiffness",),
+                    )
+                )
         return out
 
 
@@ -428,7 +524,10 @@ class Backlash(Element):
         # the faces yield by a fiftieth of the play under the typical force: beside a damper, softer faces
         # would be a compliance
         gaps = [s * rms(at.moves.d) for s in (0.02, 0.2)]
-        return [Start({"gap": gap, "stiffness": 50.0 * at.force / gap}, grows=("gap",)) for gap in gaps]
+        return [
+            Start({"gap": gap, "stiffness": 50.0 * at.force / gap}, grows=("gap",))
+            for gap in gaps
+        ]
 
 
 @register
@@ -437,7 +536,9 @@ class Hysteresis(Element):
     mechanism = "dry_friction"
     equation = "F = z, dz/dt = k [v - (s |v| z + (1-s) v |z|) |z|^(n-1) / F_y^n]"
     source = "Bouc (1967), Wen (1976), with beta = gamma (s = 1/2); s = 1, n = 1 is Dahl's law"
-    signature = "loops in the force-travel plane whose corners are round, whatever the rate"
+    signature = (
+        "loops in the force-travel plane whose corners are round, whatever the rate"
+    )
     test = (
         "Run a loop of travel slowly and at twice the rate: both loops must be the same, with round "
         "corners and a height of twice {level}."
@@ -481,9 +582,7 @@ class Hysteresis(Element):
 class CoggingForce(Element):
     type = "cogging_force"
     mechanism = "position_periodic"
-    equation = (
-        "F = A sin(2 pi d / pitch + phase); turn 'whole': the pitch is the nearest whole fraction of a turn"
-    )
+    equation = "F = A sin(2 pi d / pitch + phase); turn 'whole': the pitch is the nearest whole fraction of a turn"
     source = "detent force of a permanent-magnet linear motor"
     signature = "periodic in travel, whatever the time"
     test = (
@@ -497,7 +596,13 @@ class CoggingForce(Element):
     amplitude: float = parameter("N", 5.0, 1000.0)
     pitch: float = parameter("m", 1e-3, 0.05, open_end=True)
     phase: float = parameter(
-        "rad", -math.pi, math.pi, default=0.0, minimum=-math.inf, spread=100.0, stride=1.0
+        "rad",
+        -math.pi,
+        math.pi,
+        default=0.0,
+        minimum=-math.inf,
+        spread=100.0,
+        stride=1.0,
     )
     turn: str = "any"
 
@@ -530,28 +635,56 @@ class CoggingForce(Element):
         if at.options.get("turn") == "whole":
             # integer numbers of periods per turn: at least one period over the travel, and long enough for
             # the samples
-            most = min(WHOLE_PERIODS, TURN / max(2.5 * float(np.median(np.abs(np.diff(d)))), 1e-9))
-            pitches = [TURN / k for k in range(max(1, math.ceil(TURN / span)), int(most) + 1)]
-            pitches += [TURN / k for k in (round(TURN / p) for p in at.pitches) if k > most]
+            most = min(
+                WHOLE_PERIODS,
+                TURN / max(2.5 * float(np.median(np.abs(np.diff(d)))), 1e-9),
+            )
+            pitches = [
+                TURN / k for k in range(max(1, math.ceil(TURN / span)), int(most) + 1)
+            ]
+            pitches += [
+                TURN / k for k in (round(TURN / p) for p in at.pitches) if k > most
+            ]
         else:
             # neighbouring pitches differ by a quarter period over the span; less than one visible period is
             # no repetition
-            pitches = [float(1 / cycles) for cycles in np.arange(1 / span, PERIODS / span, 0.25 / span)]
+            pitches = [
+                float(1 / cycles)
+                for cycles in np.arange(1 / span, PERIODS / span, 0.25 / span)
+            ]
             pitches += at.pitches
         out = []
         for pitch in pitches:
             sine = {"amplitude": at.small, "pitch": pitch, "phase": 0.0}
-            out.append(Start(sine, (sine, sine | {"phase": math.pi / 2}), ("amplitude",), signed=True))
+            out.append(
+                Start(
+                    sine,
+                    (sine, sine | {"phase": math.pi / 2}),
+                    ("amplitude",),
+                    signed=True,
+                )
+            )
         return out
 
     @classmethod
     def sized(cls, start: Start, amplitude: Array) -> dict[str, float]:
         sine, cosine = amplitude * start.values["amplitude"]
-        return start.values | {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine)}
+        return start.values | {
+            "amplitude": math.hypot(sine, cosine),
+            "phase": math.atan2(cosine, sine),
+        }
 
     @classmethod
-    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
-        slope = 2 * math.pi * values["amplitude"] / values["pitch"] * math.cos(values["phase"])
+    def special(
+        cls, simple: str, values: Mapping[str, float], motion: Motion | None
+    ) -> dict[str, float]:
+        slope = (
+            2
+            * math.pi
+            * values["amplitude"]
+            / values["pitch"]
+            * math.cos(values["phase"])
+        )
         size = PROBE * values["amplitude"] / values["pitch"]
         return {"stiffness": max(slope, size)}
 
@@ -560,10 +693,14 @@ class CoggingForce(Element):
 class TyreLiftOff(Element):
     type = "tyre_lift_off"
     mechanism = "elastic"
-    equation = "F = -max(k d - W, 0): a tyre cannot pull on the road beyond its static load W"
+    equation = (
+        "F = -max(k d - W, 0): a tyre cannot pull on the road beyond its static load W"
+    )
     source = "unilateral contact of the tyre"
     signature = "dynamic tyre force cut off at the static load"
-    test = "Raise the excitation: the dynamic tyre force must stop at {load} of unloading."
+    test = (
+        "Raise the excitation: the dynamic tyre force must stop at {load} of unloading."
+    )
     law = staticmethod(_lift_off)
     stiffness: float = parameter("N/m", 5e4, 5e5)
     load: float = parameter("N", 500.0, 1e4)
@@ -578,8 +715,12 @@ class TyreLiftOff(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        stiffness = next(e for e in at.beside if e.type == "linear_stiffness").linear()[0]
-        loads = [float(np.quantile(stiffness * at.moves.d, q)) for q in (0.8, 0.93, 0.985)]
+        stiffness = next(e for e in at.beside if e.type == "linear_stiffness").linear()[
+            0
+        ]
+        loads = [
+            float(np.quantile(stiffness * at.moves.d, q)) for q in (0.8, 0.93, 0.985)
+        ]
         return [Start({"stiffness": stiffness, "load": w}) for w in loads if w > 0]
 
     @classmethod

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
-from ._base import GROUND, Element, Setting, Start, beside, held_by_parameter, parameter, register, rms
+from ._base import (
+    GROUND,
+    Element,
+    Setting,
+    Start,
+    beside,
+    held_by_parameter,
+    parameter,
+    register,
+    rms,
+)
 
 if TYPE_CHECKING:
     from ..network import Network
@@ -56,7 +66,13 @@ class SeriesCompliance(LinearStiffness):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"stiffness": at.force / (0.02 * rms(at.moves.d))}, grows=("stiffness",), inverse=True)]
+        return [
+            Start(
+                {"stiffness": at.force / (0.02 * rms(at.moves.d))},
+                grows=("stiffness",),
+                inverse=True,
+            )
+        ]
 
 
 @register
@@ -66,9 +82,7 @@ class LinearDamping(Element):
     equation = "F = c v"
     source = "Table 6 (damper), Table 4 (leak)"
     signature = "force in phase with velocity, the same at every amplitude"
-    test = (
-        "Double the speed at the same amplitude: the extra force ({damping}) must double, at every amplitude."
-    )
+    test = "Double the speed at the same amplitude: the extra force ({damping}) must double, at every amplitude."
     plane = "rate"
     damping: float = parameter("N s/m", 10.0, 1e4)
 
@@ -131,7 +145,11 @@ class TerminalInertia(Element):
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
-        return [{"terminal": t} for t, node in zip(("first", "second"), where, strict=True) if node != GROUND]
+        return [
+            {"terminal": t}
+            for t, node in zip(("first", "second"), where, strict=True)
+            if node != GROUND
+        ]
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
@@ -157,5 +175,7 @@ class Motor(Element):
 
 def is_device(network: Network, where: tuple[str, ...]) -> bool:
     """Return whether a motor or an inerter is between two nodes; in a network without any, every connected pair is a device."""
-    devices = {frozenset(e.where) for e in network.elements if isinstance(e, Motor | Inertance)}
+    devices = {
+        frozenset(e.where) for e in network.elements if isinstance(e, Motor | Inertance)
+    }
     return frozenset(where) in devices if devices else bool(beside(network, where))

@@ -37,7 +37,12 @@ def transmits(element: Element) -> bool:
     parts = element.parts()
     is_dry = any(type(part).bound is not None for part in parts)
     has_force = isinstance(element, Motor) or bool(parts) or any(element.linear()[:2])
-    return element.place == "between" and has_force and not is_dry and not element.linear()[2]
+    return (
+        element.place == "between"
+        and has_force
+        and not is_dry
+        and not element.linear()[2]
+    )
 
 
 @register
@@ -58,11 +63,16 @@ class LoadDependentFriction(Element):
     load: str = ""
 
     def curve(self, axis: Array) -> Array:
-        raise NotImplementedError(f"{self.type} is no curve: its force depends on the load")
+        raise NotImplementedError(
+            f"{self.type} is no curve: its force depends on the load"
+        )
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        rubs = any(isinstance(e, StribeckFriction | AsymmetricFriction) for e in beside(network, where))
+        rubs = any(
+            isinstance(e, StribeckFriction | AsymmetricFriction)
+            for e in beside(network, where)
+        )
         return not rubs and super().stands(network, where)
 
     @classmethod
@@ -71,11 +81,21 @@ class LoadDependentFriction(Element):
         here, turns = set(where) - {GROUND}, bool(set(where) & set(network.rotating))
         loads = []
         for e in network.elements:
-            is_load = isinstance(e, LinearStiffness | Motor) or e.mechanism in ("elastic", "constant")
+            is_load = isinstance(e, LinearStiffness | Motor) or e.mechanism in (
+                "elastic",
+                "constant",
+            )
             same = set(e.where) == set(where)
-            if e.place != "between" or not is_load or not here & set(e.where) or not transmits(e):
+            if (
+                e.place != "between"
+                or not is_load
+                or not here & set(e.where)
+                or not transmits(e)
+            ):
                 continue
-            if turns == bool(set(e.where) & set(network.rotating)) and (not same or isinstance(e, Motor)):
+            if turns == bool(set(e.where) & set(network.rotating)) and (
+                not same or isinstance(e, Motor)
+            ):
                 loads.append({"load": e.name})
         return loads
 
@@ -83,11 +103,16 @@ class LoadDependentFriction(Element):
     def starts(cls, at: Setting) -> list[Start]:
         if at.samples is None:
             return []
-        known = next((e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0)
+        known = next(
+            (e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0
+        )
         level = known or at.small
         return [
             Start(
-                {"level": share * level, "gain": (1.0 - share) * level / rms(at.samples)},
+                {
+                    "level": share * level,
+                    "gain": (1.0 - share) * level / rms(at.samples),
+                },
                 grows=() if known else ("level", "gain"),
                 signed=bool(known),
             )

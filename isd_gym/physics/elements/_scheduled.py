@@ -49,18 +49,24 @@ class _Scheduled(Element):
     scheduled: ClassVar[bool] = True
 
     def curve(self, axis: Array) -> Array:
-        raise NotImplementedError(f"{self.type} is no curve: its force depends on a logged channel")
+        raise NotImplementedError(
+            f"{self.type} is no curve: its force depends on a logged channel"
+        )
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
-        return [{"channel": c.name} for c in network.inputs if c.quantity == "condition"]
+        return [
+            {"channel": c.name} for c in network.inputs if c.quantity == "condition"
+        ]
 
 
 def _spread(at: Setting) -> tuple[float, float]:
     """Return mean and standard deviation of the logged channel; 0 for the deviation of a nearly constant channel."""
     values = np.zeros(1) if at.samples is None else at.samples
     mean, deviation = float(np.mean(values)), float(np.std(values))
-    return mean, deviation if deviation > LEAST_SPREAD * float(np.abs(values).max()) else 0.0
+    return mean, deviation if deviation > LEAST_SPREAD * float(
+        np.abs(values).max()
+    ) else 0.0
 
 
 @register
@@ -68,13 +74,22 @@ class ScheduledDamping(_Scheduled):
     type = "scheduled_damping"
     mechanism = "viscous"
     equation = "F = s (T - T_0) v, beside what stands there; T is a logged channel"
-    source = "oil that thins as it warms up (ISO 3448 gives its viscosity over temperature)"
+    source = (
+        "oil that thins as it warms up (ISO 3448 gives its viscosity over temperature)"
+    )
     signature = "damping that changes with a logged channel, such as a temperature"
     test = "Repeat one motion at two values of the channel: the damping must change by {slope} times their difference."
     law = staticmethod(_scheduled_damping)
-    slope: float = parameter("N s/m per unit of the channel", -100.0, 100.0, minimum=-math.inf)
+    slope: float = parameter(
+        "N s/m per unit of the channel", -100.0, 100.0, minimum=-math.inf
+    )
     reference: float = parameter(
-        "unit of the channel", -100.0, 1000.0, default=0.0, minimum=-math.inf, fixed=True
+        "unit of the channel",
+        -100.0,
+        1000.0,
+        default=0.0,
+        minimum=-math.inf,
+        fixed=True,
     )
     channel: str = ""
 
@@ -84,7 +99,9 @@ class ScheduledDamping(_Scheduled):
         if not deviation or at.samples is None or len(at.samples) != len(at.moves.v):
             return []
         slope = at.small / rms((at.samples - mean) * at.moves.v)
-        return [Start({"slope": slope, "reference": mean}, grows=("slope",), signed=True)]
+        return [
+            Start({"slope": slope, "reference": mean}, grows=("slope",), signed=True)
+        ]
 
 
 @register
@@ -92,24 +109,32 @@ class ScheduledFriction(_Scheduled):
     type = "scheduled_friction"
     mechanism = "dry_friction"
     equation = "F in max(f + s (T - T_0), 0) Sgn(v); T is a logged channel"
-    source = (
-        "seals and grease that warm up; Bittencourt and Gunnarsson, J. Dyn. Sys. Meas. Control 134 (2012)"
-    )
+    source = "seals and grease that warm up; Bittencourt and Gunnarsson, J. Dyn. Sys. Meas. Control 134 (2012)"
     signature = "Coulomb friction whose level changes with a logged channel, such as a temperature"
     test = "Repeat a slow motion at two values of the channel: the jump at each reversal must change by twice {slope} times their difference."
     contains = ("coulomb_friction",)
     replaces = ("coulomb_friction",)
     bound = staticmethod(_scheduled_friction)
     level: float = parameter("N", 5.0, 2000.0)
-    slope: float = parameter("N per unit of the channel", -50.0, 50.0, minimum=-math.inf)
+    slope: float = parameter(
+        "N per unit of the channel", -50.0, 50.0, minimum=-math.inf
+    )
     reference: float = parameter(
-        "unit of the channel", -100.0, 1000.0, default=0.0, minimum=-math.inf, fixed=True
+        "unit of the channel",
+        -100.0,
+        1000.0,
+        default=0.0,
+        minimum=-math.inf,
+        fixed=True,
     )
     channel: str = ""
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        rubs = any(isinstance(e, StribeckFriction | AsymmetricFriction) for e in beside(network, where))
+        rubs = any(
+            isinstance(e, StribeckFriction | AsymmetricFriction)
+            for e in beside(network, where)
+        )
         return not rubs and super().stands(network, where)
 
     @classmethod
@@ -117,7 +142,9 @@ class ScheduledFriction(_Scheduled):
         mean, deviation = _spread(at)
         if not deviation:
             return []
-        known = next((e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0)
+        known = next(
+            (e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0
+        )
         level = known or at.small
         return [
             Start(
@@ -148,7 +175,9 @@ class ControlledDamper(Element):
     current: float = parameter("A", 0.5, 5.0, open_end=True)
 
     def curve(self, axis: Array) -> Array:
-        raise NotImplementedError(f"{self.type} is no curve: its force depends on a current")
+        raise NotImplementedError(
+            f"{self.type} is no curve: its force depends on a current"
+        )
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:

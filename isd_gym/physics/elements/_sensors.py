@@ -43,7 +43,9 @@ class SensorGain(_Sensor):
     source = "calibration error; Isermann, Fault-Diagnosis Systems (2006): beyond a factor of five a sensor is broken or in another unit"
     signature = "one channel off in proportion, all others right"
     test = "Put the sensor on a known input (a shaker, a gauge block): it must read {gain} times the truth."
-    gain: float = plausible(parameter("-", 0.3, 3.0, default=1.0, minimum=-math.inf, spread=0.1), 0.2, 5.0)
+    gain: float = plausible(
+        parameter("-", 0.3, 3.0, default=1.0, minimum=-math.inf, spread=0.1), 0.2, 5.0
+    )
 
     def apply(self, signal: Array, step: float) -> Array:
         return self.gain * signal
@@ -65,7 +67,9 @@ class SensorBias(_ZeroSensor):
     source = "offset error"
     signature = "one channel off by a constant, all others right"
     test = "Read the sensor with the rig at rest: it must show {bias}."
-    bias: float = parameter("unit of the channel", -math.inf, math.inf, minimum=-math.inf)
+    bias: float = parameter(
+        "unit of the channel", -math.inf, math.inf, minimum=-math.inf
+    )
 
     def apply(self, signal: Array, step: float) -> Array:
         return signal + self.bias
@@ -86,7 +90,9 @@ class SensorDelay(_Sensor):
     )
     signature = "one channel late or early, all others right"
     test = "Tap the rig with two sensors at one place: this one must answer {delay} later (earlier, if negative)."
-    delay: float = plausible(parameter("s", -0.1, 0.1, minimum=-math.inf, spread=0.03), -LATEST, LATEST)
+    delay: float = plausible(
+        parameter("s", -0.1, 0.1, minimum=-math.inf, spread=0.03), -LATEST, LATEST
+    )
 
     def apply(self, signal: Array, step: float) -> Array:
         return delayed(signal, self.delay / step)
@@ -102,7 +108,9 @@ class SensorMagnitude(_ZeroSensor):
     mechanism = "sensor"
     equation = "y = |y_true|"
     source = "tachometers and flow meters that count pulses; Doebelin, Measurement Systems (2003)"
-    signature = "one channel never below zero, with a kink wherever its quantity changes sign"
+    signature = (
+        "one channel never below zero, with a kink wherever its quantity changes sign"
+    )
     test = "Move the rig slowly one way and the other: the sensor must show the same sign both ways."
 
     def apply(self, signal: Array, step: float) -> Array:
@@ -110,7 +118,11 @@ class SensorMagnitude(_ZeroSensor):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        low, high = np.quantile(at.samples, [0.001, 0.999]) if at.samples is not None else (-1.0, 1.0)
+        low, high = (
+            np.quantile(at.samples, [0.001, 0.999])
+            if at.samples is not None
+            else (-1.0, 1.0)
+        )
         # below zero only noise
         return [Start({}, signed=True)] if low > -NEGATIVE * high else []
 
@@ -124,21 +136,31 @@ class SensorDeadZone(_ZeroSensor):
     signature = "one channel rests at zero while the others move"
     test = "Move the sensor slowly through its zero: it must show nothing until {width} on either side."
     shaped_by = "width"
-    width: float = plausible(parameter("unit of the channel", 1e-6, 1e6, open_end=True), reach=20.0)
+    width: float = plausible(
+        parameter("unit of the channel", 1e-6, 1e6, open_end=True), reach=20.0
+    )
 
     def apply(self, signal: Array, step: float) -> Array:
-        return np.asarray(signal - np.clip(signal, -self.width, self.width), dtype=np.float64)
+        return np.asarray(
+            signal - np.clip(signal, -self.width, self.width), dtype=np.float64
+        )
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         if at.samples is None or not rests_at_zero(at.samples):
             return []
-        return [Start({"width": share * at.signal}, grows=("width",)) for share in (0.1, 0.4)]
+        return [
+            Start({"width": share * at.signal}, grows=("width",))
+            for share in (0.1, 0.4)
+        ]
 
 
 def rests_at_zero(samples: Array) -> bool:
     """Return whether a signal (n,) is near zero much more often than near the values beside zero."""
     size = np.abs(samples)
     near = 0.02 * float(np.quantile(size, 0.999))
-    at_zero, beside = np.mean(size < near), np.mean((size >= near) & (size < 4.0 * near)) / 3.0
+    at_zero, beside = (
+        np.mean(size < near),
+        np.mean((size >= near) & (size < 4.0 * near)) / 3.0,
+    )
     return bool(at_zero > 2.0 * beside)

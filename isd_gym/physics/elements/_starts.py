@@ -29,7 +29,9 @@ def _values_of(f: Field[Any], motion: Motion | None) -> list[float]:
     return [math.sqrt(low * high) if low > 0 else 0.5 * (low + high)]
 
 
-def _force(cls: type[Element], values: Mapping[str, float], at: Setting) -> Array | None:
+def _force(
+    cls: type[Element], values: Mapping[str, float], at: Setting
+) -> Array | None:
     """Return the force of a law over a thinned piece of the motion; None for impossible values."""
     try:
         e = cls(name="trial", where=at.where, **values, **at.options)
@@ -40,10 +42,15 @@ def _force(cls: type[Element], values: Mapping[str, float], at: Setting) -> Arra
     d, v, a = m.d[pick], m.v[pick], m.a[pick]
     if cls.bound is not None:
         p = np.array(e.law_parameters())
-        return np.array([cls.bound(p, x, s) * np.sign(s) for x, s in zip(d, v, strict=True)])
+        return np.array(
+            [cls.bound(p, x, s) * np.sign(s) for x, s in zip(d, v, strict=True)]
+        )
     if cls.law is not None:
         p, z, last, out = np.array(e.law_parameters()), 0.0, d[0], []
-        h = float(np.median(np.abs(np.diff(d))) / max(np.median(np.abs(v)), 1e-12)) or 1e-3
+        h = (
+            float(np.median(np.abs(np.diff(d))) / max(np.median(np.abs(v)), 1e-12))
+            or 1e-3
+        )
         for x, s in zip(d, v, strict=True):
             f, z = cls.law(p, x, s, last, z, h)
             last = x
@@ -56,12 +63,16 @@ def _force(cls: type[Element], values: Mapping[str, float], at: Setting) -> Arra
 def generic_starts(cls: type[Element], at: Setting) -> list[Start]:
     """Return start values for a law, scaled by the motion and force of the data."""
     free = [f for f in parameter_fields(cls) if not f.metadata["fixed"]]
-    if at.motion is None:  # an effect at a motor or a channel has no size before the fit
+    if (
+        at.motion is None
+    ):  # an effect at a motor or a channel has no size before the fit
         middle = {f.name: _values_of(f, None)[0] for f in free}
         return [Start(middle, grows=tuple(middle)[:1])]
     trials: list[dict[str, float]] = [{}]
     for f in free:
-        trials = [t | {f.name: x} for t in trials for x in _values_of(f, at.motion)][:27]
+        trials = [t | {f.name: x} for t in trials for x in _values_of(f, at.motion)][
+            :27
+        ]
     out = []
     for values in trials:
         force = _force(cls, values, at)
@@ -70,10 +81,16 @@ def generic_starts(cls: type[Element], at: Setting) -> list[Start]:
         grows = []
         for f in free:
             doubled = _force(cls, values | {f.name: 2.0 * values[f.name]}, at)
-            if doubled is not None and np.allclose(doubled, 2.0 * force, rtol=1e-6, atol=1e-9 * rms(force)):
+            if doubled is not None and np.allclose(
+                doubled, 2.0 * force, rtol=1e-6, atol=1e-9 * rms(force)
+            ):
                 grows.append(f.name)
         if not grows:  # several parameters may scale the force only together, such as the levels of a curve
-            rest = [f.name for f in free if f.metadata["unit"] not in ("m", "rad", "m/s", "rad/s", "-")]
+            rest = [
+                f.name
+                for f in free
+                if f.metadata["unit"] not in ("m", "rad", "m/s", "rad/s", "-")
+            ]
             doubled = _force(cls, values | {n: 2.0 * values[n] for n in rest}, at)
             if (
                 rest
@@ -82,7 +99,9 @@ def generic_starts(cls: type[Element], at: Setting) -> list[Start]:
             ):
                 grows = rest
         scale = at.small / rms(force)
-        sized = values | {n: values[n] * scale for n in (grows if len(grows) != 1 else grows[:1])}
+        sized = values | {
+            n: values[n] * scale for n in (grows if len(grows) != 1 else grows[:1])
+        }
         signed = any(f.metadata["minimum"] < 0 for f in free if f.name in grows)
         out.append(Start(sized, grows=tuple(grows), signed=signed))
     return out or [Start(trials[0])]

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ..network import Network
 
-KNOTS, CELLS = 500, 20_000  # upper limits for knots of an axis, and for values of a table
+KNOTS, CELLS = (
+    500,
+    20_000,
+)  # upper limits for knots of an axis, and for values of a table
 FINER = 8  # linear pieces between two knots of a smooth table
 
 
@@ -32,7 +35,9 @@ def knots(unit: str) -> Any:
     return field(default=(), metadata={"knots": unit})
 
 
-def _tabulated(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+def _tabulated(
+    p: Array, d: float, v: float, d_last: float, z: float, h: float
+) -> tuple[float, float]:
     # p: scale, numbers of elongations and rates, extrapolation flag, elongations, rates, forces
     nd, nv, on = int(p[1]), int(p[2]), p[3]
     force, row = 4 + nd + nv, max(nv, 1)
@@ -79,7 +84,9 @@ class TabulatedForce(Element):
     equation = "F = scale * table(d, v)"
     source = "a measured law, or the one that a diagnosis found without a name for it"
     signature = "whatever the table says"
-    test = "Move the two parts through the table's range: the force must be the table's."
+    test = (
+        "Move the two parts through the table's range: the force must be the table's."
+    )
     law = staticmethod(_tabulated)
     choices: ClassVar[dict[str, tuple[str, ...]]] = {
         "interpolation": ("linear", "smooth"),
@@ -106,7 +113,9 @@ class TabulatedForce(Element):
             axes.append(len(row))
         nd, nv = axes
         if not nd and not nv:
-            raise InputError(f'{what}: a table is over "elongation", over "rate" or over both')
+            raise InputError(
+                f'{what}: a table is over "elongation", over "rate" or over both'
+            )
         if nd and nv:
             force = self.force if isinstance(self.force, list | tuple) else ()
             table: tuple[Any, ...] = tuple(_row(r, f"{what}: force") for r in force)
@@ -117,9 +126,13 @@ class TabulatedForce(Element):
         else:
             table = _row(self.force, f"{what}: force")
             if len(table) != nd + nv:
-                raise InputError(f"{what}: force must hold {nd + nv} numbers, one a knot, not {len(table)}")
+                raise InputError(
+                    f"{what}: force must hold {nd + nv} numbers, one a knot, not {len(table)}"
+                )
         if max(nd, 1) * max(nv, 1) > CELLS:
-            raise InputError(f"{what}: a table of {nd} times {nv} numbers, at most {CELLS} are handled")
+            raise InputError(
+                f"{what}: a table of {nd} times {nv} numbers, at most {CELLS} are handled"
+            )
         object.__setattr__(self, "force", table)
         if nv and not nd:
             object.__setattr__(self, "plane", "rate")
@@ -127,19 +140,39 @@ class TabulatedForce(Element):
     @property
     def over(self) -> str:
         """Axes of the table: 'elongation', 'rate' or 'both'."""
-        return "both" if self.elongation and self.rate else "rate" if self.rate else "elongation"
+        return (
+            "both"
+            if self.elongation and self.rate
+            else "rate"
+            if self.rate
+            else "elongation"
+        )
 
     def at(self, d: Array, v: Array) -> Array:
         """Return the force (n,) [N] at elongations (n,) [m] and rates (n,) [m/s]."""
         p = np.array(self.law_parameters())
-        return np.array([_tabulated(p, x, s, 0.0, 0.0, 0.0)[0] for x, s in zip(d, v, strict=True)])
+        return np.array(
+            [_tabulated(p, x, s, 0.0, 0.0, 0.0)[0] for x, s in zip(d, v, strict=True)]
+        )
 
     def law_parameters(self) -> list[float]:
-        d, v, f = np.array(self.elongation), np.array(self.rate), np.array(self.force, float)
+        d, v, f = (
+            np.array(self.elongation),
+            np.array(self.rate),
+            np.array(self.force, float),
+        )
         if self.interpolation == "smooth":
             d, v, f = _finer(d, v, f)
         on = 1.0 if self.beyond == "slope" else 0.0
-        return [self.scale, float(len(d)), float(len(v)), on, *d.tolist(), *v.tolist(), *f.ravel().tolist()]
+        return [
+            self.scale,
+            float(len(d)),
+            float(len(v)),
+            on,
+            *d.tolist(),
+            *v.tolist(),
+            *f.ravel().tolist(),
+        ]
 
     def curve(self, axis: Array) -> Array:
         still = np.zeros(len(axis))
@@ -159,7 +192,9 @@ class TabulatedForce(Element):
 
 def _row(values: Any, what: str) -> tuple[float, ...]:
     if not isinstance(values, list | tuple) or len(values) > KNOTS:
-        raise InputError(f"{what} must be a list of at most {KNOTS} numbers, not {shown(values)}")
+        raise InputError(
+            f"{what} must be a list of at most {KNOTS} numbers, not {shown(values)}"
+        )
     return tuple(number(x, what) for x in values)
 
 

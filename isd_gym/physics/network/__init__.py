@@ -10,7 +10,14 @@ from ._assembly import Assembly, assemble, assemble_all
 from ._bodies import AXES, Body, Lever, Point
 from ._cut import cut, rejoin, without
 from ._format import SCHEMA, builtin_networks
-from ._linear import StateSpace, linearise, natural_frequencies, own_time, slowest_time, transfer
+from ._linear import (
+    StateSpace,
+    linearise,
+    natural_frequencies,
+    own_time,
+    slowest_time,
+    transfer,
+)
 from ._model import GROUND, MOTIONS, Channel, Network
 
 __all__ = [

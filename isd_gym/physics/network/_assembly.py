@@ -49,17 +49,27 @@ class Assembly:
 
     network: Network  # the model
     channels: tuple[Channel, ...]  # channels of the outputs
-    size: tuple[int, int, int, int, int]  # numbers of states, moved nodes, force inputs, currents and laws
+    size: tuple[
+        int, int, int, int, int
+    ]  # numbers of states, moved nodes, force inputs, currents and laws
     laws: tuple[el.Element, ...]  # elements with a law
     rate: np.ndarray  # time derivative of the states, rows (states, columns)
     elongation: np.ndarray  # elongation of each law [m], rows (laws, columns)
-    elongation_rate: np.ndarray  # rate of elongation of each law [m/s], rows (laws, columns)
+    elongation_rate: (
+        np.ndarray
+    )  # rate of elongation of each law [m/s], rows (laws, columns)
     #: whether each law acts on an algebraic node, whose velocity is the difference of its positions
     by_difference: tuple[bool, ...]
     outputs: np.ndarray  # rows (channels, columns)
-    outputs_by_difference: tuple[bool, ...]  # whether each output is on an algebraic node
-    position: np.ndarray  # positions of the nodes, moved nodes last, rows (nodes, columns)
-    velocity: np.ndarray  # velocities of the nodes, moved nodes last, rows (nodes, columns)
+    outputs_by_difference: tuple[
+        bool, ...
+    ]  # whether each output is on an algebraic node
+    position: (
+        np.ndarray
+    )  # positions of the nodes, moved nodes last, rows (nodes, columns)
+    velocity: (
+        np.ndarray
+    )  # velocities of the nodes, moved nodes last, rows (nodes, columns)
 
     def columns(self, part: str) -> slice:
         """Return the columns of a part of the base vector.
@@ -84,7 +94,9 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
     return _assemble([network], extra)[0] if extra else network._assembly
 
 
-def assemble_all(networks: Sequence[Network], extra: Sequence[Channel] = ()) -> list[Assembly]:
+def assemble_all(
+    networks: Sequence[Network], extra: Sequence[Channel] = ()
+) -> list[Assembly]:
     """Return the equations of motion of several networks; networks that differ in values alone are computed side by side.
 
     Args:
@@ -116,7 +128,16 @@ def _topology(network: Network) -> tuple[object, ...]:
     for e in network.elements:
         if e.place == "between":
             words = (getattr(e, name, "") for name in ("terminal", "load", "channel"))
-            elements.append((type(e), e.name, e.where, *words, *map(bool, e.linear()), len(e.parts())))
+            elements.append(
+                (
+                    type(e),
+                    e.name,
+                    e.where,
+                    *words,
+                    *map(bool, e.linear()),
+                    len(e.parts()),
+                )
+            )
     masses = tuple((node, mass > 0) for node, mass in network.carried.items())
     ties = (network.bodies, network.levers, network.turning)
     return (*elements, *masses, *ties, network.inputs, network.outputs)
@@ -139,7 +160,9 @@ def _assemble(networks: Sequence[Network], extra: Sequence[Channel]) -> list[Ass
     size = (states, len(nodes.moved), counts[0], counts[1], len(laws[0]))
     pushes = _pushes(networks, nodes, laws[0], size)
     motion = _motion(nodes, matrices, ties, split, pushes.nodes, size)
-    law_rows = np.array([nodes.incidence(e.between) for e in laws[0]]).reshape(len(laws[0]), nodes.count)
+    law_rows = np.array([nodes.incidence(e.between) for e in laws[0]]).reshape(
+        len(laws[0]), nodes.count
+    )
     outputs = _Outputs(networks, nodes, laws[0], pushes.motors, motion, size)
     channels = (*network.outputs, *extra)
     found = [outputs.row(channel) for channel in channels]
@@ -147,10 +170,17 @@ def _assemble(networks: Sequence[Network], extra: Sequence[Channel]) -> list[Ass
     elongation, elongation_rate = law_rows @ motion.position, law_rows @ motion.velocity
     for j, e in enumerate(laws[0]):
         if e.loaded:  # the kernel passes the load instead of the elongation
-            elongation[:, j] = outputs.force_of(getattr(e, "load", ""), f"element '{e.name}'")
+            elongation[:, j] = outputs.force_of(
+                getattr(e, "load", ""), f"element '{e.name}'"
+            )
     if any(c.quantity != "displacement" for c in network.moving):
-        rows = _complete_motions(network, laws[0], motion, elongation, elongation_rate, rows, size)
-    if not all(np.isfinite(m).all() for m in (motion.rate, motion.position, motion.velocity, *rows)):
+        rows = _complete_motions(
+            network, laws[0], motion, elongation, elongation_rate, rows, size
+        )
+    if not all(
+        np.isfinite(m).all()
+        for m in (motion.rate, motion.position, motion.velocity, *rows)
+    ):
         raise InputError(TOO_FAR_APART)
     algebraic = np.abs(nodes.of_nodes(motion.algebraic)).sum(axis=1) > NO_SHARE
     by_difference = tuple(_hangs_on(row, motion.algebraic) for row in law_rows)
@@ -197,7 +227,9 @@ def _complete_motions(
     rows = [_without_rounding(row) for row in rows]
     for k in range(len(elongation)):
         seen = [row[k] for row in rows]
-        complete(network, lacking, motion.rate[k], elongation[k], elongation_rate[k], seen)
+        complete(
+            network, lacking, motion.rate[k], elongation[k], elongation_rate[k], seen
+        )
     return rows
 
 
@@ -220,11 +252,15 @@ def _schedule(
     logged = [c.name for c in network.inputs if c.quantity == "condition"]
     for j, e in enumerate(laws):
         if by_difference[j] and (e.scheduled or e.loaded):
-            raise InputError(f"element '{e.name}': the velocity of an algebraic node is not defined")
+            raise InputError(
+                f"element '{e.name}': the velocity of an algebraic node is not defined"
+            )
         if e.driven:
             entries = _entries(size, "I", len(currents))
             elongation[:, j] = sum(
-                row for row, c in zip(entries, currents, strict=True) if e.name in c.elements
+                row
+                for row, c in zip(entries, currents, strict=True)
+                if e.name in c.elements
             )
         elif e.scheduled:
             column = len(currents) + logged.index(getattr(e, "channel", ""))
@@ -238,7 +274,9 @@ TOO_FAR_APART = "the model's parameters differ by too many orders of magnitude: 
 
 NO_MASS = 1e-10  # share of the largest singular value below which a direction carries no momentum or damping
 NO_SHARE = 1e-9  # share of a direction in a row below which the direction is rounding
-ROUNDING = 1e-12  # share of the largest number of its kind below which a number has cancelled
+ROUNDING = (
+    1e-12  # share of the largest number of its kind below which a number has cancelled
+)
 NO_HOLD = 1e-12  # share of the largest stiffness below which a stiffness holds nothing
 UPRIGHT = 0.3  # share of the largest node of a space from which a node is a direction of the basis
 
@@ -256,7 +294,10 @@ def _spans(size: Size) -> Mapping[str, slice]:
     ends = np.cumsum([0, *_widths(size)]).tolist()
     names = ("x", "r", "v", "alpha", "F", "I", "f")
     return MappingProxyType(
-        {name: slice(begin, end) for name, begin, end in zip(names, ends[:-1], ends[1:], strict=True)}
+        {
+            name: slice(begin, end)
+            for name, begin, end in zip(names, ends[:-1], ends[1:], strict=True)
+        }
     )
 
 
@@ -281,7 +322,9 @@ class _Matrices:
 
 
 def _matrices(
-    networks: Sequence[Network], nodes: Coordinates, lanes: Sequence[Sequence[el.Element]]
+    networks: Sequence[Network],
+    nodes: Coordinates,
+    lanes: Sequence[Sequence[el.Element]],
 ) -> _Matrices:
     shape = (len(networks), nodes.count, nodes.count)
     inertia, damping, stiffness = np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -300,7 +343,9 @@ def _matrices(
                 matrix += column[:, None, None] * square
         if isinstance(first, el.TerminalInertia):
             node = first.between[0 if first.terminal == "first" else 1]
-            inertia += _values(several, "mass")[:, None, None] * np.outer(row, nodes.row(node))
+            inertia += _values(several, "mass")[:, None, None] * np.outer(
+                row, nodes.row(node)
+            )
     return _Matrices(inertia, damping, stiffness)
 
 
@@ -313,7 +358,9 @@ def _values(elements: Sequence[el.Element], name: str) -> np.ndarray:
 class _Ties:
     """Matrices (networks, free, moved) that tie free nodes to moved nodes, including nodes seen from a frame (`frames`)."""
 
-    frame: np.ndarray  # 1 for a free node seen from the frame of a moved node (free, moved)
+    frame: (
+        np.ndarray
+    )  # 1 for a free node seen from the frame of a moved node (free, moved)
     inertia: np.ndarray
     momentum: np.ndarray  # the inertia, for moved nodes of known velocity
     damping: np.ndarray
@@ -358,19 +405,29 @@ class _Split:
 def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
     """Return the directions of the free nodes; raise `InputError` for an inertia between a massless and a moved node."""
     free = len(nodes.free)
-    inertias, dampings = matrices.inertia[:, :free, :free], matrices.damping[:, :free, :free]
+    inertias, dampings = (
+        matrices.inertia[:, :free, :free],
+        matrices.damping[:, :free, :free],
+    )
     inertia, damping = inertias[0], dampings[0]
-    left, values, right = np.linalg.svd(inertia) if free else (np.eye(0), np.zeros(0), np.eye(0))
+    left, values, right = (
+        np.linalg.svd(inertia) if free else (np.eye(0), np.zeros(0), np.eye(0))
+    )
     rank = int(np.sum(values > NO_MASS * values[0])) if free and values[0] > 0 else 0
     left_massless, massless = left[:, rank:], right[rank:].T
     if left_massless.size:
         carried = np.abs(left_massless.T @ ties.inertia).max(axis=(1, 2), initial=0.0)
         if np.any(carried > NO_SHARE * np.abs(matrices.inertia).max(axis=(1, 2))):
-            raise InputError("an inertia between a massless node and a moved node is not supported here")
+            raise InputError(
+                "an inertia between a massless node and a moved node is not supported here"
+            )
     turn, strengths, turn_right = np.linalg.svd(left_massless.T @ damping @ massless)
     least = NO_MASS * max(np.abs(damping).max(initial=0.0), 1e-300)
     damped = int(np.sum(strengths > least)) if strengths.size else 0
-    inertial, resisted = _upright(right[:rank].T), _upright(massless @ turn_right[:damped].T)
+    inertial, resisted = (
+        _upright(right[:rank].T),
+        _upright(massless @ turn_right[:damped].T),
+    )
     pushed, dragged = _upright(left[:, :rank]), left_massless @ turn[:, :damped]
     # [None]: older NumPy takes a right side with one axis fewer for a vector
     return _Split(
@@ -413,7 +470,10 @@ class _Pushes:
 
 
 def _pushes(
-    networks: Sequence[Network], nodes: Coordinates, laws: Sequence[el.Element], size: Size
+    networks: Sequence[Network],
+    nodes: Coordinates,
+    laws: Sequence[el.Element],
+    size: Size,
 ) -> _Pushes:
     """Return the forces on the nodes: forces push inwards, motors and laws (positive in tension) outwards."""
     network, at, width = networks[0], _spans(size), sum(_widths(size))
@@ -425,11 +485,13 @@ def _pushes(
         if isinstance(e, el.Motor):
             several = [n.element(e.name) for n in networks]
             motor = motors[e.name] = np.zeros((len(networks), width))
-            for j, channel in enumerate(c for c in network.inputs if c.quantity == "current"):
+            for j, channel in enumerate(
+                c for c in network.inputs if c.quantity == "current"
+            ):
                 if channel.element == e.name:
-                    motor[:, at["I"].start + j] = _values(several, "thrust_constant") * _values(
-                        several, "ratio"
-                    )
+                    motor[:, at["I"].start + j] = _values(
+                        several, "thrust_constant"
+                    ) * _values(several, "ratio")
             push -= nodes.incidence(e.between)[:, None] * motor[:, None, :]
     for j, e in enumerate(laws):
         push[:, :, at["f"].start + j] -= nodes.incidence(e.between)
@@ -452,7 +514,12 @@ class _Motion:
 
 
 def _motion(
-    nodes: Coordinates, matrices: _Matrices, ties: _Ties, split: _Split, push: np.ndarray, size: Size
+    nodes: Coordinates,
+    matrices: _Matrices,
+    ties: _Ties,
+    split: _Split,
+    push: np.ndarray,
+    size: Size,
 ) -> _Motion:
     """Return the motion of all nodes; raise `InputError` for a massless node without support."""
     (free, moved), s = ties.frame.shape, split
@@ -460,7 +527,10 @@ def _motion(
     r, v, alpha = (_entries(size, part, moved) for part in ("r", "v", "alpha"))
     C, K = matrices.damping[:, :free, :free], matrices.stiffness[:, :free, :free]
     # states: displacement and momentum of the inertial directions, displacement of the damped directions
-    inertial, momentum = _entries(size, "x", inertias), _entries(size, "x", inertias, inertias)
+    inertial, momentum = (
+        _entries(size, "x", inertias),
+        _entries(size, "x", inertias, inertias),
+    )
     damped = _entries(size, "x", dampings, 2 * inertias)
     inertial_rate = momentum - s.accelerates @ ties.momentum @ v
     known = (
@@ -483,7 +553,9 @@ def _motion(
         rate=np.concatenate([inertial_rate, momentum_rate, damped_rate], axis=1),
         position=_above(position + ties.frame @ r, r),
         velocity=_above(velocity + ties.frame @ v, v),
-        acceleration=_above(s.inertial @ inertial_acceleration + ties.frame @ alpha, alpha),
+        acceleration=_above(
+            s.inertial @ inertial_acceleration + ties.frame @ alpha, alpha
+        ),
         massless=np.vstack([s.massless, still]),
         algebraic=np.vstack([s.algebraic, still[:, : s.algebraic.shape[1]]]),
     )
@@ -491,20 +563,30 @@ def _motion(
 
 def _above(rows: np.ndarray, shared: np.ndarray) -> np.ndarray:
     """Return the rows of each network (networks, ., columns), followed by rows that all networks share."""
-    return np.concatenate([rows, np.broadcast_to(shared, (len(rows), *shared.shape))], axis=1)
+    return np.concatenate(
+        [rows, np.broadcast_to(shared, (len(rows), *shared.shape))], axis=1
+    )
 
 
-def _algebraic(K: np.ndarray, split: _Split, known: np.ndarray, free: Sequence[str]) -> np.ndarray:
+def _algebraic(
+    K: np.ndarray, split: _Split, known: np.ndarray, free: Sequence[str]
+) -> np.ndarray:
     """Return displacements along the algebraic directions, in which springs alone balance the `known` forces."""
     left = split.left_algebraic.T
     held = left @ K @ split.algebraic
     if not held.size:
         return np.zeros((len(known), split.algebraic.shape[1], known.shape[2]))
     scale = np.abs(K).max(axis=(1, 2))
-    loose = (scale == 0.0) | (np.linalg.svd(held, compute_uv=False)[:, -1] < NO_HOLD * scale)
+    loose = (scale == 0.0) | (
+        np.linalg.svd(held, compute_uv=False)[:, -1] < NO_HOLD * scale
+    )
     if loose.any():
         direction = split.algebraic @ np.linalg.svd(held[int(np.argmax(loose))])[2][-1]
-        names = ", ".join(f"'{n}'" for n, share in zip(free, direction, strict=True) if abs(share) > 0.1)
+        names = ", ".join(
+            f"'{n}'"
+            for n, share in zip(free, direction, strict=True)
+            if abs(share) > 0.1
+        )
         raise InputError(
             f"the massless part is singular: nothing holds {names} (add a spring, damper or mass)"
         )
@@ -571,7 +653,9 @@ class _Outputs:
                 return row @ self.motion.position, True
             return row @ self.motion.velocity, False
         if _hangs_on(row, self.motion.massless):
-            raise InputError(f"{where}: the acceleration of a massless node is not defined")
+            raise InputError(
+                f"{where}: the acceleration of a massless node is not defined"
+            )
         return row @ self.motion.acceleration, False
 
     def force_of(self, name: str, where: str) -> np.ndarray:
@@ -580,19 +664,26 @@ class _Outputs:
         e = several[0]
         row = self.nodes.incidence(e.between)
         if e.parts():
-            force = sum(_entries(self.size, "f", 1, self.laws.index(part))[0] for part in e.parts())
+            force = sum(
+                _entries(self.size, "f", 1, self.laws.index(part))[0]
+                for part in e.parts()
+            )
             return self.nothing() + force
         if isinstance(e, el.Motor):
             return self.motors[e.name]
         if isinstance(e, el.TerminalInertia):
             node = e.between[0 if e.terminal == "first" else 1]
-            acceleration = self.of(self.nodes.incidence((node, GROUND)), "acceleration", where)[0]
+            acceleration = self.of(
+                self.nodes.incidence((node, GROUND)), "acceleration", where
+            )[0]
             return _values(several, "mass")[:, None] * acceleration
         k, c, b = np.array([e.linear() for e in several]).T[:, :, None]
         out = k * (row @ self.motion.position)
         if c.any():
             rate, difference = self.of(row, "velocity", where)
             if difference:
-                raise InputError(f"{where}: the velocity of an algebraic node is not defined")
+                raise InputError(
+                    f"{where}: the velocity of an algebraic node is not defined"
+                )
             out = out + c * rate
         return out + b * self.of(row, "acceleration", where)[0] if b.any() else out

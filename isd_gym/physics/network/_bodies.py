@@ -15,7 +15,12 @@ AXES = ("pitch", "roll")
 FARTHEST = 1e3  # largest distance of a point from the centre of gravity [m]
 RATIOS = (1e-9, 1e9)  # magnitudes of a lever's ratio
 #: unit of a lever's ratio -> whether the first and the second node rotate
-LEVER_UNITS = {"m/m": (False, False), "m/rad": (False, True), "rad/m": (True, False), "rad/rad": (True, True)}
+LEVER_UNITS = {
+    "m/m": (False, False),
+    "m/rad": (False, True),
+    "rad/m": (True, False),
+    "rad/rad": (True, True),
+}
 
 
 def angle_node(body: str, axis: str) -> str:
@@ -107,13 +112,19 @@ class Body:
     @property
     def carried(self) -> dict[str, float]:
         """Mass [kg] or moment of inertia [kg m^2] of the centre of gravity and the angles."""
-        turning = {angle_node(self.name, axis): inertia for axis, inertia in self.inertias.items()}
+        turning = {
+            angle_node(self.name, axis): inertia
+            for axis, inertia in self.inertias.items()
+        }
         return {self.name: self.mass, **turning}
 
     @property
     def parameters(self) -> dict[str, float]:
         """Parameters of the body by path: 'body.mass', 'body.inertia.pitch'."""
-        inertias = {f"{self.name}.inertia.{axis}": float(value) for axis, value in self.inertias.items()}
+        inertias = {
+            f"{self.name}.inertia.{axis}": float(value)
+            for axis, value in self.inertias.items()
+        }
         return {f"{self.name}.mass": float(self.mass), **inertias}
 
     def to_dict(self) -> dict[str, Any]:
@@ -122,7 +133,9 @@ class Body:
         if self.inertias:
             out["inertia"] = self.inertias
         if self.points:
-            out["points"] = {p.name: {"x": p.x} | ({"y": p.y} if p.y else {}) for p in self.points}
+            out["points"] = {
+                p.name: {"x": p.x} | ({"y": p.y} if p.y else {}) for p in self.points
+            }
         return out
 
 
@@ -159,15 +172,27 @@ class Lever:
     @property
     def turning(self) -> tuple[str, ...]:
         """Rotational nodes of the lever."""
-        return tuple(n for n, turns in zip(self.between, LEVER_UNITS[self.unit], strict=True) if turns)
+        return tuple(
+            n
+            for n, turns in zip(self.between, LEVER_UNITS[self.unit], strict=True)
+            if turns
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the lever as an object of a model file."""
-        return {"name": self.name, "between": list(self.between), "ratio": self.ratio, "unit": self.unit}
+        return {
+            "name": self.name,
+            "between": list(self.between),
+            "ratio": self.ratio,
+            "unit": self.unit,
+        }
 
 
 def body_of(name: str, data: Mapping[str, Any]) -> Body:
     """Return the body of an entry of a model file whose keys are valid."""
     inertia = data.get("inertia", {})
-    points = tuple(Point(p, at.get("x", 0.0), at.get("y", 0.0)) for p, at in data.get("points", {}).items())
+    points = tuple(
+        Point(p, at.get("x", 0.0), at.get("y", 0.0))
+        for p, at in data.get("points", {}).items()
+    )
     return Body(name, data["mass"], inertia.get("pitch"), inertia.get("roll"), points)

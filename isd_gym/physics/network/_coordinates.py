@@ -26,10 +26,14 @@ NOTHING = 1e-12  # share of the largest coefficient of a constraint below which 
 class Coordinates:
     """Coordinates in the order of all matrices (free, then moved), and nodes as rows over the coordinates."""
 
-    nodes: tuple[str, ...]  # all nodes of the network except the ground, in the order of `Network.nodes`
+    nodes: tuple[
+        str, ...
+    ]  # all nodes of the network except the ground, in the order of `Network.nodes`
     free: tuple[str, ...]  # coordinates that no input moves
     moved: tuple[str, ...]  # nodes that inputs move
-    dependent: dict[str, np.ndarray]  # row over the coordinates of every node that is not a coordinate
+    dependent: dict[
+        str, np.ndarray
+    ]  # row over the coordinates of every node that is not a coordinate
 
     @property
     def count(self) -> int:
@@ -66,18 +70,28 @@ def coordinates(network: Network) -> Coordinates:
     """Return the generalized coordinates of a network."""
     moved = network.moved_nodes
     if not network.bodies and not network.levers:
-        return Coordinates(network.nodes, tuple(n for n in network.nodes if n not in moved), moved, {})
+        return Coordinates(
+            network.nodes, tuple(n for n in network.nodes if n not in moved), moved, {}
+        )
     elimination = _Elimination(network)
     for body in network.bodies:
         for point in body.points:
             arms = {node: -point.arm(axis) for axis, node in body.angles.items()}
-            elimination.impose({point.name: 1.0, body.name: -1.0} | arms, f"body '{body.name}'")
+            elimination.impose(
+                {point.name: 1.0, body.name: -1.0} | arms, f"body '{body.name}'"
+            )
     for lever in network.levers:
         first, second = lever.between
-        elimination.impose({first: 1.0, second: -float(lever.ratio)}, f"lever '{lever.name}'")
-    free = tuple(n for n in network.nodes if n not in moved and n not in elimination.eliminated)
+        elimination.impose(
+            {first: 1.0, second: -float(lever.ratio)}, f"lever '{lever.name}'"
+        )
+    free = tuple(
+        n for n in network.nodes if n not in moved and n not in elimination.eliminated
+    )
     kept = [elimination.index[n] for n in free + moved]
-    dependent = {n: elimination.rows[elimination.index[n], kept] for n in elimination.eliminated}
+    dependent = {
+        n: elimination.rows[elimination.index[n], kept] for n in elimination.eliminated
+    }
     return Coordinates(network.nodes, free, moved, dependent)
 
 
@@ -115,10 +129,16 @@ class _Elimination:
             full[self.index[node]] = coefficient
         reduced = full @ self.rows
         least = NOTHING * (np.abs(full) @ np.abs(self.rows)).max()
-        left = [n for n, share in zip(self.names, reduced, strict=True) if abs(share) > least]
+        left = [
+            n
+            for n, share in zip(self.names, reduced, strict=True)
+            if abs(share) > least
+        ]
         candidates = [n for n in left if n not in self.moved]
         if not left:
-            raise InputError(f"{where} closes a loop: other levers and bodies say the same; leave it out")
+            raise InputError(
+                f"{where} closes a loop: other levers and bodies say the same; leave it out"
+            )
         if not candidates:
             both = ", ".join(f"'{n}'" for n in left)
             raise InputError(
@@ -130,7 +150,10 @@ class _Elimination:
                 "correct a ratio or leave one out"
             )
         order = list(constraint)
-        pivot = min(candidates, key=lambda n: (self.rank[n], order.index(n) if n in order else len(order)))
+        pivot = min(
+            candidates,
+            key=lambda n: (self.rank[n], order.index(n) if n in order else len(order)),
+        )
         at = self.index[pivot]
         substitute = -reduced / reduced[at]
         substitute[np.abs(reduced) <= least] = 0.0

@@ -26,11 +26,19 @@ def cut(network: Network, node: str) -> Network:
     seen = _motions_at(network, node)
     drive = min(seen, key=lambda c: MOTIONS.index(c.quantity))
     behind = _behind(network, node)
-    between = [e for e in network.elements if e.place == "between" and _stays(e.where, node, behind)]
+    between = [
+        e
+        for e in network.elements
+        if e.place == "between" and _stays(e.where, node, behind)
+    ]
     bodies = tuple(b for b in network.bodies if b.name not in behind)
     levers = tuple(v for v in network.levers if _stays(v.between, node, behind))
     alive = set(network.masses) - set(behind)
-    alive = alive.union(*(e.where for e in between), *(b.nodes for b in bodies), *(v.between for v in levers))
+    alive = alive.union(
+        *(e.where for e in between),
+        *(b.nodes for b in bodies),
+        *(v.between for v in levers),
+    )
     names = {e.name for e in between}
     masses = {n: m for n, m in network.masses.items() if n in alive - {node}}
     if not masses and not between and not bodies:
@@ -39,13 +47,21 @@ def cut(network: Network, node: str) -> Network:
     moved = Channel(drive.name, drive.quantity, drive.unit, at=node, axis=drive.axis)
     fixed = {node, GROUND, *(str(c.at) for c in inputs if c.quantity in MOTIONS)}
     others = [c for c in network.outputs if c is not drive and _heard(c, alive, names)]
-    outputs = [c for c in others if not _idle(c, fixed) and not _is_foreign_force(c, fixed - {node})]
+    outputs = [
+        c
+        for c in others
+        if not _idle(c, fixed) and not _is_foreign_force(c, fixed - {node})
+    ]
     places = names | {c.name for c in outputs}  # of effects at elements and channels
     kept = [
-        e for e in network.elements if (e.name in names if e.place == "between" else e.where[0] in places)
+        e
+        for e in network.elements
+        if (e.name in names if e.place == "between" else e.where[0] in places)
     ]
     if not outputs:
-        raise InputError(f"cut: no output is left to compare with on this side of '{node}'")
+        raise InputError(
+            f"cut: no output is left to compare with on this side of '{node}'"
+        )
     part = replace(
         network,
         name=f"{network.name} (cut at {node})",
@@ -64,14 +80,18 @@ def cut(network: Network, node: str) -> Network:
 def _motions_at(network: Network, node: str) -> list[Channel]:
     """Return the outputs that measure the motion of a node at which a model can be cut."""
     if node not in network.nodes:
-        raise InputError(f"cut: no node {shown(node)}; there are {', '.join(network.nodes)}")
+        raise InputError(
+            f"cut: no node {shown(node)}; there are {', '.join(network.nodes)}"
+        )
     body = next((b.name for b in network.bodies if node in b.nodes), None)
     if body is not None:
         raise InputError(
             f"cut: '{node}' is part of body '{body}', and its motion is not that of the whole body: cut at another node"
         )
     if node in network.moved_nodes:
-        raise InputError(f"cut: '{node}' is moved by an input already: there is nothing to leave out")
+        raise InputError(
+            f"cut: '{node}' is moved by an input already: there is nothing to leave out"
+        )
     seen = [c for c in network.outputs if c.at == node and c.quantity in MOTIONS]
     if not seen:
         raise InputError(
@@ -89,7 +109,9 @@ def _is_foreign_force(c: Channel, fixed: set[str]) -> bool:
 def cut_nodes(network: Network) -> list[str]:
     """Return the nodes at which a model can be cut."""
     places = []
-    for node in dict.fromkeys(c.at for c in network.outputs if c.at is not None and c.quantity in MOTIONS):
+    for node in dict.fromkeys(
+        c.at for c in network.outputs if c.at is not None and c.quantity in MOTIONS
+    ):
         try:
             cut(network, node)
         except InputError:
@@ -102,7 +124,10 @@ def without(network: Network, name: str) -> str:
     """Return advice for an input that was not measured, as the end of a message; '' without advice."""
     if any(c.name == name and c.quantity == "condition" for c in network.inputs):
         return "; where nobody logged it, leave the input and the elements that read it out of the model"
-    road = next((c for c in network.moving if c.name == name and c.quantity == "displacement"), None)
+    road = next(
+        (c for c in network.moving if c.name == name and c.quantity == "displacement"),
+        None,
+    )
     if road is None:
         return ""
     places = cut_nodes(network)
@@ -120,9 +145,15 @@ def rejoin(whole: Network, part: Network) -> Network:
     """
     node = next((n for n in part.moved_nodes if n not in whole.moved_nodes), None)
     behind = _behind(whole, node) if node is not None else set()
-    away = [e for e in whole.elements if e.place == "between" and not _stays(e.where, node or "", behind)]
+    away = [
+        e
+        for e in whole.elements
+        if e.place == "between" and not _stays(e.where, node or "", behind)
+    ]
     names = {c.name for c in (*part.outputs,)}
-    away += [e for e in whole.elements if e.place == "channel" and e.where[0] not in names]
+    away += [
+        e for e in whole.elements if e.place == "channel" and e.where[0] not in names
+    ]
     own = {e.name for e in part.elements}
     elements = (*part.elements, *(e for e in away if e.name not in own))
     cells = {c.name: c for c in part.outputs}
@@ -146,8 +177,14 @@ def _behind(network: Network, node: str) -> set[str]:
     If all nodes are, as in a half car cut at one wheel, the part with the largest mass stays.
     """
     links: dict[str, set[str]] = {n: set() for n in network.nodes}
-    pairs = [e.where for e in network.elements if e.place == "between" and GROUND not in e.where]
-    pairs += [v.between for v in network.levers] + [(b.name, n) for b in network.bodies for n in b.nodes[1:]]
+    pairs = [
+        e.where
+        for e in network.elements
+        if e.place == "between" and GROUND not in e.where
+    ]
+    pairs += [v.between for v in network.levers] + [
+        (b.name, n) for b in network.bodies for n in b.nodes[1:]
+    ]
     for first, second in pairs:
         if node not in (first, second):
             links[first].add(second)
@@ -167,9 +204,14 @@ def _behind(network: Network, node: str) -> set[str]:
         raise InputError(f"cut: no moved node is behind '{node}'")
     out = set().union(*parts)
     if out >= set(network.nodes) - {node} and len(parts) > 1:
-        out -= max(parts, key=lambda part: sum(m for n, m in network.carried.items() if n in part))
+        out -= max(
+            parts,
+            key=lambda part: sum(m for n, m in network.carried.items() if n in part),
+        )
     if out >= set(network.nodes) - {node}:
-        raise InputError(f"cut: the other nodes are all connected without '{node}': nothing would be left")
+        raise InputError(
+            f"cut: the other nodes are all connected without '{node}': nothing would be left"
+        )
     return out
 
 

@@ -33,7 +33,11 @@ def builtin_networks() -> list[str]:
         Names, sorted.
     """
     folder = resources.files("isd_gym.physics") / "networks"
-    return sorted(p.name.removesuffix(".json") for p in folder.iterdir() if p.name.endswith(".json"))
+    return sorted(
+        p.name.removesuffix(".json")
+        for p in folder.iterdir()
+        if p.name.endswith(".json")
+    )
 
 
 def read(source: str | Path | Mapping[str, Any]) -> Network:
@@ -47,7 +51,9 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
         builtin = resources.files("isd_gym.physics") / "networks" / f"{text_name}.json"
         data = parse_json(builtin.read_bytes(), where)
     else:
-        if not os.path.exists(source):  # an existence test covers impossible file names, too
+        if not os.path.exists(
+            source
+        ):  # an existence test covers impossible file names, too
             near = get_close_matches(text_name[:200], known, 1)
             asked = f" (did you mean '{near[0]}'?)" if near else ""
             raise InputError(
@@ -73,17 +79,24 @@ def from_dict(data: Any) -> Network:
     if data["schema"] != SCHEMA:
         raise InputError(f"schema is {shown(data['schema'])}, expected '{SCHEMA}'")
     masses, inertias = data.get("masses", {}), data.get("inertias", {})
-    for key, value, unit in (("masses", masses, "kg"), ("inertias", inertias, "kg m^2")):
+    for key, value, unit in (
+        ("masses", masses, "kg"),
+        ("inertias", inertias, "kg m^2"),
+    ):
         if not isinstance(value, Mapping):
             raise InputError(f"{key} must be an object of node: {unit}")
     for node in inertias:
         if node in masses:
-            raise InputError(f"inertias: '{node}' has a mass already; a rotational node has only an inertia")
+            raise InputError(
+                f"inertias: '{node}' has a mass already; a rotational node has only an inertia"
+            )
     for key in ("elements", "levers", "inputs", "outputs"):
         if not isinstance(data.get(key, []), list):
             raise InputError(f"{key} must be a list")
         if len(data.get(key, [])) > ELEMENTS:
-            raise InputError(f"the model has {len(data[key])} {key}, at most {ELEMENTS} are handled")
+            raise InputError(
+                f"the model has {len(data[key])} {key}, at most {ELEMENTS} are handled"
+            )
     uncertainty = data.get("uncertainty", {})
     if not isinstance(uncertainty, Mapping):
         raise InputError("uncertainty must be an object of parameter: relative sigma")
@@ -95,8 +108,12 @@ def from_dict(data: Any) -> Network:
         bodies=_read_bodies(data.get("bodies", {})),
         levers=tuple(_read_lever(v, i) for i, v in enumerate(data.get("levers", []))),
         elements=tuple(read_element(e, i) for i, e in enumerate(data["elements"])),
-        inputs=tuple(read_channel(c, "inputs", i) for i, c in enumerate(data.get("inputs", []))),
-        outputs=tuple(read_channel(c, "outputs", i) for i, c in enumerate(data.get("outputs", []))),
+        inputs=tuple(
+            read_channel(c, "inputs", i) for i, c in enumerate(data.get("inputs", []))
+        ),
+        outputs=tuple(
+            read_channel(c, "outputs", i) for i, c in enumerate(data.get("outputs", []))
+        ),
         uncertainty=dict(uncertainty),
     )
     _check_masses_are_used(network)
@@ -107,7 +124,12 @@ def _check_masses_are_used(network: Network) -> None:
     """Refuse a mass that nothing else of the model names, such as one with a misspelt name."""
     used = {node for e in network.elements for node in e.where}
     used |= {node for lever in network.levers for node in lever.between}
-    used |= {node for c in network.inputs + network.outputs for node in (c.at, *(c.between or ())) if node}
+    used |= {
+        node
+        for c in network.inputs + network.outputs
+        for node in (c.at, *(c.between or ()))
+        if node
+    }
     for node in network.masses:
         if node not in used:
             free = sorted(used & set(network.nodes) - set(network.masses))
@@ -119,9 +141,13 @@ def to_dict(network: Network) -> dict[str, Any]:
     out: dict[str, Any] = {"schema": SCHEMA, "name": network.name}
     if network.description:
         out["description"] = network.description
-    out["masses"] = {n: m for n, m in network.masses.items() if n not in network.turning}
+    out["masses"] = {
+        n: m for n, m in network.masses.items() if n not in network.turning
+    }
     if network.turning:
-        out["inertias"] = {n: m for n, m in network.masses.items() if n in network.turning}
+        out["inertias"] = {
+            n: m for n, m in network.masses.items() if n in network.turning
+        }
     if network.bodies:
         out["bodies"] = {b.name: b.to_dict() for b in network.bodies}
     out["elements"] = [e.to_dict() for e in network.elements]
@@ -149,7 +175,9 @@ def dumps(network: Network) -> str:
 def _text(data: Mapping[str, Any], key: str, usual: str) -> str:
     value = data.get(key, usual)
     if not isinstance(value, str) or len(value) > TEXT_LENGTH:
-        raise InputError(f"{key} must be a text of at most {TEXT_LENGTH} characters, not {shown(value)}")
+        raise InputError(
+            f"{key} must be a text of at most {TEXT_LENGTH} characters, not {shown(value)}"
+        )
     return value
 
 
@@ -158,7 +186,9 @@ def _check_keys(data: Any, known: set[str], needed: set[str], where: str) -> Non
         raise InputError(f"{where} must be a JSON object, not {type(data).__name__}")
     for key in data:
         if key not in known:
-            raise InputError(f"{where}: unknown key {shown(key)} (known: {', '.join(sorted(known))})")
+            raise InputError(
+                f"{where}: unknown key {shown(key)} (known: {', '.join(sorted(known))})"
+            )
     for key in sorted(needed):
         if key not in data:
             raise InputError(f"{where}: '{key}' is missing")
@@ -171,15 +201,23 @@ def _name_of(data: Any, what: str, index: int) -> str:
 
 
 def _nodes_of(value: Any, where: str) -> tuple[str, str]:
-    if isinstance(value, list | tuple) and len(value) == 2 and all(isinstance(n, str) and n for n in value):
+    if (
+        isinstance(value, list | tuple)
+        and len(value) == 2
+        and all(isinstance(n, str) and n for n in value)
+    ):
         return value[0], value[1]
-    raise InputError(f'{where}: "between" must be a list of two node names, not {shown(value)}')
+    raise InputError(
+        f'{where}: "between" must be a list of two node names, not {shown(value)}'
+    )
 
 
 def _read_bodies(data: Any) -> tuple[Body, ...]:
     """Return the rigid bodies of a model file in the order of the file; raise `InputError` for an invalid entry."""
     if not isinstance(data, Mapping):
-        raise InputError(f"bodies must be an object of body by name, not {type(data).__name__}")
+        raise InputError(
+            f"bodies must be an object of body by name, not {type(data).__name__}"
+        )
     out = []
     for name, entry in data.items():
         where = f"body {shown(name)}"
@@ -207,7 +245,9 @@ def _read_lever(data: Any, index: int) -> Lever:
     name = _name_of(data, "levers", index)
     where = f"lever '{name}'"
     if "unit" not in data:
-        raise InputError(f"{where}: 'unit' is missing: that of its ratio, one of {', '.join(LEVER_UNITS)}")
+        raise InputError(
+            f"{where}: 'unit' is missing: that of its ratio, one of {', '.join(LEVER_UNITS)}"
+        )
     _check_keys(data, {"name", "between", "ratio", "unit"}, {"between", "ratio"}, where)
     return Lever(name, _nodes_of(data["between"], where), data["ratio"], data["unit"])
 
@@ -220,10 +260,14 @@ def read_element(data: Any, index: int) -> el.Element:
     if isinstance(kind, str) and kind not in el.TYPES:
         el.discover()  # an installed package may offer the type
     if not isinstance(kind, str) or kind not in el.TYPES:
-        raise InputError(f"{where}: unknown type {shown(kind)} (known: {', '.join(sorted(el.TYPES))})")
+        raise InputError(
+            f"{where}: unknown type {shown(kind)} (known: {', '.join(sorted(el.TYPES))})"
+        )
     cls = el.TYPES[kind]
     own = {f.name for f in fields(cls)} - {"name", "where"}
-    needed = {f.name for f in fields(cls) if f.name in own and f.default is f.default_factory}
+    needed = {
+        f.name for f in fields(cls) if f.name in own and f.default is f.default_factory
+    }
     _check_keys(data, {"name", "type", cls.place} | own, {cls.place} | needed, where)
     place = data[cls.place]
     if cls.place == "between":
@@ -239,10 +283,14 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
     """Return an input or output of a model file; kind ('inputs' or 'outputs') and index of the entry are for messages."""
     name = _name_of(data, kind, index)
     where = f"{kind[:-1]} '{name}'"
-    _check_keys(data, {f.name for f in fields(Channel)} | {"body"}, {"quantity", "unit"}, where)
+    _check_keys(
+        data, {f.name for f in fields(Channel)} | {"body"}, {"quantity", "unit"}, where
+    )
     quantity = data["quantity"]
     if not isinstance(quantity, str) or quantity not in QUANTITIES:
-        raise InputError(f"{where}: unknown quantity {shown(quantity)} (known: {', '.join(QUANTITIES)})")
+        raise InputError(
+            f"{where}: unknown quantity {shown(quantity)} (known: {', '.join(QUANTITIES)})"
+        )
     base, si = QUANTITIES[quantity]
     try:
         found = si_of(data["unit"])
@@ -251,7 +299,9 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
     if found != si:
         other = next((q for q, (_, unit) in QUANTITIES.items() if unit == found), None)
         hint = f' (that is the unit of "quantity": "{other}")' if other else ""
-        raise InputError(f"{where}: unit '{data['unit']}' cannot be converted to '{si}'{hint}")
+        raise InputError(
+            f"{where}: unit '{data['unit']}' cannot be converted to '{si}'{hint}"
+        )
     noise = data.get("noise")
     if noise is not None and not (is_number(noise) and noise > 0):
         raise InputError(
@@ -264,10 +314,18 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
             f"not {shown(offset)}"
         )
     if not isinstance(data.get("measured", True), bool):
-        raise InputError(f'{where}: "measured" must be true or false, not {shown(data["measured"])}')
+        raise InputError(
+            f'{where}: "measured" must be true or false, not {shown(data["measured"])}'
+        )
     if "at" in data and not isinstance(data["at"], str):
-        raise InputError(f'{where}: "at" must be the name of a node, not {shown(data["at"])}')
-    at, axis = _axis_of(data, quantity, where) if "body" in data or "axis" in data else (data.get("at"), None)
+        raise InputError(
+            f'{where}: "at" must be the name of a node, not {shown(data["at"])}'
+        )
+    at, axis = (
+        _axis_of(data, quantity, where)
+        if "body" in data or "axis" in data
+        else (data.get("at"), None)
+    )
     element = data.get("element")
     if (
         isinstance(element, list)

@@ -41,10 +41,14 @@ class StateSpace:
         """
         s = 2j * np.pi * np.asarray(frequency, float)
         eye = np.eye(len(self.A))
-        return np.array([self.C @ np.linalg.solve(si * eye - self.A, self.B) + self.D for si in s])
+        return np.array(
+            [self.C @ np.linalg.solve(si * eye - self.A, self.B) + self.D for si in s]
+        )
 
 
-def slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def slopes(
+    laws: Sequence[el.Element], damping: Mapping[str, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return stiffness [N/m] and damping [N s/m] of laws at rest, (laws,) each; `damping` [N s/m] by name
     replaces the slopes of a law.
 
@@ -56,9 +60,13 @@ def slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np
             slopes_c[j] = damping[e.name]
         elif e.law is not None:
             p, d, h = np.array(e.law_parameters()), 1e-7, 1e-9
-            slopes_k[j] = (e.law(p, d, 0.0, 0.0, 0.0, h)[0] - e.law(p, -d, 0.0, 0.0, 0.0, h)[0]) / (2 * d)
+            slopes_k[j] = (
+                e.law(p, d, 0.0, 0.0, 0.0, h)[0] - e.law(p, -d, 0.0, 0.0, 0.0, h)[0]
+            ) / (2 * d)
             at = getattr(e, "reference", 0.0) if e.scheduled else 0.0
-            slopes_c[j] = (e.law(p, at, d, 0.0, 0.0, h)[0] - e.law(p, at, -d, 0.0, 0.0, h)[0]) / (2 * d)
+            slopes_c[j] = (
+                e.law(p, at, d, 0.0, 0.0, h)[0] - e.law(p, at, -d, 0.0, 0.0, h)[0]
+            ) / (2 * d)
     return slopes_k, slopes_c
 
 
@@ -144,7 +152,9 @@ def transfer(network: Network, frequency: np.ndarray) -> np.ndarray:
         for order in range(3):
             label = c.name + "'" * order
             if label in space.inputs:
-                out[:, :, j] += s[:, None] ** order * response[:, :, space.inputs.index(label)]
+                out[:, :, j] += (
+                    s[:, None] ** order * response[:, :, space.inputs.index(label)]
+                )
     return out
 
 
@@ -180,9 +190,15 @@ def linearise(
         try:
             slopes_k, slopes_c = slopes(asm.laws, damping or {})
             # f = Kd d + Kc v with d, v = rows @ base and base containing f: solve for f
-            rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
+            rows = (
+                slopes_k[:, None] * asm.elongation
+                + slopes_c[:, None] * asm.elongation_rate
+            )
             gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f], rows)
-        except (ArithmeticError, np.linalg.LinAlgError):  # a law without a slope or without support
+        except (
+            ArithmeticError,
+            np.linalg.LinAlgError,
+        ):  # a law without a slope or without support
             raise InputError(TOO_FAR_APART) from None
         rate, out = rate + rate[:, f] @ gain, out + out[:, f] @ gain
         if not (np.isfinite(rate).all() and np.isfinite(out).all()):

@@ -30,7 +30,11 @@ Offset = Literal["free", "record"]
 
 def check_name(name: Any, what: str) -> str:
     """Return a name that is valid for a node, an element or a channel."""
-    if not isinstance(name, str) or not 0 < len(name) <= NAME_LENGTH or not harmless(name):
+    if (
+        not isinstance(name, str)
+        or not 0 < len(name) <= NAME_LENGTH
+        or not harmless(name)
+    ):
         raise InputError(
             f"{what}: {shown(name)} cannot be a name (1 to {NAME_LENGTH} characters, without control characters)"
         )
@@ -73,7 +77,10 @@ class Channel:
     def spoken(self) -> str:
         """Quantity as in a model file, such as 'angle' for a displacement in deg."""
         si = self.si
-        return next((q for q, is_ in QUANTITIES.items() if is_ == (self.quantity, si)), self.quantity)
+        return next(
+            (q for q, is_ in QUANTITIES.items() if is_ == (self.quantity, si)),
+            self.quantity,
+        )
 
     @property
     def elements(self) -> tuple[str, ...]:
@@ -90,7 +97,9 @@ class Channel:
         if self.between is not None:
             out["between"] = list(self.between)
         if self.element is not None:
-            out["element"] = self.element if isinstance(self.element, str) else list(self.element)
+            out["element"] = (
+                self.element if isinstance(self.element, str) else list(self.element)
+            )
         out["unit"] = self.unit
         if self.offset:
             out["offset"] = self.offset
@@ -112,8 +121,12 @@ class Network:
     """
 
     name: str  # name, for people
-    masses: Mapping[str, float]  # mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`
-    elements: tuple[el.Element, ...]  # two-terminal elements, and effects at motors and channels
+    masses: Mapping[
+        str, float
+    ]  # mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`
+    elements: tuple[
+        el.Element, ...
+    ]  # two-terminal elements, and effects at motors and channels
     inputs: tuple[Channel, ...] = ()  # input channels
     outputs: tuple[Channel, ...] = ()  # output channels
     #: relative standard deviation by parameter path; parameters without an entry are known
@@ -192,7 +205,9 @@ class Network:
             (len(self.nodes), "nodes", NODES),
         ):
             if count > most:
-                raise InputError(f"the model has {count} {what}, at most {most} are handled")
+                raise InputError(
+                    f"the model has {count} {what}, at most {most} are handled"
+                )
         channels = [c.name for c in self.inputs + self.outputs]
         for kind, names in (
             ("node", self.nodes),
@@ -206,7 +221,10 @@ class Network:
         for node in self.turning:
             if node not in self.masses:
                 raise InputError(f"inertias: '{node}' has none")
-        _unique([*(e.name for e in self.elements), *(v.name for v in self.levers)], "element")
+        _unique(
+            [*(e.name for e in self.elements), *(v.name for v in self.levers)],
+            "element",
+        )
         _unique(channels, "channel")
         if "time" in channels:
             raise InputError("a channel cannot be called 'time'")
@@ -235,7 +253,9 @@ class Network:
         outputs = {c.name for c in self.outputs}
         for e in self.elements:
             if e.place == "between" and len(set(e.where)) != 2:
-                raise InputError(f"element '{e.name}' connects '{e.where[0]}' to itself")
+                raise InputError(
+                    f"element '{e.name}' connects '{e.where[0]}' to itself"
+                )
             if e.place == "element" and e.where[0] not in motors:
                 raise InputError(f"element '{e.name}': no motor '{e.where[0]}'")
             if e.place == "channel" and e.where[0] not in outputs:
@@ -262,7 +282,9 @@ class Network:
         known = self.parameters
         for key, sigma in self.uncertainty.items():
             if key not in known:
-                raise InputError(f"uncertainty: no parameter {shown(key)}; {hint(key, known)}")
+                raise InputError(
+                    f"uncertainty: no parameter {shown(key)}; {hint(key, known)}"
+                )
             if not 0 <= number(sigma, f"uncertainty: '{key}'") <= 100:
                 raise InputError(
                     f"uncertainty: '{key}' must be a relative sigma of 0 to 100, not {shown(sigma)}"
@@ -275,16 +297,26 @@ class Network:
         for lever in self.levers:
             check_name(lever.name, "lever")
             if GROUND in lever.between:
-                raise InputError(f"lever '{lever.name}': the ground does not move, and cannot be at a lever")
+                raise InputError(
+                    f"lever '{lever.name}': the ground does not move, and cannot be at a lever"
+                )
         taken = {GROUND: "the ground", **dict.fromkeys(self.masses, "a mass")}
         for body in self.bodies:
             points = {p.name for p in body.points}
             for node in body.nodes:
-                what = f"point '{node}' of body '{body.name}'" if node in points else f"body '{body.name}'"
+                what = (
+                    f"point '{node}' of body '{body.name}'"
+                    if node in points
+                    else f"body '{body.name}'"
+                )
                 if node in taken:
                     raise InputError(
                         f"bodies: {what} has the name of {taken[node]}: give it another"
-                        + (", and tie the two with a lever of ratio 1" if taken[node] == "a mass" else "")
+                        + (
+                            ", and tie the two with a lever of ratio 1"
+                            if taken[node] == "a mass"
+                            else ""
+                        )
                     )
                 taken[node] = f"a node of body '{body.name}'"
 
@@ -330,17 +362,25 @@ class Network:
                 continue
             load = by_name.get(getattr(e, "load", ""))
             if load is None or load is e or not el.transmits(load):
-                known = [x.name for x in self.elements if x is not e and el.transmits(x)]
+                known = [
+                    x.name for x in self.elements if x is not e and el.transmits(x)
+                ]
                 raise InputError(
                     f"element '{e.name}': \"load\" must name a spring, a damper, a motor or a smooth law ({', '.join(known) or 'there is none'})"
                 )
-            if bool(set(load.where) & self.rotating) != bool(set(e.where) & self.rotating):
+            if bool(set(load.where) & self.rotating) != bool(
+                set(e.where) & self.rotating
+            ):
                 raise InputError(
                     f"element '{e.name}': \"load\" must name a {'torque' if set(e.where) & self.rotating else 'force'}, as the friction is"
                 )
 
     def _check_input(self, c: Channel, motors: set[str]) -> None:
-        if c.quantity == "condition" and (c.at, c.between, c.element) != (None, None, None):
+        if c.quantity == "condition" and (c.at, c.between, c.element) != (
+            None,
+            None,
+            None,
+        ):
             raise InputError(
                 f"input '{c.name}': a {c.spoken} acts on no node and no element; leave its place out"
             )
@@ -350,8 +390,14 @@ class Network:
                     f"input '{c.name}': a current needs \"element\": the name of a motor or a controlled damper"
                 )
         elif c.at is None and c.quantity != "condition":
-            hint = " (of that one node: a distance between two cannot be moved)" if c.between else ""
-            raise InputError(f"input '{c.name}': a {c.quantity} needs \"at\": a node{hint}")
+            hint = (
+                " (of that one node: a distance between two cannot be moved)"
+                if c.between
+                else ""
+            )
+            raise InputError(
+                f"input '{c.name}': a {c.quantity} needs \"at\": a node{hint}"
+            )
         if c.offset:
             raise InputError(f"input '{c.name}': only outputs have an offset")
         if c.noise is not None:
@@ -363,35 +409,53 @@ class Network:
 
     def _check_output(self, c: Channel, by_name: Mapping[str, el.Element]) -> None:
         if not c.measured:
-            raise InputError(f"output '{c.name}': only an input may be unmeasured: remove the output")
+            raise InputError(
+                f"output '{c.name}': only an input may be unmeasured: remove the output"
+            )
         if c.offset not in (None, "free", "record"):
             raise InputError(
                 f"output '{c.name}': offset must be 'free', 'record' or None, not {shown(c.offset)}"
             )
         if c.quantity == "force":
             if (c.element is None) == (c.at is None):
-                raise InputError(f'output \'{c.name}\': a force is that of an "element" or "at" a moved node')
+                raise InputError(
+                    f'output \'{c.name}\': a force is that of an "element" or "at" a moved node'
+                )
             if c.at is not None and c.at not in self.moved_nodes:
-                raise InputError(f"output '{c.name}': force at '{c.at}', which is not a moved node")
+                raise InputError(
+                    f"output '{c.name}': force at '{c.at}', which is not a moved node"
+                )
             for name in c.elements:
                 if by_name[name].place != "between":
-                    raise InputError(f"output '{c.name}': '{name}' has no force of its own")
+                    raise InputError(
+                        f"output '{c.name}': '{name}' has no force of its own"
+                    )
         elif c.quantity in ("displacement", "velocity", "acceleration"):
             if (c.between is None) == (c.at is None):
-                raise InputError(f'output \'{c.name}\': a {c.quantity} is "at" a node or "between" two')
+                raise InputError(
+                    f'output \'{c.name}\': a {c.quantity} is "at" a node or "between" two'
+                )
         else:
             raise InputError(f"output '{c.name}': a {c.spoken} cannot be an output")
 
     def _check_connected(self) -> None:
         links: dict[str, list[str]] = {n: [] for n in self.nodes}
-        pairs = [e.where for e in self.elements if e.place == "between"] + [v.between for v in self.levers]
+        pairs = [e.where for e in self.elements if e.place == "between"] + [
+            v.between for v in self.levers
+        ]
         pairs += [(b.name, n) for b in self.bodies for n in b.nodes[1:]]
         for pair in pairs:
             for this, other in (pair, pair[::-1]):
                 if this != GROUND:
                     links[this].append(other)
-        held = set(self.inertial) | set(self.moved_nodes) | {n for v in self.levers for n in v.between}
-        held |= {c.at for c in self.inputs if c.quantity == "force" and c.at is not None}
+        held = (
+            set(self.inertial)
+            | set(self.moved_nodes)
+            | {n for v in self.levers for n in v.between}
+        )
+        held |= {
+            c.at for c in self.inputs if c.quantity == "force" and c.at is not None
+        }
         for node, others in links.items():
             if node not in held and len(others) < 2:
                 raise InputError(
@@ -399,7 +463,12 @@ class Network:
                     f"(give it a mass, an input, or call it 'ground')"
                 )
         # an inerter to the ground is an inertia: a force may drive its node
-        inert = [n for e in self.elements if GROUND in e.where and e.linear()[2] > 0 for n in e.where]
+        inert = [
+            n
+            for e in self.elements
+            if GROUND in e.where and e.linear()[2] > 0
+            for n in e.where
+        ]
         reached, frontier = set(), [*self.inertial, *inert, *self.moved_nodes, GROUND]
         while frontier:
             node = frontier.pop()
@@ -434,7 +503,11 @@ class Network:
                 )
         for kind, channels in (("input", self.inputs), ("output", self.outputs)):
             for c in channels:
-                nodes = [n for n in (c.at, *(c.between or ())) if n is not None and n != GROUND]
+                nodes = [
+                    n
+                    for n in (c.at, *(c.between or ()))
+                    if n is not None and n != GROUND
+                ]
                 if c.quantity == "force":
                     ties = [self.element(n) for n in c.elements]
                     nodes += [n for e in ties for n in e.where if n != GROUND]
@@ -444,7 +517,9 @@ class Network:
                 for n in nodes:
                     if (n in self.rotating) != turns:
                         so = "turns" if n in self.rotating else "moves along a line"
-                        raise InputError(f"{kind} '{c.name}': '{n}' {so}, and cannot be measured in {c.unit}")
+                        raise InputError(
+                            f"{kind} '{c.name}': '{n}' {so}, and cannot be measured in {c.unit}"
+                        )
 
     # ------------------------------------------------------------------------------------- access
 
@@ -480,7 +555,11 @@ class Network:
         The ground is excluded, and levers do not connect nodes: the motions at the two ends differ.
         """
         links: dict[str, set[str]] = {n: set() for n in self.nodes}
-        pairs = [e.where for e in self.elements if e.place == "between" and GROUND not in e.where]
+        pairs = [
+            e.where
+            for e in self.elements
+            if e.place == "between" and GROUND not in e.where
+        ]
         pairs += [(b.name, p.name) for b in self.bodies for p in b.points]
         for first, second in pairs:
             links[first].add(second)
@@ -530,7 +609,11 @@ class Network:
         seeds |= {n for v in self.levers for n in v.turning}
         for c in self.inputs + self.outputs:
             if c.quantity not in HELD and c.si in TURNING:
-                seeds |= {n for n in (c.at, *(c.between or ())) if n is not None and n != GROUND}
+                seeds |= {
+                    n
+                    for n in (c.at, *(c.between or ()))
+                    if n is not None and n != GROUND
+                }
         parts = {self.tied[n] for n in seeds if n in self.tied} if seeds else set()
         return frozenset(n for n, part in self.tied.items() if part in parts)
 
@@ -563,7 +646,10 @@ class Network:
             Mass [kg] or moment of inertia [kg m^2]; 0 without any.
         """
         turns = any(n in self.rotating for n in nodes)
-        return max((m for n, m in self.carried.items() if (n in self.rotating) == turns), default=0.0)
+        return max(
+            (m for n, m in self.carried.items() if (n in self.rotating) == turns),
+            default=0.0,
+        )
 
     def inertia_at(self, node: str) -> float:
         """Return the inertia that a node carries; at a point of a body that of the body.
@@ -621,11 +707,20 @@ class Network:
             if e.name == owner:
                 for f in el.parameter_fields(type(e)):
                     if f.name == name:
-                        if e.place == "channel" and f.metadata["unit"] == "unit of the channel":
-                            return next(c.unit for c in self.outputs if c.name == e.where[0])
+                        if (
+                            e.place == "channel"
+                            and f.metadata["unit"] == "unit of the channel"
+                        ):
+                            return next(
+                                c.unit for c in self.outputs if c.name == e.where[0]
+                            )
                         unit = f.metadata["unit"]
                         if e.scheduled and "unit of the channel" in unit:
-                            own = next(c.si for c in self.inputs if c.name == getattr(e, "channel", ""))
+                            own = next(
+                                c.si
+                                for c in self.inputs
+                                if c.name == getattr(e, "channel", "")
+                            )
                             base, _, rest = unit.partition("unit of the channel")
                             return f"{self._unit(e, base)}{own}{rest}"
                         return self._unit(e, unit)
@@ -637,7 +732,9 @@ class Network:
         for lever in self.levers:
             if path == f"{lever.name}.ratio":
                 return lever.unit
-        raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
+        raise InputError(
+            f"no parameter {shown(path)}; there are {', '.join(self.parameters)}"
+        )
 
     def _unit(self, e: el.Element, unit: str) -> str:
         """Return the unit of a parameter of an element at its place."""
@@ -659,7 +756,9 @@ class Network:
         for e in self.elements:
             if e.name == name:
                 return e
-        raise InputError(f"no element {shown(name)}; there are {', '.join(e.name for e in self.elements)}")
+        raise InputError(
+            f"no element {shown(name)}; there are {', '.join(e.name for e in self.elements)}"
+        )
 
     def with_uncertainty(self, uncertainty: Mapping[str, float]) -> Network:
         """Return the network with other uncertainties.
@@ -668,7 +767,9 @@ class Network:
             uncertainty: Relative standard deviation by parameter; parameters that the network lacks are left out.
         """
         known = self.parameters
-        return replace(self, uncertainty={k: v for k, v in uncertainty.items() if k in known})
+        return replace(
+            self, uncertainty={k: v for k, v in uncertainty.items() if k in known}
+        )
 
     def with_parameters(self, values: Mapping[str, float]) -> Network:
         """Return a copy with changed parameters.
@@ -679,15 +780,22 @@ class Network:
         Raises:
             InputError: No such parameter exists, or a value is outside its limits.
         """
-        masses, bodies = dict(self.masses), {path: b.name for b in self.bodies for path in b.parameters}
+        masses, bodies = (
+            dict(self.masses),
+            {path: b.name for b in self.bodies for path in b.parameters},
+        )
         levers = {f"{v.name}.ratio": v.name for v in self.levers}
         kinds = {e.name: type(e) for e in self.elements}
         changes: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
             owner, _, name = path.rpartition(".")
             if path not in self.parameters:
-                raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
-            if owner in kinds and name in {f.name for f in el.parameter_fields(kinds[owner])}:
+                raise InputError(
+                    f"no parameter {shown(path)}; there are {', '.join(self.parameters)}"
+                )
+            if owner in kinds and name in {
+                f.name for f in el.parameter_fields(kinds[owner])
+            }:
                 changes.setdefault(owner, {})[name] = float(value)
             elif path in bodies:
                 changes.setdefault(bodies[path], {})[name] = float(value)
@@ -695,7 +803,10 @@ class Network:
                 changes.setdefault(levers[path], {})[name] = float(value)
             else:
                 masses[owner] = float(value)
-        elements = tuple(replace(e, **changes[e.name]) if e.name in changes else e for e in self.elements)
+        elements = tuple(
+            replace(e, **changes[e.name]) if e.name in changes else e
+            for e in self.elements
+        )
         own = {
             k: tuple(replace(b, **changes.get(b.name, {})) for b in getattr(self, k))
             for k in ("bodies", "levers")
@@ -719,7 +830,10 @@ class Network:
             name: Name of the element.
             force: Forces [N] in the shape of the table.
         """
-        elements = tuple(replace(e, force=force) if e.name == name else e for e in self.elements)  # type: ignore[call-arg]
+        elements = tuple(
+            replace(e, force=force) if e.name == name else e  # type: ignore[call-arg]
+            for e in self.elements
+        )
         return self._with_values(elements=elements)
 
     def with_element(self, element: el.Element | Mapping[str, Any]) -> Network:
@@ -750,7 +864,11 @@ class Network:
         return replace(
             self,
             elements=tuple(e for e in self.elements if e.name != name),
-            uncertainty={k: v for k, v in self.uncertainty.items() if k.rpartition(".")[0] != name},
+            uncertainty={
+                k: v
+                for k, v in self.uncertainty.items()
+                if k.rpartition(".")[0] != name
+            },
         )
 
     def with_outputs(self, names: Collection[str]) -> Network:
@@ -761,7 +879,9 @@ class Network:
         """
         outputs = tuple(c for c in self.outputs if c.name in names)
         gone = {c.name for c in self.outputs} - {c.name for c in outputs}
-        elements = tuple(e for e in self.elements if e.place != "channel" or e.where[0] not in gone)
+        elements = tuple(
+            e for e in self.elements if e.place != "channel" or e.where[0] not in gone
+        )
         return replace(self, outputs=outputs, elements=elements) if gone else self
 
     def free_name(self, stem: str) -> str:
@@ -773,7 +893,11 @@ class Network:
         Returns:
             `stem`, or `stem` with the suffix _2, _3, ...
         """
-        taken = {e.name for e in self.elements} | {v.name for v in self.levers} | set(self.nodes)
+        taken = (
+            {e.name for e in self.elements}
+            | {v.name for v in self.levers}
+            | set(self.nodes)
+        )
         names = (stem if i == 1 else f"{stem}_{i}" for i in range(1, 10_000))
         return next(n for n in names if n not in taken)
 

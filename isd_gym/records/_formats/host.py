@@ -39,7 +39,11 @@ def peak():
     """Return the peak memory [bytes] of this program; 0 if unknown."""
     try:  # ru_maxrss also counts the process that started this program
         with open("/proc/self/status") as status:
-            return next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmHWM:"))
+            return next(
+                int(line.split()[1]) * 1024
+                for line in status
+                if line.startswith("VmHWM:")
+            )
     except (OSError, StopIteration):
         pass
     try:
@@ -67,7 +71,9 @@ def answer(request):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = reader.read(request["path"], request["wanted"], request["axis"], limit)
+            found = reader.read(
+                request["path"], request["wanted"], request["axis"], limit
+            )
             if isinstance(found, str):
                 return {"text": found}, []
             columns, units, other = found
@@ -80,7 +86,11 @@ def answer(request):
                 total += 8 * len(values)
                 bearable(total, limit)
                 out.append((name, np.ascontiguousarray(values, np.float64)))
-        head = {"columns": [[n, len(v)] for n, v in out], "units": units, "other": other[:10_000]}
+        head = {
+            "columns": [[n, len(v)] for n, v in out],
+            "units": units,
+            "other": other[:10_000],
+        }
         return head, [v for _, v in out]
     except Refused as error:
         return {"refused": str(error)}, []
@@ -88,7 +98,9 @@ def answer(request):
         return {"too_large": error.args[0]}, []
     except MemoryError:
         return {"too_large": 2 * limit}, []
-    except Exception as error:  # the formats' own libraries raise anything on a damaged file
+    except (
+        Exception
+    ) as error:  # the formats' own libraries raise anything on a damaged file
         text = (str(error).strip().splitlines() or [type(error).__name__])[0]
         if isinstance(error, OSError) and "memory" in text.lower():
             return {"too_large": 2 * limit}, []

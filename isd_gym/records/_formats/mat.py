@@ -49,7 +49,9 @@ def read(path, wanted, axis, limit):
     try:
         bearable(mat_size(path, limit), limit)
     except zlib.error:
-        raise Refused("is not a MATLAB file that can be read (a packed part is broken)") from None
+        raise Refused(
+            "is not a MATLAB file that can be read (a packed part is broken)"
+        ) from None
     try:
         content = loadmat(path, squeeze_me=True, chars_as_strings=True)
     except NotImplementedError:
@@ -61,7 +63,9 @@ def read(path, wanted, axis, limit):
     def take(items, depth=0):
         for name, value in items:
             value = np.asarray(value)
-            if value.dtype.names and value.ndim == 0 and depth < 8:  # a struct: the fields are channels
+            if (
+                value.dtype.names and value.ndim == 0 and depth < 8
+            ):  # a struct: the fields are channels
                 fields = {n: value[n].item() for n in value.dtype.names}
                 if name == "units":
                     units.update({n: str(u)[:200] for n, u in fields.items()})
@@ -71,10 +75,14 @@ def read(path, wanted, axis, limit):
                 columns[name] = value
             elif value.dtype.kind in "fiub" and value.ndim == 1:
                 raise Refused(f"holds {name!r} more than once")
-            elif value.dtype.kind in "fiub" and value.ndim == 0:  # a constant or a setting, whatever its name
+            elif (
+                value.dtype.kind in "fiub" and value.ndim == 0
+            ):  # a constant or a setting, whatever its name
                 other.append(name)
             elif name == axis or (wanted is not None and name in wanted):
-                raise Refused(f"{name!r} is not a plain vector of numbers (cells and objects are refused)")
+                raise Refused(
+                    f"{name!r} is not a plain vector of numbers (cells and objects are refused)"
+                )
             else:
                 other.append(name)
 
@@ -89,6 +97,10 @@ def chosen(columns, axis, wanted):
     """
     if wanted is None:
         lengths = [len(v) for v in columns.values()]
-        common = len(columns[axis]) if axis in columns else max(lengths, key=lengths.count, default=0)
+        common = (
+            len(columns[axis])
+            if axis in columns
+            else max(lengths, key=lengths.count, default=0)
+        )
         columns = {n: v for n, v in columns.items() if len(v) == common}
     return list(columns.items())

@@ -21,7 +21,9 @@ def read(path, wanted, axis, limit):
     total = 0
 
     def text(item):
-        return "".join(map(chr, np.asarray(item[()]).ravel())) if item.size < 1000 else ""
+        return (
+            "".join(map(chr, np.asarray(item[()]).ravel())) if item.size < 1000 else ""
+        )
 
     def take(group, depth=0):
         nonlocal total
@@ -32,14 +34,20 @@ def read(path, wanted, axis, limit):
             item = group[name]
             if isinstance(item, h5py.Group):
                 if name == "units":
-                    units.update({n: text(item[n])[:200] for n in item if _is_text(item[n])})
+                    units.update(
+                        {n: text(item[n])[:200] for n in item if _is_text(item[n])}
+                    )
                 elif depth < 8:
                     take(item, depth + 1)
                 continue
             vector = (item.ndim == 2 and min(item.shape) == 1) or item.ndim == 1
             kind = item.attrs.get("MATLAB_class", b"")
             numeric = item.dtype.kind in "fiub" and kind not in (b"char", b"cell")
-            if not (numeric and vector) or item.size == 1 or item.attrs.get("MATLAB_empty", 0):
+            if (
+                not (numeric and vector)
+                or item.size == 1
+                or item.attrs.get("MATLAB_empty", 0)
+            ):
                 if name == axis or (wanted is not None and name in wanted):
                     raise Refused(
                         f"{name!r} is not a plain vector of numbers (cells and objects are refused)"
@@ -55,7 +63,10 @@ def read(path, wanted, axis, limit):
             columns[name] = np.asarray(item[()]).ravel()
 
     def _is_text(item):
-        return isinstance(item, h5py.Dataset) and item.attrs.get("MATLAB_class", b"") == b"char"
+        return (
+            isinstance(item, h5py.Dataset)
+            and item.attrs.get("MATLAB_class", b"") == b"char"
+        )
 
     with h5py.File(path, "r") as file:
         take(file)

@@ -30,14 +30,26 @@ def read(path, wanted, axis, limit):
                 continue
             group, index = places[0]
             channels = mdf.groups[group].channels
-            conversions = (channels[i].conversion for i in {index, mdf.masters_db.get(group, index)})
-            if any(c is not None and c.conversion_type not in allowed for c in conversions):
+            conversions = (
+                channels[i].conversion
+                for i in {index, mdf.masters_db.get(group, index)}
+            )
+            if any(
+                c is not None and c.conversion_type not in allowed for c in conversions
+            ):
                 continue
             total += 16 * mdf.groups[group].channel_group.cycles_nr
             bearable(total, limit)
             item = mdf.get(group=group, index=index)
-            if item.samples.ndim == 1 and item.samples.dtype.kind in "fiub" and len(item.samples):
-                found[name] = (np.array(item.timestamps, float), np.array(item.samples, float))
+            if (
+                item.samples.ndim == 1
+                and item.samples.dtype.kind in "fiub"
+                and len(item.samples)
+            ):
+                found[name] = (
+                    np.array(item.timestamps, float),
+                    np.array(item.samples, float),
+                )
                 units[name] = str(item.unit)[:200]
     if not found:
         raise Refused("holds no numeric channel")

@@ -21,7 +21,9 @@ def read(path, wanted, axis, limit):
     for item in file.schema_arrow:
         unit = (item.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
         kind = item.type
-        plain = types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)
+        plain = (
+            types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)
+        )
         (numeric if plain else other).append(item.name)
         if unit:
             units[item.name] = unit

@@ -8,7 +8,12 @@ def own_stamps(found):
     rasters, columns = [stamps for stamps, _ in list(found.values())[:1]], []
     for name, (stamps, values) in found.items():
         number = next(
-            (k for k, t in enumerate(rasters) if len(t) == len(stamps) and (t == stamps).all()), None
+            (
+                k
+                for k, t in enumerate(rasters)
+                if len(t) == len(stamps) and (t == stamps).all()
+            ),
+            None,
         )
         if number is None:
             number = len(rasters)

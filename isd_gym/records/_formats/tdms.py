@@ -26,7 +26,9 @@ def read(path, wanted, axis, limit):
         numeric = []
         for c in channels:
             if c.dtype.kind in "fiub" and len(c) > 0:
-                name = c.name if plain.count(c.name) == 1 else f"{c.group_name}/{c.name}"
+                name = (
+                    c.name if plain.count(c.name) == 1 else f"{c.group_name}/{c.name}"
+                )
                 numeric.append((name, c))
         bearable(sum(16 * len(c) for _, c in numeric), limit)
         if not numeric:
@@ -47,5 +49,9 @@ def _stamps(channel, every):
     starts = [c.properties.get("wf_start_time") for _, c in every]
     own, late = channel.properties.get("wf_start_time"), 0.0
     if own is not None and all(s is not None for s in starts):
-        late = (np.datetime64(own) - min(np.datetime64(s) for s in starts)) / np.timedelta64(1, "us") * 1e-6
+        late = (
+            (np.datetime64(own) - min(np.datetime64(s) for s in starts))
+            / np.timedelta64(1, "us")
+            * 1e-6
+        )
     return channel.time_track() + late

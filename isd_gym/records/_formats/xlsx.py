@@ -26,7 +26,9 @@ def read(path, wanted, axis, limit):
                 bearable(item.file_size, limit)
     except zipfile.BadZipFile:
         raise Refused("is not an Excel workbook (.xlsx)") from None
-    book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+    book = openpyxl.load_workbook(
+        path, read_only=True, data_only=True, keep_links=False
+    )
     for sheet in book.worksheets:
         sheet.reset_dimensions()  # what a file states of its size may be wrong
         lines, size, rows = [], 0, 0
@@ -38,7 +40,10 @@ def read(path, wanted, axis, limit):
             lines.append(line)
         if rows > 1:
             width = max(line.count("\t") for line in lines)
-            return "\n".join(line + "\t" * (width - line.count("\t")) if line else "" for line in lines)
+            return "\n".join(
+                line + "\t" * (width - line.count("\t")) if line else ""
+                for line in lines
+            )
     raise Refused("holds no sheet with rows of numbers")
 
 

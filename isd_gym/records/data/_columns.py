@@ -28,7 +28,8 @@ Choice = list[str] | Callable[[list[str]], list[str]] | None
 
 #: a name of a time column that ends with the unit, such as Time_ms or t [us]
 _WITH_UNIT = re.compile(
-    r"(?:time|t|zeit|stamps?|timestamps?)[\s_.\-/]*(ns|us|µs|μs|ms|s|sec|min)", re.IGNORECASE
+    r"(?:time|t|zeit|stamps?|timestamps?)[\s_.\-/]*(ns|us|µs|μs|ms|s|sec|min)",
+    re.IGNORECASE,
 )
 
 
@@ -57,15 +58,25 @@ class Columns:
 
     def line(self, sample: int) -> str:
         """Return the position of a sample for messages, such as 'line 12'."""
-        return f"line {self.lines[sample]}" if sample < len(self.lines) else f"sample {sample + 1}"
+        return (
+            f"line {self.lines[sample]}"
+            if sample < len(self.lines)
+            else f"sample {sample + 1}"
+        )
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the nearest known name and a list of known names, for messages."""
     names = sorted(n for n in known if len(n) <= 200)[:2000]
     near = difflib.get_close_matches(name[:200], names, n=1, cutoff=0.5)
-    listed = ", ".join(plain(n, 40) for n in names[:12]) + (", ..." if len(names) > 12 else "")
-    return f"did you mean {shown(near[0])}? It has: {listed}" if near else f"it has: {listed}"
+    listed = ", ".join(plain(n, 40) for n in names[:12]) + (
+        ", ..." if len(names) > 12 else ""
+    )
+    return (
+        f"did you mean {shown(near[0])}? It has: {listed}"
+        if near
+        else f"it has: {listed}"
+    )
 
 
 def unit_known(text: str) -> bool:
@@ -86,7 +97,9 @@ def split_header(text: str) -> tuple[str, str]:
     return text.strip(), ""
 
 
-def distinct(names: Sequence[str], headers: Sequence[str], units: Sequence[str]) -> list[str]:
+def distinct(
+    names: Sequence[str], headers: Sequence[str], units: Sequence[str]
+) -> list[str]:
     """Return unique column names; the unit is appended to repeated names, as in "Force (V)" and "Force (N)"."""
     count = Counter(names)
     out = []
@@ -128,7 +141,11 @@ def converts(unit: str, target: str) -> bool:
 
 
 def stamps_of(
-    found: Mapping[str, Any], path: object, wanted: str | None = None, *, by_name: bool = False
+    found: Mapping[str, Any],
+    path: object,
+    wanted: str | None = None,
+    *,
+    by_name: bool = False,
 ) -> str:
     """Return the name of the column of time stamps: `wanted`, or a column with a usual name, or (without `by_name`) the only
     column that rises uniformly.
@@ -137,9 +154,15 @@ def stamps_of(
     """
     if wanted is not None:
         if wanted not in found:
-            raise InputError(f"{path}: no column {shown(wanted)} of stamps (it has: {_listed(found)})")
+            raise InputError(
+                f"{path}: no column {shown(wanted)} of stamps (it has: {_listed(found)})"
+            )
         return wanted
-    numbers = {n: x for n, x in found.items() if x.dtype.kind in "fiub" and x.ndim == 1 and len(x)}
+    numbers = {
+        n: x
+        for n, x in found.items()
+        if x.dtype.kind in "fiub" and x.ndim == 1 and len(x)
+    }
     several = {n: x for n, x in numbers.items() if len(x) > 1}
     numbers = several or numbers
     lower = {n.lower().strip(): n for n in numbers}
@@ -185,7 +208,9 @@ def side_by_side(names: Sequence[str]) -> list[tuple[range, list[str]]]:
         return (found[1] if found and found[1] else name).strip()
 
     begins = [
-        i for i, n in enumerate(names) if base(n).lower() in TIME_NAMES or _WITH_UNIT.fullmatch(base(n))
+        i
+        for i, n in enumerate(names)
+        if base(n).lower() in TIME_NAMES or _WITH_UNIT.fullmatch(base(n))
     ]
     if len(begins) < 2 or begins[0] != 0:
         return []

@@ -56,9 +56,13 @@ class Helper:
                 env={**os.environ, **ENVIRONMENT, "PYTHONPATH": path},
             )
         except OSError as error:
-            raise InputError(f"no process of its own can be started ({error.strerror})") from None
+            raise InputError(
+                f"no process of its own can be started ({error.strerror})"
+            ) from None
 
-    def ask(self, request: dict[str, Any], patience: float) -> tuple[dict[str, Any], list[np.ndarray]] | None:
+    def ask(
+        self, request: dict[str, Any], patience: float
+    ) -> tuple[dict[str, Any], list[np.ndarray]] | None:
         """Return header and columns of a table; None if the process died or took longer than `patience` [s]."""
         asked, told = self.process.stdin, self.process.stdout
         assert asked is not None and told is not None
@@ -128,7 +132,9 @@ def read(
     """
     global _helper
     module = import_module(reader)
-    if sys.modules.get(module.LIBRARIES[0], 0) is None:  # this process treats the library as not installed
+    if (
+        sys.modules.get(module.LIBRARIES[0], 0) is None
+    ):  # this process treats the library as not installed
         raise InputError(
             f"{path}: reading {path.suffix} needs {module.LIBRARIES[0]}: {how_to_install(module.EXTRA)}"
         )

@@ -34,11 +34,15 @@ class Finding:
     level: Level
     channel: str  # channel; '' for the whole record
     message: str  # one line
-    where: tuple[Span, ...] = ()  # spans of time [s] of the defect, at most 20; empty for the whole record
+    where: tuple[
+        Span, ...
+    ] = ()  # spans of time [s] of the defect, at most 20; empty for the whole record
     check: str = ""  # name of the check, of `CHECKS`
 
     def __str__(self) -> str:
-        return f"{self.level}: {self.channel + ': ' if self.channel else ''}{self.message}"
+        return (
+            f"{self.level}: {self.channel + ': ' if self.channel else ''}{self.message}"
+        )
 
 
 #: quantity -> SI unit; spread above which a record is doubtful, and impossible, for a suspension or its rig;
@@ -79,7 +83,10 @@ STAIR = 5
 STILL = 0.1  # share of a channel's usual power, in spans of equal length, below which the channel rests
 GLITCHES = 3  # samples that may differ in a constant channel
 ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
-SLIP = (600.0, 1600.0)  # factors between a channel and the model's output that a wrong unit causes
+SLIP = (
+    600.0,
+    1600.0,
+)  # factors between a channel and the model's output that a wrong unit causes
 #: quantities of inputs that saturate and hold by design
 COMMANDED = ("current", "force", *CONDITIONS)
 #: names of the checks; an error may be accepted by the name of its check
@@ -96,11 +103,15 @@ _MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels
 class Scale:
     """Time constant and amplitudes of a rig, from its model."""
 
-    time: float = CAR  # reciprocal of the circular frequency of the slowest oscillation [s]
+    time: float = (
+        CAR  # reciprocal of the circular frequency of the slowest oscillation [s]
+    )
     #: time constant of the slowest oscillation or relaxation [s]; infinite if the rig only moves freely, NaN
     #: for that of the oscillation
     slowest: float = math.nan
-    period: float = math.inf  # period of the slowest oscillation [s]; infinite if unknown
+    period: float = (
+        math.inf
+    )  # period of the slowest oscillation [s]; infinite if unknown
     #: RMS about the mean of each output in a simulation of the record [SI]; empty if unknown
     spread: Mapping[str, float] = field(default_factory=dict)
 
@@ -116,7 +127,11 @@ class Scale:
 
 
 def check(
-    table: Table, *, inputs: Mapping[str, str], outputs: Mapping[str, str], scale: Scale | None = None
+    table: Table,
+    *,
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
+    scale: Scale | None = None,
 ) -> list[Finding]:
     """Judge whether a record can be trusted: the data gate of the diagnosis.
 
@@ -149,7 +164,9 @@ def check(
         InputError: The table lacks a channel, or a quantity is unknown.
     """
     channels = {**inputs, **outputs}
-    values = {name: _in_si(table, name, quantity) for name, quantity in channels.items()}
+    values = {
+        name: _in_si(table, name, quantity) for name, quantity in channels.items()
+    }
     scale = scale or Scale()
     found = _named("time", _check_time(table.time))
     if not found or found[-1].level != "error":
@@ -168,17 +185,25 @@ def check(
         of_model = scale.factor(name, x)
         if name not in outputs:
             of_model = 1.0 if are_explained else math.nan
-        found += _named("magnitude", _check_magnitude(name, quantity, x, table.step, of_model))
+        found += _named(
+            "magnitude", _check_magnitude(name, quantity, x, table.step, of_model)
+        )
         if name not in outputs and quantity in COMMANDED:
             continue
         others = [(values[n], grains[n][0]) for n in alive if n != name]
-        held = _check_held(name, quantity, x, time, *grains[name], is_input, REST * scale.time, others)
+        held = _check_held(
+            name, quantity, x, time, *grains[name], is_input, REST * scale.time, others
+        )
         found += _named("held", held)
-        if all(f.level == "note" for f in held):  # a jump may be the end of a frozen stretch
+        if all(
+            f.level == "note" for f in held
+        ):  # a jump may be the end of a frozen stretch
             noise, resolution = grains[name]
             is_command = is_input and noise <= resolution
             grain = max(3 * noise, resolution)
-            found += _named("jumps", _check_spikes(name, quantity, x, time, grain, is_command))
+            found += _named(
+                "jumps", _check_spikes(name, quantity, x, time, grain, is_command)
+            )
     drives = [values[n] for n in inputs]
     moving = {name: _moves(values[name], drives) for name in alive if name in outputs}
     found += _named("silent", _check_silent(moving))
@@ -196,7 +221,9 @@ def check(
 def _in_si(table: Table, name: str, quantity: str) -> np.ndarray:
     """Return a channel (n,) in the SI unit of its quantity."""
     if quantity not in QUANTITIES:
-        raise InputError(f"'{name}': unknown quantity '{quantity}' (known: {', '.join(QUANTITIES)})")
+        raise InputError(
+            f"'{name}': unknown quantity '{quantity}' (known: {', '.join(QUANTITIES)})"
+        )
     unit = QUANTITIES[quantity][0]
     return convert(table[name], table.units.get(name) or unit, unit)
 
@@ -217,17 +244,25 @@ def known_check(name: str) -> None:
     """Check that the errors of a check can be accepted."""
     if name not in (*CHECKS, "all") or name in UNACCEPTABLE:
         known = ", ".join(c for c in CHECKS if c not in UNACCEPTABLE)
-        raise InputError(f"no check {shown(name)} that can be accepted (there are {known}, all)")
+        raise InputError(
+            f"no check {shown(name)} that can be accepted (there are {known}, all)"
+        )
 
 
-def admit(table: Table, findings: Sequence[Finding], notes: list[str], accept: Sequence[str]) -> None:
+def admit(
+    table: Table, findings: Sequence[Finding], notes: list[str], accept: Sequence[str]
+) -> None:
     """Append the findings of the data gate to the notes, and stop at an error that the user has not accepted."""
     for f in findings:
         message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
         if f.level == "error" and f.check in UNACCEPTABLE:
             raise InputError(message)
         if f.level == "error" and not {f.check, "all"} & set(accept):
-            helps = f"--unit {f.channel}=UNIT says another; " if f.check == "magnitude" else ""
+            helps = (
+                f"--unit {f.channel}=UNIT says another; "
+                if f.check == "magnitude"
+                else ""
+            )
             raise InputError(f"{message} ({helps}--accept {f.check} goes on)")
         notes.append(f"{Path(table.source).name}: {f}")
 
@@ -245,7 +280,11 @@ def _check_length(time: np.ndarray, scale: Scale) -> list[Finding]:
     """Return an error on a record of few samples, and a warning where few samples are few periods of the rig, too."""
     count, periods = len(time), float(np.ptp(time)) / scale.period
     if count < FEW_SAMPLES:
-        return [Finding("error", "", f"too short: {count} samples of at least {FEW_SAMPLES}")]
+        return [
+            Finding(
+                "error", "", f"too short: {count} samples of at least {FEW_SAMPLES}"
+            )
+        ]
     if count >= MIN_SAMPLES or periods >= PERIODS:
         return []
     text = f"short: {count} samples of {MIN_SAMPLES} (or {FEW_SAMPLES} for {PERIODS} periods of the rig)"
@@ -260,7 +299,9 @@ def _check_step(time: np.ndarray, scale: Scale) -> list[Finding]:
     """
     duration = float(np.ptp(time))
     step = duration / (len(time) - 1)
-    slowest = scale.time if math.isnan(scale.slowest) else max(scale.time, scale.slowest)
+    slowest = (
+        scale.time if math.isnan(scale.slowest) else max(scale.time, scale.slowest)
+    )
     # a slow step on a fast rig is no wrong unit yet
     slow, shortest = max(min(slowest, duration), CAR), SHORTEST * min(scale.time, CAR)
     text = f"a step of {step:.4g} s is implausible: is time in another unit than s?"
@@ -273,7 +314,13 @@ def _check_step(time: np.ndarray, scale: Scale) -> list[Finding]:
 
 def _check_time(time: np.ndarray) -> list[Finding]:
     if not np.all(np.isfinite(time)):
-        return [Finding("error", TIME, f"{np.sum(~np.isfinite(time))} time stamps are missing or not finite")]
+        return [
+            Finding(
+                "error",
+                TIME,
+                f"{np.sum(~np.isfinite(time))} time stamps are missing or not finite",
+            )
+        ]
     if len(time) < 3:
         return []
     found: list[Finding] = []
@@ -288,15 +335,32 @@ def _check_time(time: np.ndarray) -> list[Finding]:
             return [Finding("error", TIME, text, _spans(np.r_[bad, False], time))]
     step = float(np.median(d))
     gaps = d > 1.5 * step
-    if gaps.any() and np.mean(gaps) < 0.2 and np.max(np.abs(d[~gaps] - step)) < 0.2 * step:
+    if (
+        gaps.any()
+        and np.mean(gaps) < 0.2
+        and np.max(np.abs(d[~gaps] - step)) < 0.2 * step
+    ):
         first = int(np.argmax(gaps))
         text = f"{gaps.sum()} gaps in time, the first of {d[first]:.4g} s after t = {time[first]:.6g} s"
-        where = tuple((float(time[i]), float(time[i + 1])) for i in np.flatnonzero(gaps)[:20])
-        return [Finding("error", TIME, f"{text}, where the step is {step:.4g} s", where)]
+        where = tuple(
+            (float(time[i]), float(time[i + 1])) for i in np.flatnonzero(gaps)[:20]
+        )
+        return [
+            Finding("error", TIME, f"{text}, where the step is {step:.4g} s", where)
+        ]
     step = float(time[-1] - time[0]) / (len(time) - 1)
-    stray = float(np.ptp(time - step * np.arange(len(time)))) / 2  # deviation from the best uniform grid
+    stray = (
+        float(np.ptp(time - step * np.arange(len(time)))) / 2
+    )  # deviation from the best uniform grid
     # stamps with few digits deviate by half the last digit; the ends, and so the step, deviate as much
-    digit = next((10.0**-k for k in range(9) if np.max(np.abs(time - np.round(time, k))) < 1e-3 * step), 0.0)
+    digit = next(
+        (
+            10.0**-k
+            for k in range(9)
+            if np.max(np.abs(time - np.round(time, k))) < 1e-3 * step
+        ),
+        0.0,
+    )
     if stray > max(0.1 * step, min(0.76 * digit, step)):
         worst = time[int(np.argmax(np.abs(d - step)))]
         text = f"{NOT_UNIFORM}: steps from {d.min():.4g} to {d.max():.4g} s, worst at t = {worst:.6g} s"
@@ -307,33 +371,60 @@ def _check_time(time: np.ndarray) -> list[Finding]:
     return found
 
 
-def _check_magnitude(name: str, quantity: str, x: np.ndarray, step: float, of_model: float) -> list[Finding]:
+def _check_magnitude(
+    name: str, quantity: str, x: np.ndarray, step: float, of_model: float
+) -> list[Finding]:
     """Return findings on impossible amplitudes; `of_model` is the ratio to the model's amplitude and has
     priority (NaN: unknown)."""
     unit, doubtful, impossible, least = QUANTITIES[quantity]
     spread = float(np.quantile(np.abs(x - np.median(x)), 0.995))
     text = f"{quantity} reaches {spread:.4g} {unit}"
     lag = min(max(1, round(0.02 / step)), len(x) - 1)
-    speed = float(np.std(x[lag:] - x[:-lag])) / (lag * step) if quantity == "displacement" else 0.0
+    speed = (
+        float(np.std(x[lag:] - x[:-lag])) / (lag * step)
+        if quantity == "displacement"
+        else 0.0
+    )
     if 1 / ALIKE < of_model < ALIKE:
         doubtful, impossible, least, speed = math.inf, math.inf, 0.0, 0.0
     if spread > impossible or speed > _MAX_SPEED:
         text += f" at {speed:.3g} m/s" if speed > _MAX_SPEED else ""
-        return [Finding("error", name, f"{text}, which cannot be: a wrong unit, or columns swapped?")]
+        return [
+            Finding(
+                "error",
+                name,
+                f"{text}, which cannot be: a wrong unit, or columns swapped?",
+            )
+        ]
     if SLIP[0] < max(of_model, 1 / of_model) < SLIP[1]:
         text += f", {'a thousand times' if of_model > 1 else 'a thousandth of'} what the model says for these inputs"
         return [Finding("warning", name, f"{text}: a wrong unit?")]
     if spread > doubtful:
         return [Finding("warning", name, f"{text}: a wrong unit, or columns swapped?")]
     if np.ptp(x) < 2 * least:
-        return [Finding("warning", name, f"{quantity} stays within {np.ptp(x):.2g} {unit}: a wrong unit?")]
+        return [
+            Finding(
+                "warning",
+                name,
+                f"{quantity} stays within {np.ptp(x):.2g} {unit}: a wrong unit?",
+            )
+        ]
     if quantity == "acceleration" and abs(abs(np.mean(x)) - 9.81) < 0.3:
-        return [Finding("warning", name, f"has a mean of {np.mean(x):.3g} m/s^2: gravity is still in it")]
+        return [
+            Finding(
+                "warning",
+                name,
+                f"has a mean of {np.mean(x):.3g} m/s^2: gravity is still in it",
+            )
+        ]
     return []
 
 
 def _check_content(
-    values: Mapping[str, np.ndarray], inputs: Mapping[str, str], outputs: Mapping[str, str], time: np.ndarray
+    values: Mapping[str, np.ndarray],
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
+    time: np.ndarray,
 ) -> list[Finding]:
     """Return findings on samples that are not finite, and on constant channels."""
     found, idle = [], []
@@ -343,9 +434,13 @@ def _check_content(
             where = _spans(bad, time)
             text = f"{bad.sum()} samples are not finite, first at t = {where[0][0]:.6g} s: split the record there"
             found.append(Finding("error", name, text, where, "finite"))
-        elif (value := _constant(x, 0 if name in inputs else GLITCHES)) is not None and name in inputs:
+        elif (
+            value := _constant(x, 0 if name in inputs else GLITCHES)
+        ) is not None and name in inputs:
             idle.append(name)
-            found.append(Finding("note", name, f"is constant ({value:.6g})", check="constant"))
+            found.append(
+                Finding("note", name, f"is constant ({value:.6g})", check="constant")
+            )
         elif value is not None:
             text = f"is constant ({value:.6g}): a dead sensor, or an empty column? Take it out of the model's outputs"
             found.append(Finding("error", name, text, check="constant"))
@@ -364,17 +459,25 @@ def _constant(x: np.ndarray, glitches: int = GLITCHES) -> float | None:
 
 def _moves(x: np.ndarray, drives: list[np.ndarray]) -> bool:
     """Return whether a channel holds more than noise: slow, or with a spectrum that is not flat, or coherent with an input."""
-    if np.std(np.diff(x)) < 0.9 * np.std(x):  # white noise has sqrt(2), AR(1) noise of 0.6 still 0.89
+    if np.std(np.diff(x)) < 0.9 * np.std(
+        x
+    ):  # white noise has sqrt(2), AR(1) noise of 0.6 still 0.89
         return True
-    if np.mean((x - x.mean()) ** 4) > 4.5 * np.var(x) ** 2:  # a train of impacts is white but not Gaussian
+    if (
+        np.mean((x - x.mean()) ** 4) > 4.5 * np.var(x) ** 2
+    ):  # a train of impacts is white but not Gaussian
         return True
     options: dict[str, Any] = {"nperseg": min(128, len(x) // 8), "detrend": "linear"}
     power = signal.welch(x, **options)[1][1:-1]
-    if np.exp(np.mean(np.log(power + 1e-300))) < 0.6 * np.mean(power):  # white 1, AR(1) noise of 0.6 0.64
+    if np.exp(np.mean(np.log(power + 1e-300))) < 0.6 * np.mean(
+        power
+    ):  # white 1, AR(1) noise of 0.6 0.64
         return True
     least = 0.05 + 3 * options["nperseg"] / len(x)
     drives = [u for u in drives if np.all(np.isfinite(u)) and np.ptp(u) > 0]
-    return any(np.mean(signal.coherence(u, x, **options)[1][2:-1]) > least for u in drives)
+    return any(
+        np.mean(signal.coherence(u, x, **options)[1][2:-1]) > least for u in drives
+    )
 
 
 def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -398,7 +501,9 @@ def _grain(x: np.ndarray) -> tuple[float, float]:
     if len(jagged) < 50:
         return 0.0, resolution
     windows = jagged[: len(jagged) // 50 * 50].reshape(-1, 50)
-    noise = float(np.quantile(np.median(windows, axis=1), 0.05)) / (0.55 * math.sqrt(math.comb(16, 8)))
+    noise = float(np.quantile(np.median(windows, axis=1), 0.05)) / (
+        0.55 * math.sqrt(math.comb(16, 8))
+    )
     return (noise if noise > 3e-4 * np.std(x) else 0.0), resolution
 
 
@@ -422,7 +527,9 @@ def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) 
     return bool(np.median(away) < 2.0 * np.median(steps[steps > 0]))
 
 
-def _turns_on_stairs(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, value: float) -> bool:
+def _turns_on_stairs(
+    x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, value: float
+) -> bool:
     """Return whether a channel rests at a value once, and at levels just before and just after it, as a coarse encoder does where the motion
     turns; a clipped channel enters and leaves the value in motion."""
     at = np.flatnonzero((x[starts] == value) & (lengths >= STAIR))
@@ -435,7 +542,9 @@ def _turns_on_stairs(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, val
     return bool(before.any() and after.any())
 
 
-def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int, int], bool]:
+def _moving_during(
+    others: Sequence[tuple[np.ndarray, float]],
+) -> Callable[[int, int], bool]:
     """Return a function that tells whether one of the `others` (samples and noise) moves from a first sample for a number of samples.
 
     A channel moves if its power, without that of its noise, is at least `STILL` of its usual power in
@@ -445,7 +554,10 @@ def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int,
     @functools.cache
     def usual(channel: int, length: int) -> float:
         x, noise = others[channel]
-        return float(x[: len(x) // length * length].reshape(-1, length).var(axis=1).mean()) - noise**2
+        return (
+            float(x[: len(x) // length * length].reshape(-1, length).var(axis=1).mean())
+            - noise**2
+        )
 
     def moving(first: int, length: int) -> bool:
         length = max(length, 2)
@@ -459,7 +571,9 @@ def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int,
     return moving
 
 
-def _missed_power(x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: np.ndarray) -> float:
+def _missed_power(
+    x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: np.ndarray
+) -> float:
     """Return the share of the power of x (n,) that frozen stretches miss (see `check`)."""
     frozen = np.repeat(held, lengths)
     sound = np.cumsum(np.r_[0, frozen])
@@ -472,11 +586,15 @@ def _missed_power(x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: 
         if len(at) < 3:
             return float(np.var(x[~frozen])) if not frozen.all() else math.inf
         windows = x[at[:, None] + np.arange(length + 1)]
-        ramps = windows[:, :1] + (windows[:, -1:] - windows[:, :1]) * np.linspace(0, 1, length + 1)
+        ramps = windows[:, :1] + (windows[:, -1:] - windows[:, :1]) * np.linspace(
+            0, 1, length + 1
+        )
         return float(np.mean((windows - ramps) ** 2))
 
     missed = 0.0
-    for first, length in zip(starts[held].tolist(), lengths[held].tolist(), strict=True):
+    for first, length in zip(
+        starts[held].tolist(), lengths[held].tolist(), strict=True
+    ):
         back = float(x[first + length] - x[first]) if first + length < len(x) else 0.0
         missed += length * (by_interpolation(length) + back**2 / 3)
     return missed / (len(x) * float(np.var(x)))
@@ -504,7 +622,9 @@ class _Runs:
         """Return findings on samples at the largest or the smallest value."""
         x = self.x
         longest = int(np.argmax(np.where(x[self.starts] == value, self.lengths, 0)))
-        moves = self.moving is None or self.moving(int(self.starts[longest]), int(self.lengths[longest]))
+        moves = self.moving is None or self.moving(
+            int(self.starts[longest]), int(self.lengths[longest])
+        )
         if not moves:
             return []
         flags = x == value
@@ -512,7 +632,9 @@ class _Runs:
         if abs(value) >= 0.5 * self.resolution:
             is_severe = share > (RAILS if level == "note" else CLIPPED)
             return [self.finding("error" if is_severe else level, text, flags)]
-        if self.moving is None or share <= CLIPPED:  # at rest, or a sensor of one direction
+        if (
+            self.moving is None or share <= CLIPPED
+        ):  # at rest, or a sensor of one direction
             return []
         text = f"{flags.sum()} samples are exactly 0, its {what} value, while other channels move"
         text += ": is one direction alone measured?"
@@ -553,7 +675,10 @@ def _check_held(
         flags = np.repeat(held, runs.lengths)
         begin = time[np.argmax(flags)]
         text = f"does not change for {flags.sum()} samples, first at t = {begin:.6g} s: frozen, dropped out?"
-        is_severe = worst != level and _missed_power(x, held, runs.starts, runs.lengths) > MISSED
+        is_severe = (
+            worst != level
+            and _missed_power(x, held, runs.starts, runs.lengths) > MISSED
+        )
         found.append(runs.finding(worst if is_severe else level, text, flags))
     return found
 
@@ -564,8 +689,15 @@ def _sampled_slowly(runs: _Runs) -> list[Finding]:
     An encoder at constant speed also gives stairs, of one resolution each.
     """
     usual = int(np.bincount(runs.lengths).argmax())
-    stairs = usual > 1 and np.mean(runs.lengths == usual) > 0.6 and len(np.unique(runs.x)) > 20
-    if not stairs or np.median(np.abs(np.diff(runs.x[runs.starts]))) <= 1.5 * runs.resolution:
+    stairs = (
+        usual > 1
+        and np.mean(runs.lengths == usual) > 0.6
+        and len(np.unique(runs.x)) > 20
+    )
+    if (
+        not stairs
+        or np.median(np.abs(np.diff(runs.x[runs.starts]))) <= 1.5 * runs.resolution
+    ):
         return []
     text = f"holds each value for {usual} samples: sampled more slowly than the table"
     return [Finding("warning", runs.name, text)]
@@ -573,10 +705,22 @@ def _sampled_slowly(runs: _Runs) -> list[Finding]:
 
 def _stops_in_noise(runs: _Runs) -> tuple[list[Finding], np.ndarray, Level, Level]:
     """Return findings on clipping of a noisy channel, which runs are frozen, and the usual and the worst level of a finding on these."""
-    x, starts, lengths, noise, resolution = runs.x, runs.starts, runs.lengths, runs.noise, runs.resolution
+    x, starts, lengths, noise, resolution = (
+        runs.x,
+        runs.starts,
+        runs.lengths,
+        runs.noise,
+        runs.resolution,
+    )
     n = len(x)
-    equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, resolution / (2.5 * noise)), 1.0 / n)
-    least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))  # n equal^(least - 1) < 1e-4
+    equal = max(
+        np.sum(lengths[lengths < 5] - 1) / n,
+        min(0.9, resolution / (2.5 * noise)),
+        1.0 / n,
+    )
+    least = max(
+        5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal))
+    )  # n equal^(least - 1) < 1e-4
     sticks = _sticks(x, starts, lengths, least)
     found: list[Finding] = []
     settled: list[float] = []  # values at which the channel is clipped or rests
@@ -591,7 +735,9 @@ def _stops_in_noise(runs: _Runs) -> tuple[list[Finding], np.ndarray, Level, Leve
             found += runs.at_end(value, what, text, "warning")
     held = (lengths >= least) & ~np.isin(x[starts], settled)
     held[held] = ~_calm(x, starts[held], lengths[held], min(noise, 2 * resolution))
-    rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1  # simulated stick and slip
+    rests = (
+        np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1
+    )  # simulated stick and slip
     return found, held, "warning", "warning" if rests or sticks else "error"
 
 
@@ -601,9 +747,13 @@ def _dead_stops(
     """Return findings on dead stops at the ends of a channel without noise, which runs are frozen, and the usual and the worst level of a
     finding on these."""
     x, starts, lengths = runs.x, runs.starts, runs.lengths
-    into = np.abs(np.diff(x, prepend=x[0]))[starts]  # last step, compared with the curvature just before
+    into = np.abs(np.diff(x, prepend=x[0]))[
+        starts
+    ]  # last step, compared with the curvature just before
     second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
-    curved = np.array([np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts])
+    curved = np.array(
+        [np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts]
+    )
     held = (lengths >= 5) & (into > 4 * (curved + runs.resolution))
     level: Level = "warning" if is_position else "note"  # no mass stops dead
     found: list[Finding] = []
@@ -611,7 +761,9 @@ def _dead_stops(
     for value, what in _ends(x):
         if np.sum(held & (x[starts] == value)) > 1:
             settled.append(value)
-            text = f"stops dead at its {what} value, {value:.6g}, time and again: clipped?"
+            text = (
+                f"stops dead at its {what} value, {value:.6g}, time and again: clipped?"
+            )
             found += runs.at_end(value, what, text, level)
     step = runs.time[1] - runs.time[0]
     held &= (lengths * step > rest) & ~np.isin(x[starts], settled)
@@ -620,7 +772,9 @@ def _dead_stops(
     return found, held, level, "error" if is_position else "warning"
 
 
-def _calm(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, step: float) -> np.ndarray:
+def _calm(
+    x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, step: float
+) -> np.ndarray:
     """Return True for each run of equal samples before and after which x (n,) changes by at most `step` per sample.
 
     Such a channel came to rest; a frozen sensor stops in mid-motion.
@@ -646,7 +800,12 @@ def _ends(x: np.ndarray) -> tuple[tuple[float, str], tuple[float, str]]:
 
 
 def _check_spikes(
-    name: str, quantity: str, x: np.ndarray, time: np.ndarray, grain: float, is_command: bool
+    name: str,
+    quantity: str,
+    x: np.ndarray,
+    time: np.ndarray,
+    grain: float,
+    is_command: bool,
 ) -> list[Finding]:
     """Return findings on one to three samples far from their neighbours on both sides, and on jumps of a displacement.
 
@@ -656,16 +815,27 @@ def _check_spikes(
     """
     n, around = len(x), 10
     d = np.abs(np.diff(x))
-    largest = sliding_window_view(d, around).max(axis=1)  # [i]: largest of d[i] ... d[i + 9]
+    largest = sliding_window_view(d, around).max(
+        axis=1
+    )  # [i]: largest of d[i] ... d[i + 9]
     usual = float(np.quantile(d, 0.97))
     flags = np.zeros(n, bool)
     # short pulses are plausible in a command, and in a force or an acceleration: an impact
-    for width in (1,) if is_command or quantity in ("force", "acceleration") else (1, 2, 3):
+    for width in (
+        (1,) if is_command or quantity in ("force", "acceleration") else (1, 2, 3)
+    ):
         s = np.arange(around + 1, n - width - around)
         local = np.maximum(largest[s - 1 - around], largest[s + width])
         before, after = x[s - 1], x[s + width]
-        off = np.array([x[s + k] - before - (after - before) * (k + 1) / (width + 1) for k in range(width)])
-        least = np.where(np.abs(np.sign(off).sum(axis=0)) == width, np.abs(off).min(axis=0), 0.0)
+        off = np.array(
+            [
+                x[s + k] - before - (after - before) * (k + 1) / (width + 1)
+                for k in range(width)
+            ]
+        )
+        least = np.where(
+            np.abs(np.sign(off).sum(axis=0)) == width, np.abs(off).min(axis=0), 0.0
+        )
         back = np.abs(after - before) <= (width + 1) * local
         hit = s[back & (least > 4 * np.maximum(local, grain)) & (least > 4 * usual)]
         for k in range(width):
@@ -679,7 +849,9 @@ def _check_spikes(
     if quantity == "displacement":
         s = np.arange(around, n - 1 - around)
         local = np.maximum(largest[s - around], largest[s + 1])
-        at = s[(d[s] > 5 * np.maximum(local, grain)) & (local > 0)]  # a commanded step has rest on both sides
+        at = s[
+            (d[s] > 5 * np.maximum(local, grain)) & (local > 0)
+        ]  # a commanded step has rest on both sides
         if len(at):
             text = f"jumps by {d[at[0]]:.3g} m in one sample after t = {time[at[0]]:.6g} s: samples lost?"
             where = tuple((float(time[i]), float(time[i + 1])) for i in at[:20])
@@ -687,14 +859,18 @@ def _check_spikes(
     return found
 
 
-def _check_copies(values: dict[str, np.ndarray], chance: dict[str, float], time: np.ndarray) -> list[Finding]:
+def _check_copies(
+    values: dict[str, np.ndarray], chance: dict[str, float], time: np.ndarray
+) -> list[Finding]:
     """Return findings on identical columns, and on samples that repeat although the channels with a `chance` are noisy."""
     found = []
     names = [n for n, x in values.items() if np.ptp(x) > 0]
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
             if np.array_equal(values[first], values[second]):
-                found.append(Finding("error", second, f"is the same column as '{first}'"))
+                found.append(
+                    Finding("error", second, f"is the same column as '{first}'")
+                )
     rows = np.column_stack([values[n] for n in chance] or [np.arange(len(time))])
     order = np.lexsort(rows.T)
     same = np.all(rows[order[1:]] == rows[order[:-1]], axis=1)
@@ -705,8 +881,17 @@ def _check_copies(values: dict[str, np.ndarray], chance: dict[str, float], time:
         flags[by:] = np.all(rows[by:] == rows[:-by], axis=1)
         # a periodic simulation without noise repeats throughout
         twice = np.sum(np.all(rows[2 * by :] == rows[: -2 * by], axis=1))
-        if flags.sum() >= max(5, 3 * twice, 10 * len(rows) * math.prod(chance.values())):
+        if flags.sum() >= max(
+            5, 3 * twice, 10 * len(rows) * math.prod(chance.values())
+        ):
             where = _spans(flags, time)
             text = f"{flags.sum()} samples, first at t = {where[0][0]:.6g} s, repeat those {by * (time[1] - time[0]):.4g} s"
-            found.append(Finding("error" if flags.sum() >= 20 else "warning", "", f"{text} earlier", where))
+            found.append(
+                Finding(
+                    "error" if flags.sum() >= 20 else "warning",
+                    "",
+                    f"{text} earlier",
+                    where,
+                )
+            )
     return found

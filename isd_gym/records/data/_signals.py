@@ -40,7 +40,9 @@ def even_stamps(time: np.ndarray) -> np.ndarray:
     """Return the uniform stamps nearest to given stamps (n,) [s], by least squares over the whole span."""
     k = np.arange(len(time)) - 0.5 * (len(time) - 1)
     mean = float(np.mean(time - time[0]))
-    return np.asarray(time[0] + mean + k * (float(k @ (time - time[0] - mean)) / float(k @ k)))
+    return np.asarray(
+        time[0] + mean + k * (float(k @ (time - time[0] - mean)) / float(k @ k))
+    )
 
 
 def unwrapped(angle: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
@@ -50,7 +52,11 @@ def unwrapped(angle: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
     across the step. Angles with another range, or with steps near half a turn, are returned unchanged.
     """
     none = np.asarray(angle), 0
-    if len(angle) < 3 or not np.isfinite(angle).all() or not np.ptp(angle) <= 1.001 * turn:
+    if (
+        len(angle) < 3
+        or not np.isfinite(angle).all()
+        or not np.ptp(angle) <= 1.001 * turn
+    ):
         return none
     steps = np.diff(angle)
     wraps = np.abs(steps) > 0.5 * turn

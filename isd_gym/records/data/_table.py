@@ -57,7 +57,9 @@ class Table:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", _vector(self.time))
-        object.__setattr__(self, "columns", {k: _vector(v) for k, v in self.columns.items()})
+        object.__setattr__(
+            self, "columns", {k: _vector(v) for k, v in self.columns.items()}
+        )
         object.__setattr__(self, "units", dict(self.units))
         if self.time.ndim != 1:
             raise InputError(f"{self.source}: time must be one column of numbers")
@@ -74,7 +76,8 @@ class Table:
         """Return a column (n,)."""
         if name not in self.columns:
             raise MissingColumn(
-                f"{self.source}: no column {shown(name)}; {did_you_mean(name, self.columns)}", name
+                f"{self.source}: no column {shown(name)}; {did_you_mean(name, self.columns)}",
+                name,
             )
         return self.columns[name]
 
@@ -128,7 +131,9 @@ def read_columns(
         raise InputError(f"{path}: cannot be read ({_one_line(error)})") from None
 
 
-def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list[Columns]:
+def read_rasters(
+    path: str | Path, columns: Sequence[str] | None = None
+) -> list[Columns]:
     """Return the content of a file, one entry per raster.
 
     The groups of an MDF or TDMS file have their own time stamps, named 'time' [s], and so have tables side by
@@ -187,13 +192,18 @@ def read_table(
     for name in columns if expected is None else target:
         if name not in columns:
             raise MissingColumn(
-                f"{path}: no column {shown(inverse.get(name, name))}; {did_you_mean(name, columns)}", name
+                f"{path}: no column {shown(inverse.get(name, name))}; {did_you_mean(name, columns)}",
+                name,
             )
         values = np.asarray(columns[name])
         if values.dtype.kind in "fiub" and values.ndim == 1:
-            out[name] = _converted(path, name, values, file_units.get(name), target.get(name))
+            out[name] = _converted(
+                path, name, values, file_units.get(name), target.get(name)
+            )
         elif expected is not None or name == TIME:
-            raise InputError(f"{path}: column {shown(name)} does not hold plain numbers")
+            raise InputError(
+                f"{path}: column {shown(name)} does not hold plain numbers"
+            )
     time = out.pop(TIME)
     if len(time) == 0:
         raise InputError(f"{path}: no samples")
@@ -203,7 +213,9 @@ def read_table(
         if sign < 0:
             out[name] = -np.asarray(out[name], float)
     kept = file_units if expected is None else target
-    return Table(time, out, str(path), {n: u for n, u in kept.items() if n in out and u})
+    return Table(
+        time, out, str(path), {n: u for n, u in kept.items() if n in out and u}
+    )
 
 
 def _as_channels(
@@ -221,10 +233,14 @@ def _as_channels(
         raise InputError(f"{path}: {error}") from None
     for name in rename if expected is None else ():
         if name not in columns:
-            raise InputError(f"{path}: no column {shown(name)} to rename; {did_you_mean(name, columns)}")
+            raise InputError(
+                f"{path}: no column {shown(name)} to rename; {did_you_mean(name, columns)}"
+            )
     stated = [*found.units.items(), *units.items()]
     renamed_units = {rename.get(name, name): unit for name, unit in stated}
-    return {rename.get(name, name): values for name, values in columns.items()}, renamed_units
+    return {
+        rename.get(name, name): values for name, values in columns.items()
+    }, renamed_units
 
 
 def _find_time(path: Path, columns: dict[str, Any], units: dict[str, str]) -> None:
@@ -239,7 +255,9 @@ def _find_time(path: Path, columns: dict[str, Any], units: dict[str, str]) -> No
     units.setdefault(TIME, units.pop(other, time_unit(other)))
 
 
-def _converted(path: Path, name: str, values: np.ndarray, unit: str | None, target: str | None) -> np.ndarray:
+def _converted(
+    path: Path, name: str, values: np.ndarray, unit: str | None, target: str | None
+) -> np.ndarray:
     """Return a column in the unit `target`; unchanged where no unit is wanted."""
     if target is None:
         return values
@@ -263,9 +281,13 @@ def _by_unit(
     inverse = {channel: name for name, channel in rename.items()}
     for channel, unit in {TIME: "s", **expected}.items():
         source = inverse.get(channel, channel)
-        column = column_for(source, columns, units.get(channel) or units.get(source) or unit)
+        column = column_for(
+            source, columns, units.get(channel) or units.get(source) or unit
+        )
         if column != source:
-            rename = {n: c for n, c in rename.items() if n != source} | {column: channel}
+            rename = {n: c for n, c in rename.items() if n != source} | {
+                column: channel
+            }
     return rename
 
 
@@ -290,7 +312,9 @@ class Format:
 def _stamped_format(reader: str) -> Format:
     """Return a format whose channels may have time stamps of their own; the reader runs in a separate process."""
 
-    def read(path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None) -> Columns:
+    def read(
+        path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None
+    ) -> Columns:
         return _only_raster(path, read_rasters(path), wanted)
 
     def read_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
@@ -306,10 +330,18 @@ def _only_raster(path: Path, rasters: list[Columns], wanted: Choice) -> Columns:
         wanted = wanted(names)
     for name in wanted or ():
         if name not in names:
-            raise InputError(f"{path}: no channel {shown(name)}; {did_you_mean(name, names)}")
-    found = [raster for raster in rasters if wanted is None or set(wanted) & set(raster.values) - {TIME}]
+            raise InputError(
+                f"{path}: no channel {shown(name)}; {did_you_mean(name, names)}"
+            )
+    found = [
+        raster
+        for raster in rasters
+        if wanted is None or set(wanted) & set(raster.values) - {TIME}
+    ]
     if len(found) > 1:
-        counts = ", ".join(str(len(next(iter(raster.values.values())))) for raster in found[:20])
+        counts = ", ".join(
+            str(len(next(iter(raster.values.values())))) for raster in found[:20]
+        )
         raise InputError(
             f"{path}: channels are on different rasters of {counts} samples: simulate and diagnose read such a file as it is"
         )
@@ -319,7 +351,9 @@ def _only_raster(path: Path, rasters: list[Columns], wanted: Choice) -> Columns:
 def _binary_format(reader: str) -> Format:
     """Return a format whose reader runs in a separate process."""
 
-    def read(path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None) -> Columns:
+    def read(
+        path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None
+    ) -> Columns:
         return _read_binary(reader, path, wanted, axis)
 
     return Format(read)
@@ -332,7 +366,10 @@ def _read_binary(reader: str, path: Path, wanted: Choice, axis: str) -> Columns:
     head, arrays = isolated.read(reader, path, given, axis)
     out: dict[str, Any] = {}
     units = dict(head["units"])
-    told = [(name, values) for (name, _), values in zip(head["columns"], arrays, strict=True)]
+    told = [
+        (name, values)
+        for (name, _), values in zip(head["columns"], arrays, strict=True)
+    ]
     told += [(name, _NO_NUMBERS) for name in head["other"]]
     full = [name for name, _ in told]
     pairs = [split_header(name) if reader == _PARQUET else (name, "") for name in full]
@@ -368,7 +405,9 @@ def _read_binary_rasters(reader: str, path: Path) -> list[Columns]:
     return list(rasters.values())
 
 
-def _read_mat(path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None) -> Columns:
+def _read_mat(
+    path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None
+) -> Columns:
     """Read a MATLAB file; version 7.3 is another format."""
     with path.open("rb") as stream:
         head = stream.read(10)
@@ -390,11 +429,15 @@ def _sheet(path: Path) -> str:
     return str(isolated.read(f"{_PACKAGE}.xlsx", path)[0]["text"])
 
 
-def _read_workbook(path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None) -> Columns:
+def _read_workbook(
+    path: Path, wanted: Choice, axis: str, columns: Sequence[str] | None = None
+) -> Columns:
     return read_text(path, wanted, axis, columns, _sheet(path))
 
 
-def _read_workbook_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
+def _read_workbook_rasters(
+    path: Path, columns: Sequence[str] | None = None
+) -> list[Columns]:
     return read_text_rasters(path, columns, _sheet(path))
 
 
@@ -420,7 +463,9 @@ def format_of(path: Path) -> Format:
     found = _FORMATS.get(path.suffix.lower())
     if found is None:
         known = " ".join(_FORMATS)
-        raise InputError(f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known})")
+        raise InputError(
+            f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known})"
+        )
     return found
 
 
@@ -451,13 +496,21 @@ def write_table(path: str | Path, table: Table) -> None:
                 write_binary(table, temporary, path)
                 return
             with temporary.open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.writer(stream, delimiter="\t" if suffix == ".tsv" else ",", lineterminator="\n")
+                writer = csv.writer(
+                    stream,
+                    delimiter="\t" if suffix == ".tsv" else ",",
+                    lineterminator="\n",
+                )
                 writer.writerow([TIME, *table.columns])
                 data = (table.time, *table.columns.values())
-                writer.writerows(zip(*(column.tolist() for column in data), strict=True))
+                writer.writerows(
+                    zip(*(column.tolist() for column in data), strict=True)
+                )
     except ImportError as error:
         raise InputError(
             f"{path}: writing {suffix} needs {error.name or error}: {how_to_install('io')}"
         ) from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or _one_line(error)})") from None
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror or _one_line(error)})"
+        ) from None

@@ -43,8 +43,13 @@ Dialect = tuple[str, bool, int]
 
 #: numbers with thousands separators that have one meaning only, by "the decimal separator is a comma"
 _GROUPED = {
-    comma: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:(?:[{sep}]\d{{3}})+[{mark}]\d*|(?:[{sep}]\d{{3}}){{2,}})")
-    for comma, mark, sep in ((True, ",", ".'\u2019 \xa0\u202f"), (False, ".", ",'\u2019 \xa0\u202f"))
+    comma: re.compile(
+        rf"[+-]?[1-9]\d{{0,2}}(?:(?:[{sep}]\d{{3}})+[{mark}]\d*|(?:[{sep}]\d{{3}}){{2,}})"
+    )
+    for comma, mark, sep in (
+        (True, ",", ".'\u2019 \xa0\u202f"),
+        (False, ".", ",'\u2019 \xa0\u202f"),
+    )
 }
 #: a number such as 1.234 or 1,234: one and a fraction, or more than a thousand
 _EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
@@ -78,7 +83,9 @@ class _Marks:
     either: list[int] = field(default_factory=list)
     point: bool = False  # whether the column has another cell with a point, in a file with decimal commas
     decimal: bool = False  # whether the column has a cell with the decimal mark that has one meaning only
-    grouped: int = -1  # first row of a cell such as 1,234 with the decimal mark; -1 without one
+    grouped: int = (
+        -1
+    )  # first row of a cell such as 1,234 with the decimal mark; -1 without one
     large: bool = False  # whether the column has a whole number from 100 to 999
 
     def add(self, row: int, text: str, comma: bool) -> None:
@@ -144,23 +151,35 @@ def text_of(path: Path) -> str:
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter), [])
+    return (
+        line.split()
+        if delimiter == " "
+        else next(csv.reader([line], delimiter=delimiter), [])
+    )
 
 
 def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
     """Return the dialect under which the last lines are rows of numbers of equal width."""
     best: tuple[tuple[float, int], str, bool, int] = ((0.0, 0), ",", False, 0)
-    for delimiter, comma in [(d, False) for d in ",;\t"] + [(";", True), ("\t", True), (" ", False)]:
+    for delimiter, comma in [(d, False) for d in ",;\t"] + [
+        (";", True),
+        ("\t", True),
+        (" ", False),
+    ]:
         split = [_cells(s, delimiter) for _, s in rows[-20:]]
         width = max((len(c) for c in split), key=[len(c) for c in split].count)
-        numbers = sum(number_in(x, comma) is not None for c in split if len(c) == width for x in c)
+        numbers = sum(
+            number_in(x, comma) is not None for c in split if len(c) == width for x in c
+        )
         share = numbers / max(sum(map(len, split)), 1)
         if width > 1 and (share, numbers) > best[0]:
             best = ((share, numbers), delimiter, comma, width)
     (_, numbers), delimiter, comma, width = best
     if not numbers:
         last = [number_in(s.strip(), False) is not None for _, s in rows[-20:]]
-        if sum(last) > 0.5 * len(last):  # a single column: the time of a rig without inputs and outputs
+        if sum(last) > 0.5 * len(
+            last
+        ):  # a single column: the time of a rig without inputs and outputs
             return ",", False, 1
         tried = "separators tried: comma, semicolon, tab, blank"
         raise InputError(f"{path}: no columns of numbers found ({tried})")
@@ -190,7 +209,9 @@ def _is_numeric(cells: list[str], width: int, comma: bool) -> bool:
     """Return whether a row is data: most of its cells are finite numbers, or all its cells are numbers or gaps."""
     found = [number_in(x, comma) for x in cells]
     finite = sum(x is not None and math.isfinite(x) for x in found)
-    return finite > width / 2 or (finite > 0 and len(cells) == width and None not in found)
+    return finite > width / 2 or (
+        finite > 0 and len(cells) == width and None not in found
+    )
 
 
 def _are_units(cells: list[str]) -> bool:
@@ -201,7 +222,8 @@ def _are_units(cells: list[str]) -> bool:
 
 #: a cell that numbers a column instead of naming it
 _NUMBERED = re.compile(
-    r"(channel|chan|ch|kanal|column|col|spalte|sensor|no|nr|#)?[\s_.:#-]*\d+", re.IGNORECASE
+    r"(channel|chan|ch|kanal|column|col|spalte|sensor|no|nr|#)?[\s_.:#-]*\d+",
+    re.IGNORECASE,
 )
 
 
@@ -262,12 +284,16 @@ def _header_rows(
     delimiter, _, width = like
     number = rows[first][0]
     heads = [[x.strip() for x in _cells(s, delimiter)] for _, s in rows[:first]]
-    block = list(itertools.takewhile(lambda cells: len(cells) == width, reversed(heads)))
+    block = list(
+        itertools.takewhile(lambda cells: len(cells) == width, reversed(heads))
+    )
     if block:
         return block[::-1]
     if given is not None:
         if len(given) != width:
-            raise InputError(f"{path}: --columns names {len(given)} columns, line {number} has {width}")
+            raise InputError(
+                f"{path}: --columns names {len(given)} columns, line {number} has {width}"
+            )
         return [list(given)]
     above = rows[first - 1][0] if first else 0
     block = _in_comments([text for n, text in comments if above < n < number], like)
@@ -309,19 +335,25 @@ def _in_comments(comments: Sequence[str], like: Dialect) -> list[list[str]]:
         text = text.strip().lstrip("#%").strip()
         for mark in dict.fromkeys((delimiter, ",", ";", "\t", " ")):
             cells = [x.strip() for x in _cells(text, mark)]
-            if len(cells) == width and not any(number_in(x, comma) is not None for x in cells):
+            if len(cells) == width and not any(
+                number_in(x, comma) is not None for x in cells
+            ):
                 out.append(cells)
                 break
     return out
 
 
-def _picked(path: Path, names: list[str], wanted: list[str] | None, time: str) -> list[int]:
+def _picked(
+    path: Path, names: list[str], wanted: list[str] | None, time: str
+) -> list[int]:
     """Return the indices of the wanted columns and of the time column; all columns if no names are given."""
     there = Counter(names)
     bases = {n: split_header(n)[0] for n in names}
     for name in wanted or ():
         if name not in there and name not in bases.values():
-            raise MissingColumn(f"{path}: no column {shown(name)}; {did_you_mean(name, names)}", name)
+            raise MissingColumn(
+                f"{path}: no column {shown(name)}; {did_you_mean(name, names)}", name
+            )
     for name, count in there.items():
         if count > 1 and (wanted is None or name in wanted):
             raise InputError(f"{path}: the header names {shown(name)} twice")
@@ -350,7 +382,9 @@ def _cell_by_cell(
     for k, (number, line) in enumerate(rows):
         row = _cells(line, delimiter)
         if len(row) != width:
-            raise InputError(f"{path}: line {number} has {len(row)} fields, the header has {width}")
+            raise InputError(
+                f"{path}: line {number} has {len(row)} fields, the header has {width}"
+            )
         for i in used:
             name, value = names[i], number_in(row[i], comma)
             if value is not None:
@@ -377,7 +411,9 @@ def _cell_by_cell(
     return out, {name: text for name, text in texts.items() if name in out}
 
 
-def _two_meanings(path: Path, row: tuple[int, str], name: str, place: int, delimiter: str) -> InputError:
+def _two_meanings(
+    path: Path, row: tuple[int, str], name: str, place: int, delimiter: str
+) -> InputError:
     cell = shown(_cells(row[1], delimiter)[place].strip())
     return InputError(
         f"{path}: line {row[0]}, column {shown(name)}: {cell} may be a fraction or thousands: write numbers without "
@@ -401,7 +437,10 @@ def _check_groups(
         if not broken.any() or (x[broken] < 1.0).any() or x.max() >= 1000.0:
             continue
         thousands = 1e3 * x[broken]
-        if np.abs(thousands - np.round(thousands)).max() > 1e-6 or not (x[~broken] >= 100.0).any():
+        if (
+            np.abs(thousands - np.round(thousands)).max() > 1e-6
+            or not (x[~broken] >= 100.0).any()
+        ):
             continue
         marks = _Marks()
         for k, (_, line) in enumerate(rows):
@@ -423,7 +462,11 @@ class _Text:
         """Return the tables side by side (`_columns.side_by_side`); empty unless their time columns rise."""
         found = side_by_side([split_header(n)[0] for n in self.names])
         delimiter, comma, width = self.like
-        first = [cells for _, s in self.rows[:50] if len(cells := _cells(s, delimiter)) == width]
+        first = [
+            cells
+            for _, s in self.rows[:50]
+            if len(cells := _cells(s, delimiter)) == width
+        ]
         for places, _ in found:
             stamps = [number_in(cells[places[0]], comma) for cells in first]
             time = [t for t in stamps if t is not None and math.isfinite(t)]
@@ -434,10 +477,17 @@ class _Text:
 
 def _read(path: Path, columns: Sequence[str] | None, text: str | None = None) -> _Text:
     # lines end at line feeds and carriage returns, not at every separator of Unicode
-    lines = (text_of(path) if text is None else text).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = (
+        (text_of(path) if text is None else text)
+        .replace("\r\n", "\n")
+        .replace("\r", "\n")
+        .split("\n")
+    )
     told = [(i, s) for i, s in enumerate(lines, 1) if s.strip()]
     rows = [(i, s) for i, s in told if s.lstrip()[0] not in "#%"]
-    comments = [(i, s) for i, s in told if s.lstrip()[0] in "#%" and len(s) <= LINE_LIMIT]
+    comments = [
+        (i, s) for i, s in told if s.lstrip()[0] in "#%" and len(s) <= LINE_LIMIT
+    ]
     del lines, told
     if not rows:
         raise InputError(f"{path}: is empty")
@@ -453,7 +503,9 @@ def _read(path: Path, columns: Sequence[str] | None, text: str | None = None) ->
         comments = [(i, _without_last(s, delimiter, empty)) for i, s in comments]
         like = delimiter, comma, width - empty
     if like[2] > COLUMN_LIMIT:
-        raise InputError(f"{path}: has {like[2]} columns, at most {COLUMN_LIMIT} are read")
+        raise InputError(
+            f"{path}: has {like[2]} columns, at most {COLUMN_LIMIT} are read"
+        )
     names, units, first = _header(path, rows, like, columns, comments)
     return _Text(names, units, rows[first:], like)
 
@@ -501,7 +553,11 @@ def _columns(path: Path, text: _Text, wanted: Choice, time: str) -> Columns:
         return Columns({names[i]: data[:, i] for i in used}, units, numbers)
     needed = {time}
     if wanted is not None:
-        needed |= {n for n in names if n in wanted or split_header(n)[0] in wanted or n.lower() in TIME_NAMES}
+        needed |= {
+            n
+            for n in names
+            if n in wanted or split_header(n)[0] in wanted or n.lower() in TIME_NAMES
+        }
     values, texts = _cell_by_cell(path, rows, names, used, needed, like)
     return Columns(values, units, numbers, texts)
 
@@ -518,17 +574,30 @@ def read_text_rasters(
     # unique names while the cells are read
     keys = [str(i) for i in range(len(bare))]
     found, texts = _cell_by_cell(
-        path, text.rows, keys, list(range(len(bare))), {str(t[0][0]) for t in tables}, text.like
+        path,
+        text.rows,
+        keys,
+        list(range(len(bare))),
+        {str(t[0][0]) for t in tables},
+        text.like,
     )
     out = []
     for places, names in tables:
         there = np.isfinite(found[str(places[0])])
-        values = {n: found[str(i)][there] for i, n in zip(places, names, strict=True) if str(i) in found}
+        values = {
+            n: found[str(i)][there]
+            for i, n in zip(places, names, strict=True)
+            if str(i) in found
+        }
         units = {
             n: text.units.get(text.names[i]) or time_unit(bare[i]) * (n == TIME)
             for i, n in zip(places, names, strict=True)
         }
         lines = [line for (line, _), good in zip(text.rows, there, strict=True) if good]
-        odd = {n: texts[str(i)] for i, n in zip(places, names, strict=True) if str(i) in texts}
+        odd = {
+            n: texts[str(i)]
+            for i, n in zip(places, names, strict=True)
+            if str(i) in texts
+        }
         out.append(Columns(values, {n: u for n, u in units.items() if u}, lines, odd))
     return out

@@ -18,7 +18,9 @@ TIME = "time"
 
 def write_binary(table: Table, temporary: Path, path: Path) -> None:
     """Write a table to a temporary file in the format of the suffix of `path`, the file that it will be."""
-    {".parquet": _parquet, ".mat": _mat, ".mf4": _mf4}[path.suffix.lower()](table, temporary, path)
+    {".parquet": _parquet, ".mat": _mat, ".mf4": _mf4}[path.suffix.lower()](
+        table, temporary, path
+    )
 
 
 def _parquet(table: Table, temporary: Path, path: Path) -> None:
@@ -31,7 +33,9 @@ def _parquet(table: Table, temporary: Path, path: Path) -> None:
         for n in (TIME, *table.columns)
     ]
     data = [table.time, *table.columns.values()]
-    parquet.write_table(pyarrow.Table.from_arrays(data, schema=pyarrow.schema(fields)), temporary)
+    parquet.write_table(
+        pyarrow.Table.from_arrays(data, schema=pyarrow.schema(fields)), temporary
+    )
 
 
 def _mat(table: Table, temporary: Path, path: Path) -> None:
@@ -52,6 +56,9 @@ def _mf4(table: Table, temporary: Path, path: Path) -> None:
 
         with MDF(version="4.10") as mdf:
             mdf.append(
-                [Signal(v, table.time, name=n, unit=table.units.get(n, "")) for n, v in table.columns.items()]
+                [
+                    Signal(v, table.time, name=n, unit=table.units.get(n, ""))
+                    for n, v in table.columns.items()
+                ]
             )
             mdf.save(temporary, overwrite=True)

@@ -79,10 +79,14 @@ class Facts:
     @property
     def constant(self) -> bool:
         """Whether the column never changes."""
-        return not self.deviation > 1e-12 * max(abs(self.largest), abs(self.least), 1e-300)
+        return not self.deviation > 1e-12 * max(
+            abs(self.largest), abs(self.least), 1e-300
+        )
 
 
-def facts_of(raster: Raster, file: int, number: int, units: Mapping[str, str]) -> list[Facts]:
+def facts_of(
+    raster: Raster, file: int, number: int, units: Mapping[str, str]
+) -> list[Facts]:
     """Return the properties of every column of a raster.
 
     Args:
@@ -98,15 +102,28 @@ def facts_of(raster: Raster, file: int, number: int, units: Mapping[str, str]) -
     for name, x in raster.columns.items():
         good = x[np.isfinite(x)]
         lo, hi, mean, sd = (
-            (float(good.min()), float(good.max()), float(good.mean()), float(good.std()))
+            (
+                float(good.min()),
+                float(good.max()),
+                float(good.mean()),
+                float(good.std()),
+            )
             if len(good)
             else (math.nan, math.nan, math.nan, 0.0)
         )
         rate = 1.0 / raster.step if raster.step > 0 else math.nan
-        band = _band(good, rate) if len(good) > 63 and sd > 0 and math.isfinite(rate) else math.nan
+        band = (
+            _band(good, rate)
+            if len(good) > 63 and sd > 0 and math.isfinite(rate)
+            else math.nan
+        )
         missing = len(x) - len(good)
         unit = units.get(name) or raster.units.get(name, "")
-        out.append(Facts(file, number, name, unit, rate, len(x), missing, lo, hi, mean, sd, band))
+        out.append(
+            Facts(
+                file, number, name, unit, rate, len(x), missing, lo, hi, mean, sd, band
+            )
+        )
     return out
 
 
@@ -169,7 +186,11 @@ def odd_stamps(raster: Raster) -> list[Oddity]:
         )
     if not 1e-6 <= step <= 0.25 and raster.stamp:
         # for stamps that only look like seconds
-        likely = [unit for unit in ("ms", "us", "ns") if 1e-4 <= convert(step, unit, "s") <= 0.25]
+        likely = [
+            unit
+            for unit in ("ms", "us", "ns")
+            if 1e-4 <= convert(step, unit, "s") <= 0.25
+        ]
         say(
             f"a step of {step:.4g} s: is {raster.stamp} in another unit?",
             f"--unit {raster.stamp}={likely[0]}" if likely else "",
@@ -229,12 +250,21 @@ def odd_values(raster: Raster, facts: Facts) -> list[Oddity]:
             "" if facts.missing == facts.samples else "the record is split there",
         )
     if facts.constant:
-        say(f"is constant ({facts.mean:.6g})" if facts.missing < facts.samples else "holds no number")
+        say(
+            f"is constant ({facts.mean:.6g})"
+            if facts.missing < facts.samples
+            else "holds no number"
+        )
         return out
     good = np.isfinite(x)
     quantity = quantity_of(facts.unit)
     # a commanded current is held by design
-    if quantity != "current" and good.all() and len(x) >= 64 and not (np.diff(raster.time) <= 0).any():
+    if (
+        quantity != "current"
+        and good.all()
+        and len(x) >= 64
+        and not (np.diff(raster.time) <= 0).any()
+    ):
         for f in held_samples(facts.name, x, raster.time):
             say(f.message)
     if quantity is not None:
@@ -297,7 +327,10 @@ def odd_scale(raster: Raster, facts: Facts, quantity: str) -> list[Oddity]:
         unit
         for unit, (s, k) in TABLE.items()
         if s == si
-        and any(abs(k / factor / r - 1) < 0.2 for r in ((1e-3, 1e-6, 1 / 9.81) if big else (1e3, 1e6, 9.81)))
+        and any(
+            abs(k / factor / r - 1) < 0.2
+            for r in ((1e-3, 1e-6, 1 / 9.81) if big else (1e3, 1e6, 9.81))
+        )
         and 2 * least < spread * k / factor < doubtful
         and speed * k / factor < 15.0
     ]

@@ -29,7 +29,11 @@ def _logger(logger: Logger) -> dict[str, Any]:
     stamps = {k: v for k, v in told if v}
     if logger.columns:
         out["columns"] = list(logger.columns)
-    return out | ({"stamps": stamps} if stamps else {}) | ({} if logger.lag is None else {"lag": logger.lag})
+    return (
+        out
+        | ({"stamps": stamps} if stamps else {})
+        | ({} if logger.lag is None else {"lag": logger.lag})
+    )
 
 
 def map_content(of: ChannelMap) -> dict[str, Any]:
@@ -44,7 +48,9 @@ def map_content(of: ChannelMap) -> dict[str, Any]:
 
 def save_map(of: ChannelMap, path: str | Path) -> None:
     """Write a map file atomically, one channel per line."""
-    loggers = ",\n  ".join(json.dumps(_logger(x), ensure_ascii=False) for x in of.loggers)
+    loggers = ",\n  ".join(
+        json.dumps(_logger(x), ensure_ascii=False) for x in of.loggers
+    )
     channels = ",\n".join(
         f"  {json.dumps(n, ensure_ascii=False)}: {json.dumps(_column(c), ensure_ascii=False)}"
         for n, c in of.channels.items()

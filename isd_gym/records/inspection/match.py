@@ -34,7 +34,9 @@ PHYSICS = 9.0  # score of a perfect match with a simulation
 EXACT = 5.0  # score of a column's name that is the channel's
 CLEAR = 0.85  # correlation with the turned simulation above which a sensor is turned
 DOUBT = 0.7  # correlation above which the sign and the unit are questioned
-ALIKE = 3.0  # ratio of measured and simulated amplitude above which the unit is questioned
+ALIKE = (
+    3.0  # ratio of measured and simulated amplitude above which the unit is questioned
+)
 FITS = 1.6  # the same ratio below which a unit fits
 
 
@@ -99,7 +101,9 @@ class Suggestion:
             name: Column(
                 c.facts.name,
                 c.facts.file + 1,
-                c.unit if c.unit != files[c.facts.file][c.facts.raster].units.get(c.facts.name) else None,
+                c.unit
+                if c.unit != files[c.facts.file][c.facts.raster].units.get(c.facts.name)
+                else None,
                 c.sign,
                 sure,
                 "; ".join(c.why),
@@ -107,7 +111,12 @@ class Suggestion:
             for name, (c, sure) in self.channels.items()
         }
         loggers = tuple(
-            Logger(group[0].name, group[0].stamp or None, columns=tuple(columns or ()), rate=rate)
+            Logger(
+                group[0].name,
+                group[0].stamp or None,
+                columns=tuple(columns or ()),
+                rate=rate,
+            )
             for group in files
         )
         return ChannelMap(channels, loggers, model)
@@ -147,7 +156,9 @@ def suggest(
         out.remarks.append(
             f"{COLUMNS} columns of {len(facts)} were looked at: those whose names or units speak for a channel"
         )
-    prior = np.array([[_prior(f, c, network) for f in live] for c in wanted]).reshape(len(wanted), len(live))
+    prior = np.array([[_prior(f, c, network) for f in live] for c in wanted]).reshape(
+        len(wanted), len(live)
+    )
     window = _window(files, live)
     for j, f in enumerate(live):
         owner = next((n for n, c in given.items() if c.column == f.name), None)
@@ -159,9 +170,14 @@ def suggest(
             if owner is not None or c.name in given:
                 prior[i, j] = GIVEN if owner == c.name else -GIVEN
     if window is None:
-        out.remarks.append("the columns have no time in common: names and units alone were compared")
+        out.remarks.append(
+            "the columns have no time in common: names and units alone were compared"
+        )
     choices = _choices(network, prior)
-    solved = [_solve(network, wanted, live, prior, window, choice, signs) for choice in choices]
+    solved = [
+        _solve(network, wanted, live, prior, window, choice, signs)
+        for choice in choices
+    ]
     # a constant column may be an unused input
     best = max(solved, key=lambda s: s.total)
     for i, c in enumerate(wanted):
@@ -170,7 +186,9 @@ def suggest(
             idle = [f for f in facts if f.constant and _prior(f, c, network) > 2.5]
             if c in network.inputs and idle:
                 out.channels[c.name] = (
-                    Candidate(idle[0], _unit(idle[0], c), why=("by its name", "constant")),
+                    Candidate(
+                        idle[0], _unit(idle[0], c), why=("by its name", "constant")
+                    ),
                     0.6,
                 )
                 continue
@@ -215,7 +233,9 @@ def _unit(f: Facts, c: Channel) -> str:
 
 
 def _of_the_input(
-    network: Network, channels: dict[str, tuple[Candidate, float]], signs: Mapping[str, int]
+    network: Network,
+    channels: dict[str, tuple[Candidate, float]],
+    signs: Mapping[str, int],
 ) -> list[str]:
     """Unturn several outputs that are all turned: return a question to the user on the sign of the only input."""
     found = [c.name for c in network.outputs if c.name in channels]
@@ -224,8 +244,13 @@ def _of_the_input(
         return []
     for name in found:
         pick, sure = channels[name]
-        channels[name] = (replace(pick, sign=1, why=pick.why[:-1], follows=math.nan), sure)
-    return [f"all outputs follow the model turned round: --sign {network.inputs[0].name}=-1?"]
+        channels[name] = (
+            replace(pick, sign=1, why=pick.why[:-1], follows=math.nan),
+            sure,
+        )
+    return [
+        f"all outputs follow the model turned round: --sign {network.inputs[0].name}=-1?"
+    ]
 
 
 def _doubts(c: Channel, pick: Candidate, raster: Raster) -> list[str]:
@@ -237,7 +262,9 @@ def _doubts(c: Channel, pick: Candidate, raster: Raster) -> list[str]:
             f"{c.name} follows the model turned round ({pick.against:.2f}): --sign {c.name}={-pick.sign:+d}?"
         )
     if pick.follows > DOUBT and not 1 / ALIKE < pick.gain < ALIKE:
-        gains = {unit: pick.gain * convert(1.0, unit, pick.unit) for unit in units_of(c.si)}
+        gains = {
+            unit: pick.gain * convert(1.0, unit, pick.unit) for unit in units_of(c.si)
+        }
         fitting = [unit for unit, gain in gains.items() if 1 / FITS < gain < FITS]
         if fitting:
             out.append(
@@ -283,7 +310,10 @@ def _window(files: Sequence[Sequence[Raster]], live: Sequence[Facts]) -> Window 
         good[i, k] = r
     if not good:
         return None
-    start, stop = max(r.time[0] for r in good.values()), min(r.time[-1] for r in good.values())
+    start, stop = (
+        max(r.time[0] for r in good.values()),
+        min(r.time[-1] for r in good.values()),
+    )
     step = min(r.step for r in good.values())
     if stop - start < 64 * step:
         return None
@@ -299,7 +329,9 @@ def _window(files: Sequence[Sequence[Raster]], live: Sequence[Facts]) -> Window 
         x = r.columns[f.name]
         fine = np.isfinite(x)
         rows.append(np.interp(time, r.time[fine], x[fine]))
-    return Window(time - time[0], np.array(rows), LAG if len({f.file for f in live}) > 1 else 0.0)
+    return Window(
+        time - time[0], np.array(rows), LAG if len({f.file for f in live}) > 1 else 0.0
+    )
 
 
 #: a choice of inputs: index of the column of each input; -1 without a column
@@ -310,9 +342,14 @@ def _choices(network: Network, prior: np.ndarray) -> list[Drive]:
     """Return candidate choices of input columns, most probable first."""
     options: list[list[tuple[float, int]]] = []
     for row in prior[: len(network.inputs)]:
-        best = [(float(row[k]), int(k)) for k in np.argsort(-row)[:6] if row[k] >= NOTHING]
+        best = [
+            (float(row[k]), int(k)) for k in np.argsort(-row)[:6] if row[k] >= NOTHING
+        ]
         options.append(sorted([*best, (NOTHING, -1)], reverse=True))
-    every = sorted(itertools.product(*options), key=lambda choice: -sum(score for score, _ in choice))
+    every = sorted(
+        itertools.product(*options),
+        key=lambda choice: -sum(score for score, _ in choice),
+    )
     drives = [tuple(k for _, k in choice) for choice in every]
     return [drive for drive in drives if _is_distinct(drive)][:DRIVES]
 
@@ -417,13 +454,22 @@ def _driven(
     return simulate(network, window.time, inputs, step=min(1e-3, window.step))
 
 
-def _by_name(c: Channel, f: Facts, prior: float, network: Network, signs: Mapping[str, int]) -> Candidate:
+def _by_name(
+    c: Channel, f: Facts, prior: float, network: Network, signs: Mapping[str, int]
+) -> Candidate:
     """Return a column as candidate of a channel, by name and unit alone."""
-    return Candidate(f, _unit(f, c), signs.get(c.name, 1), prior, why=_reasons(f, c, network))
+    return Candidate(
+        f, _unit(f, c), signs.get(c.name, 1), prior, why=_reasons(f, c, network)
+    )
 
 
 def _compared(
-    c: Channel, by_name: Candidate, window: Window, k: int, said: np.ndarray, signs: Mapping[str, int]
+    c: Channel,
+    by_name: Candidate,
+    window: Window,
+    k: int,
+    said: np.ndarray,
+    signs: Mapping[str, int],
 ) -> Candidate:
     """Return a candidate of an output with the score of its correlation with the simulation.
 
@@ -443,14 +489,28 @@ def _compared(
         follows, against = against, follows
     size = b.std() / a.std()  # measured over simulated, in their units
     units = [f.unit] if si_unit(f.unit) else units_of(c.si)
-    misfit = min(abs(math.log(max(float(convert(size, u, c.unit)), 1e-12))) for u in units)
-    score = by_name.score + PHYSICS * (strength**2 - 0.3) - min(1.5 * misfit, 4.0) * strength
+    misfit = min(
+        abs(math.log(max(float(convert(size, u, c.unit)), 1e-12))) for u in units
+    )
+    score = (
+        by_name.score
+        + PHYSICS * (strength**2 - 0.3)
+        - min(1.5 * misfit, 4.0) * strength
+    )
     why = by_name.why
     if follows > 0.5:
         turned = ", turned round" if sign < 0 else ""
         why = (*why, f"follows the model: {follows:.2f}{turned}")
     gain = float(convert(size, by_name.unit, c.unit))
-    return replace(by_name, sign=sign, score=score, follows=follows, against=against, gain=gain, why=why)
+    return replace(
+        by_name,
+        sign=sign,
+        score=score,
+        follows=follows,
+        against=against,
+        gain=gain,
+        why=why,
+    )
 
 
 def _reasons(f: Facts, c: Channel, network: Network) -> tuple[str, ...]:

@@ -25,7 +25,23 @@ _SAME = {
 }
 _WORD = {w: key for key, words in _SAME.items() for w in words.split()}
 #: abbreviations with little meaning alone
-_WEAK = {"a", "v", "x", "z", "f", "i", "s", "u", "rel", "cell", "top", "rate", "length", "base", "table"}
+_WEAK = {
+    "a",
+    "v",
+    "x",
+    "z",
+    "f",
+    "i",
+    "s",
+    "u",
+    "rel",
+    "cell",
+    "top",
+    "rate",
+    "length",
+    "base",
+    "table",
+}
 
 
 def tokens(name: str) -> dict[str, float]:
@@ -89,5 +105,7 @@ def alike(column: str, channel: Channel, network: Network) -> float:
         if w in quantities and w != channel.quantity and w not in theirs
     )
     places = {"body", "wheel", "road", "tyre"}
-    score -= sum(1.0 * worth for w, worth in own.items() if w in places and w not in theirs)
+    score -= sum(
+        1.0 * worth for w, worth in own.items() if w in places and w not in theirs
+    )
     return max(-2.0, min(score, 4.5))

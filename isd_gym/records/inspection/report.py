@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from ..loggers.mapping import ChannelMap
     from .match import Suggestion
 
-LAST_STAMP = 253402300799.0  # end of the year 9999 [s since 1970]; later stamps are no dates
+LAST_STAMP = (
+    253402300799.0  # end of the year 9999 [s since 1970]; later stamps are no dates
+)
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,10 @@ class Inspection:
             Plain data.
         """
         columns = [
-            {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(f).items()}
+            {
+                k: None if isinstance(v, float) and not math.isfinite(v) else v
+                for k, v in asdict(f).items()
+            }
             | {"file": self.files[f.file][f.raster].source}
             for f in self.facts
         ]
@@ -83,8 +88,13 @@ class Inspection:
         }
         if self.suggestion is not None:
             name = self.network.name if self.network else ""
-            out["map"] = map_content(self.suggestion.map(self.files, name, self.columns, self.rate))
-            out["missing"], out["remarks"] = self.suggestion.missing, self.suggestion.remarks
+            out["map"] = map_content(
+                self.suggestion.map(self.files, name, self.columns, self.rate)
+            )
+            out["missing"], out["remarks"] = (
+                self.suggestion.missing,
+                self.suggestion.remarks,
+            )
         return out
 
 
@@ -118,7 +128,9 @@ def inspect(
         InputError: A file cannot be read, or a column does not exist.
     """
     known_columns = by.channels if by else {}
-    units = dict(units or {}) | {c.column: c.unit for c in known_columns.values() if c.unit}
+    units = dict(units or {}) | {
+        c.column: c.unit for c in known_columns.values() if c.unit
+    }
     loggers = [*(by.loggers if by else ()), *[Logger()] * len(paths)]
     groups = [
         rasters(
@@ -131,10 +143,14 @@ def inspect(
         )
         for p, own in zip(paths, loggers, strict=False)
     ]
-    known = {n for group in groups for r in group for n in (*r.columns, r.stamp)} | {"time"}
+    known = {n for group in groups for r in group for n in (*r.columns, r.stamp)} | {
+        "time"
+    }
     for given in known_columns.values():
         if given.column not in known:
-            raise InputError(f"no column {shown(given.column)}; {did_you_mean(given.column, known)}")
+            raise InputError(
+                f"no column {shown(given.column)}; {did_you_mean(given.column, known)}"
+            )
     for name in units:
         if name not in known:
             raise InputError(
@@ -178,7 +194,9 @@ def _twins(groups: list[list[Raster]], facts: list[Facts]) -> list[Oddity]:
         raster = groups[f.file][f.raster]
         key = raster.columns[f.name].tobytes()
         if key in seen:
-            out.append(Oddity(raster.name, f.name, f"is the same column as {seen[key]}"))
+            out.append(
+                Oddity(raster.name, f.name, f"is the same column as {seen[key]}")
+            )
         seen.setdefault(key, f.name)
     return out
 
@@ -234,7 +252,9 @@ def lines(found: Inspection, width: int = 80) -> list[str]:
     for i, group in enumerate(found.files):
         for k, raster in enumerate(group):
             out.append(head(raster))
-            out.append(f"  {'column':<{name}} {'unit':<6} {'least':>8} {'largest':>8} {'RMS':>8} {'Hz':>6}")
+            out.append(
+                f"  {'column':<{name}} {'unit':<6} {'least':>8} {'largest':>8} {'RMS':>8} {'Hz':>6}"
+            )
             for f in found.facts:
                 if (f.file, f.raster) == (i, k):
                     out.append(
@@ -255,7 +275,9 @@ def lines(found: Inspection, width: int = 80) -> list[str]:
 
 
 def _folded(text: str, width: int) -> list[str]:
-    return textwrap.wrap(plain(text, 600), width, initial_indent="  ", subsequent_indent="    ")
+    return textwrap.wrap(
+        plain(text, 600), width, initial_indent="  ", subsequent_indent="    "
+    )
 
 
 def _matched(found: Inspection, width: int) -> list[str]:
@@ -271,13 +293,17 @@ def _matched(found: Inspection, width: int) -> list[str]:
     ]
     for c in channels:
         if c.name not in made.channels:
-            out.append(f"  {_cut(c.name, name):<{name}} {'(none found)':<{wide}} {c.unit}")
+            out.append(
+                f"  {_cut(c.name, name):<{name}} {'(none found)':<{wide}} {c.unit}"
+            )
             continue
         pick, sure = made.channels[c.name]
         column = ("-" if pick.sign < 0 else "") + pick.facts.name
         why = "; ".join(pick.why)
         row = f"  {_cut(c.name, name):<{name}} {_cut(column, wide):<{wide}} {_cut(pick.unit, 6):<6} {percent_of(sure):>6}  "
-        out += textwrap.wrap(row + why, width, subsequent_indent=" " * min(len(row), width - 20))
+        out += textwrap.wrap(
+            row + why, width, subsequent_indent=" " * min(len(row), width - 20)
+        )
     for remark in made.remarks:
         out += _folded(remark, width)
     return out

@@ -32,9 +32,15 @@ def outputs_of(
     there = set(by.channels if by else ())
     if by is None:
         stamp = next((c for c, n in names.items() if n == "time"), None)
-        read = [r for f in files_of(path) for r in rasters(f, stamp=stamp, columns=columns, rate=rate)]
+        read = [
+            r
+            for f in files_of(path)
+            for r in rasters(f, stamp=stamp, columns=columns, rate=rate)
+        ]
         found = [n for r in read for n in r.columns]
-        there = {names.get(n, n) for full in found for n in (full, split_header(full)[0])}
+        there = {
+            names.get(n, n) for full in found for n in (full, split_header(full)[0])
+        }
     return [c.name for c in network.outputs if c.name in there]
 
 

@@ -24,7 +24,16 @@ from ..._common.units import convert
 from ...physics.network import Channel, Network, without
 from ..data._columns import column_for, did_you_mean
 from ..schemas import check
-from .recording import EPOCH, Raster, Recording, Signal, continuous, mended, rasters, spans
+from .recording import (
+    EPOCH,
+    Raster,
+    Recording,
+    Signal,
+    continuous,
+    mended,
+    rasters,
+    spans,
+)
 
 SCHEMA = "isd-map/1"
 JOIN = "+"  # separator between the files of a run
@@ -48,7 +57,9 @@ class Logger:
 
     file: str = ""  # name of its file, for people
     stamp: str | None = None  # column of the time stamps; None to detect the column
-    unit: str | None = None  # unit of the time stamps; None for the unit in the file, otherwise s
+    unit: str | None = (
+        None  # unit of the time stamps; None for the unit in the file, otherwise s
+    )
     lag: float | None = None  # delay of the time stamps [s]; None if unknown
     columns: tuple[str, ...] = ()  # names of the columns of a file without a header row
     #: sampling rate of a file without time stamps [Hz]; None for a file with time stamps
@@ -93,9 +104,13 @@ class ChannelMap:
                 try:
                     convert(1.0, unit, unit)
                 except InputError as error:
-                    raise InputError(f"{source}: channel {shown(name)}: {error}") from None
+                    raise InputError(
+                        f"{source}: channel {shown(name)}: {error}"
+                    ) from None
             number, sign = int(row.get("logger", 1)), int(row.get("sign", 1))
-            channels[name] = Column(row["column"], number, unit, sign, row.get("sure"), row.get("why", ""))
+            channels[name] = Column(
+                row["column"], number, unit, sign, row.get("sure"), row.get("why", "")
+            )
         return cls(channels, tuple(loggers), data.get("model", ""), source)
 
     def check(self, network: Network) -> None:
@@ -136,7 +151,9 @@ def files_of(text: str | Path) -> list[Path]:
 class _Named:
     """Columns of channels without a map."""
 
-    columns: Dict[str, str]  # column by channel, for columns with another name than the channel
+    columns: Dict[
+        str, str
+    ]  # column by channel, for columns with another name than the channel
     units: Dict[str, str]  # unit by channel or by column
     signs: Dict[str, int]  # factor 1 or -1 by channel or by column
 
@@ -177,15 +194,23 @@ def runs(
             )
         )
     name = JOIN.join(f.stem for f in files)
-    source = {c.name: by.channels[c.name].column for c in wanted if c.name in by.channels} if by else renamed
+    source = (
+        {c.name: by.channels[c.name].column for c in wanted if c.name in by.channels}
+        if by
+        else renamed
+    )
     columns_of = {c.name: source.get(c.name, c.name) for c in wanted}
     named = _Named(renamed, units or {}, signs or {})
     tables = found[0] if len(files) == 1 else []
-    if len(tables) < 2 or not all(n in r.columns for r in tables for n in columns_of.values()):
+    if len(tables) < 2 or not all(
+        n in r.columns for r in tables for n in columns_of.values()
+    ):
         return _run(str(text), name, files, found, network, wanted, by, named)
     out = []
     for k, table in enumerate(tables, 1):
-        out += _run(str(text), f"{name} ({k})", files, [[table]], network, wanted, by, named)
+        out += _run(
+            str(text), f"{name} ({k})", files, [[table]], network, wanted, by, named
+        )
     return out
 
 
@@ -209,10 +234,20 @@ def _run(
         _check_columns(by, wanted, network)
     place = {c.name: _find(c, network, by, files, found) for c in wanted}
     cut = _used_pieces(place, by, found, notes)
-    whole = spans([[(float(p.time[0]), float(p.time[-1])) for p in pieces] for pieces in cut.values()])
+    whole = spans(
+        [
+            [(float(p.time[0]), float(p.time[-1])) for p in pieces]
+            for pieces in cut.values()
+        ]
+    )
     if not whole:
-        stretches = [f"{p[0].name} {p[0].time[0]:.6g} to {p[-1].time[-1]:.6g} s" for p in cut.values()]
-        raise InputError(f"{text}: the loggers have no time in common ({'; '.join(stretches)})")
+        stretches = [
+            f"{p[0].name} {p[0].time[0]:.6g} to {p[-1].time[-1]:.6g} s"
+            for p in cut.values()
+        ]
+        raise InputError(
+            f"{text}: the loggers have no time in common ({'; '.join(stretches)})"
+        )
     lags = {
         _clock(i, file): logger.lag
         for i, (file, logger) in enumerate(zip(files, by.loggers, strict=False))
@@ -227,7 +262,9 @@ def _run(
             if piece is None:
                 break
             clock = _clock(at[0], files[at[0]])
-            signal = _signal(channel, by.channels[channel.name], piece, column, clock, notes)
+            signal = _signal(
+                channel, by.channels[channel.name], piece, column, clock, notes
+            )
             margin = 2 * piece.step
             signals[channel.name] = signal.within(start - margin, stop + margin)
         if len(signals) == len(wanted):
@@ -252,7 +289,9 @@ def _check_columns(by: ChannelMap, wanted: Sequence[Channel], network: Network) 
     if not lost:
         return
     kind = "the input " if lost[0] in {c.name for c in network.inputs} else ""
-    raise InputError(f"{by.source}: no column for {kind}{', '.join(lost)}{without(network, lost[0])}")
+    raise InputError(
+        f"{by.source}: no column for {kind}{', '.join(lost)}{without(network, lost[0])}"
+    )
 
 
 def _used_pieces(
@@ -270,7 +309,9 @@ def _used_pieces(
         raster = found[i][k]
         for name in used:
             if name in raster.texts:
-                raise InputError(f"{raster.source}: column {shown(name)}, {raster.texts[name]}")
+                raise InputError(
+                    f"{raster.source}: column {shown(name)}, {raster.texts[name]}"
+                )
         thin = replace(raster, columns={c: raster.columns[c] for c in used})
         cut[i, k] = mended(thin, notes)
     return cut
@@ -285,15 +326,24 @@ def _piece_of(pieces: Sequence[Raster], start: float, stop: float) -> Raster | N
 
 
 def _signal(
-    channel: Channel, source: Column, piece: Raster, column: str, clock: str, notes: list[str]
+    channel: Channel,
+    source: Column,
+    piece: Raster,
+    column: str,
+    clock: str,
+    notes: list[str],
 ) -> Signal:
     """Return a column as the signal of a channel, in SI units and with its sign."""
     unit = source.unit or piece.units.get(column) or channel.unit
     try:
         factor = convert(1.0, unit, channel.si)
     except InputError as error:
-        raise InputError(f"{piece.source}: column {shown(column)} as {channel.name}: {error}") from None
-    values, note = continuous(channel.name, source.sign * factor * piece.columns[column], channel.si)
+        raise InputError(
+            f"{piece.source}: column {shown(column)} as {channel.name}: {error}"
+        ) from None
+    values, note = continuous(
+        channel.name, source.sign * factor * piece.columns[column], channel.si
+    )
     told = f"{piece.name}: {note}"
     if note and told not in notes:
         notes.append(told)
@@ -327,12 +377,17 @@ def _by_name(
     for c in wanted:
         column = named.columns.get(c.name, c.name)
         unit = units.get(c.name) or units.get(column) or c.unit
-        full = [{n for r in g if (n := column_for(column, r.columns, unit)) in r.columns} for g in found]
+        full = [
+            {n for r in g if (n := column_for(column, r.columns, unit)) in r.columns}
+            for g in found
+        ]
         column = next((n for names in full for n in names), column)
         holders = [i for i, names in enumerate(full, 1) if names]
         if len(holders) > 1:
             names = " and ".join(str(files[i - 1]) for i in holders)
-            raise InputError(f"column {shown(column)} is in {names}: choose one with --map FILE")
+            raise InputError(
+                f"column {shown(column)} is in {names}: choose one with --map FILE"
+            )
         channels[c.name] = Column(
             column,
             (holders or [1])[0],
@@ -352,7 +407,10 @@ def _find(
     """Return (column, (file, raster)) of a channel: in the logger that the map names, or in the only logger with the column."""
     source = by.channels[channel.name]
     holders = [
-        (i, k) for i, group in enumerate(found) for k, r in enumerate(group) if source.column in r.columns
+        (i, k)
+        for i, group in enumerate(found)
+        for k, r in enumerate(group)
+        if source.column in r.columns
     ]
     own = [at for at in holders if at[0] == source.logger - 1]
     if own or len(holders) == 1:

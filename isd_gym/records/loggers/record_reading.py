@@ -35,11 +35,21 @@ def records_of(
     sources = {n: c for c, n in (rename or {}).items()}
     for option, given in (("--unit", units or {}), ("--sign", signs or {})):
         _check_used(option, given, files, network, sources, columns)
-    if by is None and rate is None and len(files) == 1 and not format_of(files[0]).has_own_stamps:
+    if (
+        by is None
+        and rate is None
+        and len(files) == 1
+        and not format_of(files[0]).has_own_stamps
+    ):
         expected = {c.name: c.unit for c in wanted}
         try:
             table = read_table(
-                files[0], rename=rename, units=units, expected=expected, header=columns, signs=signs
+                files[0],
+                rename=rename,
+                units=units,
+                expected=expected,
+                header=columns,
+                signs=signs,
             )
         except SideBySide:
             table = None
@@ -52,7 +62,15 @@ def records_of(
         if table is not None:
             return _pieces(table, wanted)
     found = runs(
-        path, network, wanted, by=by, rename=rename, units=units, columns=columns, rate=rate, signs=signs
+        path,
+        network,
+        wanted,
+        by=by,
+        rename=rename,
+        units=units,
+        columns=columns,
+        rate=rate,
+        signs=signs,
     )
     out: list[Table | Recording] = []
     for r in found:
@@ -70,12 +88,22 @@ def _check_used(
     columns: Sequence[str] | None,
 ) -> None:
     """Raise `InputError` for a name that is neither a channel nor a column that is read: the option would have no effect."""
-    known = {"time", *(c.name for c in (*network.inputs, *network.outputs)), *sources.values()}
+    known = {
+        "time",
+        *(c.name for c in (*network.inputs, *network.outputs)),
+        *sources.values(),
+    }
     rest = [name for name in given if name not in known]
     if not rest:
         return
-    with suppress(InputError):  # an unreadable file is reported after the slip of the pen
-        known |= {r.stamp for f in files for r in rasters(f, stamp=sources.get("time"), columns=columns)}
+    with suppress(
+        InputError
+    ):  # an unreadable file is reported after the slip of the pen
+        known |= {
+            r.stamp
+            for f in files
+            for r in rasters(f, stamp=sources.get("time"), columns=columns)
+        }
     for name in rest:
         if name not in known:
             raise InputError(
@@ -87,17 +115,29 @@ def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
     """Return the road that a logger measured during a drive: the column of the input that moves the model."""
     moved = [c for c in network.moving if c.quantity == "displacement"]
     if len(moved) != 1:
-        raise InputError(f"model '{network.name}' has no single road that a map could name")
+        raise InputError(
+            f"model '{network.name}' has no single road that a map could name"
+        )
     source = by.channels.get(moved[0].name)
-    if source is not None and len(files_of(path)) == 1 and source.logger <= len(by.loggers) > 1:
+    if (
+        source is not None
+        and len(files_of(path)) == 1
+        and source.logger <= len(by.loggers) > 1
+    ):
         found = _of_one_logger(path, network, moved[0], by, source)
     else:
         found = runs(path, network, moved, by=by)
     if len(found) > 1:
-        why = f"there are gaps in time ({found[0].notes[0]})" if found[0].notes else "there are several runs"
+        why = (
+            f"there are gaps in time ({found[0].notes[0]})"
+            if found[0].notes
+            else "there are several runs"
+        )
         raise InputError(f"road '{path}': {why}: drive a piece at a time")
     signal = found[0].signals[moved[0].name]
-    return profiled(str(path), signal.time - signal.time[0], signal.values, over_time=True)
+    return profiled(
+        str(path), signal.time - signal.time[0], signal.values, over_time=True
+    )
 
 
 def _of_one_logger(
@@ -105,7 +145,9 @@ def _of_one_logger(
 ) -> list[Recording]:
     """Return a channel from one logger's file, by a map of several loggers; raise `InputError` for the file of another logger."""
     logger = by.loggers[source.logger - 1]
-    alone = replace(by, channels={channel.name: replace(source, logger=1)}, loggers=(logger,))
+    alone = replace(
+        by, channels={channel.name: replace(source, logger=1)}, loggers=(logger,)
+    )
     try:
         return runs(path, network, [channel], by=alone)
     except InputError as error:
@@ -119,7 +161,9 @@ def _pieces(table: Table, wanted: Sequence[Channel]) -> list[Table | Recording]:
     notes: list[str] = []
     smooth = {}
     for c in wanted:
-        smooth[c.name], note = continuous(c.name, table.columns[c.name], table.units.get(c.name) or c.unit)
+        smooth[c.name], note = continuous(
+            c.name, table.columns[c.name], table.units.get(c.name) or c.unit
+        )
         if note:
             notes.append(f"{Path(table.source).name}: {note}")
     parts = mended(Raster(table.source, table.time, table.columns | smooth), notes)
@@ -133,8 +177,12 @@ def _pieces(table: Table, wanted: Sequence[Channel]) -> list[Table | Recording]:
             try:
                 factor = convert(1.0, table.units.get(c.name) or c.unit, c.si)
             except InputError as error:
-                raise InputError(f"{table.source}: column '{c.name}': {error}") from None
-            signals[c.name] = Signal(part.time, factor * part.columns[c.name], c.si, stem, c.name)
+                raise InputError(
+                    f"{table.source}: column '{c.name}': {error}"
+                ) from None
+            signals[c.name] = Signal(
+                part.time, factor * part.columns[c.name], c.si, stem, c.name
+            )
         name = stem if len(parts) == 1 else f"{stem} [{k}]"
         out.append(Recording(name, signals, {}, tuple(notes) if k == 1 else ()))
     return out

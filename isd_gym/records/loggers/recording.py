@@ -41,7 +41,9 @@ class Raster:
     source: str  # the file
     time: np.ndarray  # time stamps (n,) [s]
     columns: Mapping[str, np.ndarray]  # samples (n,) by column
-    units: Mapping[str, str] = field(default_factory=dict)  # unit by column, for columns with a unit
+    units: Mapping[str, str] = field(
+        default_factory=dict
+    )  # unit by column, for columns with a unit
     stamp: str = "time"  # name of the column of time stamps
     texts: Mapping[str, str] = field(
         default_factory=dict
@@ -74,7 +76,11 @@ class Raster:
 
     def rows(self, keep: np.ndarray | slice) -> Raster:
         """Return the raster with a selection of its samples: a mask (n,) or a slice."""
-        return replace(self, time=self.time[keep], columns={k: v[keep] for k, v in self.columns.items()})
+        return replace(
+            self,
+            time=self.time[keep],
+            columns={k: v[keep] for k, v in self.columns.items()},
+        )
 
 
 def rasters(
@@ -98,7 +104,12 @@ def rasters(
             name, time = "", _regular(found, rate)
         else:
             name = stamps_of(found.values, path, stamp)
-            told = unit or (units or {}).get(name) or found.units.get(name) or time_unit(name)
+            told = (
+                unit
+                or (units or {}).get(name)
+                or found.units.get(name)
+                or time_unit(name)
+            )
             try:
                 time = convert(np.asarray(found.values[name], float), told, "s")
             except InputError as error:
@@ -106,7 +117,10 @@ def rasters(
         values = {
             n: np.asarray(v, float)
             for n, v in found.values.items()
-            if n != name and v.dtype.kind in "fiub" and v.ndim == 1 and len(v) == len(time)
+            if n != name
+            and v.dtype.kind in "fiub"
+            and v.ndim == 1
+            and len(v) == len(time)
         }
         if len(time) == 0:
             raise InputError(f"{path}: no samples")
@@ -126,8 +140,12 @@ def rasters(
 def _regular(found: Columns, rate: float) -> np.ndarray:
     """Return stamps at a sampling rate [Hz], for the most frequent number of samples of the columns."""
     if not 1e-6 <= rate <= 1e9:
-        raise InputError(f"--rate must be a sampling rate in Hz from 1e-6 to 1e9, not {rate:g}")
-    lengths = [len(v) for v in found.values.values() if v.ndim == 1 and v.dtype.kind in "fiub"]
+        raise InputError(
+            f"--rate must be a sampling rate in Hz from 1e-6 to 1e9, not {rate:g}"
+        )
+    lengths = [
+        len(v) for v in found.values.values() if v.ndim == 1 and v.dtype.kind in "fiub"
+    ]
     return np.arange(max(lengths, key=lengths.count, default=0)) / rate
 
 
@@ -166,7 +184,9 @@ def _measured(raster: Raster, notes: list[str]) -> Raster:
     for name, flags in bad.items():
         if flags.all():
             raise InputError(f"{raster.source}: column {shown(name)} holds no number")
-    missing = np.logical_or.reduce(list(bad.values())) if bad else np.zeros(len(raster), bool)
+    missing = (
+        np.logical_or.reduce(list(bad.values())) if bad else np.zeros(len(raster), bool)
+    )
     if not missing.any():
         return raster
     names = ", ".join(plain(n, 40) for n, flags in bad.items() if flags.any())
@@ -199,11 +219,15 @@ def _without_repeats(raster: Raster, notes: list[str]) -> Raster:
     if same.all():
         keep = np.ones(len(raster), bool)
         keep[at + 1] = False
-        notes.append(f"{where}: {len(at)} samples are there twice, first {first} after its begin; taken once")
+        notes.append(
+            f"{where}: {len(at)} samples are there twice, first {first} after its begin; taken once"
+        )
         return raster.rows(keep)
     even = np.linspace(raster.time[0], raster.time[-1], len(raster))
     grain = float(np.min(d[d > 0])) if (d > 0).any() else 0.0
-    if np.abs(raster.time - even).max() <= 1.01 * grain:  # a clock coarser than the sampling
+    if (
+        np.abs(raster.time - even).max() <= 1.01 * grain
+    ):  # a clock coarser than the sampling
         notes.append(
             f"{where}: stamps of {grain:.3g} s for a step of {even[1] - even[0]:.3g} s; taken as evenly sampled"
         )
@@ -220,20 +244,24 @@ def _split(raster: Raster, notes: list[str]) -> list[Raster]:
     if not len(gaps) or len(gaps) > 0.2 * len(d):  # uneven sampling is no gap
         return [raster]
     edges = np.r_[0, gaps + 1, len(raster)]
-    pieces = [raster.rows(slice(a, b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    pieces = [
+        raster.rows(slice(a, b)) for a, b in zip(edges[:-1], edges[1:], strict=True)
+    ]
     kept = [p for p in pieces if len(p) >= LEAST]
     begin = raster.time[0]
-    told = ", ".join(f"{d[g]:.3g} s at {raster.time[g] - begin:.6g} s" for g in gaps[:3])
-    more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
-    left = (
-        f"; {len(pieces) - len(kept)} of {len(pieces)} pieces are shorter than {LEAST} samples and left out"
+    told = ", ".join(
+        f"{d[g]:.3g} s at {raster.time[g] - begin:.6g} s" for g in gaps[:3]
     )
+    more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
+    left = f"; {len(pieces) - len(kept)} of {len(pieces)} pieces are shorter than {LEAST} samples and left out"
     notes.append(
         f"{raster.name}: split at {len(gaps)} gap{'s' * (len(gaps) > 1)} ({told}{more})"
         + (left if len(kept) < len(pieces) else "")
     )
     if not kept:
-        raise InputError(f"{raster.source}: no piece of {LEAST} samples between its {len(gaps)} gaps")
+        raise InputError(
+            f"{raster.source}: no piece of {LEAST} samples between its {len(gaps)} gaps"
+        )
     return kept
 
 
@@ -308,24 +336,34 @@ class Recording:
         """Return the run as a table if all channels have the same uniform stamps of one clock, otherwise None."""
         first = next(iter(self.signals.values()))
         same = all(
-            len(s.time) == len(first.time) and (s.time is first.time or np.array_equal(s.time, first.time))
+            len(s.time) == len(first.time)
+            and (s.time is first.time or np.array_equal(s.time, first.time))
             for s in self.signals.values()
         )
         if not same or len(self.clocks) > 1 or not even(first.time):
             return None
         units = {n: s.unit for n, s in self.signals.items() if s.unit}
-        return Table(first.time, {n: s.values for n, s in self.signals.items()}, self.name, units)
+        return Table(
+            first.time, {n: s.values for n, s in self.signals.items()}, self.name, units
+        )
 
     def together(self) -> tuple[float, float]:
         """Return the first and the last instant [s] at which all channels are present."""
-        return max(s.time[0] for s in self.signals.values()), min(s.time[-1] for s in self.signals.values())
+        return max(s.time[0] for s in self.signals.values()), min(
+            s.time[-1] for s in self.signals.values()
+        )
 
 
 def spans(pieces: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[float, float]]:
     """Return the common part of several lists of intervals [s]."""
     out = list(pieces[0])
     for row in pieces[1:]:
-        out = [(max(a, c), min(b, d)) for a, b in out for c, d in row if min(b, d) > max(a, c)]
+        out = [
+            (max(a, c), min(b, d))
+            for a, b in out
+            for c, d in row
+            if min(b, d) > max(a, c)
+        ]
     return out
 
 
@@ -343,8 +381,14 @@ def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, 
             return x[first : first + len(at)], ""
     if quantity == "current":
         return x[
-            np.clip(np.searchsorted(t, at + 1e-9 * signal.step, side="right") - 1, 0, len(x) - 1)
+            np.clip(
+                np.searchsorted(t, at + 1e-9 * signal.step, side="right") - 1,
+                0,
+                len(x) - 1,
+            )
         ], "held"
     if quantity in ("force", "condition"):
         return np.interp(at, t, x), "linear between its samples"
-    return np.asarray(CubicSpline(t, x)(np.clip(at, t[0], t[-1]))), "a cubic spline through its samples"
+    return np.asarray(
+        CubicSpline(t, x)(np.clip(at, t[0], t[-1]))
+    ), "a cubic spline through its samples"

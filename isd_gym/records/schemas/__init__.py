@@ -41,7 +41,9 @@ def load(name: str) -> dict[str, Any]:
     if stem not in NAMES:
         known = ", ".join(n[:-2] + "/1" for n in NAMES)
         raise InputError(f"no schema '{name}': there are {known}")
-    return json.loads((resources.files(__name__) / f"{stem}.json").read_text(encoding="utf-8"))
+    return json.loads(
+        (resources.files(__name__) / f"{stem}.json").read_text(encoding="utf-8")
+    )
 
 
 def check(data: Any, name: str, where: str) -> None:
@@ -52,7 +54,9 @@ def check(data: Any, name: str, where: str) -> None:
     error = best_match(_validator(name).iter_errors(data))
     if error is not None:
         place = error.json_path.removeprefix("$").removeprefix(".")
-        raise InputError(f"{where}: {place + ': ' if place else ''}{plain(error.message, 200)}")
+        raise InputError(
+            f"{where}: {place + ': ' if place else ''}{plain(error.message, 200)}"
+        )
 
 
 @functools.cache

@@ -30,7 +30,9 @@ def start_display(pg: Any) -> None:
     choose = sys.platform.startswith("linux") and not os.environ.get(name)
     if choose:
         served = {"x11": "DISPLAY", "wayland": "WAYLAND_DISPLAY"}
-        drivers = [driver for driver, display in served.items() if os.environ.get(display)]
+        drivers = [
+            driver for driver, display in served.items() if os.environ.get(display)
+        ]
         if not drivers:
             raise InputError(NO_WINDOW.format("this machine has no display"))
         os.environ[name] = ",".join(drivers)
@@ -48,12 +50,16 @@ def extra(module: str, doing: str, package: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise InputError(f"{doing} needs {package}: {how_to_install('render')}") from None
+        raise InputError(
+            f"{doing} needs {package}: {how_to_install('render')}"
+        ) from None
 
 
 def pygame() -> Any:
     """Return the module pygame."""
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pygame, where it stands in for pygame-ce, warns on import
+        warnings.simplefilter(
+            "ignore"
+        )  # pygame, where it stands in for pygame-ce, warns on import
         return extra("pygame", "drawing", "pygame-ce")

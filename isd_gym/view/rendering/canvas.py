@@ -48,9 +48,19 @@ class Canvas:
         """Start a frame with the backdrop."""
         self._large.blit(self._backdrop, (0, 0))
 
-    def clip(self, left: float = 0.0, top: float = 0.0, width: float = 0.0, height: float = 0.0) -> None:
+    def clip(
+        self,
+        left: float = 0.0,
+        top: float = 0.0,
+        width: float = 0.0,
+        height: float = 0.0,
+    ) -> None:
         """Restrict shapes to a box [px]; without arguments, remove the restriction."""
-        box = None if width == 0.0 else (round(2 * left), round(2 * top), round(2 * width), round(2 * height))
+        box = (
+            None
+            if width == 0.0
+            else (round(2 * left), round(2 * top), round(2 * width), round(2 * height))
+        )
         self._large.set_clip(box)
 
     @contextmanager
@@ -62,7 +72,9 @@ class Canvas:
         finally:
             self._axis = None
 
-    def _placed(self, points: Sequence[Point] | NDArray[np.float64]) -> list[list[float]]:
+    def _placed(
+        self, points: Sequence[Point] | NDArray[np.float64]
+    ) -> list[list[float]]:
         """Return points on the large surface."""
         large = 2 * np.asarray(points)
         if self._axis is not None:
@@ -81,12 +93,26 @@ class Canvas:
         raw = self.pg.image.tobytes(self.frame, "RGB")
         return np.frombuffer(raw, np.uint8).reshape(height, width, 3).copy()
 
-    def rect(self, colour: Colour, x: float, y: float, w: float, h: float, *, radius: float = 0.0) -> None:
+    def rect(
+        self,
+        colour: Colour,
+        x: float,
+        y: float,
+        w: float,
+        h: float,
+        *,
+        radius: float = 0.0,
+    ) -> None:
         """Draw a filled rectangle from its upper left corner, with rounded corners."""
         if self._axis is not None:
             x = 2 * self._axis - x - w
         left, top = round(2 * x), round(2 * y)
-        box = (left, top, max(1, round(2 * (x + w)) - left), max(1, round(2 * (y + h)) - top))
+        box = (
+            left,
+            top,
+            max(1, round(2 * (x + w)) - left),
+            max(1, round(2 * (y + h)) - top),
+        )
         self.pg.draw.rect(self._large, colour, box, border_radius=round(2 * radius))
 
     def framed(
@@ -103,19 +129,35 @@ class Canvas:
     ) -> None:
         """Draw a filled rectangle with a frame of width `line`."""
         self.rect(edge, x, y, w, h, radius=radius)
-        self.rect(fill, x + line, y + line, w - 2 * line, h - 2 * line, radius=max(0.0, radius - line))
+        self.rect(
+            fill,
+            x + line,
+            y + line,
+            w - 2 * line,
+            h - 2 * line,
+            radius=max(0.0, radius - line),
+        )
 
     def circle(self, colour: Colour, x: float, y: float, r: float) -> None:
         """Draw a disc."""
         self.pg.draw.circle(self._large, colour, self._placed([(x, y)])[0], 2 * r)
 
-    def polygon(self, colour: Colour, points: Sequence[Point] | NDArray[np.float64]) -> None:
+    def polygon(
+        self, colour: Colour, points: Sequence[Point] | NDArray[np.float64]
+    ) -> None:
         """Draw a filled polygon with corners (n, 2)."""
         self.pg.draw.polygon(self._large, colour, self._placed(points))
 
-    def lines(self, colour: Colour, points: Sequence[Point] | NDArray[np.float64], width: float) -> None:
+    def lines(
+        self,
+        colour: Colour,
+        points: Sequence[Point] | NDArray[np.float64],
+        width: float,
+    ) -> None:
         """Draw a polyline through points (n, 2)."""
-        self.pg.draw.lines(self._large, colour, False, self._placed(points), max(1, round(2 * width)))
+        self.pg.draw.lines(
+            self._large, colour, False, self._placed(points), max(1, round(2 * width))
+        )
 
     def text(
         self,
@@ -160,7 +202,10 @@ def _font_file(face: str) -> str:
     import matplotlib  # matplotlib includes the DejaVu fonts: equal pictures on all machines
 
     return str(
-        Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"DejaVuSans{'-' + face if face else ''}.ttf"
+        Path(matplotlib.get_data_path())
+        / "fonts"
+        / "ttf"
+        / f"DejaVuSans{'-' + face if face else ''}.ttf"
     )
 
 

@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .palette import INK, MUTED, OIL, ORANGE, PALE, PULL, PUSH, STEEL, VERMILLION, Colour, mix
+from .palette import (
+    INK,
+    MUTED,
+    OIL,
+    ORANGE,
+    PALE,
+    PULL,
+    PUSH,
+    STEEL,
+    VERMILLION,
+    Colour,
+    mix,
+)
 from .symbols import arrow, coil, dashpot
 
 if TYPE_CHECKING:
@@ -18,7 +30,11 @@ if TYPE_CHECKING:
 
 OIL_SPRING, DEVICE, DAMPER = 18.0, 73.0, 99.0
 LENGTH = OIL_SPRING + DEVICE + DAMPER
-DEVICE_STROKE, DAMPER_STROKE, LONE_DAMPER_STROKE = 18.5, 29.0, 45.0  # range of motion in each direction
+DEVICE_STROKE, DAMPER_STROKE, LONE_DAMPER_STROKE = (
+    18.5,
+    29.0,
+    45.0,
+)  # range of motion in each direction
 OIL_STROKE = 10.0
 #: extent of the suspension to the left and right of the wheel; the motor's cylinder is at the right
 LEFT, RIGHT = 73.0, 92.0
@@ -33,7 +49,13 @@ def demands(corner: CornerSnapshot) -> list[tuple[float, float]]:
     return [
         (abs(corner.device_travel or 0.0), DEVICE_STROKE),
         (abs(top - corner.wheel), stroke),
-        (abs(corner.body - (corner.piston if corner.piston is not None else corner.body)), OIL_STROKE),
+        (
+            abs(
+                corner.body
+                - (corner.piston if corner.piston is not None else corner.body)
+            ),
+            OIL_STROKE,
+        ),
     ]
 
 
@@ -53,7 +75,13 @@ class Suspension:
         is_rear: bool = False,
     ) -> None:
         """Store position and size of the suspension."""
-        self.canvas, self.corner, self.x, self.u, self.scale = canvas, corner, x, unit, scale
+        self.canvas, self.corner, self.x, self.u, self.scale = (
+            canvas,
+            corner,
+            x,
+            unit,
+            scale,
+        )
         self.words, self.is_rear = words, is_rear
 
     @property
@@ -61,11 +89,15 @@ class Suspension:
         """Distance of the main spring to the left of the wheel [units of the layout]."""
         return 36.0 if self.is_rear else 58.0
 
-    def paint(self, seat: float, carrier: float, spring_seat: float | None = None) -> None:
+    def paint(
+        self, seat: float, carrier: float, spring_seat: float | None = None
+    ) -> None:
         """Draw the suspension between the body's underside (over the wheel, over the spring) and the wheel's carrier."""
         spring_seat = seat if spring_seat is None else spring_seat
         c, u, corner = self.canvas, self.u, self.corner
-        coil(c, self.x - self.spring_place * u, spring_seat, carrier, 15 * u, 8, 3.0 * u)
+        coil(
+            c, self.x - self.spring_place * u, spring_seat, carrier, 15 * u, 8, 3.0 * u
+        )
         if corner.joint is None:
             dashpot(c, self.x, seat, carrier, LENGTH * u, LONE_DAMPER_STROKE * u, u)
             if self.words == "all":
@@ -97,7 +129,17 @@ class Suspension:
         if corner.piston is None:
             c.rect(STEEL, x - 2 * u, seat, 4 * u, max(0.0, node - seat))
         else:
-            coil(c, x, seat, node, 9 * u, 4, 2.2 * u, stub=1.5 * u, colours=(mix(ORANGE, INK, 0.25), OIL))
+            coil(
+                c,
+                x,
+                seat,
+                node,
+                9 * u,
+                4,
+                2.2 * u,
+                stub=1.5 * u,
+                colours=(mix(ORANGE, INK, 0.25), OIL),
+            )
             if self.words == "all":
                 self._tag("oil spring", x + 15 * u, seat + 6.5 * u, "left")
 
@@ -136,13 +178,22 @@ class Suspension:
             c.rect(colour, x + 12 * u, y - w / 2, left - x - 12 * u + 6 * u + w / 2, w)
             c.rect(colour, left + 6 * u - w / 2, y - w / 2, w, middle - y)
             y = top + bore - 6 * u
-            c.rect(colour, x + 12 * u, y - w / 2, left + width - 6 * u - x - 12 * u + w / 2, w)
+            c.rect(
+                colour,
+                x + 12 * u,
+                y - w / 2,
+                left + width - 6 * u - x - 12 * u + w / 2,
+                w,
+            )
             c.rect(colour, left + width - 6 * u - w / 2, middle, w, y - middle + w / 2)
         limit = corner.device_travel_limit
         share = travel / (limit or CYLINDER)
         touching = limit is not None and abs(share) > 0.985
         if corner.current_limit is not None:
-            colour, force = self._current_colour(), min(1.0, abs(corner.current) / corner.current_limit)
+            colour, force = (
+                self._current_colour(),
+                min(1.0, abs(corner.current) / corner.current_limit),
+            )
             winding = mix(PALE, colour, 0.15 + 0.85 * force if force else 0.0)
             for k in range(5):
                 place = left + 13 * u + k * 9 * u
@@ -156,17 +207,36 @@ class Suspension:
                     line=0.8 * u,
                     radius=1.5 * u,
                 )
-        c.framed(OIL, INK, left, middle - high / 2, width, high, line=1.6 * u, radius=2.5 * u)
+        c.framed(
+            OIL, INK, left, middle - high / 2, width, high, line=1.6 * u, radius=2.5 * u
+        )
         if limit is not None:
             for side in (0, 1):
                 hit = touching and (share > 0) == bool(side)
                 c.rect(
-                    VERMILLION if hit else INK, left + side * (width - 4 * u), middle - high / 2, 4 * u, high
+                    VERMILLION if hit else INK,
+                    left + side * (width - 4 * u),
+                    middle - high / 2,
+                    4 * u,
+                    high,
                 )
         mover = 14 * u
-        centre = left + width / 2 + float(np.clip(share, -1.02, 1.02)) * (width / 2 - 4 * u - mover / 2)
-        c.rect(INK, centre - mover / 2, middle - high / 2 + 2.2 * u, mover, high - 4.4 * u, radius=1.5 * u)
-        if limit is not None:  # gauge: position of the mover between the stops, as travel of the device
+        centre = (
+            left
+            + width / 2
+            + float(np.clip(share, -1.02, 1.02)) * (width / 2 - 4 * u - mover / 2)
+        )
+        c.rect(
+            INK,
+            centre - mover / 2,
+            middle - high / 2 + 2.2 * u,
+            mover,
+            high - 4.4 * u,
+            radius=1.5 * u,
+        )
+        if (
+            limit is not None
+        ):  # gauge: position of the mover between the stops, as travel of the device
             reach, y = width / 2 - 4 * u - mover / 2, top + bore + 16 * u
             dial = left + width / 2
             c.rect(MUTED, dial - reach, y - 0.4 * u, 2 * reach, 0.8 * u)
@@ -187,9 +257,18 @@ class Suspension:
                     anchor="center",
                 )
         if self.words == "all":
-            rows = ("inerter", "and motor") if corner.current_limit is not None else ("inerter",)
+            rows = (
+                ("inerter", "and motor")
+                if corner.current_limit is not None
+                else ("inerter",)
+            )
             for row, word in enumerate(rows):
-                self._tag(word, left + width + 7 * u, middle + (12 * row - 6 * (len(rows) - 1)) * u, "left")
+                self._tag(
+                    word,
+                    left + width + 7 * u,
+                    middle + (12 * row - 6 * (len(rows) - 1)) * u,
+                    "left",
+                )
 
     def _current_colour(self) -> Colour:
         return PULL if self.corner.current >= 0 else PUSH

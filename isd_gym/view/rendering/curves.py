@@ -34,8 +34,13 @@ class History:
         known = self.rows[-1][0] if self.rows else -math.inf
         factors = [trace.factor for trace, _ in snapshot.traces]
         between = [row for row in snapshot.past if known < row[0] < snapshot.time]
-        for time, *values in (*between, (snapshot.time, *(value for _, value in snapshot.traces))):
-            self.rows.append((time, *(f * v for f, v in zip(factors, values, strict=True))))
+        for time, *values in (
+            *between,
+            (snapshot.time, *(value for _, value in snapshot.traces)),
+        ):
+            self.rows.append(
+                (time, *(f * v for f, v in zip(factors, values, strict=True)))
+            )
         while self.rows[0][0] < snapshot.time - SECONDS:
             self.rows.popleft()
 
@@ -77,21 +82,32 @@ def plot(
     u = c.unit
     x0, y0, x1, y1 = box
     scale.hold(max(float(np.abs(rows[:, column]).max()) for rows in data))
-    place = x1 - c.text(trace.unit, x1, y0, size=10, colour=MUTED, anchor="right") - 4 * u
+    place = (
+        x1 - c.text(trace.unit, x1, y0, size=10, colour=MUTED, anchor="right") - 4 * u
+    )
     for rows, colour in reversed(list(zip(data, CAR_COLOURS, strict=False))):
         rms = float(np.sqrt(np.mean(rows[:, column] ** 2)))
         digits = max(0, min(trace.digits, 2 - math.floor(math.log10(max(rms, 1e-9)))))
         words = number(rms, digits, sign=False)
-        place -= c.text(words, place, y0, size=10, face="Bold", colour=colour, anchor="right") + 6 * u
+        place -= (
+            c.text(
+                words, place, y0, size=10, face="Bold", colour=colour, anchor="right"
+            )
+            + 6 * u
+        )
     place -= c.text("RMS", place + 2 * u, y0, size=10, colour=MUTED, anchor="right")
-    c.text(trace.title, x0, y0, size=11 if len(data) == 1 else 10, room=place - 4 * u - x0)
+    c.text(
+        trace.title, x0, y0, size=11 if len(data) == 1 else 10, room=place - 4 * u - x0
+    )
     left, top = x0 + 26 * u, y0 + 14 * u
     right, bottom = x1, y1
     middle, unit_height = (top + bottom) / 2, (bottom - top) / 2 / 3.0
     c.rect((247, 248, 249), left, top, right - left, bottom - top)
     for tick in (-2, 0, 2):
         y = middle - tick * unit_height
-        c.rect(STEEL_FAR if tick == 0 else PALE, left, y - 0.4 * u, right - left, 0.8 * u)
+        c.rect(
+            STEEL_FAR if tick == 0 else PALE, left, y - 0.4 * u, right - left, 0.8 * u
+        )
         c.text(
             number(tick * scale.unit, 0) if tick else "0",
             left - 5 * u,
@@ -108,5 +124,9 @@ def plot(
         if len(rows) > 1:
             x = right - (now - rows[:, 0]) / SECONDS * (right - left)
             y_values = middle - rows[:, column] / scale.unit * unit_height
-            c.lines(colour, np.column_stack([x, y_values]), (line if len(data) > 1 else 1.4) * u)
+            c.lines(
+                colour,
+                np.column_stack([x, y_values]),
+                (line if len(data) > 1 else 1.4) * u,
+            )
     c.clip()

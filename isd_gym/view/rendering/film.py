@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
+def write_video(
+    path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float
+) -> None:
     """Write frames (height, width, 3) uint8 of equal, even size as an .mp4 film, atomically."""
     path = Path(path)
     if path.suffix.lower() != ".mp4":

@@ -22,9 +22,15 @@ CELL = 25.0  # height of a corner's current [units of the layout]
 class Panel:
     """The panel of one car or of two between two edges [px], including the memory of the curves."""
 
-    def __init__(self, canvas: Canvas, left: float, right: float, height: float, cars: int) -> None:
+    def __init__(
+        self, canvas: Canvas, left: float, right: float, height: float, cars: int
+    ) -> None:
         """Use the right part of the picture."""
-        self.canvas, self.x0, self.x1 = canvas, left + 14 * canvas.unit, right - 14 * canvas.unit
+        self.canvas, self.x0, self.x1 = (
+            canvas,
+            left + 14 * canvas.unit,
+            right - 14 * canvas.unit,
+        )
         self.height = height
         self._histories = [History() for _ in range(cars)]
         self._scales: dict[str, Scale] = {}
@@ -38,7 +44,9 @@ class Panel:
         """Draw the panel."""
         c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
         first = shots[0]
-        c.text(f"{number(first.time, 2, sign=False)} s", x0, 18 * u, size=13, face="Bold")
+        c.text(
+            f"{number(first.time, 2, sign=False)} s", x0, 18 * u, size=13, face="Bold"
+        )
         kmh = number(3.6 * first.speed, 0, sign=False)
         speed = f"{number(first.speed, 0, sign=False)} m/s ({kmh} km/h)"
         c.text(speed, x1, 18 * u, size=10, colour=MUTED, anchor="right")
@@ -55,12 +63,30 @@ class Panel:
         axis = x0 + 26 * u
         c.text(f"−{SECONDS:g} s", axis, foot, size=9.5, colour=MUTED)
         c.text("now", x1, foot, size=9.5, colour=MUTED, anchor="right")
-        c.text("isd-gym", (axis + x1) / 2, self.height - 9 * u, size=9, colour=STEEL_FAR, anchor="center")
+        c.text(
+            "isd-gym",
+            (axis + x1) / 2,
+            self.height - 9 * u,
+            size=9,
+            colour=STEEL_FAR,
+            anchor="center",
+        )
 
     def _one_car(self, shot: CarSnapshot, y: float) -> float:
         c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
-        c.text("Motor current" if len(shot.corners) == 1 else "Motor currents", x0, y, size=11)
-        limits = sorted({corner.current_limit for corner in shot.corners if corner.current_limit is not None})
+        c.text(
+            "Motor current" if len(shot.corners) == 1 else "Motor currents",
+            x0,
+            y,
+            size=11,
+        )
+        limits = sorted(
+            {
+                corner.current_limit
+                for corner in shot.corners
+                if corner.current_limit is not None
+            }
+        )
         words = ", ".join(f"±{limit:g} A" for limit in limits)
         c.text(words, x1, y, size=10, colour=MUTED, anchor="right")
         y = _currents(c, x0, x1, y + 17 * u, shot.corners)
@@ -70,7 +96,14 @@ class Panel:
         y += 22 * u
         if shot.cost is not None:
             c.text("Mean cost so far", x0, y, size=11)
-            c.text(number(shot.cost, 3, sign=False), x1, y, size=11, anchor="right", face="Bold")
+            c.text(
+                number(shot.cost, 3, sign=False),
+                x1,
+                y,
+                size=11,
+                anchor="right",
+                face="Bold",
+            )
         return y + 26 * u
 
     def _two_cars(self, shots: Sequence[CarSnapshot], y: float) -> float:
@@ -81,12 +114,21 @@ class Panel:
             if shot.cost is not None:
                 words = f"cost {number(shot.cost, 3, sign=False)}"
                 width = c.text(words, x1, y, size=10, anchor="right")
-            c.text(shot.label, x0 + 14 * u, y, size=11, face="Bold", room=x1 - x0 - 20 * u - width)
+            c.text(
+                shot.label,
+                x0 + 14 * u,
+                y,
+                size=11,
+                face="Bold",
+                room=x1 - x0 - 20 * u - width,
+            )
             y = _currents(c, x0, x1, y + 16 * u, shot.corners) + 6 * u
         return y
 
 
-def _currents(c: Canvas, x0: float, x1: float, y: float, corners: Sequence[CornerSnapshot]) -> float:
+def _currents(
+    c: Canvas, x0: float, x1: float, y: float, corners: Sequence[CornerSnapshot]
+) -> float:
     """Draw the current of each corner in a top view of the car with the front at the top, and return the foot [px]."""
     u = c.unit
     sides = sorted({corner.y for corner in corners}, reverse=True)
@@ -99,8 +141,16 @@ def _currents(c: Canvas, x0: float, x1: float, y: float, corners: Sequence[Corne
         words, colour = f"{number(corner.current, 2)} A", INK
         if corner.current_limit is None:
             words, colour = "no motor", MUTED
-        taken = c.text(words, left + width, top, size=9.5, anchor="right", colour=colour)
-        c.text(corner.name.replace("_", " "), left, top, size=9.5, room=width - taken - 4 * u)
+        taken = c.text(
+            words, left + width, top, size=9.5, anchor="right", colour=colour
+        )
+        c.text(
+            corner.name.replace("_", " "),
+            left,
+            top,
+            size=9.5,
+            room=width - taken - 4 * u,
+        )
         _bar(c, left, left + width, top + 7.5 * u, corner)
     return y + len(axles) * CELL * u
 

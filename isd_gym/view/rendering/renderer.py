@@ -44,7 +44,13 @@ class Renderer:
         cars: int = 1,
         fps: float = 50.0,
     ) -> None:
-        self.mode, self.width, self.height, self.cars, self.fps = mode, width, height, cars, fps
+        self.mode, self.width, self.height, self.cars, self.fps = (
+            mode,
+            width,
+            height,
+            cars,
+            fps,
+        )
         self.closed = False
         self._now = self._painted = -math.inf  # simulated time [s]
         self._pg = pygame()
@@ -65,7 +71,9 @@ class Renderer:
             self._restart()
         self._panel.add(snapshots)
         since, self._now = now - self._painted, now
-        if self.mode == "human" and (self.closed or since < (1 - 1e-6) / min(self.fps, 60.0)):
+        if self.mode == "human" and (
+            self.closed or since < (1 - 1e-6) / min(self.fps, 60.0)
+        ):
             return None
         self._painted = now
         self._paint(snapshots)
@@ -88,14 +96,17 @@ class Renderer:
         try:
             self._window = self._pg.display.set_mode((self.width, self.height))
         except self._pg.error as error:
-            raise InputError(NO_WINDOW.format(str(error).strip().splitlines()[0])) from None
+            raise InputError(
+                NO_WINDOW.format(str(error).strip().splitlines()[0])
+            ) from None
         self._pg.display.set_caption("isd-gym")
         self._clock = self._pg.time.Clock()
 
     def _show(self, since: float) -> None:
         for event in self._pg.event.get():
             if event.type == self._pg.QUIT or (
-                event.type == self._pg.KEYDOWN and event.key in (self._pg.K_ESCAPE, self._pg.K_q)
+                event.type == self._pg.KEYDOWN
+                and event.key in (self._pg.K_ESCAPE, self._pg.K_q)
             ):
                 self.close()
                 return
@@ -115,7 +126,9 @@ class Renderer:
     def _paint_backdrop(self) -> None:
         canvas, width = self._canvas, self._scene_width * self.cars
         for y in range(2 * self.height):
-            canvas.row(y, 2 * width, mix(SKY_TOP, SKY_LOW, min(1.0, y / (1.6 * self.height))))
+            canvas.row(
+                y, 2 * width, mix(SKY_TOP, SKY_LOW, min(1.0, y / (1.6 * self.height)))
+            )
         canvas.rect(WHITE, width, 0, self.width - width, self.height)
         canvas.keep_backdrop()
 
@@ -129,7 +142,9 @@ class Renderer:
         # both cars have the road and the scale of the first, so that they can be compared
         needed = max(view.needed(views[0].reference) for view in views)
         room = min(views[0].most, 1.0 / needed if needed else math.inf)
-        while self._factor < len(EXAGGERATION) - 1 and EXAGGERATION[self._factor] > room:
+        while (
+            self._factor < len(EXAGGERATION) - 1 and EXAGGERATION[self._factor] > room
+        ):
             self._factor += 1
         for view in views:
             view.paint(views[0].reference, EXAGGERATION[self._factor])

@@ -32,7 +32,9 @@ class Window:
         """Return the positions [px] at which the road is drawn, one every two pixels."""
         return np.linspace(self.left, self.right, int((self.right - self.left) / 2) + 1)
 
-    def heights(self, profile: NDArray[np.float64], step: float, behind: float) -> NDArray[np.float64]:
+    def heights(
+        self, profile: NDArray[np.float64], step: float, behind: float
+    ) -> NDArray[np.float64]:
         """Return the heights (n,) [m] at `columns` of a profile (m,) [m], one every `step` [m] from `behind`
         [m] the origin."""
         place = np.arange(profile.size) * step - behind
@@ -63,27 +65,41 @@ def ground(
     front."""
     x = window.columns()
     surface = np.column_stack([x, y])
-    below = np.vstack([surface, [[window.right, window.foot], [window.left, window.foot]]])
+    below = np.vstack(
+        [surface, [[window.right, window.foot], [window.left, window.foot]]]
+    )
     c.polygon(GROUND_FAR if is_behind else GROUND, below)
     if travelled is not None and not is_behind:
         _marks(c, window, y, travelled, u)
     if is_behind:
         c.lines(STEEL_FAR, surface, u)
     else:
-        c.polygon(INK, np.vstack([surface - [0, 0.6 * u], surface[::-1] + [0, 2.2 * u]]))
+        c.polygon(
+            INK, np.vstack([surface - [0, 0.6 * u], surface[::-1] + [0, 2.2 * u]])
+        )
 
 
-def _marks(c: Canvas, window: Window, y: NDArray[np.float64], travelled: float, u: float) -> None:
+def _marks(
+    c: Canvas, window: Window, y: NDArray[np.float64], travelled: float, u: float
+) -> None:
     x = window.columns()
     offset = travelled % MARKS
-    first = math.floor((window.left - window.origin) / window.metre / MARKS) * MARKS - offset
+    first = (
+        math.floor((window.left - window.origin) / window.metre / MARKS) * MARKS
+        - offset
+    )
     last = (window.right - window.origin) / window.metre + MARKS
     for place in np.arange(first, last, MARKS).tolist():
         at = window.origin + place * window.metre
         top = float(np.interp(at, x, y)) + 4 * u
         c.polygon(
             GROUND_MARK,
-            [(at, top), (at + 7 * u, top), (at - 1 * u, top + 11 * u), (at - 8 * u, top + 11 * u)],
+            [
+                (at, top),
+                (at + 7 * u, top),
+                (at - 1 * u, top + 11 * u),
+                (at - 8 * u, top + 11 * u),
+            ],
         )
 
 
@@ -91,7 +107,10 @@ def rulers(c: Canvas, window: Window, scale: float, factor: float) -> None:
     """Draw a vertical ruler of motions with their exaggeration at the left, and a metre of road at the right."""
     u = c.unit
     margin, foot = 10 * u, window.foot - 11 * u
-    tall = next((mm for mm in (10, 20, 50, 100, 200, 500, 1000) if mm * 1e-3 * scale > 8 * u), 2000)
+    tall = next(
+        (mm for mm in (10, 20, 50, 100, 200, 500, 1000) if mm * 1e-3 * scale > 8 * u),
+        2000,
+    )
     rise = tall * 1e-3 * scale
     x, y = window.left + margin, window.foot - 6 * u
     for a, b in ((y - rise, y - rise), (y, y)):
@@ -103,4 +122,6 @@ def rulers(c: Canvas, window: Window, scale: float, factor: float) -> None:
     for edge in (right - run, right):
         c.rect(MUTED, edge - 0.5 * u, foot - 2.5 * u + 4 * u, u, 5 * u)
     c.rect(MUTED, right - run, foot + 3.5 * u, run, u)
-    c.text("1 m", right - run / 2, foot - 4 * u, size=9.5, colour=MUTED, anchor="center")
+    c.text(
+        "1 m", right - run / 2, foot - 4 * u, size=9.5, colour=MUTED, anchor="center"
+    )

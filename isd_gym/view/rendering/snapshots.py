@@ -52,16 +52,26 @@ class CornerSnapshot:
     y: float = 0.0  # distance to the left of the centre of gravity [m]
     body: float  # body above the suspension [m]
     wheel: float  # [m]
-    piston: float | None = None  # node between oil spring and inerter [m]; None: the model has none
-    joint: float | None = None  # node between inerter and damper [m]; None without a device
+    piston: float | None = (
+        None  # node between oil spring and inerter [m]; None: the model has none
+    )
+    joint: float | None = (
+        None  # node between inerter and damper [m]; None without a device
+    )
     current: float = 0.0  # [A]
     current_limit: float | None = None  # [A]; None without a motor
     tyre_load: float  # dynamic tyre load [N], in addition to the static load
-    static_tyre_load: float | None = None  # [N]; if given, an unloaded tyre is drawn above the road
-    device_travel_limit: float | None = None  # end stop of the device [m]; None without end stop
+    static_tyre_load: float | None = (
+        None  # [N]; if given, an unloaded tyre is drawn above the road
+    )
+    device_travel_limit: float | None = (
+        None  # end stop of the device [m]; None without end stop
+    )
 
     def __post_init__(self) -> None:
-        _check_finite(self, f"snapshot, corner '{self.name}'" if self.name else "snapshot")
+        _check_finite(
+            self, f"snapshot, corner '{self.name}'" if self.name else "snapshot"
+        )
 
     @property
     def device_travel(self) -> float | None:
@@ -73,7 +83,10 @@ class CornerSnapshot:
     @property
     def has_lifted(self) -> bool:
         """Whether the tyre carries no load."""
-        return self.static_tyre_load is not None and self.tyre_load <= -self.static_tyre_load
+        return (
+            self.static_tyre_load is not None
+            and self.tyre_load <= -self.static_tyre_load
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

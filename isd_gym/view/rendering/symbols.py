@@ -31,9 +31,14 @@ def coil(
     c.rect(near, x - line / 2, bottom - stub - line / 2, line, stub + line / 2)
     per = 16
     phase = np.linspace(0.0, 2 * np.pi * turns, per * turns + 1)
-    points = np.column_stack([x + radius * np.sin(phase), np.linspace(top + stub, bottom - stub, phase.size)])
+    points = np.column_stack(
+        [x + radius * np.sin(phase), np.linspace(top + stub, bottom - stub, phase.size)]
+    )
     quarter = per // 4
-    halves = [(k, min(k + per // 2, phase.size - 1)) for k in range(-quarter, phase.size, per // 2)]
+    halves = [
+        (k, min(k + per // 2, phase.size - 1))
+        for k in range(-quarter, phase.size, per // 2)
+    ]
     for front in (False, True):
         for number, (start, stop) in enumerate(halves):
             if (number % 2 == 0) == front:
@@ -46,7 +51,15 @@ def coil(
                 c.circle(near, points[k, 0], points[k, 1], line / 2)
 
 
-def dashpot(c: Canvas, x: float, top: float, bottom: float, length: float, stroke: float, u: float) -> None:
+def dashpot(
+    c: Canvas,
+    x: float,
+    top: float,
+    bottom: float,
+    length: float,
+    stroke: float,
+    u: float,
+) -> None:
     """Draw cup and plunger of `length` at rest, with a range of `stroke` in each direction."""
     foot, cup, half = 5 * u, 2 * stroke + 4 * u, 12 * u
     rim = bottom - foot - cup
@@ -60,7 +73,9 @@ def dashpot(c: Canvas, x: float, top: float, bottom: float, length: float, strok
     c.rect(INK, x - half + 3 * u, plate - 2 * u, 2 * half - 6 * u, 4 * u)
 
 
-def arrow(c: Canvas, colour: Colour, x: float, tail: float, head: float, width: float) -> None:
+def arrow(
+    c: Canvas, colour: Colour, x: float, tail: float, head: float, width: float
+) -> None:
     """Draw a vertical arrow from the height `tail` to the height `head`."""
     way = 1.0 if head > tail else -1.0
     tip = min(abs(head - tail), 2.2 * width)

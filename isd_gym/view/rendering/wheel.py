@@ -44,7 +44,11 @@ def tyre(
         if colour == RUBBER:
             for groove in (-5.0, 5.0):
                 c.rect(
-                    (92, 98, 104), x + (groove - 0.8) * u, top + 3 * u, 1.6 * u, max(0.0, foot - top - 6 * u)
+                    (92, 98, 104),
+                    x + (groove - 0.8) * u,
+                    top + 3 * u,
+                    1.6 * u,
+                    max(0.0, foot - top - 6 * u),
                 )
         return
     gap = contact - hub
@@ -67,10 +71,15 @@ def side_rim(c: Canvas, x: float, hub: float, u: float, turn: float) -> None:
         angle = turn + 2 * math.pi * k / 5
         s, n = math.sin(angle), math.cos(angle)
         spoke = [(5, -3), (22, -2), (22, 2), (5, 3)]
-        c.polygon(STEEL_FAR, [(x + (a * n - b * s) * u, hub + (a * s + b * n) * u) for a, b in spoke])
+        c.polygon(
+            STEEL_FAR,
+            [(x + (a * n - b * s) * u, hub + (a * s + b * n) * u) for a, b in spoke],
+        )
 
 
-def carrier(c: Canvas, x: float, hub: float, top: float, reach: float, u: float, pin: float) -> None:
+def carrier(
+    c: Canvas, x: float, hub: float, top: float, reach: float, u: float, pin: float
+) -> None:
     """Draw hub, upright and the plate over the tyre that carries the suspension."""
     c.rect(STEEL, x - 3 * pin, top, 6 * pin, hub - top, radius=3 * pin)
     c.circle(INK, x, hub, 5 * pin)

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 Ticks = tuple[tuple[float, str], ...]
 
 QUIET = Look(MUTED, "-", "", 0.9)
-COLUMNS = 500  # columns in which a long curve is reduced to its extremes: about a pixel each
+COLUMNS = (
+    500  # columns in which a long curve is reduced to its extremes: about a pixel each
+)
 MOST_DOTS = 300  # largest cloud of separate shapes; a larger cloud is one image
 
 
@@ -36,7 +38,9 @@ class Axis:
     low: float | None = None  # lower end; None to fit the values
     high: float | None = None  # upper end; None to fit the values
     ticks: Ticks = ()  # positions and texts of the ticks; empty for automatic ticks
-    rows: tuple[str, ...] = ()  # names of the integers from the top down, instead of numbers
+    rows: tuple[
+        str, ...
+    ] = ()  # names of the integers from the top down, instead of numbers
 
     @property
     def text(self) -> str:
@@ -52,7 +56,9 @@ class Line:
     x: Array  # abscissae (n,)
     y: Array  # ordinates (n,)
     look: Look  # style
-    band: tuple[Array, Array] | None = None  # lower and upper ordinates (n,) of the band; None without a band
+    band: tuple[Array, Array] | None = (
+        None  # lower and upper ordinates (n,) of the band; None without a band
+    )
     band_name: str = "95 % interval"  # name of the band in the legend
     fill: bool = False  # whether the area down to the axis is filled
 
@@ -81,7 +87,9 @@ class Marks:
     x_interval: tuple[Sequence[float], Sequence[float]] | None = None
     #: lower and upper ordinates; None without intervals
     y_interval: tuple[Sequence[float], Sequence[float]] | None = None
-    notes: Sequence[str] = ()  # texts that the page shows where the pointer rests on a point
+    notes: Sequence[
+        str
+    ] = ()  # texts that the page shows where the pointer rests on a point
     open: bool = False  # whether markers are hollow
     size: float = 7.0  # size of a marker [pt]
     bar: float = 1.0  # width of the interval lines [pt]
@@ -152,9 +160,13 @@ def picture(chart: Chart, folder: Path) -> Picture:
         notes: dict[str, str] = {}
         draw(fig, one, notes)
         caption = chart.captions.get(name, chart.caption)
-        drawn.append(as_picture(fig, chart.name, chart.title, chart.alt, caption, notes))
+        drawn.append(
+            as_picture(fig, chart.name, chart.title, chart.alt, caption, notes)
+        )
     drawn[0].save(folder)
-    return replace(drawn[0], others=dict(zip(list(chart.choices)[1:], drawn[1:], strict=True)))
+    return replace(
+        drawn[0], others=dict(zip(list(chart.choices)[1:], drawn[1:], strict=True))
+    )
 
 
 # ------------------------------------------------------------------------------------------------- the picture
@@ -167,14 +179,21 @@ def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None
     columns = min(chart.columns, len(panels))
     rows = -(-len(panels) // columns)
     fig.set_size_inches(*chart.size)
-    tall = [max(p.tall for p in panels[r * columns : (r + 1) * columns]) for r in range(rows)]
+    tall = [
+        max(p.tall for p in panels[r * columns : (r + 1) * columns])
+        for r in range(rows)
+    ]
     grid = fig.add_gridspec(rows, columns, height_ratios=tall)
     first: dict[str, Axes] = {}
     axes: list[Axes] = []
     for k, panel in enumerate(panels):
         row, column = divmod(k, columns)
         share = first.get(panel.link) if panel.link else None
-        left = axes[k - 1] if column and panel.y == panels[k - 1].y and not panel.link else None
+        left = (
+            axes[k - 1]
+            if column and panel.y == panels[k - 1].y and not panel.link
+            else None
+        )
         ax = fig.add_subplot(grid[row, column], sharex=share, sharey=left)
         first.setdefault(panel.link, ax)
         axes.append(ax)
@@ -189,7 +208,9 @@ def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None
             ax.set_ylabel("")
     handles: dict[str, Any] = {}
     for ax in axes:
-        own = {label: h for h, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+        own = {
+            label: h for h, label in zip(*ax.get_legend_handles_labels(), strict=True)
+        }
         handles |= {k: h for k, h in own.items() if k not in handles}
     if handles:
         room = max(1, int(chart.size[0] / 7.2 * 95))  # width in characters
@@ -230,7 +251,12 @@ def _draw_panel(ax: Axes, panel: Panel, notes: dict[str, str]) -> None:
             )
             if item.text and item.axis == "x":
                 ax.text(
-                    item.at, 0.97, f" {item.text}", transform=ax.get_xaxis_transform(), fontsize=8, va="top"
+                    item.at,
+                    0.97,
+                    f" {item.text}",
+                    transform=ax.get_xaxis_transform(),
+                    fontsize=8,
+                    va="top",
                 )
         else:
             ax.axvspan(item.low, item.high, color=PALE, alpha=0.7, lw=0, zorder=0)
@@ -241,9 +267,24 @@ def _draw_panel(ax: Axes, panel: Panel, notes: dict[str, str]) -> None:
 
 def _draw_line(ax: Axes, item: Line, axis: Axis) -> None:
     if item.band is not None:
-        ax.fill_between(item.x, *item.band, color=item.look.colour, alpha=0.25, lw=0, label=item.band_name)
+        ax.fill_between(
+            item.x,
+            *item.band,
+            color=item.look.colour,
+            alpha=0.25,
+            lw=0,
+            label=item.band_name,
+        )
     if item.fill:
-        ax.fill_between(item.x, item.y, ax.get_ylim()[0], color=PALE, lw=0, label=item.name, zorder=0)
+        ax.fill_between(
+            item.x,
+            item.y,
+            ax.get_ylim()[0],
+            color=PALE,
+            lw=0,
+            label=item.name,
+            zorder=0,
+        )
         return
     ax.plot(
         *_thinned(item, axis),
@@ -272,7 +313,11 @@ def _thinned(line: Line, axis: Axis) -> tuple[Array, Array]:
     whole = len(x) // each * each
     columns = y[:whole].reshape(-1, each)
     starts = np.arange(0, whole, each)
-    kept = np.r_[starts + columns.argmin(axis=1), starts + columns.argmax(axis=1), np.arange(whole, len(x))]
+    kept = np.r_[
+        starts + columns.argmin(axis=1),
+        starts + columns.argmax(axis=1),
+        np.arange(whole, len(x)),
+    ]
     kept = np.unique(kept)
     return x[kept], y[kept]
 
@@ -284,7 +329,13 @@ def _draw_marks(ax: Axes, item: Marks, notes: dict[str, str]) -> None:
             continue
         for a, b, at in zip(*spans, other, strict=True):
             ends = ([a, b], [at, at]) if flat else ([at, at], [a, b])
-            ax.plot(*ends, color=item.look.colour, lw=item.bar, solid_capstyle="butt", zorder=3)
+            ax.plot(
+                *ends,
+                color=item.look.colour,
+                lw=item.bar,
+                solid_capstyle="butt",
+                zorder=3,
+            )
     if item.look.marker:
         style: dict[str, Any] = {
             "marker": item.look.marker, "color": item.look.colour, "mfc": "white" if item.open else item.look.colour,
@@ -293,18 +344,35 @@ def _draw_marks(ax: Axes, item: Marks, notes: dict[str, str]) -> None:
         label = item.name or None
         if not item.notes:
             ax.plot(x, y, label=label, **style)
-        for k, note in enumerate(item.notes):  # each point is an element of the page, with its note
+        for k, note in enumerate(
+            item.notes
+        ):  # each point is an element of the page, with its note
             name = f"note-{len(notes)}"
             notes[name] = note
-            ax.plot(x[k : k + 1], y[k : k + 1], label=label if k == 0 else None, gid=name, **style)
+            ax.plot(
+                x[k : k + 1],
+                y[k : k + 1],
+                label=label if k == 0 else None,
+                gid=name,
+                **style,
+            )
     elif item.name:
-        ax.plot([], [], color=item.look.colour, lw=item.bar, solid_capstyle="butt", label=item.name)
+        ax.plot(
+            [],
+            [],
+            color=item.look.colour,
+            lw=item.bar,
+            solid_capstyle="butt",
+            label=item.name,
+        )
 
 
 def _axis(ax: Axes, which: str, axis: Axis) -> None:
     from matplotlib.ticker import NullLocator
 
-    label, limits, ticks = (getattr(ax, f"set_{which}{k}") for k in ("label", "lim", "ticks"))
+    label, limits, ticks = (
+        getattr(ax, f"set_{which}{k}") for k in ("label", "lim", "ticks")
+    )
     label(axis.text)
     if axis.rows:
         ticks(range(len(axis.rows)), axis.rows)
@@ -318,7 +386,10 @@ def _axis(ax: Axes, which: str, axis: Axis) -> None:
         ax.margins(x=0.02)
     if axis.log and axis.ticks:
         low, high = getattr(ax, f"get_{which}lim")()
-        ticks([t for t, _ in axis.ticks if low <= t <= high], [s for t, s in axis.ticks if low <= t <= high])
+        ticks(
+            [t for t, _ in axis.ticks if low <= t <= high],
+            [s for t, s in axis.ticks if low <= t <= high],
+        )
         getattr(ax, f"{which}axis").set_minor_locator(NullLocator())
 
 
@@ -340,7 +411,10 @@ def log_ticks(low: float, high: float, form: str = "{:g}") -> Ticks:
 
 def decades(low: float, high: float) -> Ticks:
     """Return ticks at powers of ten between two positive numbers, or at round numbers within a decade."""
-    ticks = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)]
+    ticks = [
+        10.0**k
+        for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
+    ]
     if len(ticks) < 2:
         return log_ticks(low, high)
     ticks = ticks[:: -(-len(ticks) // 6)]

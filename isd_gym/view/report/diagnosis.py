@@ -22,7 +22,20 @@ from ...diagnosis._verdict.wording import is_gain, statements_of
 from ...diagnosis.result import FOLDER, Effect
 from ...physics import elements as el
 from ...physics.simulate import pace
-from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
+from .charts import (
+    Axis,
+    Chart,
+    Dots,
+    Item,
+    Line,
+    Marks,
+    Panel,
+    Rule,
+    Span,
+    decades,
+    log_ticks,
+    picture,
+)
 from .forces import clouds, loops_of
 from .plots import (
     BLUE,
@@ -60,7 +73,10 @@ if TYPE_CHECKING:
 #: stages of a diagnosis: head of a column, and its meaning
 STAGES = {
     "before": ("as given", "the nominal model"),
-    "refit": ("refitted", "the nominal model with its parameters refitted within their stated uncertainty"),
+    "refit": (
+        "refitted",
+        "the nominal model with its parameters refitted within their stated uncertainty",
+    ),
     "after": ("with the effect", "the refitted model with the addition"),
     "candidate": (
         "with the best candidate",
@@ -73,7 +89,9 @@ RELATIONS = {"<": "<", "<=": "≤", ">": ">", ">=": "≥"}
 OVER = {"rate": "rate", "elongation": "travel", "both": "travel and rate"}
 
 
-def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str, str] | None = None) -> Path:
+def write_report(
+    diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str, str] | None = None
+) -> Path:
     """Write ``diagnosis.json`` and ``model.json`` into a folder, then ``report.html`` and its figures as SVG.
 
     The results replace an earlier diagnosis in one step; the folder with the report replaces the results in
@@ -96,8 +114,12 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str
         diagnosis.save(place, report=False)
     try:
         _draw_report(diagnosis, folder, dict(about or {}))
-    except Exception as error:  # a failing figure must not lose the results of a long computation
-        raise ReportError("the report", error, f"the results are in '{folder}'") from error
+    except (
+        Exception
+    ) as error:  # a failing figure must not lose the results of a long computation
+        raise ReportError(
+            "the report", error, f"the results are in '{folder}'"
+        ) from error
     return folder / "report.html"
 
 
@@ -117,7 +139,13 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
 def _html(view: View, shown: Mapping[str, Picture], about: Mapping[str, str]) -> str:
     """Return the page with figures by name."""
     return page(
-        "diagnosis.html", d=view.d, view=view, shown=shown, about=about, stages=STAGES, types=el.TYPES
+        "diagnosis.html",
+        d=view.d,
+        view=view,
+        shown=shown,
+        about=about,
+        stages=STAGES,
+        types=el.TYPES,
     )
 
 
@@ -131,8 +159,13 @@ def notebook_page(d: Diagnosis) -> str:
     ]  # fmt: skip
     out = f"<p><b>{escape(d.verdict)}</b>: {escape(d.summary)}</p>{_signal_picture(d)}"
     if rows:
-        out += _plain_table(["effect", "where", "parameter", "value", "95 % interval"], rows)
-    gap = [[c, *(f"{100 * d.gap[s][c]:.1f} %" for s in stages)] for c in d.gap.get("refit", {})]
+        out += _plain_table(
+            ["effect", "where", "parameter", "value", "95 % interval"], rows
+        )
+    gap = [
+        [c, *(f"{100 * d.gap[s][c]:.1f} %" for s in stages)]
+        for c in d.gap.get("refit", {})
+    ]
     return out + _plain_table(["error on held-out data", *stages], gap)
 
 
@@ -175,7 +208,11 @@ class Scale:
 
 def _is_whole(trace: Trace) -> bool:
     """Return whether the refitted and the completed model simulate the record of a trace to its end."""
-    return all(np.isfinite(y).all() for curves in (trace.refit, trace.after) for y in curves.values())
+    return all(
+        np.isfinite(y).all()
+        for curves in (trace.refit, trace.after)
+        for y in curves.values()
+    )
 
 
 class View:
@@ -186,12 +223,18 @@ class View:
         self.named = bool(d.effects)
         # whether the new model differs from the given model
         completes = d.best_candidate is not None and d.best_candidate.completes
-        self.changed = self.named or d.tabulated is not None or d.verdict == "ambiguous" or completes
+        self.changed = (
+            self.named
+            or d.tabulated is not None
+            or d.verdict == "ambiguous"
+            or completes
+        )
         document = d.to_dict()
         told = statements_of(document)
         self.title = self.printed(told.title)
         self.finding, self.remarks, self.steps = (
-            [self.printed(s) for s in part] for part in (told.finding, told.remarks, told.next_steps)
+            [self.printed(s) for s in part]
+            for part in (told.finding, told.remarks, told.next_steps)
         )
         # whether several candidates cannot be told apart
         self.tied = d.verdict == "ambiguous"
@@ -208,25 +251,45 @@ class View:
         # a model that does not simulate a record has no curve there; a note of the result says so
         self.traces = [t for t in d.traces if _is_whole(t)]
         held = [t for t in self.traces if t.held_out] or self.traces
-        self.trace: Trace | None = max(held, key=lambda t: len(t.time)) if held else None
+        self.trace: Trace | None = (
+            max(held, key=lambda t: len(t.time)) if held else None
+        )
         self.scales = {c: self._scale(c) for c in self.channels}
         self.order = sorted(self.channels, key=lambda c: -d.gap["refit"][c])
         # error by stage and channel
-        self.errors = {s: d.gap[s] for s in STAGES if s in d.gap and (s != "after" or self.changed)}
-        if d.best_candidate is not None and not self.changed and is_gain(document["best_candidate"]):
+        self.errors = {
+            s: d.gap[s] for s in STAGES if s in d.gap and (s != "after" or self.changed)
+        }
+        if (
+            d.best_candidate is not None
+            and not self.changed
+            and is_gain(document["best_candidate"])
+        ):
             noise = self.errors.pop("noise_floor")
-            self.errors |= {"candidate": d.best_candidate.error["after"], "noise_floor": noise}
+            self.errors |= {
+                "candidate": d.best_candidate.error["after"],
+                "noise_floor": noise,
+            }
         self.stages = list(self.errors)
         self.clouds = clouds(d, self.trace) if self.trace is not None else []
         self.remarks += list(dict.fromkeys(d.notes))
         self.spoken, self.observed = el.spoken, observed
-        self.loops = loops_of(d, self.trace, self.clouds) if self.trace is not None else []
+        self.loops = (
+            loops_of(d, self.trace, self.clouds) if self.trace is not None else []
+        )
         self.laws = list(d.laws)
 
     def _scale(self, name: str) -> Scale:
-        unit = self.d.units.get(name) or next((c.unit for c in self.d.base.outputs if c.name == name), "")
+        unit = self.d.units.get(name) or next(
+            (c.unit for c in self.d.base.outputs if c.name == name), ""
+        )
         peak = max(
-            (float(np.abs(t.measured[name]).max()) for t in self.traces if name in t.measured), default=1.0
+            (
+                float(np.abs(t.measured[name]).max())
+                for t in self.traces
+                if name in t.measured
+            ),
+            default=1.0,
         )
         if unit == "m" and peak < 0.5:
             return Scale(1e3, "mm")
@@ -238,13 +301,26 @@ class View:
         """Return drawings of the network: as given, and with the result in colour."""
         known = {e.name for e in self.d.base.elements}
         # fitted offsets of sensors are no additions
-        offsets = {e.name for c in self.d.model.outputs for e in offsets_of(self.d.model, c)}
+        offsets = {
+            e.name for c in self.d.model.outputs for e in offsets_of(self.d.model, c)
+        }
         found = {e.name for e in self.d.model.elements} - known - offsets
-        pairs: list[tuple[str, Network, set[str]]] = [("The model as given", self.d.base, set())]
+        pairs: list[tuple[str, Network, set[str]]] = [
+            ("The model as given", self.d.base, set())
+        ]
         if self.changed:
-            pairs.append(("The completed model, with the addition in colour", self.d.model, found))
+            pairs.append(
+                (
+                    "The completed model, with the addition in colour",
+                    self.d.model,
+                    found,
+                )
+            )
         try:
-            return [(title, sketch(n, found=marked).svg(inline=True)) for title, n, marked in pairs]
+            return [
+                (title, sketch(n, found=marked).svg(inline=True))
+                for title, n, marked in pairs
+            ]
         except InputError:  # nothing between nodes
             return []
 
@@ -254,13 +330,23 @@ class View:
 
     def lights(self, c: Contender) -> str:
         """Return the highlighted parts of the drawing for a rival."""
-        return json.dumps([part for where in c.where for part in place_parts(self.d.base, where)])
+        return json.dumps(
+            [part for where in c.where for part in place_parts(self.d.base, where)]
+        )
 
     def printed(self, sentence: str) -> str:
         """Return a sentence with units, numbers and channels in the style of the page."""
-        text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), units_text(sentence))
+        text = re.sub(
+            r"\b\d(\.\d+)?e[+-]\d\d\b",
+            lambda m: number(float(m[0]), 4),
+            units_text(sentence),
+        )
         for c in self.d.gap.get("refit", {}):
-            text = re.sub(rf"(?<!\w){re.escape(c)}(?!\w)", channel_text(c).replace("\\", r"\\"), text)
+            text = re.sub(
+                rf"(?<!\w){re.escape(c)}(?!\w)",
+                channel_text(c).replace("\\", r"\\"),
+                text,
+            )
         return re.sub(r"(?<=\d) %", "\u00a0%", text)
 
     @property
@@ -277,11 +363,20 @@ class View:
                 stated[1] = ("kind", "none of the library", f.kind_probability)
             else:
                 for law in f.laws[:1]:
-                    name = self.spoken(law.effect) if law.effect in el.TYPES else "none of the library"
+                    name = (
+                        self.spoken(law.effect)
+                        if law.effect in el.TYPES
+                        else "none of the library"
+                    )
                     stated.append(("law", name, law.probability))
-            graded = [(level, text, share, grade(share)) for level, text, share in stated]
+            graded = [
+                (level, text, share, grade(share)) for level, text, share in stated
+            ]
             rows.append(
-                [(text, f"{name}, {share:.2f}", observed(level, name)) for level, text, share, name in graded]
+                [
+                    (text, f"{name}, {share:.2f}", observed(level, name))
+                    for level, text, share, name in graded
+                ]
             )
         return rows
 
@@ -316,7 +411,9 @@ class View:
         """Return the value of a gate with at most three digits and without exponent, or a dash."""
         if not math.isfinite(value):
             return "–"
-        return (f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}").replace("-", "−")
+        return (f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}").replace(
+            "-", "−"
+        )
 
     def needed(self, g: Any) -> str:
         """Return the requirement of a gate, such as ``≥ 0.05``."""
@@ -329,20 +426,28 @@ class View:
         if t is None:
             return ""
         text = f"force between {t.between[0]} and {t.between[1]}, as a table over {OVER[t.over]}"
-        return text.replace("force", "torque").replace("travel", "angle") if self.turns(t.between) else text
+        return (
+            text.replace("force", "torque").replace("travel", "angle")
+            if self.turns(t.between)
+            else text
+        )
 
     @property
     def nearest_text(self) -> str:
         """Known laws nearest to an unnamed force, with the share of the force that each law explains."""
         near = self.d.tabulated.nearest if self.d.tabulated is not None else ()
-        return ", ".join(f"{el.spoken(name)} ({percent(share, 0, sign=False)} of it)" for name, share in near)
+        return ", ".join(
+            f"{el.spoken(name)} ({percent(share, 0, sign=False)} of it)"
+            for name, share in near
+        )
 
     @property
     def shares_text(self) -> str:
         """Shares of a force over travel and rate that a single axis explains; '' for a force over one axis."""
         shares = self.d.tabulated.shares if self.d.tabulated is not None else ()
         return ", ".join(
-            f"a function of {OVER[over]} alone gives {percent(x, 0, sign=False)} of it" for over, x in shares
+            f"a function of {OVER[over]} alone gives {percent(x, 0, sign=False)} of it"
+            for over, x in shares
         )
 
     def interval(self, q: Any) -> str:
@@ -360,7 +465,12 @@ class View:
         """Return the equation of an effect."""
         # the equations in the code are ASCII
         text: str = getattr(el.TYPES.get(e.effect), "equation", "")
-        for plain, mark in (("F in ", "F ∈ "), ("^2", "²"), ("^3", "³"), (" - ", " − ")):
+        for plain, mark in (
+            ("F in ", "F ∈ "),
+            ("^2", "²"),
+            ("^3", "³"),
+            (" - ", " − "),
+        ):
             text = text.replace(plain, mark)
         return text
 
@@ -384,7 +494,10 @@ class View:
     @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
         """Base parameters: path, quantity, and relative standard deviation in the model file."""
-        return [(path, q, self.d.base.uncertainty.get(path)) for path, q in self.d.parameters.items()]
+        return [
+            (path, q, self.d.base.uncertainty.get(path))
+            for path, q in self.d.parameters.items()
+        ]
 
 
 def _digits(value: float, low: float, high: float) -> str:
@@ -397,7 +510,9 @@ def _digits(value: float, low: float, high: float) -> str:
         return number(value, int(np.clip(np.floor(np.log10(size / half)) + 2, 2, 5)))
     first = math.floor(math.log10(size))
     places = min(max(1 - math.floor(math.log10(half)), 3 - first), 5 - first)
-    if low < value < high and value != 0.0:  # a value within a wide interval must not vanish: 14.66 is not 0
+    if (
+        low < value < high and value != 0.0
+    ):  # a value within a wide interval must not vanish: 14.66 is not 0
         places = max(places, 1 - math.floor(math.log10(abs(value))))
     return f"{round(value, places) + 0.0:.{max(0, places)}f}".replace("-", "−")
 
@@ -424,19 +539,40 @@ def draw_gap(view: View) -> Chart:
         "candidate": (Look(BLUE, "-", "o"), True, 7.5),
         "noise_floor": (Look(INK, "-", "|"), False, 13.0),
     }
-    values = {s: [max(100 * view.errors[s][c], 1e-3) for c in view.order] for s in view.stages}
-    ends = [[f(values[s][k] for s in view.stages) for k in range(len(view.order))] for f in (min, max)]
+    values = {
+        s: [max(100 * view.errors[s][c], 1e-3) for c in view.order] for s in view.stages
+    }
+    ends = [
+        [f(values[s][k] for s in view.stages) for k in range(len(view.order))]
+        for f in (min, max)
+    ]
     items: list[Item] = [
-        Marks("", ends[0], range(len(view.order)), Look(PALE, "-", ""), (ends[0], ends[1]), bar=4.0)
+        Marks(
+            "",
+            ends[0],
+            range(len(view.order)),
+            Look(PALE, "-", ""),
+            (ends[0], ends[1]),
+            bar=4.0,
+        )
     ]
     for stage in view.stages:
         look, hollow, size = looks[stage]
         label = view.labels[stage]
         notes = [
-            f"{channel_text(c)}, {label}: {percent(view.errors[stage][c], 2, sign=False)}" for c in view.order
+            f"{channel_text(c)}, {label}: {percent(view.errors[stage][c], 2, sign=False)}"
+            for c in view.order
         ]
         items.append(
-            Marks(label, values[stage], range(len(view.order)), look, notes=notes, open=hollow, size=size)
+            Marks(
+                label,
+                values[stage],
+                range(len(view.order)),
+                look,
+                notes=notes,
+                open=hollow,
+                size=size,
+            )
         )
     low, high = min(ends[0]) / 1.12, 1.12 * max(ends[1])
     x = Axis(
@@ -448,7 +584,11 @@ def draw_gap(view: View) -> Chart:
         "The gap",
         "Held-out error of every channel before, refitted, after, and the noise",
         "Simulation error on held-out data. The scale is logarithmic.",
-        {"all": [Panel(x, Axis(rows=tuple(map(channel_text, view.order))), tuple(items))]},
+        {
+            "all": [
+                Panel(x, Axis(rows=tuple(map(channel_text, view.order))), tuple(items))
+            ]
+        },
         size=(7.2, 0.95 + 0.42 * len(view.channels)),
     )
 
@@ -458,7 +598,9 @@ def _stretches(view: View, trace: Trace) -> dict[str, slice]:
     c = view.order[0]
     step = float(trace.time[1] - trace.time[0])
     width = min(len(trace.time), max(10, round(STRETCH / step)))
-    power = np.concatenate([[0.0], np.cumsum((trace.measured[c] - trace.refit[c]) ** 2)])
+    power = np.concatenate(
+        [[0.0], np.cumsum((trace.measured[c] - trace.refit[c]) ** 2)]
+    )
     within = power[width:] - power[:-width]
     usual = np.abs(within - np.median(within))
     starts = {WORST: int(np.argmax(within)), "typical stretch": int(np.argmin(usual))}
@@ -495,7 +637,12 @@ def _signal_axis(view: View, c: str) -> Axis:
 
 
 def _over_time(
-    view: View, name: str, texts: tuple[str, str], panels: Panels, columns: int, height: float
+    view: View,
+    name: str,
+    texts: tuple[str, str],
+    panels: Panels,
+    columns: int,
+    height: float,
 ) -> Chart | None:
     """Return a chart of all records over time; the picture has the channels with the largest error. None without records."""
     if view.trace is None:
@@ -521,9 +668,7 @@ def _over_time(
 
 def draw_time(view: View) -> Chart | None:
     """Return the chart of all records over time: the stretch with the largest error, and a typical stretch; None without records."""
-    alt = (
-        "Measured and simulated signals over time: the stretch with the largest error, and a typical stretch"
-    )
+    alt = "Measured and simulated signals over time: the stretch with the largest error, and a typical stretch"
     return _over_time(view, "time", ("In time", alt), _signal_panels, 2, 1.65)
 
 
@@ -536,11 +681,18 @@ def _signal_panels(view: View, t: Trace, stretches: Mapping[str, slice]) -> list
         for title, cut in stretches.items():
             # the worst stretch is a view of the whole record, the typical one is a part of the record
             drawn = slice(None) if title == WORST else cut
-            lines = [Line(n, t.time[drawn], k * y[c][drawn], look) for n, (y, look) in says.items()]
-            low, high = (f(float(f(k * y[c][cut])) for y, _ in says.values()) for f in (min, max))
+            lines = [
+                Line(n, t.time[drawn], k * y[c][drawn], look)
+                for n, (y, look) in says.items()
+            ]
+            low, high = (
+                f(float(f(k * y[c][cut])) for y, _ in says.values()) for f in (min, max)
+            )
             room = 0.05 * (high - low) or 1.0
             y_axis = replace(_signal_axis(view, c), low=low - room, high=high + room)
-            x_axis = Axis("time", "s", low=float(t.time[cut][0]), high=float(t.time[cut][-1]))
+            x_axis = Axis(
+                "time", "s", low=float(t.time[cut][0]), high=float(t.time[cut][-1])
+            )
             panels.append(Panel(x_axis, y_axis, tuple(lines), title=title, link=title))
     return panels
 
@@ -551,15 +703,24 @@ def draw_residuals(view: View) -> Chart | None:
     return _over_time(view, "residuals", texts, _residual_panels, 1, 1.1)
 
 
-def _residual_panels(view: View, t: Trace, stretches: Mapping[str, slice]) -> list[Panel]:
+def _residual_panels(
+    view: View, t: Trace, stretches: Mapping[str, slice]
+) -> list[Panel]:
     panels = []
-    spans = [Span(float(t.time[cut][0]), float(t.time[cut][-1])) for cut in stretches.values()]
+    spans = [
+        Span(float(t.time[cut][0]), float(t.time[cut][-1]))
+        for cut in stretches.values()
+    ]
     for c in view.order:
         k = view.scales[c].factor
-        rest = {n: (k * (t.measured[c] - y[c]), look) for n, (y, look) in _simulated(view, t).items()}
+        rest = {
+            n: (k * (t.measured[c] - y[c]), look)
+            for n, (y, look) in _simulated(view, t).items()
+        }
         noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(t.measured[c]))
         items: list[Item] = [
-            Line(n, t.time, r, replace(look, line="-", width=0.7, marker="")) for n, (r, look) in rest.items()
+            Line(n, t.time, r, replace(look, line="-", width=0.7, marker=""))
+            for n, (r, look) in rest.items()
         ]
         items += [*(Rule("y", y, look=NOISE) for y in (-noise, noise)), *spans]
         x_axis = Axis("time", "s", low=float(t.time[0]), high=float(t.time[-1]))
@@ -575,15 +736,21 @@ def draw_loops(view: View) -> Chart | None:
 
 def draw_other_loops(view: View) -> Chart | None:
     """Return the chart of the other forces over velocity and over travel; None without other forces."""
-    return _loops_chart(view, "other_loops", "Other forces over velocity and travel", view.loops[1:4])
+    return _loops_chart(
+        view, "other_loops", "Other forces over velocity and travel", view.loops[1:4]
+    )
 
 
-def _loops_chart(view: View, name: str, title: str, forces: Sequence[Loops]) -> Chart | None:
+def _loops_chart(
+    view: View, name: str, title: str, forces: Sequence[Loops]
+) -> Chart | None:
     """Return loops in the measurement, the model as given, and the completed (or refitted) model."""
     trace = view.trace
     if trace is None or not forces:
         return None
-    new, look = ("completed model", AFTER) if view.changed else ("refitted model", BEFORE)
+    new, look = (
+        ("completed model", AFTER) if view.changed else ("refitted model", BEFORE)
+    )
     choices = {}
     for stretch_name, stretch in _stretches(view, trace).items():
         panels = []
@@ -594,7 +761,11 @@ def _loops_chart(view: View, name: str, title: str, forces: Sequence[Loops]) -> 
                 "model as given": (loops.nominal, Look(MUTED, (0, (4, 1.5)), "", 1.1)),
                 new: (loops.new, replace(look, line="-", marker="", width=1.2)),
             }
-            shown = {n: (c.part(own), style) for n, (c, style) in curves.items() if c is not None}
+            shown = {
+                n: (c.part(own), style)
+                for n, (c, style) in curves.items()
+                if c is not None
+            }
             panels += _loop_panels(view, loops, shown)
         choices[stretch_name] = panels
     return Chart(
@@ -618,7 +789,9 @@ def _cycles(loops: Loops, stretch: slice, step: float) -> slice:
     return slice(start, start + width)
 
 
-def _loop_panels(view: View, loops: Loops, curves: Mapping[str, tuple[Curve, Look]]) -> list[Panel]:
+def _loop_panels(
+    view: View, loops: Loops, curves: Mapping[str, tuple[Curve, Look]]
+) -> list[Panel]:
     """Return the panels of a force over rate and over travel."""
     turns = view.turns(loops.pair)
     unit = "N·m" if turns else "N"
@@ -629,7 +802,10 @@ def _loop_panels(view: View, loops: Loops, curves: Mapping[str, tuple[Curve, Loo
     for kind in ("rate", "travel"):
         factor, x = law_axis(kind, turns)
         x = replace(x, label=f"{x.label} of {loops.pair[0]}–{loops.pair[1]}")
-        items = [Line(n, factor * getattr(c, kind), scale * c.force, look) for n, (c, look) in curves.items()]
+        items = [
+            Line(n, factor * getattr(c, kind), scale * c.force, look)
+            for n, (c, look) in curves.items()
+        ]
         panels.append(Panel(x, y, (Rule("x", 0.0), Rule("y", 0.0), *items)))
     return panels
 
@@ -655,7 +831,9 @@ def draw_spectra(view: View) -> Chart | None:
     for c in shown:
         unit = view.scales[c]
 
-        def mean(signal: Callable[[Trace], Array], scale: float = unit.factor) -> tuple[Array, Array]:
+        def mean(
+            signal: Callable[[Trace], Array], scale: float = unit.factor
+        ) -> tuple[Array, Array]:
             found = [density(scale * signal(t), step, seconds) for t in used]
             return found[0][0], np.mean([p for _, p in found], axis=0)
 
@@ -663,19 +841,41 @@ def draw_spectra(view: View) -> Chart | None:
         keep = (f >= 0.2) & (f <= min(60.0, 0.45 / step))
         keep = keep if keep.sum() > 4 else f > 0
         _, old = mean(lambda t, c=c: t.measured[c] - t.refit[c])  # type: ignore[misc]
-        curves = [("measured", p, Look(MUTED, "-", "", 1.4)), ("residual of the refitted model", old, BEFORE)]
+        curves = [
+            ("measured", p, Look(MUTED, "-", "", 1.4)),
+            ("residual of the refitted model", old, BEFORE),
+        ]
         if view.changed:
             _, new = mean(lambda t, c=c: t.measured[c] - t.after[c])  # type: ignore[misc]
             curves.append(("residual of the completed model", new, AFTER))
-        items: list[Item] = [Line(n, f[keep], y[keep], replace(look, marker="")) for n, y, look in curves]
+        items: list[Item] = [
+            Line(n, f[keep], y[keep], replace(look, marker="")) for n, y, look in curves
+        ]
         top = float(p[keep].max())
         least = min(float(y[keep].min()) for _, y, _ in curves[1:])
         low, high = max(0.5 * least, 1e-8 * top), 3 * max(top, float(old[keep].max()))
-        items += [Span(max(a, float(f[keep][0])), b) for a, b in (places[c].bands_hz if c in places else ())]
-        x = Axis("frequency", "Hz", log=True, ticks=log_ticks(float(f[keep][0]), float(f[keep][-1])))
+        items += [
+            Span(max(a, float(f[keep][0])), b)
+            for a, b in (places[c].bands_hz if c in places else ())
+        ]
+        x = Axis(
+            "frequency",
+            "Hz",
+            log=True,
+            ticks=log_ticks(float(f[keep][0]), float(f[keep][-1])),
+        )
         density_unit = f"({unit.unit})²/Hz" if "/" in unit.unit else f"{unit.unit}²/Hz"
-        y_axis = Axis("density", density_unit, log=True, low=low, high=high, ticks=decades(low, high))
-        panels.append(Panel(x, y_axis, tuple(items), title=channel_text(c), link="frequency"))
+        y_axis = Axis(
+            "density",
+            density_unit,
+            log=True,
+            low=low,
+            high=high,
+            ticks=decades(low, high),
+        )
+        panels.append(
+            Panel(x, y_axis, tuple(items), title=channel_text(c), link="frequency")
+        )
     return Chart(
         "spectra",
         "In frequency",
@@ -704,7 +904,12 @@ def draw_plane(view: View) -> Chart | None:
             ]
         else:
             parts = [
-                (k, cloud.before, f"missing in the refitted model, over {k}", VERMILLION)
+                (
+                    k,
+                    cloud.before,
+                    f"missing in the refitted model, over {k}",
+                    VERMILLION,
+                )
                 for k in ("rate", "travel")
             ]
         top = float(np.quantile(np.abs(cloud.before), 0.98)) * 1.25
@@ -717,14 +922,26 @@ def draw_plane(view: View) -> Chart | None:
             items, x = _dots(x, factor * over[axis_kind], force, colour)
             if law is not None and k == 0:
                 look = Look(BLUE, "-", "", 1.6)
-                items.append(Line("added law", factor * law.axis, law.force, look, band=(law.low, law.high)))
+                items.append(
+                    Line(
+                        "added law",
+                        factor * law.axis,
+                        law.force,
+                        look,
+                        band=(law.low, law.high),
+                    )
+                )
             y = force_axis("missing force", turns, -top, top)
             panels.append(Panel(x, y, tuple(items), title=title))
     return Chart(
         "plane",
         "Missing force over the motion",
         "The missing force over travel or rate, before and after",
-        caption("plane", t=view.trace, has_law=any(cloud.law is not None for cloud in view.clouds)),
+        caption(
+            "plane",
+            t=view.trace,
+            has_law=any(cloud.law is not None for cloud in view.clouds),
+        ),
         {"all": panels},
         columns=2,
         size=(7.4, 2.9 * len(view.clouds) + 0.4),
@@ -761,7 +978,9 @@ def draw_law(view: View) -> Chart | None:
         turns = view.turns(e.between or ())
         factor, axis = law_axis(law.kind, turns)
         x = factor * law.axis
-        count, edges = np.histogram(factor * law.visited, bins=40, range=(float(x[0]), float(x[-1])))
+        count, edges = np.histogram(
+            factor * law.visited, bins=40, range=(float(x[0]), float(x[-1]))
+        )
         least, most = float(np.min(law.low)), float(np.max(law.high))
         room = 0.05 * (most - least) or 1.0
         low, high = least - room, most + room
@@ -773,8 +992,12 @@ def draw_law(view: View) -> Chart | None:
         elif e.between:
             text = f"{text} of {e.between[0]}–{e.between[1]}"
         items = (
-            Line("law", x, law.force, Look(BLUE, "-", "", 1.6), band=(law.low, law.high)),
-            Line("distribution of the samples", x, size, Look(MUTED, "-", ""), fill=True),
+            Line(
+                "law", x, law.force, Look(BLUE, "-", "", 1.6), band=(law.low, law.high)
+            ),
+            Line(
+                "distribution of the samples", x, size, Look(MUTED, "-", ""), fill=True
+            ),
             Rule("x", 0.0),
             Rule("y", 0.0),
         )
@@ -835,19 +1058,37 @@ def draw_parameters(view: View) -> Chart | None:
         ("not determined by these data", Look(MUTED, "-", "o"), False, True),
     )
     for label, look, seen, hollow in groups:
-        own = [(k, path, q) for k, (path, q, sigma) in enumerate(rows) if learned(q, sigma) == seen]
+        own = [
+            (k, path, q)
+            for k, (path, q, sigma) in enumerate(rows)
+            if learned(q, sigma) == seen
+        ]
         if not own:
             continue
         x, low, high = (
-            [100 * (getattr(q, key) / q.prior - 1) for _, _, q in own] for key in ("value", "low", "high")
+            [100 * (getattr(q, key) / q.prior - 1) for _, _, q in own]
+            for key in ("value", "low", "high")
         )
         notes = [
             f"{path}: {view.quantity(q)}, 95 % {view.interval(q)}, as given {number(q.prior, 4)}"
             for _, path, q in own
         ]
-        spans = ([min(p) for p in zip(low, high, strict=True)], [max(p) for p in zip(low, high, strict=True)])
+        spans = (
+            [min(p) for p in zip(low, high, strict=True)],
+            [max(p) for p in zip(low, high, strict=True)],
+        )
         items.append(
-            Marks(label, x, [k for k, _, _ in own], look, spans, notes=notes, open=hollow, size=4.5, bar=2.2)
+            Marks(
+                label,
+                x,
+                [k for k, _, _ in own],
+                look,
+                spans,
+                notes=notes,
+                open=hollow,
+                size=4.5,
+                bar=2.2,
+            )
         )
     return Chart(
         "parameters",

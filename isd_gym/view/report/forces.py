@@ -55,7 +55,9 @@ class Loops:
     pair: tuple[str, str]  # the two nodes
     samples: slice  # samples of the record that the curves contain
     measured: Curve  # measured force, or the force that the residuals require
-    nominal: Curve | None  # force of the model as given; None where it cannot be simulated
+    nominal: (
+        Curve | None
+    )  # force of the model as given; None where it cannot be simulated
     new: Curve  # force of the completed model, or of the refitted model where nothing is added
     is_measured: bool  # whether a channel measures the force
 
@@ -72,7 +74,9 @@ class Cloud:
     travel: Array  # elongation (n,) [m]
     rate: Array  # rate of elongation (n,) [m/s]
     before: Array  # force in addition to the refitted model (n,) [N]
-    after: Array | None  # force in addition to the model with the result (n,) [N]; None without a result
+    after: (
+        Array | None
+    )  # force in addition to the model with the result (n,) [N]; None without a result
     loops: Loops  # the whole force between the nodes
 
 
@@ -82,7 +86,12 @@ def clouds(d: Diagnosis, trace: Trace) -> list[Cloud]:
     pairs: dict[tuple[str, str], list[Effect]] = {}
     for e in d.effects:
         kind = el.TYPES.get(e.effect)
-        if e.between is not None and e.element in laws and kind is not None and kind.place == "between":
+        if (
+            e.between is not None
+            and e.element in laws
+            and kind is not None
+            and kind.place == "between"
+        ):
             pairs.setdefault((e.between[0], e.between[1]), []).append(e)
     if d.tabulated is not None and d.tabulated.element in laws:
         pairs[d.tabulated.between] = []
@@ -94,7 +103,9 @@ def clouds(d: Diagnosis, trace: Trace) -> list[Cloud]:
     out = []
     for pair, effects in pairs.items():
         try:
-            names = [e.element for e in effects] or ([d.tabulated.element] if d.tabulated else [])
+            names = [e.element for e in effects] or (
+                [d.tabulated.element] if d.tabulated else []
+            )
             cloud = _cloud(d, trace, pair, [laws[n] for n in names], effects)
         except (InputError, np.linalg.LinAlgError):
             continue
@@ -104,18 +115,30 @@ def clouds(d: Diagnosis, trace: Trace) -> list[Cloud]:
 
 
 def _cloud(
-    d: Diagnosis, trace: Trace, pair: tuple[str, str], laws: list[Law], effects: list[Effect]
+    d: Diagnosis,
+    trace: Trace,
+    pair: tuple[str, str],
+    laws: list[Law],
+    effects: list[Effect],
 ) -> Cloud | None:
     base, refitted, model = d.base, d.refitted, d.model
     if not set(pair) <= {*refitted.nodes, GROUND}:
         return None
     names = [c.name for c in refitted.outputs if c.name in trace.refit]
-    noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
-    response = Deconvolution.of(refitted, pair, trace.time, {n: trace.measured[n] for n in names})
-    before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
+    noise = {
+        n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names
+    }
+    response = Deconvolution.of(
+        refitted, pair, trace.time, {n: trace.measured[n] for n in names}
+    )
+    before, moved = response.force(
+        {n: trace.measured[n] - trace.refit[n] for n in names}, noise
+    )
     after, is_new = None, bool(d.effects or d.tabulated)
     if is_new:
-        after, _ = response.force({n: trace.measured[n] - trace.after[n] for n in names}, noise)
+        after, _ = response.force(
+            {n: trace.measured[n] - trace.after[n] for n in names}, noise
+        )
     series = [e.element for e in effects if el.TYPES[e.effect].series]
     seen = _simulated(model if is_new else refitted, trace, pair, series)
     travel, rate, whole = seen.travel, seen.rate, seen.force
@@ -137,7 +160,9 @@ def _cloud(
     return Cloud(pair, law, kinds, travel[keep], rate[keep], before[keep], rest, loops)
 
 
-def _simulated(network: Network, trace: Trace, pair: tuple[str, str], series: Sequence[str] = ()) -> Curve:
+def _simulated(
+    network: Network, trace: Trace, pair: tuple[str, str], series: Sequence[str] = ()
+) -> Curve:
     """Return the motion of two nodes of a model that starts like a record, and their force with that of elements in series."""
     network = replace(network, uncertainty={})
     step = float(trace.time[1] - trace.time[0])
@@ -164,7 +189,9 @@ def _simulated(network: Network, trace: Trace, pair: tuple[str, str], series: Se
     return Curve(sign * m.d, sign * m.v, force)
 
 
-def _nominal(base: Network, trace: Trace, pair: tuple[str, str], keep: slice) -> Curve | None:
+def _nominal(
+    base: Network, trace: Trace, pair: tuple[str, str], keep: slice
+) -> Curve | None:
     """Return the force of the model as given between two nodes; None where the simulation breaks down."""
     try:
         return _simulated(base, trace, pair).part(keep)
@@ -172,7 +199,9 @@ def _nominal(base: Network, trace: Trace, pair: tuple[str, str], keep: slice) ->
         return None
 
 
-def _over(elements: Iterable[el.Element], pair: tuple[str, str], kind: str, axis: Array) -> Array:
+def _over(
+    elements: Iterable[el.Element], pair: tuple[str, str], kind: str, axis: Array
+) -> Array:
     """Return the sum of the forces between two nodes that depend on rate, or on travel, alone."""
     plane, total = {"rate": "rate", "travel": "elongation"}[kind], np.zeros(len(axis))
     for e in elements:
@@ -184,7 +213,9 @@ def _over(elements: Iterable[el.Element], pair: tuple[str, str], kind: str, axis
     return total
 
 
-def _static(network: Network, pair: tuple[str, str], travel: Array, rate: Array) -> Array:
+def _static(
+    network: Network, pair: tuple[str, str], travel: Array, rate: Array
+) -> Array:
     """Return the force of the elements between two nodes at a motion, without elements with memory."""
     total = np.zeros(len(travel))
     for kind, x in (("travel", travel), ("rate", rate)):
@@ -193,7 +224,9 @@ def _static(network: Network, pair: tuple[str, str], travel: Array, rate: Array)
     return total
 
 
-def _difference(refitted: Network, model: Network, pair: tuple[str, str], laws: list[Law]) -> Law | None:
+def _difference(
+    refitted: Network, model: Network, pair: tuple[str, str], laws: list[Law]
+) -> Law | None:
     """Return the force that the completed model has in addition to the refitted model, with the bands of the laws.
 
     A law that replaces an element counts as its difference to that element, and so do parallel elements with other parameters.
@@ -202,12 +235,21 @@ def _difference(refitted: Network, model: Network, pair: tuple[str, str], laws: 
     if not same:
         return None
     axis, kind = same[0].axis, same[0].kind
-    parts = [np.stack([np.interp(axis, w.axis, y - w.force) for y in (w.low, w.high)]) for w in same]
+    parts = [
+        np.stack([np.interp(axis, w.axis, y - w.force) for y in (w.low, w.high)])
+        for w in same
+    ]
     low, high = np.sum(parts, axis=0)
     own = np.sum([np.interp(axis, w.axis, w.force) for w in same], axis=0)
     others = [e for e in model.elements if e.name not in {w.element for w in same}]
-    force = own + _over(others, pair, kind, axis) - _over(refitted.elements, pair, kind, axis)
-    return Law(same[0].element, kind, axis, force, force + low, force + high, same[0].visited)
+    force = (
+        own
+        + _over(others, pair, kind, axis)
+        - _over(refitted.elements, pair, kind, axis)
+    )
+    return Law(
+        same[0].element, kind, axis, force, force + low, force + high, same[0].visited
+    )
 
 
 # --------------------------------------------------------------------------------------------- measured forces
@@ -239,7 +281,9 @@ def _force_channels(network: Network) -> Iterator[tuple[str, tuple[str, str], fl
             yield c.name, (str(c.at), GROUND), convert(1.0, c.unit, c.si)
 
 
-def _loops_of(d: Diagnosis, trace: Trace, name: str, pair: tuple[str, str], factor: float) -> Loops:
+def _loops_of(
+    d: Diagnosis, trace: Trace, name: str, pair: tuple[str, str], factor: float
+) -> Loops:
     step = float(trace.time[1] - trace.time[0])
     simulated = _simulated(d.model, trace, pair)
     at = _displacement(d.base, pair)
@@ -264,9 +308,13 @@ def _loops_of(d: Diagnosis, trace: Trace, name: str, pair: tuple[str, str], fact
 def _displacement(network: Network, pair: tuple[str, str]) -> tuple[str, float] | None:
     """Return the output that measures the elongation of a pair, and its SI value with the sign of the pair."""
     for c in network.outputs:
-        ends = c.between or ((c.at, GROUND) if c.at is not None and not c.axis else None)
+        ends = c.between or (
+            (c.at, GROUND) if c.at is not None and not c.axis else None
+        )
         if c.quantity == "displacement" and ends is not None and set(ends) == set(pair):
-            return c.name, convert(1.0, c.unit, c.si) * (1.0 if tuple(ends) == pair else -1.0)
+            return c.name, convert(1.0, c.unit, c.si) * (
+                1.0 if tuple(ends) == pair else -1.0
+            )
     return None
 
 
@@ -287,6 +335,10 @@ def loops_of(d: Diagnosis, trace: Trace, found: Iterable[Cloud]) -> list[Loops]:
     at = [set(cloud.pair) for cloud in found]
     return [
         *(x for x in own if set(x.pair) in at),
-        *(cloud.loops for cloud in found if set(cloud.pair) not in [set(x.pair) for x in own]),
+        *(
+            cloud.loops
+            for cloud in found
+            if set(cloud.pair) not in [set(x.pair) for x in own]
+        ),
         *(x for x in own if set(x.pair) not in at),
     ]

@@ -27,11 +27,25 @@ def page(found: Inspection) -> str:
     for f in found.facts:
         raster = found.files[f.file][f.raster]
         odd = [
-            str(replace(o, column="")) for o in found.oddities if (o.where, o.column) == (raster.name, f.name)
+            str(replace(o, column=""))
+            for o in found.oddities
+            if (o.where, o.column) == (raster.name, f.name)
         ]
-        rows.append({"facts": f, "file": raster.name, "odd": odd, "path": _path(raster.columns[f.name])})
+        rows.append(
+            {
+                "facts": f,
+                "file": raster.name,
+                "odd": odd,
+                "path": _path(raster.columns[f.name]),
+            }
+        )
     heads = [
-        {"text": head(r), "odd": [str(o) for o in found.oddities if o.where == r.name and not o.column]}
+        {
+            "text": head(r),
+            "odd": [
+                str(o) for o in found.oddities if o.where == r.name and not o.column
+            ],
+        }
         for group in found.files
         for r in group
     ]
@@ -65,7 +79,9 @@ def _path(x: np.ndarray, width: int = 600, height: int = 60) -> str:
             pen = "M"
             continue
         at = k * width / (len(edges) - 1)
-        for v in dict.fromkeys((float(part[0]), float(part.max()), float(part.min()), float(part[-1]))):
+        for v in dict.fromkeys(
+            (float(part[0]), float(part.max()), float(part.min()), float(part[-1]))
+        ):
             out.append(f"{pen}{at:.1f} {height * (hi - v) / span:.1f}")
             pen = "L"
     return "".join(out)

@@ -108,7 +108,12 @@ LOOKS = (
 def looks(names: Sequence[str]) -> dict[str, Look]:
     """Return a style for each name; no two of the first 57 share colour and line, or colour and marker."""
     others = (
-        Look(COLOURS[i % len(COLOURS)], LINES[i % len(LINES)], MARKERS[i % len(MARKERS)], 1.4)
+        Look(
+            COLOURS[i % len(COLOURS)],
+            LINES[i % len(LINES)],
+            MARKERS[i % len(MARKERS)],
+            1.4,
+        )
         for i in range(len(names))
     )
     return dict(zip(names, (LOOKS[0], *others), strict=False))
@@ -127,8 +132,15 @@ def style() -> Iterator[None]:
             f"matplotlibrc is not UTF-8 text ({error.reason}): correct or remove the file"
         ) from None
 
-    own = {"backend", "backend_fallback", "interactive", "toolbar"}  # of the process, not of a figure
-    defaults = {name: value for name, value in rcParamsDefault.items() if name not in own}
+    own = {
+        "backend",
+        "backend_fallback",
+        "interactive",
+        "toolbar",
+    }  # of the process, not of a figure
+    defaults = {
+        name: value for name, value in rcParamsDefault.items() if name not in own
+    }
     with rc_context(defaults | STYLE):  # type: ignore[arg-type]
         yield
 
@@ -161,7 +173,9 @@ class Picture:
     @property
     def data(self) -> str:
         """Data URI of the picture, for an image element."""
-        return "data:image/svg+xml;base64," + base64.b64encode(self.drawing.encode()).decode("ascii")
+        return "data:image/svg+xml;base64," + base64.b64encode(
+            self.drawing.encode()
+        ).decode("ascii")
 
     @property
     def inline(self) -> str:
@@ -185,7 +199,12 @@ def themed(drawing: str) -> str:
 
 
 def as_picture(
-    fig: Figure, stem: str, title: str, alt: str, caption: str, notes: Mapping[str, str] | None = None
+    fig: Figure,
+    stem: str,
+    title: str,
+    alt: str,
+    caption: str,
+    notes: Mapping[str, str] | None = None,
 ) -> Picture:
     """Return a figure as a picture of a page; equal figures give equal texts. To be called within `style`."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -197,8 +216,14 @@ def as_picture(
     canvas.print_svg(whole, metadata=nothing)  # `savefig` would draw it twice
     text = whole.getvalue()
     text = text[text.index("<svg") :].strip()
-    text = re.sub(r'<g id="[\w.]+">', "<g>", text)  # names that matplotlib gives in every figure
-    text = re.sub(r'\b(d|x|y|transform)="[^"]*"', lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]), text)
+    text = re.sub(
+        r'<g id="[\w.]+">', "<g>", text
+    )  # names that matplotlib gives in every figure
+    text = re.sub(
+        r'\b(d|x|y|transform)="[^"]*"',
+        lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]),
+        text,
+    )
     width = round(122 * fig.get_size_inches()[0])
     return Picture(stem, title, alt, caption, text, width, notes or {})
 
@@ -246,9 +271,15 @@ def unit_text(unit: str) -> str:
 
 #: names that units are made of, and a unit after a number in a sentence
 _PARTS = "|".join(
-    sorted({part for unit in TABLE for part in re.findall(r"[A-Za-z]+", unit)}, key=len, reverse=True)
+    sorted(
+        {part for unit in TABLE for part in re.findall(r"[A-Za-z]+", unit)},
+        key=len,
+        reverse=True,
+    )
 )
-_STATED = re.compile(rf"(?<=\d )(?:{_PARTS})(?:\^\d)?(?:[ /](?:{_PARTS})(?:\^\d)?)*(?!\w)")
+_STATED = re.compile(
+    rf"(?<=\d )(?:{_PARTS})(?:\^\d)?(?:[ /](?:{_PARTS})(?:\^\d)?)*(?!\w)"
+)
 
 
 def units_text(sentence: str) -> str:
@@ -289,7 +320,9 @@ def _environment(*, escaped: bool) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    script = (resources.files(__package__) / "templates" / "page.js").read_text(encoding="utf-8")
+    script = (resources.files(__package__) / "templates" / "page.js").read_text(
+        encoding="utf-8"
+    )
     env.globals.update(
         number=number,
         sentence=sentence,
@@ -300,7 +333,9 @@ def _environment(*, escaped: bool) -> Environment:
         zip=zip,
         script=script,
         # the page's policy allows this script alone
-        digest=base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii"),
+        digest=base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode(
+            "ascii"
+        ),
         themed=THEMED,
     )
     return env
@@ -320,7 +355,9 @@ def versions() -> list[tuple[str, str]]:
 # ------------------------------------------------------------------------------------------------ on a figure
 
 
-def density(signal: np.ndarray, step: float, window: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
+def density(
+    signal: np.ndarray, step: float, window: float = 8.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies [Hz] and averaged power spectral density [unit²/Hz] of the columns of a signal (n,) or (n, columns).
 
     Hann windows with half overlap; lines are averaged to twelve per octave.
@@ -334,4 +371,6 @@ def density(signal: np.ndarray, step: float, window: float = 8.0) -> tuple[np.nd
     index = np.floor(12 * np.log2(f / f[0]) + 1e-6).astype(int)
     count = np.bincount(index)
     some = count > 0
-    return np.bincount(index, f)[some] / count[some], np.bincount(index, p)[some] / count[some]
+    return np.bincount(index, f)[some] / count[some], np.bincount(index, p)[
+        some
+    ] / count[some]

@@ -79,7 +79,9 @@ class Drawing:
         self.left, self.right = min(self.left, *xs), max(self.right, *xs)
         self.foot = max(self.foot, foot)
 
-    def path(self, part: str, x: float, y: float, d: str, colour: str, width: float = 1.4) -> None:
+    def path(
+        self, part: str, x: float, y: float, d: str, colour: str, width: float = 1.4
+    ) -> None:
         """Draw a path about a point."""
         mark = f'<path transform="translate({x:.1f} {y:.1f})" d="{d}" fill="none" stroke="{colour}" stroke-width="{width}"/>'
         self._add(part, mark, (x - HALF, x + HALF), y)
@@ -96,7 +98,9 @@ class Drawing:
 
     def box(self, part: str, left: float, right: float, top: float) -> None:
         """Draw the box of a mass."""
-        place = f'x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{BOX}"'
+        place = (
+            f'x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{BOX}"'
+        )
         mark = f'<rect {place} fill="{PAPER}" stroke="{INK}" stroke-width="1.6"/>'
         self._add(part, mark, (left, right), top + BOX)
 
@@ -115,16 +119,25 @@ class Drawing:
 
     def arrow(self, part: str, x: float, low: float, high: float, ends: str) -> None:
         """Draw a vertical arrow; `ends` are 'up' or 'both'."""
-        heads = f"M0 0V{high - low:.1f}m-3 5l3-5 3 5" + ("M-3-5l3 5 3-5" if ends == "both" else "")
+        heads = f"M0 0V{high - low:.1f}m-3 5l3-5 3 5" + (
+            "M-3-5l3 5 3-5" if ends == "both" else ""
+        )
         self.path(part, x, low, heads, BLUE, 1.2)
 
     def svg(self, *, inline: bool = False) -> str:
         """Return the drawing as SVG."""
         wide, tall = self.right - self.left + 2 * MARGIN, self.foot + MARGIN
-        marks = (f'<g data-part="{escape(name)}">{"".join(m)}</g>' for name, m in self.parts.items())
+        marks = (
+            f'<g data-part="{escape(name)}">{"".join(m)}</g>'
+            for name, m in self.parts.items()
+        )
         size = f'width="{wide:.0f}" height="{tall:.0f}" viewBox="{self.left - MARGIN:.0f} 0 {wide:.0f} {tall:.0f}"'
         # in a page the drawing shrinks to the width of the text, as long as its words remain readable
-        style = f'style="min-width:{0.8 * wide:.0f}px"' if inline else f'style="background:{PAPER}"'
+        style = (
+            f'style="min-width:{0.8 * wide:.0f}px"'
+            if inline
+            else f'style="background:{PAPER}"'
+        )
         look = 'class="schematic" role="img" font-family="system-ui, sans-serif" stroke-linejoin="round"'
         text = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {style} {look}><title>{escape(self.title)}</title>{"".join(marks)}</svg>'
         return themed(text) if inline else text
@@ -150,7 +163,9 @@ def _values_text(e: el.Element | Lever, network: Network) -> list[str]:
         unit = "" if e.unit in ("m/m", "rad/rad") else f" {e.unit}"
         return [f"ratio {number(e.ratio, _digits(e.ratio))}{unit}"]
     if isinstance(e, el.TabulatedForce) and e.scale == 1.0:
-        return [f"table over {' and '.join(k for k in ('elongation', 'rate') if getattr(e, k))}"]
+        return [
+            f"table over {' and '.join(k for k in ('elongation', 'rate') if getattr(e, k))}"
+        ]
     out = []
     for f in el.parameter_fields(type(e)):
         value = getattr(e, f.name)
@@ -159,7 +174,9 @@ def _values_text(e: el.Element | Lever, network: Network) -> list[str]:
             unit = unit_text(network.unit_of(f"{e.name}.{f.name}"))
             factor, unit = practical(float(value), unit)
             scaled = number(factor * value, _digits(value))
-            out.append(f"{scaled} {unit}" if unit else f"{channel_text(f.name)} {scaled}")
+            out.append(
+                f"{scaled} {unit}" if unit else f"{channel_text(f.name)} {scaled}"
+            )
     return out[:3]
 
 
@@ -195,7 +212,11 @@ class _Labels:
 
     def output(self, c: Channel) -> tuple[str, str]:
         """Return an output with the effects at its sensor, and its colour."""
-        sensors = [e for e in self.network.elements if e.place == "channel" and e.where[0] == c.name]
+        sensors = [
+            e
+            for e in self.network.elements
+            if e.place == "channel" and e.where[0] == c.name
+        ]
         text = ", ".join([_channel(c), *(_briefly(e, self.network) for e in sensors)])
         return text, VERMILLION if self.found & {e.name for e in sensors} else BLUE
 
@@ -203,11 +224,19 @@ class _Labels:
         """Return the lines beside an element: name, values, effects at the element and its channels."""
         net = self.network
         lines = [(channel_text(e.name), self.colour(e.name), True)]
-        lines += [(text, self.colour(e.name, MUTED), False) for text in _values_text(e, net)]
+        lines += [
+            (text, self.colour(e.name, MUTED), False) for text in _values_text(e, net)
+        ]
         for other in net.elements:
             if other.place == "element" and other.where[0] == e.name:
-                lines.append((_briefly(other, net), self.colour(other.name, MUTED), False))
-        lines += [(f"← {_channel(c)}", BLUE, False) for c in net.inputs if e.name in c.elements]
+                lines.append(
+                    (_briefly(other, net), self.colour(other.name, MUTED), False)
+                )
+        lines += [
+            (f"← {_channel(c)}", BLUE, False)
+            for c in net.inputs
+            if e.name in c.elements
+        ]
         for c in net.outputs:
             if e.name in c.elements:
                 text, colour = self.output(c)
@@ -219,7 +248,10 @@ class _Labels:
         texts = [f"{channel_text(node)}  {number(mass, _digits(mass))} {unit}"]
         for body in self.network.bodies:
             if body.name == node:
-                texts += [f"{axis} {number(i, _digits(i))} kg m²" for axis, i in body.inertias.items()]
+                texts += [
+                    f"{axis} {number(i, _digits(i))} kg m²"
+                    for axis, i in body.inertias.items()
+                ]
         return ", ".join(texts)
 
 
@@ -233,9 +265,14 @@ class _Layout:
         self.network, self.labels = network, labels
         self.masses = {**network.masses, **{b.name: b.mass for b in network.bodies}}
         self.home = {n: b.name for b in network.bodies for n in b.nodes[1:]}
-        between: list[el.Element | Lever] = [e for e in network.elements if e.place == "between"]
+        between: list[el.Element | Lever] = [
+            e for e in network.elements if e.place == "between"
+        ]
         self.elements = {e.name: e for e in (*between, *network.levers)}
-        self.ends = {n: tuple(self.home.get(k, k) for k in e.between) for n, e in self.elements.items()}
+        self.ends = {
+            n: tuple(self.home.get(k, k) for k in e.between)
+            for n, e in self.elements.items()
+        }
         self.top, self.bottoms = self._poles()
         near = self._neighbours(self.elements)
         self.groups = _components(near, {self.top, *self.bottoms})
@@ -257,21 +294,33 @@ class _Layout:
         """
         known = [n for n in self.ends if n not in self.labels.found] or list(self.ends)
         near = self._neighbours(known)
-        moved = [str(c.at) for c in self.network.inputs if c.at in near and c.quantity in MOVES]
+        moved = [
+            str(c.at)
+            for c in self.network.inputs
+            if c.at in near and c.quantity in MOVES
+        ]
         bottom = GROUND if GROUND in near else moved[0] if moved else min(near)
-        bottoms = list(dict.fromkeys([bottom, *moved])) if self.network.bodies else [bottom]
+        bottoms = (
+            list(dict.fromkeys([bottom, *moved])) if self.network.bodies else [bottom]
+        )
         far, ring = dict.fromkeys(bottoms, 0), set(bottoms)
         for distance in range(1, len(near)):
             ring = {m for n in ring for m in near[n]} - set(far)
             far |= dict.fromkeys(sorted(ring), distance)
         # among the most distant nodes: a mass, such as a car's body
         inner = [n for n in far if n not in bottoms]
-        top = max(inner, key=lambda n: (n in self.masses, far[n], self.masses.get(n, 0.0)))
+        top = max(
+            inner, key=lambda n: (n in self.masses, far[n], self.masses.get(n, 0.0))
+        )
         return top, bottoms
 
     def _rows(self, near: dict[str, set[str]]) -> dict[str, int]:
         """Return the row of each node: in each group by the voltages of a network of resistors."""
-        level = dict.fromkeys(near, 0.5) | dict.fromkeys(self.bottoms, 1.0) | {self.top: 0.0}
+        level = (
+            dict.fromkeys(near, 0.5)
+            | dict.fromkeys(self.bottoms, 1.0)
+            | {self.top: 0.0}
+        )
         inner = [n for group in self.groups for n in group]
         for _ in range(200):
             for n in inner:
@@ -290,7 +339,9 @@ class _Layout:
     def height(self, row: int) -> float:
         """Return the distance from a row to the next row."""
         lines = [
-            len(self.labels.element(e)) for n, e in self.elements.items() if self.span(n) == (row, row + 1)
+            len(self.labels.element(e))
+            for n, e in self.elements.items()
+            if self.span(n) == (row, row + 1)
         ]
         return max([TALL, *(30.0 + LINE * count for count in lines)])
 
@@ -298,7 +349,9 @@ class _Layout:
         """Return the elements at the nodes of a group, long elements first; without nodes, those from the top to the bottom."""
         poles = {self.top, *self.bottoms}
         names = [
-            n for n, ends in self.ends.items() if set(ends) & group or (not group and set(ends) <= poles)
+            n
+            for n, ends in self.ends.items()
+            if set(ends) & group or (not group and set(ends) <= poles)
         ]
         return sorted(names, key=lambda n: self.span(n)[0] - self.span(n)[1])
 
@@ -310,7 +363,9 @@ class _Layout:
             free = (
                 column
                 for column in columns
-                if all(upper >= self.span(n)[1] or lower <= self.span(n)[0] for n in column)
+                if all(
+                    upper >= self.span(n)[1] or lower <= self.span(n)[0] for n in column
+                )
             )
             column = next(free, [])
             if not column:
@@ -320,16 +375,30 @@ class _Layout:
         for column in columns:
             nodes = {end for name in column for end in self.ends[name]} - named
             named |= nodes
-            x += max([LETTER * len(n) for n in nodes], default=0.0)  # names stand left of their bars
+            x += max(
+                [LETTER * len(n) for n in nodes], default=0.0
+            )  # names stand left of their bars
             self.x |= dict.fromkeys(column, x + SYMBOL / 2)
-            texts = [text for name in column for text, _, _ in self.labels.element(self.elements[name])]
+            texts = [
+                text
+                for name in column
+                for text, _, _ in self.labels.element(self.elements[name])
+            ]
             x += SYMBOL + LETTER * max(map(len, texts))
         return x
 
     def at(self, node: str) -> list[float]:
         """Return the positions of the elements at a node; of all elements at a body for a free point or an angle."""
-        own = [self.x[n] for n, e in self.elements.items() if node in e.between and n in self.x]
-        return own or [self.x[n] for n, ends in self.ends.items() if self.home.get(node, node) in ends]
+        own = [
+            self.x[n]
+            for n, e in self.elements.items()
+            if node in e.between and n in self.x
+        ]
+        return own or [
+            self.x[n]
+            for n, ends in self.ends.items()
+            if self.home.get(node, node) in ends
+        ]
 
 
 def _components(near: dict[str, set[str]], poles: set[str]) -> list[set[str]]:
@@ -352,14 +421,20 @@ class _Sheet:
     def __init__(self, network: Network, found: Iterable[str]) -> None:
         self.network, self.labels = network, _Labels(network, found)
         self.layout = layout = _Layout(network, self.labels)
-        title = f"{network.name}: {network.description}" if network.description else network.name
+        title = (
+            f"{network.name}: {network.description}"
+            if network.description
+            else network.name
+        )
         self.out = Drawing(title)
         self.out.word("", 0.0, 20.0, network.name, weight="bold", size=14.0)
         self.y: dict[int, float] = {}
         y = 56.0
         for row in range(max(layout.row.values()) + 1):
             self.y[row] = y
-            is_thick = any(layout.row[n] == row and n in layout.masses for n in layout.row)
+            is_thick = any(
+                layout.row[n] == row and n in layout.masses for n in layout.row
+            )
             y += layout.height(row) + BOX * is_thick
         self.end: dict[str, float] = {}  # right end of each node and its texts
         self.drawn: set[str] = set()
@@ -387,24 +462,35 @@ class _Sheet:
         upper, lower = sorted(layout.ends[name], key=layout.row.__getitem__)
         top, bottom = self.edges(upper)[1], self.edges(lower)[0]
         bottom = max(bottom, top + TALL)  # both ends may have one row
-        x, y, part, colour = layout.x[name], 0.5 * (top + bottom), f"el:{name}", self.labels.colour(name)
+        x, y, part, colour = (
+            layout.x[name],
+            0.5 * (top + bottom),
+            f"el:{name}",
+            self.labels.colour(name),
+        )
         out.line(part, (x, top), (x, y - HALF), colour)
         out.line(part, (x, y + HALF), (x, bottom), colour)
         kind = e.type if isinstance(e, el.Element) else "lever"
         out.path(part, x, y, SYMBOLS.get(kind, _BOX), colour)
         if kind not in SYMBOLS or kind in LETTERS:
-            out.word(part, x, y + 4, LETTERS.get(kind, "f"), colour, "middle", "bold", 12.0)
+            out.word(
+                part, x, y + 4, LETTERS.get(kind, "f"), colour, "middle", "bold", 12.0
+            )
         lines = self.labels.element(e)
         at = y - 0.5 * LINE * (len(lines) - 1) + 4
         for text, ink, is_bold in lines:
-            out.word(part, x + 18, at, text, ink, weight="bold" if is_bold else "normal")
+            out.word(
+                part, x + 18, at, text, ink, weight="bold" if is_bold else "normal"
+            )
             at += LINE
 
     def draw_nodes(self, nodes: set[str]) -> None:
         """Draw nodes with their points, then the channels of these nodes."""
         for node in sorted(nodes):
             self.draw_node(node)
-        self.drawn |= nodes | {n for n, home in self.layout.home.items() if home in nodes}
+        self.drawn |= nodes | {
+            n for n, home in self.layout.home.items() if home in nodes
+        }
         for c in (*self.network.inputs, *self.network.outputs):
             if c.at is not None and self.layout.home.get(c.at, c.at) in nodes:
                 self.draw_signal(c)
@@ -425,23 +511,44 @@ class _Sheet:
             wide = max(right - left + 20, 30 + 1.2 * LETTER * len(text))
             left, right = 0.5 * (left + right - wide), 0.5 * (left + right + wide)
             out.box(part, left, right, top)
-            out.word(part, 0.5 * (left + right), 0.5 * (top + bottom) + 4, text, INK, "middle", "bold", 12.5)
+            out.word(
+                part,
+                0.5 * (left + right),
+                0.5 * (top + bottom) + 4,
+                text,
+                INK,
+                "middle",
+                "bold",
+                12.5,
+            )
         else:
-            is_moved = any(c.at == node and c.quantity in MOVES for c in self.network.inputs)
+            is_moved = any(
+                c.at == node and c.quantity in MOVES for c in self.network.inputs
+            )
             is_fixed = is_moved or node == GROUND
             out.line(part, (left, top), (right, top), width=2.6 if is_fixed else 1.8)
             out.word(part, left - 5, top + 4, channel_text(node), MUTED, "end")
         if node == GROUND:
             for k in range(int((right - left) // 9)):
-                out.line(part, (left + 9 * k + 9, top), (left + 9 * k, top + 9), MUTED, 1.0)
+                out.line(
+                    part, (left + 9 * k + 9, top), (left + 9 * k, top + 9), MUTED, 1.0
+                )
         self.end[node] = right
         self.x = max(self.x, right)
         points = [n for n, home in layout.home.items() if home == node]
         for k, point in enumerate(points, start=1):
-            own = [layout.x[n] for n, e in layout.elements.items() if point in e.between]
-            x = sum(own) / len(own) if own else left + (right - left) * k / (len(points) + 1)
+            own = [
+                layout.x[n] for n, e in layout.elements.items() if point in e.between
+            ]
+            x = (
+                sum(own) / len(own)
+                if own
+                else left + (right - left) * k / (len(points) + 1)
+            )
             text = channel_text(point.removeprefix(f"{node}."))
-            out.word(f"node:{point}", x, top - 5 - LINE * (k % 2), text, MUTED, "middle")
+            out.word(
+                f"node:{point}", x, top - 5 - LINE * (k % 2), text, MUTED, "middle"
+            )
             self.end[point] = right
 
     def draw_signal(self, c: Channel) -> None:
@@ -451,7 +558,10 @@ class _Sheet:
         if c in self.network.outputs:
             text, colour = self.labels.output(c)
         is_moved = c in self.network.inputs and c.quantity in MOVES
-        count = sum(part in self.out.parts for part in (f"ch:{d.name}" for d in self.beside(node)))
+        count = sum(
+            part in self.out.parts
+            for part in (f"ch:{d.name}" for d in self.beside(node))
+        )
         first = self.edges(node)[0] + (17.0 if node in self.layout.masses else 4.0)
         x, y = self.end[node] + 14, first + 17.0 * count
         self.out.arrow(part, x, y + 3, y - 12, "both" if is_moved else "up")
@@ -460,14 +570,21 @@ class _Sheet:
     def beside(self, node: str) -> list[Channel]:
         """Return the channels that are written beside a node."""
         channels = (*self.network.inputs, *self.network.outputs)
-        return [c for c in channels if c.at is not None and self.layout.home.get(c.at, c.at) == node]
+        return [
+            c
+            for c in channels
+            if c.at is not None and self.layout.home.get(c.at, c.at) == node
+        ]
 
     def draw_distance(self, c: Channel) -> None:
         """Draw an output between two nodes: an arrow at the right of all that is drawn."""
         assert c.between is not None
         part, x = f"ch:{c.name}", self.x + 12
         # from the lower edge of the top node, to the upper edge of others
-        heights = [self.edges(n)[self.layout.home.get(n, n) == self.layout.top] for n in c.between]
+        heights = [
+            self.edges(n)[self.layout.home.get(n, n) == self.layout.top]
+            for n in c.between
+        ]
         for node, y in zip(c.between, heights, strict=True):
             start = self.end.get(node, x)
             self.out.line(part, (start + 4, y), (x + 6, y), MUTED, 0.6, "4 3")
@@ -486,7 +603,11 @@ def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
 def place_parts(network: Network, where: Sequence[str]) -> list[str]:
     """Return the highlighted parts of a drawing for a place."""
     if len(where) == 2:
-        between = [e.name for e in network.elements if e.place == "between" and set(e.where) == set(where)]
+        between = [
+            e.name
+            for e in network.elements
+            if e.place == "between" and set(e.where) == set(where)
+        ]
         return [*(f"node:{n}" for n in where), *(f"el:{n}" for n in between)]
     return [f"el:{where[0]}", f"ch:{where[0]}"]
 

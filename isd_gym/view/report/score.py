@@ -11,7 +11,18 @@ import numpy as np
 from ..._common.files import check_folder, whole_folder, write_text
 from ..._common.seeds import road_name
 from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, picture
-from .plots import INK, LOOKS, MUTED, Look, caption, density, looks, page, percent, style
+from .plots import (
+    INK,
+    LOOKS,
+    MUTED,
+    Look,
+    caption,
+    density,
+    looks,
+    page,
+    percent,
+    style,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,10 +68,19 @@ def score_report(score: Score, folder: str | Path) -> Path:
     folder = Path(folder)
     shown = Shown(score)
     with style(), whole_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS) as place:
-        charts = (make(shown) for make in (trade_off, histories, spectra, distribution, limits))
+        charts = (
+            make(shown)
+            for make in (trade_off, histories, spectra, distribution, limits)
+        )
         pictures = [picture(chart, place) for chart in charts if chart is not None]
-        write_text(place / "score.json", json.dumps(score.to_dict(), indent=1, allow_nan=False) + "\n")
-        write_text(place / "index.html", page("score.html", shown=shown, score=score, pictures=pictures))
+        write_text(
+            place / "score.json",
+            json.dumps(score.to_dict(), indent=1, allow_nan=False) + "\n",
+        )
+        write_text(
+            place / "index.html",
+            page("score.html", shown=shown, score=score, pictures=pictures),
+        )
     return folder / "index.html"
 
 
@@ -76,7 +96,10 @@ class Shown:
         self.score = score
         self.reference = next(iter(score.runs))  # the reference is driven first
         for row in score.policies:
-            if row["cost"].get("change") == 0.0 and row["cost"].get("low") == row["cost"].get("high") == 0.0:
+            if (
+                row["cost"].get("change") == 0.0
+                and row["cost"].get("low") == row["cost"].get("high") == 0.0
+            ):
                 self.reference = row["policy"]
                 break
         self.rows = {row["policy"]: row for row in score.policies}
@@ -93,7 +116,9 @@ class Shown:
         """Signals of the body and of each corner by name: heading, unit, scale."""
         out = {}
         for kind, (head, unit, scale) in SIGNALS.items():
-            for name, corner in {c.named(kind): c.name for c in self.car.corners}.items():
+            for name, corner in {
+                c.named(kind): c.name for c in self.car.corners
+            }.items():
                 if name in self.runs[self.reference].signals:
                     words = f"{corner.replace('_', ' ')} {head.removeprefix('suspension ').removeprefix('dynamic ')}"
                     out[name] = (words if corner else head, unit, scale)
@@ -117,23 +142,41 @@ class Shown:
     @property
     def cost_words(self) -> str:
         """Sentence on the stage cost."""
-        return caption("cost", cost=self.score.cost, axes=self.car.axes, corners=len(self.car.corners))
+        return caption(
+            "cost",
+            cost=self.score.cost,
+            axes=self.car.axes,
+            corners=len(self.car.corners),
+        )
 
     @property
     def bounds(self) -> list[str]:
         """Sentences on the bounds of these conditions."""
         told = self.score.references
-        named = ("clairvoyant", "causal_bound") if self.score.comfort else ("clairvoyant",)
-        return [text for key, text in told.items() if key.startswith("ceiling_") or key in named]
+        named = (
+            ("clairvoyant", "causal_bound") if self.score.comfort else ("clairvoyant",)
+        )
+        return [
+            text
+            for key, text in told.items()
+            if key.startswith("ceiling_") or key in named
+        ]
 
     @property
     def left_out(self) -> str:
         """Omitted bounds and published figures with the reasons; '' if nothing is omitted."""
-        return self.score.references.get("left_out") or self.score.comparable.left_out or ""
+        return (
+            self.score.references.get("left_out")
+            or self.score.comparable.left_out
+            or ""
+        )
 
     def few(self, count: int) -> tuple[list[str], str]:
         """Return the reference and the best policies, since many curves are unreadable."""
-        others = sorted((n for n in self.names if n != self.reference), key=lambda n: self.costs[n].mean())
+        others = sorted(
+            (n for n in self.names if n != self.reference),
+            key=lambda n: self.costs[n].mean(),
+        )
         kept = [n for n in self.names if n == self.reference or n in others[:count]]
         gone = [n for n in self.names if n not in kept]
         return kept, f" Not in the picture: {', '.join(gone)}." if gone else ""
@@ -143,7 +186,9 @@ class Shown:
         """Policies that are indistinguishable from the best: the 95 % paired interval of the difference in cost includes zero."""
         if self.score.episodes < 2:
             return []
-        draws = np.random.default_rng(0).integers(self.score.episodes, size=(2000, self.score.episodes))
+        draws = np.random.default_rng(0).integers(
+            self.score.episodes, size=(2000, self.score.episodes)
+        )
         out = []
         for name in self.names:
             if name not in (self.best, self.reference):
@@ -154,14 +199,20 @@ class Shown:
 
     def interval(self, q: dict[str, Any]) -> str:
         """Return the 95 % interval of a change, such as ``[−24.3, −21.9] %``; '' without an interval."""
-        if self.score.episodes < 2 or q.get("low") is None or q["low"] == q["high"] == 0.0:
+        if (
+            self.score.episodes < 2
+            or q.get("low") is None
+            or q["low"] == q["high"] == 0.0
+        ):
             return ""
         return f"[{percent(q['low'])[:-2]}, {percent(q['high'])[:-2]}]"
 
     @property
     def headline(self) -> str:
         """Main result of the score, in a sentence."""
-        return caption("headline", shown=self, heads={k: COLUMNS[k][0] for k in list(COLUMNS)[1:]})
+        return caption(
+            "headline", shown=self, heads={k: COLUMNS[k][0] for k in list(COLUMNS)[1:]}
+        )
 
     def change(self, name: str, key: str) -> np.ndarray:
         """Return the change of each episode against the same episode of the reference (episodes,), as fractions."""
@@ -173,7 +224,9 @@ class Shown:
         if key == "cost":
             return self.costs[name]
         signals = self.runs[name].of(key.removesuffix("_rms"))
-        return np.sqrt(sum(np.mean(signal**2, axis=0) for signal in signals) / len(signals))
+        return np.sqrt(
+            sum(np.mean(signal**2, axis=0) for signal in signals) / len(signals)
+        )
 
 
 def histories(shown: Shown) -> Chart:
@@ -188,12 +241,19 @@ def histories(shown: Shown) -> Chart:
     moved = [
         k
         for k in signals
-        if not k.startswith("current") or any(np.any(r.signals.get(k, 0)) for r in shown.runs.values())
+        if not k.startswith("current")
+        or any(np.any(r.signals.get(k, 0)) for r in shown.runs.values())
     ]
     time = shown.step * np.arange(steps, dtype=np.float64)
 
     def panels(episode: int, names: Sequence[str]) -> list[Panel]:
-        peak = int(np.argmax(np.max([np.abs(load[:, episode]) for load in base.of("tyre_load")], axis=0)))
+        peak = int(
+            np.argmax(
+                np.max(
+                    [np.abs(load[:, episode]) for load in base.of("tyre_load")], axis=0
+                )
+            )
+        )
         first = max(0, min(peak - width // 2, steps - width))
         begin, end = float(time[first]), float(time[first]) + width * shown.step
         window = Axis("time", "s", low=begin, high=end)
@@ -206,20 +266,32 @@ def histories(shown: Shown) -> Chart:
                 if own is None or (key.startswith("current") and not np.any(own)):
                     continue
                 values = own[first : first + width, episode] * scale
-                lines.append(Line(name, time[first : first + width], values, shown.looks[name]))
+                lines.append(
+                    Line(name, time[first : first + width], values, shown.looks[name])
+                )
             inside = [np.abs(i.y).max() for i in lines]
             top = 1.08 * max([*inside, 1e-9])
             words = head.replace(" ", "\n", 1)
             out.append(
-                Panel(window, Axis(words, unit, low=-top, high=top), (*lines, Rule("y", 0.0)), link="time")
+                Panel(
+                    window,
+                    Axis(words, unit, low=-top, high=top),
+                    (*lines, Rule("y", 0.0)),
+                    link="time",
+                )
             )
         return out
 
     median = f"the median by the cost of {shown.reference}"
-    pictures = [(middle, median, few), (hardest, f"the hardest for {shown.reference}", few)][
-        : 1 + (hardest != middle)
+    pictures = [
+        (middle, median, few),
+        (hardest, f"the hardest for {shown.reference}", few),
+    ][: 1 + (hardest != middle)]
+    pictures += [
+        (middle, name, [shown.reference, name])
+        for name in shown.names
+        if name not in few
     ]
-    pictures += [(middle, name, [shown.reference, name]) for name in shown.names if name not in few]
     choices, captions = {}, {}
     for episode, words, names in pictures:
         road = road_name(shown.score.seed, episode)
@@ -227,7 +299,11 @@ def histories(shown: Shown) -> Chart:
         about = words if names is few else f"{median}, with {words}"
         gone = left_out if names is few else ""
         captions[f"{road}: {words}"] = caption(
-            "histories", road=road, about=about, seconds=width * shown.step, left_out=gone
+            "histories",
+            road=road,
+            about=about,
+            seconds=width * shown.step,
+            left_out=gone,
         )
     return Chart(
         "histories",
@@ -244,7 +320,11 @@ def spectra(shown: Shown) -> Chart | None:
     """Return the chart of the power spectral densities, and of their ratios to the reference; None for short or constant signals."""
     from ...benchmark.scoring import frequency_weighting
 
-    units = {"body_acceleration": "(m/s²)²/Hz", "suspension_travel": "mm²/Hz", "tyre_load": "N²/Hz"}
+    units = {
+        "body_acceleration": "(m/s²)²/Hz",
+        "suspension_travel": "mm²/Hz",
+        "tyre_load": "N²/Hz",
+    }
     for axis in shown.car.axes:
         units[f"{axis}_acceleration"] = "(rad/s²)²/Hz"
     scales = dict.fromkeys(units, 1.0) | {"suspension_travel": 1e3}
@@ -253,11 +333,22 @@ def spectra(shown: Shown) -> Chart | None:
     few, left_out = shown.few(3)
     marks = tuple((t, f"{t:g}") for t in (0.5, 1, 2, 5, 10, 20, 50))
     x = Axis("frequency", "Hz", log=True, low=0.4, high=50.0, ticks=marks)
-    halves = ((0.125, "⅛"), (0.25, "¼"), (0.5, "½"), (1.0, "1"), (2.0, "2"), (4.0, "4"), (8.0, "8"))
+    halves = (
+        (0.125, "⅛"),
+        (0.25, "¼"),
+        (0.5, "½"),
+        (1.0, "1"),
+        (2.0, "2"),
+        (4.0, "4"),
+        (8.0, "8"),
+    )
     top, below = [], []
     for key, unit in units.items():
         density_of = {
-            n: density(scales[key] * np.hstack(shown.runs[n].of(key)), shown.step, WELCH) for n in few
+            n: density(
+                scales[key] * np.hstack(shown.runs[n].of(key)), shown.step, WELCH
+            )
+            for n in few
         }
         f, base = density_of[shown.reference]
         keep = (f >= 0.4) & (f <= 50.0)
@@ -275,10 +366,22 @@ def spectra(shown: Shown) -> Chart | None:
         extra: tuple[Item, ...] = ()
         if key == "body_acceleration":  # drawn from the axis to a decade above
             w = low * 10 ** (0.25 * np.log10(high / low) * frequency_weighting(f[keep]))
-            extra = (Line("W_k: sensitivity of a seated person", f[keep], w, LOOKS[0], fill=True),)
-        y = Axis("density", unit, log=True, low=low, high=high, ticks=decades(low, high))
+            extra = (
+                Line(
+                    "W_k: sensitivity of a seated person",
+                    f[keep],
+                    w,
+                    LOOKS[0],
+                    fill=True,
+                ),
+            )
+        y = Axis(
+            "density", unit, log=True, low=low, high=high, ticks=decades(low, high)
+        )
         top.append(Panel(x, y, (*lines, *extra), title=title, link=key, tall=1.7))
-        y = Axis(f"ratio to {shown.reference}", log=True, low=0.125, high=8.0, ticks=halves)
+        y = Axis(
+            f"ratio to {shown.reference}", log=True, low=0.125, high=8.0, ticks=halves
+        )
         below.append(Panel(x, y, (*ratios, Rule("y", 1.0)), link=key))
     window = min(WELCH, len(shown.runs[shown.reference].body_acceleration) * shown.step)
     return Chart(
@@ -302,11 +405,20 @@ def trade_off(shown: Shown) -> Chart:
     lines = []
     for (tyre, curve), dashes in zip(curves, ("-", (0, (5, 2))), strict=False):
         label = f"causal bound at tyre load {percent(tyre, 0)}"
-        lines.append(Line(label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, dashes, "", 1.1)))
+        lines.append(
+            Line(
+                label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, dashes, "", 1.1)
+            )
+        )
     left, right = min(-22.0, min(xs) - 6), max(6.0, max(xs) + 6)
     bottom, top = min(-26.0, min(ys) - 4), max(5.0, max(ys) + 5)
     panel = Panel(
-        Axis(f"change of suspension travel against {shown.reference}", "%", low=left, high=right),
+        Axis(
+            f"change of suspension travel against {shown.reference}",
+            "%",
+            low=left,
+            high=right,
+        ),
         Axis("change of body acceleration", "%", low=bottom, high=top),
         (Rule("x", 0.0), Rule("y", 0.0), *marks, *lines),
     )
@@ -331,9 +443,15 @@ def _mark(
 ) -> Marks:
     """Return the point of a policy, from its changes as fractions."""
     x, y = 100 * travel, 100 * acceleration
-    text, note = name, f"{name}: travel {percent(x / 100)}, acceleration {percent(y / 100)}"
+    text, note = (
+        name,
+        f"{name}: travel {percent(x / 100)}, acceleration {percent(y / 100)}",
+    )
     if tyre is not None:
-        text, note = f"{name}, tyre {percent(tyre)}", f"{note}, tyre load {percent(tyre)}"
+        text, note = (
+            f"{name}, tyre {percent(tyre)}",
+            f"{note}, tyre load {percent(tyre)}",
+        )
     return Marks(text, [x], [y], look, notes=[note + more], **style)
 
 
@@ -350,11 +468,16 @@ def _policy_marks(shown: Shown) -> list[Marks]:
             continue
         spans = {}
         if shown.interval(a) and shown.interval(l):
-            spans = {f"{k}_interval": ([100 * q["low"]], [100 * q["high"]]) for k, q in (("x", l), ("y", a))}
+            spans = {
+                f"{k}_interval": ([100 * q["low"]], [100 * q["high"]])
+                for k, q in (("x", l), ("y", a))
+            }
         more = ""
         if "change" in row["cost"]:
             more = f"; cost J {percent(row['cost']['change'])} {shown.interval(row['cost'])}"
-        marks.append(_mark(name, l["change"], a["change"], t.get("change"), look, more, **spans))
+        marks.append(
+            _mark(name, l["change"], a["change"], t.get("change"), look, more, **spans)
+        )
     return marks
 
 
@@ -364,13 +487,20 @@ def _published_marks(shown: Shown) -> list[Marks]:
 
     marks = []
     if not shown.score.comparable.tables:
-        for (name, (before, after)), marker in zip(PAPER.items(), ("*", "p"), strict=True):
+        for (name, (before, after)), marker in zip(
+            PAPER.items(), ("*", "p"), strict=True
+        ):
             a, l, t = (q / p - 1 for p, q in zip(before, after, strict=True))
             label, look = f"paper's {name.split(' (')[0]}", Look(MUTED, "-", marker)
             marks.append(_mark(label, l, a, t, look, open=True, size=9.0))
     if known := shown.score.references.get("clairvoyant_point"):
-        a, l, t = (known[f"{k}_change"] for k in ("body_acceleration", "suspension_travel", "tyre_load"))
-        marks.append(_mark("clairvoyant", l, a, t, Look(INK, "-", "o"), open=True, size=8.0))
+        a, l, t = (
+            known[f"{k}_change"]
+            for k in ("body_acceleration", "suspension_travel", "tyre_load")
+        )
+        marks.append(
+            _mark("clairvoyant", l, a, t, Look(INK, "-", "o"), open=True, size=8.0)
+        )
     return marks
 
 
@@ -393,16 +523,30 @@ def distribution(shown: Shown) -> Chart | None:
                 for k, v in enumerate(values)
             ]
             dot = Look(look.colour, "-", "o")
-            items.append(Marks("", list(values), list(i + lift), dot, notes=notes, size=2.2))
+            items.append(
+                Marks("", list(values), list(i + lift), dot, notes=notes, size=2.2)
+            )
             if "change" in q:
                 spans = ([100 * q["low"]], [100 * q["high"]])
                 note = f"{name}: {title} {percent(q['change'])} {shown.interval(q)}"
                 items.append(
                     Marks(
-                        "", [100 * q["change"]], [i], look, spans, notes=[note], open=True, size=6.0, bar=3.5
+                        "",
+                        [100 * q["change"]],
+                        [i],
+                        look,
+                        spans,
+                        notes=[note],
+                        open=True,
+                        size=6.0,
+                        bar=3.5,
                     )
                 )
-        panels.append(Panel(Axis("change", "%"), Axis(rows=tuple(names)), tuple(items), title=title))
+        panels.append(
+            Panel(
+                Axis("change", "%"), Axis(rows=tuple(names)), tuple(items), title=title
+            )
+        )
     return Chart(
         "episodes",
         "Episode by episode",
@@ -425,7 +569,13 @@ def limits(shown: Shown) -> Chart:
         head, unit, scale = SIGNALS[key]
         limit = LIMITS[key] * scale
         reach = max(
-            [1.22 * limit, *(1.02 * scale * np.abs(getattr(r, key)).max() for r in shown.runs.values())]
+            [
+                1.22 * limit,
+                *(
+                    1.02 * scale * np.abs(getattr(r, key)).max()
+                    for r in shown.runs.values()
+                ),
+            ]
         )
         x = np.linspace(0.0, reach, 400)
         items: list[Item] = []
@@ -437,8 +587,18 @@ def limits(shown: Shown) -> Chart:
             keep = np.where(share > 0, share, np.nan)
             items.append(Line(name, x, keep, shown.looks[name]))
         items.append(Rule("x", limit, "limit", Look(INK, "-", "", 1.0)))
-        y = Axis("share of time above", log=True, low=least, high=1.0, ticks=decades(least, 1.0))
-        panels.append(Panel(Axis("|value|", unit, low=0.0, high=reach), y, tuple(items), title=head))
+        y = Axis(
+            "share of time above",
+            log=True,
+            low=least,
+            high=1.0,
+            ticks=decades(least, 1.0),
+        )
+        panels.append(
+            Panel(
+                Axis("|value|", unit, low=0.0, high=reach), y, tuple(items), title=head
+            )
+        )
     return Chart(
         "limits",
         "Exceedances",

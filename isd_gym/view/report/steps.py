@@ -62,24 +62,47 @@ def draw_steps(view: View) -> Chart | None:
 def _places(view: View) -> Panel:
     """Return the panel of places, with the best law at each."""
     shown = view.d.places[:MOST_PLACES]
-    found = [{*(e.between or ()), *([e.channel] if e.channel else ())} for e in view.d.effects]
+    found = [
+        {*(e.between or ()), *([e.channel] if e.channel else ())}
+        for e in view.d.effects
+    ]
     items: list[Item] = []
-    for is_found, look in ((True, Look(BLUE, "-", "o")), (False, Look(MUTED, "-", "o"))):
-        own = [(k, p) for k, p in enumerate(shown) if (set(p.where) in found) == is_found]
+    for is_found, look in (
+        (True, Look(BLUE, "-", "o")),
+        (False, Look(MUTED, "-", "o")),
+    ):
+        own = [
+            (k, p) for k, p in enumerate(shown) if (set(p.where) in found) == is_found
+        ]
         share = [100 * max(p.share, 0.0) for _, p in own]
         notes = [
             f"{view.place_text(p.where)}: {el.spoken(p.effect)} removes {percent(p.share, 0, sign=False)}"
             for _, p in own
         ]
         rows = [k for k, _ in own]
-        items.append(Marks("", share, rows, look, ([0.0] * len(own), share), notes=notes, size=4.5, bar=5.0))
+        items.append(
+            Marks(
+                "",
+                share,
+                rows,
+                look,
+                ([0.0] * len(own), share),
+                notes=notes,
+                size=4.5,
+                bar=5.0,
+            )
+        )
     x = Axis("share of the error removed", "%", low=0.0, high=105.0)
-    return Panel(x, Axis(rows=tuple(view.place_text(p.where) for p in shown)), tuple(items))
+    return Panel(
+        x, Axis(rows=tuple(view.place_text(p.where) for p in shown)), tuple(items)
+    )
 
 
 def _axis_of(cloud: Cloud) -> str:
     """Return 'rate' or 'travel', over which the missing force has the narrower curve."""
-    by_rate, by_travel = (_explained(x, cloud.before) for x in (cloud.rate, cloud.travel))
+    by_rate, by_travel = (
+        _explained(x, cloud.before) for x in (cloud.rate, cloud.travel)
+    )
     return "rate" if by_rate >= by_travel else "travel"
 
 
@@ -103,12 +126,21 @@ def _force(view: View, cloud: Cloud, kind: str) -> Panel:
     top = 1.25 * float(np.quantile(np.abs(cloud.before), 0.98))
     thin = max(1, len(x) // 2500)
     curve = Line(
-        "median", middle, median, Look(INK, "-", "o", 1.2), band=(low, high), band_name="80 % of the samples"
+        "median",
+        middle,
+        median,
+        Look(INK, "-", "o", 1.2),
+        band=(low, high),
+        band_name="80 % of the samples",
     )
     dots = Dots("", x[::thin], cloud.before[::thin], Look(MUTED, "-", "."), alpha=0.4)
     label = f"{axis.label} of {cloud.pair[0]}–{cloud.pair[1]}"
     axis = replace(axis, label=label, low=ends[0] - margin, high=ends[1] + margin)
-    return Panel(axis, force_axis("missing force", turns, -top, top), (Rule("y", 0.0), dots, curve))
+    return Panel(
+        axis,
+        force_axis("missing force", turns, -top, top),
+        (Rule("y", 0.0), dots, curve),
+    )
 
 
 def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
@@ -119,7 +151,9 @@ def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
     factor, _ = law_axis(kind, view.turns(cloud.pair))
     step = float(trace.time[1] - trace.time[0])
     motion = el.Motion(cloud.travel, cloud.rate, np.gradient(cloud.rate, step))
-    given = np.stack([cloud.travel, cloud.rate, motion.a, np.ones(len(cloud.rate))], axis=1)
+    given = np.stack(
+        [cloud.travel, cloud.rate, motion.a, np.ones(len(cloud.rate))], axis=1
+    )
     for k, laws in enumerate(_candidates_at(view.d, cloud.pair)):
         force = law_forces(base, cloud.pair, motion, step, laws)
         if not np.isfinite(force).all():
@@ -129,7 +163,9 @@ def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
         columns /= np.where(size > 0, size, 1.0)
         drawn = columns @ np.linalg.lstsq(columns, cloud.before, rcond=1e-9)[0]
         middle, (median,) = trend(factor * getattr(cloud, kind), drawn)
-        share = 1.0 - float(np.mean((cloud.before - drawn) ** 2) / max(np.var(cloud.before), 1e-300))
+        share = 1.0 - float(
+            np.mean((cloud.before - drawn) ** 2) / max(np.var(cloud.before), 1e-300)
+        )
         name = " and ".join(el.spoken(h.effect) for h, _ in laws)
         text = f"{name} ({percent(max(share, 0.0), 0, sign=False)})"
         yield Line(text, middle, median, Look(COLOURS[k], "-", "", 1.4))
@@ -138,41 +174,76 @@ def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
 def _candidates_at(d: Diagnosis, pair: tuple[str, str]) -> list[Laws]:
     """Return the laws of each candidate at a place, the named or best candidate first; laws in series are left out."""
     every: list[list[tuple[str, Sequence[str], dict[str, float], dict[str, str]]]] = [
-        [(e.effect, e.between or (), {k: q.value for k, q in e.parameters.items()}, {}) for e in d.effects]
+        [
+            (
+                e.effect,
+                e.between or (),
+                {k: q.value for k, q in e.parameters.items()},
+                {},
+            )
+            for e in d.effects
+        ]
     ]
     if d.best_candidate is not None:
         c = d.best_candidate
-        every.append([(e, w, v, {}) for e, w, v in zip(c.effects, c.where, c.values, strict=False)])
+        every.append(
+            [
+                (e, w, v, {})
+                for e, w, v in zip(c.effects, c.where, c.values, strict=False)
+            ]
+        )
     for r in d.contenders:  # one without values has no curve
         every.append(
-            list(zip(r.effects, r.where, r.values, r.options or ({},) * len(r.effects), strict=False))
+            list(
+                zip(
+                    r.effects,
+                    r.where,
+                    r.values,
+                    r.options or ({},) * len(r.effects),
+                    strict=False,
+                )
+            )
         )
     out: dict[tuple[str, ...], Laws] = {}
     for effects in every:
         laws = [
             (Hypothesis(effect, tuple(where), tuple(options.items())), dict(values))
             for effect, where, values, options in effects
-            if set(where) == set(pair) and effect in el.TYPES and not el.TYPES[effect].series
+            if set(where) == set(pair)
+            and effect in el.TYPES
+            and not el.TYPES[effect].series
         ]
         if laws:
             out.setdefault(tuple(sorted(h.effect for h, _ in laws)), laws)
     return list(out.values())[:MOST_LAWS]
 
 
-def trend(x: Array, y: Array, at: tuple[float, ...] = (0.5,), bins: int = 24) -> tuple[Array, Array]:
+def trend(
+    x: Array, y: Array, at: tuple[float, ...] = (0.5,), bins: int = 24
+) -> tuple[Array, Array]:
     """Return means of x (bins,) and quantiles of y (quantiles, bins) in bins of x with enough samples."""
-    edges = np.linspace(float(np.quantile(x, 0.002)), float(np.quantile(x, 0.998)), bins + 1)
+    edges = np.linspace(
+        float(np.quantile(x, 0.002)), float(np.quantile(x, 0.998)), bins + 1
+    )
     index = np.digitize(x, edges) - 1
     pick = [k for k in range(bins) if np.sum(index == k) >= LEAST]
     middle = np.array([x[index == k].mean() for k in pick])
-    return middle, np.array([np.quantile(y[index == k], at) for k in pick]).reshape(-1, len(at)).T
+    return middle, np.array([np.quantile(y[index == k], at) for k in pick]).reshape(
+        -1, len(at)
+    ).T
 
 
 def law_axis(kind: str, turns: bool) -> tuple[float, Axis]:
     """Return the factor from SI units and the axis of a motion; `kind` is 'rate' or 'travel'."""
     if turns:
-        return 1.0, Axis("angular velocity", "rad/s") if kind == "rate" else Axis("angle", "rad")
-    return (1.0, Axis("velocity", "m/s")) if kind == "rate" else (1e3, Axis("travel", "mm"))
+        return 1.0, Axis("angular velocity", "rad/s") if kind == "rate" else Axis(
+            "angle", "rad"
+        )
+    return (
+        (1.0, Axis("velocity", "m/s"))
+        if kind == "rate"
+        else (1e3, Axis("travel", "mm"))
+    )
 
 
 def force_axis(label: str, turns: bool, low: float, high: float) -> Axis:
