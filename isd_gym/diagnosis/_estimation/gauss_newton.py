@@ -104,6 +104,13 @@ class Fit:
         return self.structure.at(self.x)
 
     @property
+    def values(self) -> dict[str, float]:
+        """Fitted parameters by path, transformed."""
+        return dict(
+            zip((f.path for f in self.structure.free), self.x.tolist(), strict=True)
+        )
+
+    @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
         """Effects and places."""
         return self.structure.hypotheses

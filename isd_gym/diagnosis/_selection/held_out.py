@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -66,7 +67,7 @@ class HeldOutEvaluator:
         """Return weights by the level of the training residuals of a fit, and the share of independent samples."""
         left = residuals(self.problem, fit)
         weights = weights_of(left, self.least_noise)
-        return type(weights)(weights.level, independent_share(left))
+        return replace(weights, share=independent_share(left))
 
     # -- errors -------------------------------------------------------------------------------------------
     def nrmse(self, fit: Fit, records: Sequence[int], deviation: Array) -> Array:

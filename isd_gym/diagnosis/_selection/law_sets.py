@@ -110,9 +110,6 @@ class Search:
 
     def _with_fewer(self, fit: Fit) -> list[Fit]:
         """Return fits with one law less, from the values of a fit: alone, a law may have ended in another optimum."""
-        known = {
-            f.path: float(v) for f, v in zip(fit.structure.free, fit.x, strict=True)
-        }
         laws = list(zip(fit.hypotheses, fit.elements, strict=True))
         out = []
         for k in range(len(laws)):
@@ -122,7 +119,7 @@ class Search:
                     structure = add(
                         freed(structure, law), law, parameter_values(element)
                     )
-                x = structure.start_from(known)
+                x = structure.start_from(fit.values)
             except FAILS:
                 continue
             fewer = try_fit(

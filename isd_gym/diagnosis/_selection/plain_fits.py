@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...physics.elements import Start as Proposal
     from .._estimation.structure import Hypothesis, Structure
+    from .._hypotheses.law_matching import Residual
     from .._simulation.problem import Problem
     from .settings import SearchSettings
 
@@ -158,13 +159,16 @@ class Stage:
             ),
         ]
 
+    @cached_property
+    def residual(self) -> Residual:
+        """The residual of the set, and what the set absorbs of a residual."""
+        return residual_of(self.problem, self.coarse, self.now)
+
     # -- starts -------------------------------------------------------------------------------------------
     def starts(self) -> list[Start]:
         """Return the starts of all admissible laws: several sizes, beside refitted and nominal parameters."""
         base, network = self.base, self.base.structure.network
-        refitted = {
-            f.path: float(v) for f, v in zip(base.structure.free, base.x, strict=True)
-        }
+        refitted = base.values
         nominal = {
             f.path: refitted[f.path] if f.owner >= 0 else f.mean
             for f in base.structure.free
@@ -211,7 +215,7 @@ class Stage:
     def start(
         self, law: Hypothesis, values: Mapping[str, float], known: Mapping[str, float]
     ) -> Start | None:
-        """Return a start with values of a law and known parameters by path, transformed; None where the model has no place for it."""
+        """Return a start with values of a law and known parameters by path, transformed; None where the law fits nowhere in the model."""
         try:
             built = add(freed(self.base.structure, law), law, values)
             x = built.start_from(known)
@@ -227,10 +231,7 @@ class Stage:
     ) -> list[Start]:
         """Return the starts with the size that the residual asks for to first order: the combination of the responses of what an element
         proposed that leaves least of a residual `left` (rows,)."""
-        base, out = self.base, []
-        refitted = {
-            f.path: float(v) for f, v in zip(base.structure.free, base.x, strict=True)
-        }
+        out, refitted = [], self.base.values
         for (law, _), found in own.items():
             proposal = found[0][0].proposed
             assert proposal is not None
@@ -251,7 +252,7 @@ class Stage:
         variance, after first-order changes of what the set has free, and before; infinite where the simulation breaks down. The third
         value are starts with the sizes that the residual asks for."""
         p, now = self.problem, self.now
-        residual = residual_of(p, self.coarse, now)
+        residual = self.residual
         beside, alone = np.full((2, len(starts)), math.inf)
         columns = len(p.channels)
         probes: dict[tuple[Hypothesis, int], list[tuple[Start, Array]]] = defaultdict(
@@ -405,10 +406,9 @@ class Stage:
         law, name = fit.structure.hypotheses[-1], fit.structure.names[-1]
         values = parameter_values(fit.network.element(name))
         motion = motions(self.problem, fit).get((law.where[0], law.where[-1]))
-        known = {
-            f.path: float(v) for f, v in zip(fit.structure.free, fit.x, strict=True)
+        kept = {
+            path: v for path, v in fit.values.items() if path.rpartition(".")[0] != name
         }
-        kept = {path: v for path, v in known.items() if path.rpartition(".")[0] != name}
         try:
             special = law.kind.special(plainer.effect, values, motion)
             structure = add(freed(self.base.structure, plainer), plainer, special)
