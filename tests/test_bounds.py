@@ -83,17 +83,12 @@ def test_reference_is_the_closed_form_of_the_passive_car():
     assert rms[1] ** 2 == pytest.approx(travel2, rel=1e-6)
 
 
-def test_motor_without_effort_comes_near_the_bound_and_never_below():
+def test_the_bound_does_not_depend_on_the_device():
     free = bounds.lq_bound()
     assert free.triple == pytest.approx(
         bounds.lq_bound("quarter-car-eq8").triple, rel=1e-9
-    )  # of any device
-    costs = []
-    for effort in (1e-2, 1e-6, 1e-10):
-        p = bounds.lq_bound(effort=effort)
-        costs.append(float(p.weights @ p.triple**2))
-    assert costs[0] > costs[1] > costs[2] > free.cost
-    assert costs[2] == pytest.approx(free.cost, rel=1e-4)
+    )
+    assert free.cost == pytest.approx(float(free.weights @ free.triple**2), rel=1e-4)
 
 
 def test_bad_input_is_one_line():

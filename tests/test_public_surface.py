@@ -52,7 +52,7 @@ isd_gym.benchmark.driving
     also Crew Driver Idle travel
 isd_gym.benchmark.lq_bounds
     Best LQPoint best_acceleration lq_bound
-    also CarBound Linear blind_gain ideal ideal_car linear_car lq_front reference simulated_cost stationary
+    also CarBound Linear blind_gain ideal linear_car lq_front reference simulated_cost stationary
     wheelbase_bound
 isd_gym.benchmark.policies
     Entry Idle available conventional find find_all passive

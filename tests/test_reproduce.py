@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from isd_gym._commands._reproduce import page, rig
-from isd_gym._commands._reproduce.device import device
-from isd_gym._commands._reproduce.road_level import road_level
-from isd_gym._commands._reproduce.study import SCHEMA, Study
+from isd_gym._commands._reproduce import car, page, rig
+from isd_gym._commands._reproduce.study import Study
 from isd_gym._commands.reproduce import show
+from isd_gym.benchmark.scoring import PAPER
 from isd_gym.physics.network import Network
 
 
@@ -50,7 +49,7 @@ def test_failure_leaves_nothing(tmp_path, monkeypatch):
     def broken(study):
         raise RuntimeError("midway")
 
-    monkeypatch.setattr(page, "SECTIONS", (device, broken))
+    monkeypatch.setattr(page, "PARTS", (rig.table_1, broken))
     with pytest.raises(RuntimeError, match="midway"):
         page.reproduce(tmp_path / "out", quick=True)
     assert list(tmp_path.iterdir()) == []
@@ -64,30 +63,25 @@ def test_whole_page(tmp_path):
     )
     text = (tmp_path / "out" / "index.html").read_text()
     names = {p.name for p in (tmp_path / "out").glob("*.svg")}
-    assert text.count('<svg class="chart"') == len(names) == 7
+    assert text.count('<svg class="chart"') == len(names) == 5
     assert "http:" not in text.replace("http://www.w3.org", "") and "https:" not in text
     data = json.loads((tmp_path / "out" / "reproduction.json").read_text())
-    assert data["schema"] == SCHEMA
-    assert {c["place"] for c in data["claims"]} >= {
-        "Table 4",
-        "Table 7",
-        "Table 8",
-        "Figure 6",
-    }
+    assert data["schema"] == page.SCHEMA
+    verdicts = {c["place"]: c["verdict"] for c in data["claims"]}
+    assert verdicts["Table 7 (simulation)"] == "not possible on average"
+    assert verdicts["Table 8 (bench)"] == "possible"
     # figures found beforehand
-    cases = data["figures"]["causal_bound"]["cases"]
-    assert cases[2]["bound"] == pytest.approx(-0.171, abs=1e-3)
-    eq8 = data["figures"]["eq8_lq"]
-    assert [round(r["change"][0], 3) for r in eq8] == [-0.027, -0.047, -0.078]
-    assert {"sweep", "identification", "force tests"} <= tasks
+    bounds = [data["figures"][f"bound of {name}"]["bound"] for name in PAPER]
+    assert bounds == pytest.approx([-0.131, -0.192], abs=1e-3)
+    assert {"identification", "force tests, force-rig"} <= tasks
     show(result)
 
 
 def test_the_road_level_claims_no_travel_that_does_not_come_out(tmp_path):
     """Table 7's passive row: acceleration and tyre load within 1 %, travel 6 % short."""
-    study = Study(tmp_path, True, lambda task, share: None)
-    section = road_level(study)
-    a, l, f = study.figures["passive"]["κ = 5·10⁻⁷ m³/cycle (used here)"]
+    study = Study(tmp_path)
+    car.road_level(study)
+    a, l, f = study.figures["passive"]["used"]
     assert abs(a / 0.8306 - 1) < 0.01 and abs(f / 518.0 - 1) < 0.01
     assert -0.07 < l / 7.6e-3 - 1 < -0.05
-    assert "Its travel is not: 7.16 mm" in section.text[0]
+    assert "a travel of 7.16 mm (7.6)" in study.claims[0].found

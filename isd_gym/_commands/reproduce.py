@@ -1,8 +1,4 @@
-"""`isd-gym reproduce`: every table and figure of the paper recomputed beside the printed values, with a verdict.
-
-Each section is a function of a `Study` (shared results) that returns a `Section` with tables, pictures and
-sentences, in one file each. All numbers in sentences are computed; none is copied from an earlier run.
-"""
+"""`isd-gym reproduce`: every table and figure of the paper recomputed beside the printed values, with a verdict."""
 
 from __future__ import annotations
 
@@ -30,46 +26,38 @@ def command(
 ) -> None:
     """Compare every table and figure of the paper with computed values, and list the claims that hold.
 
-    Writes DIR/index.html (one self-contained page), the figures as PNG and DIR/reproduction.json.
+    Writes DIR/index.html (one self-contained page), the figures as SVG and DIR/reproduction.json.
 
     Example: isd-gym reproduce --out reproduction
     """
-    from .._common.files import check_folder
-    from ._reproduce.page import plain, reproduce
-    from ._reproduce.study import KIND, PARTS
+    from ._reproduce.page import check_target, reproduce
     from .console import check_file, progress, warm_up, write_json
 
     check_file(json_file)
-    check_folder(out, KIND, "reproduction.json", PARTS)
+    check_target(out)
     with progress() as update:
         warm_up(update)
         result = reproduce(out, quick, update)
-    write_json(json_file, plain(result))
+    write_json(json_file, result)
     show(result)
     typer.echo(f"page: {out / 'index.html'}", err=True)
 
 
 def show(result: dict[str, Any]) -> None:
-    """Print the claims and the tables on the terminal.
+    """Print the claims and the table of cars on the terminal.
 
     Args:
         result: Result of `reproduce`.
     """
     from rich import box
-    from rich.table import Table as Rich
+    from rich.table import Table
 
+    from ._reproduce.page import CAR_HEADS, CLAIM_HEADS
     from .console import printer
 
-    console = printer()
-    console.print(result["lead"])
-    for table in result["tables"]:
-        shown = Rich(title=table["title"] or table["section"], box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False,
-                     show_lines=table["section"] == "The claims")  # fmt: skip
-        words = max((len(c) for row in table["rows"] for c in row), default=0) > 40
-        for i, head in enumerate(table["heads"]):
-            shown.add_column(
-                head, justify="left" if i == 0 or words else "right", overflow="fold"
-            )
-        for row in table["rows"]:
+    claims = [list(claim.values()) for claim in result["claims"]]
+    for heads, rows in (CLAIM_HEADS, claims), (CAR_HEADS, result["cars"]):
+        shown = Table(*heads, box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)
+        for row in rows:
             shown.add_row(*row)
-        console.print(shown)
+        printer().print(shown)

@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 from .._common.errors import InputError
 from ..physics import elements as el
 from ..physics.cost import StageCost
-from ..physics.network import Channel, Network, linearise
+from ..physics.network import GROUND, Channel, Network, linearise
 from ..physics.road import REFERENCE_FREQUENCY, Road
 from ..physics.road import road as find_road
 from ..physics.vehicle import require_quarter_car, vehicle
@@ -49,8 +49,6 @@ class Linear:
         C: Output matrix (3, n): body acceleration [m/s^2], suspension travel [m], tyre load [N].
         D: Feedthrough (3,).
         intensity: Two-sided intensity of w [m^2/s].
-        seen: Basis of the kept states (states of the assembly, n).
-        lift: State of the assembly when car and road are lifted by 1 m: x = seen.T @ (x_assembly - lift r).
     """
 
     A: np.ndarray
@@ -59,8 +57,6 @@ class Linear:
     C: np.ndarray
     D: np.ndarray
     intensity: float
-    seen: np.ndarray
-    lift: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,6 @@ class LQPoint:
         acceleration: RMS of the body acceleration [m/s^2].
         travel: RMS of the suspension travel [m].
         tyre_load: RMS of the dynamic tyre load [N].
-        effort: RMS of the force [N], or the current [A].
         cost: Riccati value ``trace(P G G') intensity``, equal to the weighted mean square of a rollout.
         weights: Weights (3,) on the squares of acceleration, travel and tyre load, in SI units.
         gain: Gain (n,) of ``F = -gain @ x``.
@@ -80,7 +75,6 @@ class LQPoint:
     acceleration: float
     travel: float
     tyre_load: float
-    effort: float
     cost: float
     weights: np.ndarray
     gain: np.ndarray
@@ -92,7 +86,7 @@ class LQPoint:
 
 
 def ideal(network: Network | str | Path) -> Network:
-    """Return a car with a force actuator of 1 N/A between body and wheel instead of all other elements.
+    """Return a car with a force actuator of 1 N/A between body and wheel of each corner, in place of the suspension.
 
     Args:
         network: A car, by name, file or network.
@@ -101,43 +95,37 @@ def ideal(network: Network | str | Path) -> Network:
         The changed network.
 
     Raises:
-        InputError: The network is no car, or has further masses, for which the bound would not hold.
+        InputError: The network is no car, or has other parts than body, wheels, tyres and suspension, for which the
+            bound would not hold.
     """
     network = Network.load(network)
-    require_quarter_car(network, "the causal bound is that")
-    if len(network.masses) != 2:
+    car = vehicle(network)
+    masses = len(network.masses) + len(network.bodies)
+    if masses != 1 + len(car.corners) or network.levers:
         raise InputError(
-            f"network '{network.name}': the causal bound is that of two masses, not {len(network.masses)}"
+            f"network '{network.name}': the causal bound is that of a body and wheels without other masses"
         )
-    body, wheel = network.masses
-    fixed = {*network.moved_nodes, "ground"}
-    kept, frontier = {wheel}, [*fixed]  # elements attached to road or ground stay
-    links: dict[str, set[str]] = {}
-    for e in network.elements:
-        if e.place == "between":
-            a, b = e.where
-            links.setdefault(a, set()).add(b)
-            links.setdefault(b, set()).add(a)
-    while frontier:
-        node = frontier.pop()
-        if node not in kept:
-            kept.add(node)
-            if node != body:
-                frontier += links.get(node, set()) - {wheel}
-    stay = tuple(
-        e
-        for e in network.elements
-        if e.place == "between"
-        and (set(e.where) <= kept)
-        and set(e.where) != {body, wheel}
-    )
-    actuator = el.Motor("actuator", (body, wheel), thrust_constant=1.0, ratio=1.0)  # type: ignore[call-arg]
-    road = next(c for c in network.inputs if c.quantity == "displacement")
-    return Network(
-        f"{network.name}-ideal",
-        network.masses,
-        (*stay, actuator),
-        (road, Channel("current", "current", "A", element="actuator")),
+    between = [e for e in network.elements if e.place == "between"]
+    tyres = [{c.wheel, c.road} for c in car.corners]
+    outside = {GROUND, *network.moved_nodes}
+    if not all(set(e.where) in tyres for e in between if outside & set(e.where)):
+        raise InputError(
+            f"network '{network.name}': the causal bound is that of a car on its tyres alone"
+        )
+    kept = [e for e in between if set(e.where) in tyres]
+    currents = []
+    for c in car.corners:
+        name = f"actuator_{c.name}"
+        kept.append(el.Motor(name, (c.body, c.wheel), thrust_constant=1.0, ratio=1.0))  # type: ignore[call-arg]
+        currents.append(Channel(f"current_{c.name}", "current", "A", element=name))
+    roads = [c for c in network.inputs if c.quantity == "displacement"]
+    return replace(
+        network,
+        name=f"{network.name}-ideal",
+        elements=tuple(kept),
+        inputs=(*roads, *currents),
+        outputs=(),
+        uncertainty={},
     )
 
 
@@ -216,10 +204,10 @@ def linear_car(
     intensity = (
         (2 * math.pi) ** 2 * 0.5 * ground.roughness * REFERENCE_FREQUENCY**2 * speed
     )
-    return Linear(A, B, G, C, D, intensity, seen, T)
+    return Linear(A, B, G, C, D, intensity)
 
 
-def stationary(car: Linear, gain: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+def stationary(car: Linear, gain: np.ndarray | None = None) -> np.ndarray:
     """Return the stationary RMS of the outputs under the feedback ``F = -gain @ x``.
 
     Args:
@@ -227,36 +215,27 @@ def stationary(car: Linear, gain: np.ndarray | None = None) -> tuple[np.ndarray,
         gain: Gain (n,); None for zero.
 
     Returns:
-        RMS (3,) of acceleration [m/s^2], travel [m] and tyre load [N], and RMS of F.
+        RMS (3,) of acceleration [m/s^2], travel [m] and tyre load [N].
     """
     k = np.zeros(len(car.A)) if gain is None else gain
     X = solve_continuous_lyapunov(
         car.A - np.outer(car.B[:, 0], k), -car.intensity * np.outer(car.G, car.G)
     )
     Y = car.C - np.outer(car.D, k)
-    return np.sqrt(np.einsum("ij,jk,ik->i", Y, X, Y)), math.sqrt(max(k @ X @ k, 0.0))
+    return np.sqrt(np.einsum("ij,jk,ik->i", Y, X, Y))
 
 
-def _solve(car: Linear, weights: np.ndarray, effort: float) -> LQPoint:
+def _solve(car: Linear, weights: np.ndarray) -> LQPoint:
+    """Return the optimum of an unlimited force for weights of the squares of acceleration, travel and tyre load."""
     w = np.asarray(weights, float)
     Q, N = car.C.T @ (w[:, None] * car.C), (car.C.T @ (w * car.D))[:, None]
-    R = np.array([[car.D @ (w * car.D) + effort]])
-    if not R[0, 0] > 0:
-        raise InputError("the force costs nothing: give an effort > 0")
+    R = np.array([[car.D @ (w * car.D)]])
     # scaled to unit weight on the first output, to keep the Riccati solver well conditioned
     scale = R[0, 0]
     P = solve_continuous_are(car.A, car.B, Q / scale, R / scale, s=N / scale) * scale
     gain = ((car.B.T @ P + N.T) / scale)[0]
-    rms, force = stationary(car, gain)
-    return LQPoint(
-        float(rms[0]),
-        float(rms[1]),
-        float(rms[2]),
-        force,
-        float(car.G @ P @ car.G) * car.intensity,
-        w,
-        gain,
-    )
+    cost = float(car.G @ P @ car.G) * car.intensity
+    return LQPoint(*stationary(car, gain).tolist(), cost, w, gain)
 
 
 def lq_bound(
@@ -265,7 +244,6 @@ def lq_bound(
     speed: float = 20.0,
     road: str | Road = "paper",
     weights: Sequence[float] = (1.0, 1.0, 1.0),
-    effort: float | None = None,
 ) -> LQPoint:
     """Return the causal linear-quadratic optimum for given weights.
 
@@ -277,8 +255,6 @@ def lq_bound(
         speed: Speed [m/s].
         road: A rough road.
         weights: Weights of acceleration, travel and tyre load [-].
-        effort: Weight of the squared current of the network's own motor [1/A^2] (without friction and
-            limits); None for an unlimited force between body and wheel: the bound.
 
     Returns:
         The optimum.
@@ -292,8 +268,7 @@ def lq_bound(
         raise InputError(
             f"weights must be three numbers >= 0, the first > 0, not {weights!r}"
         )
-    plant = ideal(network) if effort is None else network
-    return _solve(linear_car(plant, speed=speed, road=road), w / base**2, effort or 0.0)
+    return _solve(linear_car(ideal(network), speed=speed, road=road), w / base**2)
 
 
 def reference(
@@ -317,9 +292,8 @@ def reference(
     """
     from .policies import conventional
 
-    return stationary(
-        linear_car(conventional(Network.load(network)), speed=speed, road=road)
-    )[0]
+    passive = conventional(Network.load(network))
+    return stationary(linear_car(passive, speed=speed, road=road))
 
 
 @dataclass(frozen=True)
@@ -348,7 +322,6 @@ def best_acceleration(
     network: Network | str | Path = "quarter-car-isd",
     speed: float = 20.0,
     road: str | Road = "paper",
-    against: Sequence[float] | None = None,
 ) -> Best:
     """Return the smallest acceleration of any causal controller with limited changes of travel and tyre load.
 
@@ -360,8 +333,6 @@ def best_acceleration(
         network: A car, by name, file or network.
         speed: Speed [m/s].
         road: A rough road.
-        against: Reference RMS (3,), such as Table 7's passive row; None for the expected RMS of the
-            conventional passive car.
 
     Returns:
         The optimum.
@@ -370,11 +341,7 @@ def best_acceleration(
         InputError: No causal controller reaches the changes, or the bound does not exist for the car or the
             road.
     """
-    base = (
-        reference(network, speed=speed, road=road)
-        if against is None
-        else np.asarray(against, float)
-    )
+    base = reference(network, speed=speed, road=road)
     car = linear_car(ideal(network), speed=speed, road=road)
     allowed = [1 + c if c is not None else None for c in (travel_change, tyre_change)]
     if any(a is not None and not a > 0 for a in allowed):
@@ -384,7 +351,7 @@ def best_acceleration(
 
     def at(q: np.ndarray) -> LQPoint:
         multipliers = np.where(bound, np.exp(q), 1e-8)
-        return _solve(car, np.array([1.0, *multipliers]) / base**2, 0.0)
+        return _solve(car, np.array([1.0, *multipliers]) / base**2)
 
     def negative_dual(q: np.ndarray) -> tuple[float, np.ndarray]:
         point = at(q)
@@ -419,24 +386,20 @@ def best_acceleration(
 
 
 def lq_front(
-    tyre_change: float | None = 0.0,
-    travel_changes: Sequence[float] | None = None,
-    **options: Any,
+    tyre_change: float, travel_changes: Sequence[float], **options: Any
 ) -> np.ndarray:
     """Return the border of reachable travel and acceleration changes at a given change of the tyre load.
 
     Args:
-        tyre_change: Largest change of the tyre load [-]; None for no limit.
-        travel_changes: Changes of the travel [-]; None for 27 values from -0.35 to 0.3.
+        tyre_change: Largest change of the tyre load [-].
+        travel_changes: Changes of the travel [-].
         options: Further arguments of `best_acceleration`.
 
     Returns:
         Pairs (k, 2) of travel change and acceleration change; unreachable changes are omitted.
     """
     rows = []
-    for change in (
-        np.linspace(-0.35, 0.3, 27) if travel_changes is None else travel_changes
-    ):
+    for change in travel_changes:
         try:
             best = best_acceleration(float(change), tyre_change, **options)
         except InputError:
@@ -473,56 +436,12 @@ class CarBound:
         return self.blind / self.passive - 1
 
 
-def ideal_car(network: Network | str | Path) -> Network:
-    """Return a car with a force actuator of 1 N/A between body and wheel of each corner, in place of the suspension.
-
-    Args:
-        network: Car with a rigid body, by name, file or itself.
-
-    Raises:
-        InputError: There is another mass than body and wheels: the bound would not hold.
-    """
-    network = Network.load(network)
-    car = vehicle(network)
-    corners = {c.wheel: c for c in car.corners}
-    if not network.bodies or len(network.masses) != len(corners) or network.levers:
-        raise InputError(
-            f"network '{network.name}': the bound of a whole car is that of a rigid body and wheels without other masses"
-        )
-    tyres = [
-        e
-        for e in network.elements
-        if e.place == "between"
-        and set(e.where) in [{c.wheel, c.road} for c in car.corners]
-    ]
-    actuators = [
-        el.Motor(
-            f"actuator_{c.name}", (c.body, c.wheel), thrust_constant=1.0, ratio=1.0
-        )  # type: ignore[call-arg]
-        for c in car.corners
-    ]
-    roads = [c for c in network.inputs if c.quantity == "displacement"]
-    currents = [
-        Channel(f"current_{c.name}", "current", "A", element=f"actuator_{c.name}")
-        for c in car.corners
-    ]
-    return replace(
-        network,
-        name=f"{network.name}-ideal",
-        elements=(*tyres, *actuators),
-        inputs=(*roads, *currents),
-        outputs=(),
-        uncertainty={},
-    )
-
-
 def wheelbase_bound(
     network: Network | str | Path = "half-car-isd",
     *,
     speed: float = 20.0,
     road: str | Road = "paper",
     cost: StageCost | None = None,
-    effort: float | None = None,
     step: float = 1e-3,
 ) -> CarBound:
     """Return the linear-quadratic bound of a half car whose rear wheel meets the road of the front wheel.
@@ -535,8 +454,6 @@ def wheelbase_bound(
         speed: Speed [m/s].
         road: Rough road without cut-off.
         cost: Stage cost, that of the car by default.
-        effort: Weight on the squares of the currents [1/A^2]. With it the network's own motors must do, friction left out;
-            None for any force.
         step: Step over which the forces are held [s].
 
     Raises:
@@ -560,10 +477,8 @@ def wheelbase_bound(
         (2 * math.pi) ** 2 * 0.5 * ground.roughness * REFERENCE_FREQUENCY**2 * speed
     )
     stage = StageCost.of(cost, car.axes, len(car.corners))
-    plant = ideal_car(network) if effort is None else _linear_device(network)
-    weights = CarWeights(
-        stage, effort=effort or 1e-14, centring=0.0 if effort is None else 1e-4
-    )
+    plant = ideal(network)
+    weights = CarWeights(stage, effort=1e-14, centring=0.0)
     known, blind = (
         car_model(plant, step, speed, wheelbase=way, road_intensity=intensity)
         for way in (True, False)
@@ -613,12 +528,3 @@ def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float
     C = model.C @ loop - model.feedthrough @ K
     now = np.einsum("i,ij,jk,ik->", q, C, X, C) + np.einsum("i,ij,jk,ik->", r, K, X, K)
     return float(now + np.trace(model.C.T @ (q[:, None] * model.C) @ model.W))
-
-
-def _linear_device(network: Network) -> Network:
-    """Return a network without dry friction and end stops."""
-    kept = tuple(
-        e for e in network.elements if e.place == "between" and e.bound is None
-    )
-    kept = tuple(e for e in kept if not isinstance(e, el.BumpStop | el.TyreLiftOff))
-    return replace(network, elements=kept, outputs=(), uncertainty={})

@@ -1,66 +1,13 @@
-"""Common parts of the sections: names of the cars, pieces of a page, shared results."""
+"""Claims and pictures of a reproduction, which its parts share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from ...view.report.plots import Picture as PagePicture
-from ...view.report.plots import as_picture
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-SCHEMA = "isd-reproduction/1"
-KIND = "reproduction"
-PARTS = ("index.html", "reproduction.json", "*.svg")
-SERIES, PRINTED = "quarter-car-isd", "quarter-car-eq8"
-RIG, RIG_PRINTED = "force-rig", "force-rig-eq6"
-AMPLITUDE = 0.01  # m, Table 2
-FREQUENCIES = (2.0, 4.0, 6.0, 8.0, 10.0)  # Hz, section 3.2
-INERTANCE = 95.0  # kg, Table 6
-TABLE_4 = {"oil.stiffness": 709e3, "leak.damping": 1293.0}
-NAMES = ("acceleration", "travel", "tyre load")
-Progress = Callable[[str, float], None]
-
-
-@dataclass
-class Table:
-    """A table of texts.
-
-    Attributes:
-        title: Title.
-        heads: Column headings.
-        rows: Cells.
-        note: Note below the table.
-        texts: Indices of left-aligned columns.
-        wrap: Whether the first column may wrap.
-    """
-
-    title: str
-    heads: Sequence[str]
-    rows: list[Sequence[str]]
-    note: str = ""
-    texts: Sequence[int] = (0,)
-    wrap: bool = False
-
-
-@dataclass
-class Section:
-    """A section of the page.
-
-    Attributes:
-        title: Title.
-        text: Paragraphs.
-        tables: Tables.
-        pictures: Pictures.
-    """
-
-    title: str
-    text: list[str] = field(default_factory=list)
-    tables: list[Table] = field(default_factory=list)
-    pictures: list[PagePicture] = field(default_factory=list)
+from ...view.report.plots import Picture, as_picture
 
 
 @dataclass
@@ -70,7 +17,7 @@ class Claim:
     Attributes:
         place: Place in the paper.
         says: The claim.
-        found: The result.
+        found: The computed value.
         verdict: The verdict.
     """
 
@@ -82,39 +29,32 @@ class Claim:
 
 @dataclass
 class Study:
-    """Results that the sections share.
+    """Results of a reproduction.
 
     Attributes:
         folder: Folder of the pictures.
         quick: Whether few and short episodes are driven.
         progress: Called with a task and its finished share.
-        figures: Figures by section.
+        figures: Computed figures by their place in the paper.
         claims: Claims so far.
-        evidence: Rows of the table of evidence.
+        cars: Rows of texts of the table of cars.
+        pictures: Pictures so far.
     """
 
     folder: Path
-    quick: bool
-    progress: Progress
+    quick: bool = False
+    progress: Callable[[str, float], None] = lambda task, share: None
     figures: dict[str, Any] = field(default_factory=dict)
     claims: list[Claim] = field(default_factory=list)
-    evidence: list[Sequence[str]] = field(default_factory=list)
+    cars: list[list[str]] = field(default_factory=list)
+    pictures: list[Picture] = field(default_factory=list)
 
-    def picture(
-        self, fig: Any, name: str, title: str, alt: str, caption: str
-    ) -> PagePicture:
-        """Save a figure, and return the picture of a page.
+    def claim(self, place: str, says: str, found: str, verdict: str) -> None:
+        """Add a claim of the paper."""
+        self.claims.append(Claim(place, says, found, verdict))
 
-        Args:
-            fig: The figure.
-            name: Stem of the file name.
-            title: Title.
-            alt: Text for readers who cannot see the figure.
-            caption: Caption.
-
-        Returns:
-            The picture.
-        """
-        made = as_picture(fig, name, title, alt, caption)
+    def picture(self, fig: Any, name: str, title: str, caption: str) -> None:
+        """Save a figure, and add the figure to the pictures of the page."""
+        made = as_picture(fig, name, title, title, caption)
         made.save(self.folder)
-        return made
+        self.pictures.append(made)
