@@ -56,6 +56,16 @@ def weights_of(residuals: Sequence[Array], least: Array) -> Weights:
     )
 
 
+def balanced_weights(residuals: Sequence[Array], least: Array) -> Weights:
+    """Return weights whose ratios between channels are those of the level of residuals
+    [(samples, channels), ...], with the geometric mean of the smallest noise `least`
+    (channels,): a channel with much noise counts as much as the others where the model
+    misses all of them."""
+    level, root = weights_of(residuals, least).level, 1.0 / len(least)
+    mean = float(np.prod(least)) ** root
+    return white_weights(mean * (level / float(np.prod(level)) ** root))
+
+
 def independent_share(residuals: Sequence[Array]) -> Array:
     """Return the share (channels,) of the samples of residuals [(samples, channels), ...] that count as independent, from their
     autocorrelation: the variance of a product with a signal of the same spectrum (Bartlett, J. R. Stat. Soc. Suppl. 8 (1946) 27)."""

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._estimation.gauss_newton import gap
+from .._estimation.gauss_newton import Fitter, gap, residuals
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
+from .._estimation.noise import balanced_weights
 from .._estimation.structure import add, base_structure, parameter_values
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import SEARCH, TimeLimit, TimeUp
@@ -89,26 +90,30 @@ class Search:
                 f"looking for {ORDINALS[min(depth, len(ORDINALS) - 1)]} effect (beside the {label})"
             )
             found: dict[frozenset[object], Fit] = {}
+            left = residuals(self.problem, front[0])
+            fitter = Fitter(self.problem, balanced_weights(left, self.least_noise))
             for fit in front:
-                for more in Stage(self.problem, fit, self.least_noise, s).run():
+                for more in Stage(fitter, fit, self.least_noise, s).run():
                     key = frozenset(more.structure.hypotheses)
                     if key not in found or more.cost < found[key].cost:
                         found[key] = more
             ranked = sorted(found.values(), key=lambda f: f.cost)
-            new = self.score(ranked[: s.scored_further if depth else s.scored])
+            most = s.scored_further if depth else s.scored
+            new = self.score([self._polished(fit) for fit in ranked[:most]])
             before = min(row.error for row in rows if row.is_sound)
             sound = [row for row in new if row.is_sound]
             best = min(sound, key=lambda row: row.error, default=None)
             rows += new
             if best is not None and depth:
-                rows += self.score(self._with_fewer(best.fit))
+                fewer = self._with_fewer(fitter, best.fit)
+                rows += self.score([self._polished(fit) for fit in fewer])
             if best is None or best.error > s.least_step * before:
                 break
             if best.error**2 - noise**2 < s.good_enough**2:
                 break
             front = [row.fit for row in self._front(sound, rows[0])]
 
-    def _with_fewer(self, fit: Fit) -> list[Fit]:
+    def _with_fewer(self, fitter: Fitter, fit: Fit) -> list[Fit]:
         """Return fits with one law less, from the values of a fit: alone, a law may have ended in another optimum."""
         laws = list(zip(fit.hypotheses, fit.elements, strict=True))
         out = []
@@ -123,7 +128,7 @@ class Search:
             except FAILS:
                 continue
             fewer = try_fit(
-                self.evaluator.plain_fitter,
+                fitter,
                 structure,
                 x,
                 None,
@@ -154,6 +159,14 @@ class Search:
             )
             out.append(row if again is None or row.error < again.error else again)
         return out
+
+    def _polished(self, fit: Fit) -> Fit:
+        """Return a fit with the channels balanced by its own residual."""
+        left = residuals(self.problem, fit)
+        fitter = Fitter(self.problem, balanced_weights(left, self.least_noise))
+        steps = self.settings.last_steps
+        more = try_fit(fitter, fit.structure, fit.x, fit.initial, fit.offset, steps)
+        return fit if more is None else more
 
     def _row(self, fit: Fit, near: Fit | None = None) -> Row | None:
         """Return the row of a fit; None where a record cannot be simulated."""

@@ -22,7 +22,6 @@ from ...physics.network import assemble
 from .._estimation.gauss_newton import Fit, Fitter, gap
 from .._estimation.initial_states import transfer_states
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
-from .._estimation.noise import white_weights
 from .._estimation.structure import FAR, WIDE, add, parameter_values
 from .._hypotheses.law_matching import residual_of, starts_of
 from .._hypotheses.library import hypotheses
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from ...physics.elements import Start as Proposal
     from .._estimation.structure import Hypothesis, Structure
     from .._hypotheses.law_matching import Residual
-    from .._simulation.problem import Problem
     from .settings import SearchSettings
 
 I = TypeVar("I")
@@ -96,16 +94,14 @@ def try_fit(
 class Stage:
     """Plain fits of all laws beside a fitted set."""
 
-    def __init__(
-        self, problem: Problem, base: Fit, least: Array, rules: SearchSettings
-    ):
-        self.whole, self.least, self.rules = problem, least, rules
-        self.full = Fitter(problem, white_weights(least))
-        self.problem = problem.rough
-        self.coarse = Fitter(self.problem, white_weights(least))
+    def __init__(self, full: Fitter, base: Fit, least: Array, rules: SearchSettings):
+        self.full, self.least, self.rules = full, least, rules
+        self.whole = full.problem
+        self.problem = self.whole.rough
+        self.coarse = Fitter(self.problem, full.weights)
         self.base = base
         self.now = base
-        if self.problem is not problem:
+        if self.problem is not self.whole:
             self.now = self.coarse.transfer(base)
 
     def run(self) -> list[Fit]:
