@@ -73,11 +73,6 @@ def percent(share: float, digits: int = 1) -> str:
     return f"{100 * share:+.{digits}f} %".replace("-", "−")
 
 
-def ratio(value: float | None) -> str:
-    """A number with two digits; a dash for None."""
-    return "–" if value is None else f"{value:.2f}".replace("-", "−")
-
-
 def interval(low: float, high: float, digits: int = 1) -> str:
     """A 95 % interval of a share, in per cent."""
     return f"[{100 * low:+.{digits}f}, {100 * high:+.{digits}f}]".replace("-", "−")
@@ -841,114 +836,6 @@ def yardstick_models() -> str:
     return markdown(heads, body, "llrllr")
 
 
-#: tools of MissingPhysBench, in the order of the table
-TOOLS = {
-    "isd_gym": "**`isd-gym diagnose`**",
-    "aic": "AIC over a fixed list",
-    "sindy": "residual SINDy (pysindy)",
-    "symbolic": "symbolic regression (gplearn)",
-    "gp": "Gaussian-process residual",
-    "narx": "polynomial NARX (SysIdentPy)",
-    "refit": "refit of the parameters",
-}
-
-
-def _missing_physics() -> dict[str, Any]:
-    return stored("missing_physics.json")
-
-
-def missing_physics() -> str:
-    """Figures of every tool on MissingPhysBench, over all cases."""
-    found, body = _missing_physics(), []
-    for tool, label in TOOLS.items():
-        f = found[tool]["all"]
-        cells = [
-            f["place_f1"],
-            f["law_accuracy"],
-            f["wrong_names"],
-            f["abstention"],
-            f["brier"],
-        ]
-        parameters = (
-            "–"
-            if f["parameter_error"] is None
-            else f"{100 * f['parameter_error']:.1f} %"
-        )
-        body.append(
-            [
-                label,
-                *map(ratio, cells),
-                parameters,
-                ratio(f["error_reduction"]),
-                f"{f['seconds']:.0f} s",
-            ]
-        )
-    heads = [
-        "tool",
-        "place F1",
-        "law",
-        "wrong",
-        "abstention",
-        "Brier",
-        "parameters",
-        "reduction",
-        "time",
-    ]
-    return markdown(heads, body, "lrrrrrrrr")
-
-
-def missing_physics_sets() -> str:
-    """Law accuracy of every tool on the sets of MissingPhysBench, with the number of cases with a wrong name."""
-    found, body = _missing_physics(), []
-    sets = list(found["isd_gym"]["sets"])
-    for tool, label in TOOLS.items():
-        cells = []
-        for name in sets:
-            f = found[tool]["sets"][name]
-            cells.append(
-                f"{ratio(f['law_accuracy'])} ({round(f['wrong_names'] * f['cases'])})"
-            )
-        body.append([label, *cells])
-    return markdown(["tool", *sets], body, "l" + "r" * len(sets))
-
-
-def missing_physics_cases() -> str:
-    """Truth and answer of the diagnosis on every case of MissingPhysBench."""
-
-    def told(names: list[list[str]]) -> str:
-        return "; ".join(
-            f"{law.replace('_', ' ')} at {'–'.join(place)}" for law, *place in names
-        )
-
-    body = []
-    for name, r in _missing_physics()["isd_gym"]["rows"].items():
-        truth = told(r["truth"]) or (
-            "nothing" if r["set"] == "nothing" else "a law outside the list"
-        )
-        hit, false, _ = r["place"]
-        place = (
-            "the place, no law"
-            if hit
-            else "a wrong place, no law"
-            if false
-            else "nothing"
-        )
-        answer = told(r["named"]) or place
-        body.append(
-            [
-                name,
-                r["set"],
-                f"{r['noise_db']} dB",
-                truth,
-                answer,
-                ratio(r.get("reduction")),
-            ]
-        )
-    return markdown(
-        ["case", "set", "noise", "truth", "answer", "reduction"], body, "lllllr"
-    )
-
-
 # ------------------------------------------------------------------------------------------------------ pages
 
 #: page -> its tables
@@ -1005,11 +892,6 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
         sources,
     ),
     "docs/validation/yardsticks.md": (yardsticks, yardstick_models),
-    "docs/validation/missing-physics.md": (
-        missing_physics,
-        missing_physics_sets,
-        missing_physics_cases,
-    ),
     "docs/reference/environment.md": (environment,),
     "docs/reference/tracks.md": (
         tracks,
