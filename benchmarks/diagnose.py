@@ -40,8 +40,6 @@ from typing import TYPE_CHECKING, Any
 os.environ.update(
     {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 )  # cases have the cores
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import grading
 from grading import Row
@@ -179,33 +177,8 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
         return [str(place / f"{which}.csv")]
 
     Network.load(case.model).save(place / "model.json")
-    truth = {**case.record()["truth"], "base": base_values(case)}
-    more = {
-        k: case.record()[k]
-        for k in ("snr_db", "spread", "visibility", "irreducible")
-        if k in case.record()
-    }
     files = Case(tables("estimation"), place / "model.json", tables("validation"))
-    return files, case.answer, {**truth, **more}
-
-
-def base_values(case: Any) -> dict[str, float]:
-    """The true values of what the owner knows only roughly."""
-    true, out = case.truth["model"], {}
-    for path in case.model["uncertainty"]:
-        name, *where, key = path.split(".")
-        owner = next((e for e in true["elements"] if e.get("name") == name), {})
-        owner = true.get("bodies", {}).get(name, owner)
-        for part in where:
-            owner = owner[part]
-        value = (
-            true["masses"].get(name, owner.get(key))
-            if key == "mass"
-            else owner.get(key)
-        )
-        if value is not None:
-            out[path] = float(value)
-    return out
+    return files, case.answer, case.record()["truth"]
 
 
 # --------------------------------------------------------------------------------------------------------- one case

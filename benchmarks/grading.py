@@ -1,4 +1,4 @@
-"""Results of a diagnosis against the hidden truth: grades, the table by family, calibration by level, values, time.
+"""Results of a diagnosis against the hidden truth: grades, the table by family, calibration by level, time.
 
 Everything here reads `Diagnosis.to_dict()` and the truth beside it; nothing of the workflow's inside.
 """
@@ -16,9 +16,10 @@ from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.physics.elements import TYPES
 
 Row = dict[str, Any]
-Name = tuple[str, frozenset[str]]
 #: a row ends as one of these; "missed" also where the diagnosis broke off, ran out of time or could not decide
 GRADES = ("right", "wrong", "missed")
+#: what a rig hides
+SORTS = ("effect", "clean", "unknown")
 #: edges of the bins of stated confidence
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 1.0 + 1e-12)
 
@@ -119,84 +120,6 @@ def graded(row: Row) -> str:
 def sort(row: Row) -> str:
     answer = row["answer"]
     return "unknown" if answer == "unknown" else "effect" if answer else "clean"
-
-
-# ------------------------------------------------------------------------------------------------ values and truths
-#: parameter of an effect -> its name in the sealed truth of the shared cars
-CARS = {
-    "quadratic_damping.damping": "c2dev",
-    "cubic_stiffness.stiffness": "k3",
-    "bump_stop.clearance": "bump_gap",
-    "bump_stop.stiffness": "bump_k",
-    "thrust_saturation.current": "sat_I",
-    "actuator_lag.time_constant": "lag_tau",
-    "linear_damping.damping": "ct",
-    "cogging_force.amplitude": "cog_amp",
-    "cogging_force.pitch": "cog_pitch",
-    "stribeck_friction.level": "f",
-    "stribeck_friction.static_level": "stribeck_fs",
-    "stribeck_friction.stribeck_velocity": "stribeck_vs",
-}
-#: the same for the shared rigs, whose truth has a number for each of their three links
-RIGS = {
-    "coulomb_friction.level": "fc",
-    "quadratic_damping.damping": "c2",
-    "cubic_stiffness.stiffness": "k3",
-    "bump_stop.clearance": "gap",
-    "bump_stop.stiffness": "kg",
-    "hysteresis.level": "bwl",
-    "hysteresis.stiffness": "bwk",
-}
-
-
-def true_values(row: Row) -> dict[str, float]:
-    """The sealed values of the parameters of what was named, as far as the truth tells them."""
-    truth = row.get("truth") or {}
-    if "hidden" in truth:
-        return {
-            f"{e['type']}.{k}": float(v)
-            for e in truth["hidden"]
-            for k, v in e.items()
-            if isinstance(v, int | float) and not isinstance(v, bool)
-        }
-    if "fc" in truth:
-        return {
-            k: max(truth[v], key=abs)
-            for k, v in RIGS.items()
-            if max(truth.get(v, [0.0]), key=abs)
-        }
-    out = {k: truth[v] for k, v in CARS.items() if v in truth}
-    if (
-        "bw_A" in truth
-    ):  # dz = A v - beta (|v| z + v |z|): stiffness A, saturation at A / (2 beta)
-        out["hysteresis.stiffness"] = truth["bw_A"]
-        out["hysteresis.level"] = truth["bw_A"] / (2 * truth["bw_beta"])
-    strut = any(
-        w == {"body", "wheel"} for e, w in named(row) if e == "coulomb_friction"
-    )
-    if ("strut_f" if strut else "f") in truth:
-        out["coulomb_friction.level"] = truth["strut_f" if strut else "f"]
-    return out
-
-
-def values(rows: Iterable[Row]) -> tuple[list[float], list[bool], list[bool]]:
-    """Of what was named rightly: relative errors, and whether intervals hold the truth; the latter for base parameters too."""
-    errors, inside, base = [], [], []
-    for row in rows:
-        if graded(row) != "right" or not isinstance(row["answer"], list):
-            continue
-        known = true_values(row)
-        for e in row["diagnosis"]["effects"]:
-            for k, q in e["parameters"].items():
-                value = known.get(f"{e['effect']}.{k}")
-                if value and None not in (q["value"], q["low"], q["high"]):
-                    errors.append(abs(q["value"] / value - 1))
-                    inside.append(q["low"] <= value <= q["high"])
-        for path, value in ((row.get("truth") or {}).get("base") or {}).items():
-            q = row["diagnosis"]["parameters"].get(path)
-            if q is not None and None not in (q["low"], q["high"]):
-                base.append(q["low"] <= value <= q["high"])
-    return errors, inside, base
 
 
 # ------------------------------------------------------------------------------------------------------- reliability
@@ -347,10 +270,7 @@ def table(rows: Sequence[Row]) -> str:
     for family in [*families, "all"] if len(families) > 1 else families:
         mine = [r for r in rows if family in ("all", r["family"])]
         count = Counter((sort(r), graded(r)) for r in mine)
-        n = {
-            s: sum(v for (k, _), v in count.items() if k == s)
-            for s in ("effect", "clean", "unknown")
-        }
+        n = {s: sum(v for (k, _), v in count.items() if k == s) for s in SORTS}
         effect = " ".join(share(count["effect", g], n["effect"]) for g in GRADES)
         if family == "all":
             lines.append("-" * len(head))
@@ -369,133 +289,56 @@ def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
-def _closed(rows: Sequence[Row], wanted: str) -> list[float]:
-    """Shares of the gap that diagnoses of rigs of a sort close, where they have one."""
-    gaps = [
-        r["diagnosis"]["gap"]["closed"]
-        for r in rows
-        if "diagnosis" in r and sort(r) == wanted
-    ]
-    return [gap for gap in gaps if gap is not None]
-
-
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
-    """The figures of a run, as numbers: those of the table's last row, names, gap, intervals, values, time."""
-    grades = {
-        s: [graded(r) for r in rows if sort(r) == s]
-        for s in ("effect", "clean", "unknown")
-    }
-    kinds = [kind_graded(r) for r in rows if sort(r) == "effect"]
+    """Return the figures of a run: shares by grade, stated against observed probability, processor time."""
+    of_sort = {s: [r for r in rows if sort(r) == s] for s in SORTS}
 
     def rate(s: str, wanted: str) -> float | None:
-        return _mean([g == wanted for g in grades[s]])
+        return _mean([graded(r) == wanted for r in of_sort[s]])
 
-    stated = names_with_confidence(rows)
-    sure = [ok for c, ok in stated if c >= 0.99]
-    mid = [ok for c, ok in stated if 0.9 <= c < 0.99]
-    closed = _closed(rows, "effect")
-    errors, inside, base = values(rows)
+    kinds = [kind_graded(r) for r in of_sort["effect"]]
     seconds = [r["seconds"] for r in rows]
     return {
         "rigs": len(rows),
-        "right": rate("effect", "right"),
-        "wrong": rate("effect", "wrong"),
-        "missed": rate("effect", "missed"),
-        "counts": {s: len(of_sort) for s, of_sort in grades.items()},
+        "counts": {s: len(some) for s, some in of_sort.items()},
+        **{g: rate("effect", g) for g in GRADES},
+        "kind_right": _mean([kind == "right" for kind in kinds]),
         "kind_wrong": _mean([kind == "wrong" for kind in kinds]),
         "clean_left_alone": rate("clean", "right"),
         "unknown_recognised": rate("unknown", "right"),
-        "unknown_named": rate("unknown", "wrong"),
-        "undecided_with_the_truth_among_rivals": sum(rival(r) for r in rows),
         "broke_off": sum("error" in r for r in rows),
         "out_of_time": sum(bool(r.get("timed_out")) for r in rows),
-        "names_at_0.99": len(sure),
-        "names_at_0.99_right": _mean(sure),
-        "names_at_0.9_to_0.99": len(mid),
-        "names_at_0.9_to_0.99_right": _mean(mid),
-        "closed_median": _median(closed),
-        "closed_least": min(closed, default=None),
-        "closed_unknown_median": _median(_closed(rows, "unknown")),
-        "value_error_median": _median(errors),
-        "intervals": len(inside),
-        "intervals_hold": _mean(inside),
-        "base_intervals": len(base),
-        "base_intervals_hold": _mean(base),
-        "kind_right": _mean([kind == "right" for kind in kinds]),
         "reliability": {level: reliability(rows, level) for level in LEVELS},
         "seconds_median": _median(seconds),
         "seconds_longest": max(seconds, default=None),
     }
 
 
-def rival(row: Row) -> bool:
-    """Whether the diagnosis could not decide, and the truth is among what it lists."""
-    d = row.get("diagnosis", {})
-    if (
-        d.get("verdict") != "ambiguous"
-        or not isinstance(row["answer"], list)
-        or not row["answer"]
-    ):
-        return False
-    wanted = sorted(a[0] for a in row["answer"])
-    listed = [*d["alternatives"], *filter(None, [d.get("best_candidate")])]
-    return any(sorted(c["effects"]) == wanted for c in listed)
-
-
 def report(rows: Sequence[Row]) -> str:
-    """Everything there is to say about a run, as text."""
+    """Return the figures of a run as text."""
     f = figures(rows)
-
-    def percent(x: float | None) -> str:
-        return "-" if x is None else f"{100 * x:.1f} %"
-
     lines = [table(rows), ""]
     if f["broke_off"] or f["out_of_time"]:
         lines.append(
             f"counted as missed: {f['broke_off']} broke off, {f['out_of_time']} ran out of time"
         )
-    if f["undecided_with_the_truth_among_rivals"]:
-        lines.append(
-            f"of what was missed, undecided with the truth among the rivals: {f['undecided_with_the_truth_among_rivals']}"
-        )
-    lines.append(
-        f"names at >= 0.99: {f['names_at_0.99']}, right {percent(f['names_at_0.99_right'])}; "
-        f"at 0.9 to 0.99: {f['names_at_0.9_to_0.99']}, right {percent(f['names_at_0.9_to_0.99_right'])}"
-    )
-    lines.append(
-        f"gap closed: median {percent(f['closed_median'])}, least {percent(f['closed_least'])}; unknown law: median {percent(f['closed_unknown_median'])}"
-    )
-    lines.append(
-        f"values: error median {percent(f['value_error_median'])}; 95 % intervals hold {percent(f['intervals_hold'])} of {f['intervals']}"
-        f", of base parameters {percent(f['base_intervals_hold'])} of {f['base_intervals']}"
-    )
-    if f["seconds_median"] is not None:
+    if rows:
         lines.append(
             f"processor time: median {f['seconds_median']:.1f} s, longest {f['seconds_longest']:.1f} s"
         )
-    measured = [r for r in rows if isinstance(r["answer"], Mapping)]
-    if measured:
-        kinds = Counter(kind_graded(r) for r in measured)
-        lines.append(
-            f"measured rigs: law right or rightly silent {sum(graded(r) == 'right' for r in measured)} of {len(measured)}, "
-            f"place and kind right {kinds['right']}, wrong name {sum(graded(r) == 'wrong' for r in measured)}"
-        )
     for level in (None, *LEVELS):
-        curve = reliability(rows, level)
-        if curve:
-            lines += [
-                "",
-                f"{level or 'name':5s} stated at        count   mean stated   right   95 % interval",
-            ]
-            lines += [
-                f"{b['low']:7.3f} to {b['high']:5.3f}   {b['names']:8d}   {b['stated']:11.3f}   {b['right']:5.2f}   {b['least']:.2f} to {b['most']:.2f}"
-                for b in curve
-            ]
+        lines += [
+            "",
+            f"{level or 'name':5s} stated at        count   mean stated   right   95 % interval",
+        ]
+        for b in reliability(rows, level):
+            lines.append(
+                f"{b['low']:7.3f} to {b['high']:5.3f}   {b['names']:8d}   {b['stated']:11.3f}   {b['right']:5.2f}"
+                f"   {b['least']:.2f} to {b['most']:.2f}"
+            )
     lines += ["", "what was hidden -> what was said"]
-    lines += [
-        f"  {truth:45s} -> {said:45s} {n}"
-        for (truth, said), n in sorted(confusion(rows).items())
-    ]
+    for (truth, said), count in sorted(confusion(rows).items()):
+        lines.append(f"  {truth:45s} -> {said:45s} {count}")
     return "\n".join(lines)
 
 

@@ -19,16 +19,12 @@ import copy
 import functools
 import json
 import math
-import sys
 import time
 import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
 
 POPULATIONS = ("exact", "small", "law")
 #: largest number of samples of a rig: a fit of a longer record takes minutes

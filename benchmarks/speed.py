@@ -232,32 +232,6 @@ def hour() -> float:
     )
 
 
-def trial(
-    more: dict[str, object] | None, lanes: int = 30, steps: int = 10_000
-) -> tuple[float, float]:
-    """Milliseconds to make ready and to run what the diagnosis runs: one network a lane, their friction levels differ.
-
-    The road is twice the paper's at 2 ms, the current a sine that drives the car into its stops now and then.
-    """
-    net = Network.load("quarter-car-isd")
-    net = net if more is None else net.with_element({"name": "more", **more})
-    nets = [net.with_parameters({"seal.level": 300.0 + 10 * i}) for i in range(lanes)]
-    time_ = np.arange(steps + 1) * 2e-3
-    inputs = {
-        "road": 2
-        * paper_road().heights(steps * 2e-3, step=2e-3, rng=np.random.default_rng(0))[
-            : steps + 1
-        ],
-        "current": 5.0 * np.sin(7.5 * time_),
-    }
-    plant = Plant(nets, 2e-3)
-    plant.run(inputs, samples=steps + 1)  # compiled by now
-    ready = min(seconds(lambda: Plant(nets, 2e-3)) for _ in range(5))
-    return 1e3 * ready, 1e3 * min(
-        seconds(lambda: plant.run(inputs, samples=steps + 1)) for _ in range(3)
-    )
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
@@ -265,7 +239,6 @@ def main() -> None:
         "--official", action="store_true", help="Gymnasium's own functions"
     )
     given = parser.parse_args()
-    file = given.json
     if given.official:
         for name, row in official().items():
             print(
@@ -301,28 +274,10 @@ def main() -> None:
         "  the first of a batch after it [s]": more,
         "one hour of driving at 1 ms [s]": hour(),
     }
-    suspension = ["body", "wheel"]
-    for name, more in {
-        "no other law": None,
-        "hysteresis": {
-            "type": "hysteresis",
-            "between": suspension,
-            "level": 200.0,
-            "stiffness": 1e5,
-        },
-        "quadratic damping": {
-            "type": "quadratic_damping",
-            "between": suspension,
-            "damping": 2000.0,
-        },
-    }.items():
-        ready, run = trial(more)
-        figures[f"30 lanes, {name}: made ready [ms]"] = ready
-        figures[f"30 lanes, {name}: 10,000 steps of 2 ms [ms]"] = run
     for name, value in figures.items():
         print(f"{name:<65} {value:8.2f}")
-    if file:
-        file.write_text(json.dumps(figures, indent=1) + "\n")
+    if given.json:
+        given.json.write_text(json.dumps(figures, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -12,12 +12,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from isd_gym import baselines
+from isd_gym._common.errors import InputError
+from isd_gym.benchmark.lq_bounds import wheelbase_bound
+from isd_gym.benchmark.policies import find
+from isd_gym.benchmark.scoring import Entry, compare, measures, score
+from isd_gym.physics.network import Network
+from isd_gym.physics.prediction import ROAD_INTENSITY
+from isd_gym.physics.vehicle import vehicle
 
 POLICIES = (
     "isd-passive",
@@ -35,11 +41,6 @@ KEPT = ("cost", "body_acceleration_rms", "pitch_acceleration_rms", "weighted_acc
 
 def entry(name: str, network: Any, speed: float) -> Any:
     """A controller that knows the speed."""
-    from isd_gym import baselines
-    from isd_gym.benchmark.policies import find
-    from isd_gym.benchmark.scoring import Entry
-    from isd_gym.physics.prediction import ROAD_INTENSITY
-
     if name in ("isd-passive", "skyhook"):
         return find(name, network)
     if name.endswith("-wheelbase"):
@@ -56,8 +57,6 @@ def drive(
     network: Any, speed: float, episodes: int, seed: int, duration: float
 ) -> dict[str, Any]:
     """Return the figures of all controllers at one speed."""
-    from isd_gym.benchmark.scoring import compare, measures, score
-
     entries = [entry(name, network, speed) for name in POLICIES]
     found = score(
         entries, network, speed=speed, episodes=episodes, seed=seed, duration=duration
@@ -81,9 +80,6 @@ def drive(
 
 def bound(network: Any, speed: float) -> dict[str, Any] | None:
     """Return the change of the cost at the linear-quadratic bound, with and without knowledge of the rear road."""
-    from isd_gym._common.errors import InputError
-    from isd_gym.benchmark.lq_bounds import wheelbase_bound
-
     try:
         found = wheelbase_bound(network, speed=speed)
     except InputError:
@@ -97,9 +93,6 @@ def bound(network: Any, speed: float) -> dict[str, Any] | None:
 
 def main(argv: list[str] | None = None) -> None:
     """Drive, print a line for each speed, and write the file."""
-    from isd_gym.physics.network import Network
-    from isd_gym.physics.vehicle import vehicle
-
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

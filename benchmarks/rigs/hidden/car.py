@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..families.draw import channel, model
 from .secret import (
     FINE,
     Array,
@@ -56,37 +57,18 @@ def car_base(r: Generator, _: Secret) -> Model:
                 damping=1000.0,
             )
         )
-    return {
-        "schema": "isd-model/1",
-        "name": "quarter-car-isd",
-        "masses": {"body": 345.0, "wheel": 45.0},
-        "elements": elements,
-        "inputs": [
-            {"name": "road", "quantity": "displacement", "at": "road", "unit": "m"},
-            {"name": "current", "quantity": "current", "element": "motor", "unit": "A"},
-        ],
-        "outputs": [
-            {
-                "name": "body_acceleration",
-                "quantity": "acceleration",
-                "at": "body",
-                "unit": "m/s^2",
-            },
-            {
-                "name": "suspension_travel",
-                "quantity": "displacement",
-                "between": ["body", "wheel"],
-                "unit": "m",
-            },
-            {"name": "tyre_force", "quantity": "force", "element": "tyre", "unit": "N"},
-            {
-                "name": "device_travel",
-                "quantity": "displacement",
-                "between": ["piston", "joint"],
-                "unit": "m",
-            },
-        ],
-    }
+    inputs = [
+        channel("road", "displacement", at="road"),
+        channel("current", "current", element="motor"),
+    ]
+    outputs = [
+        channel("body_acceleration", "acceleration", at="body"),
+        channel("suspension_travel", "displacement", between=["body", "wheel"]),
+        channel("tyre_force", "force", element="tyre"),
+        channel("device_travel", "displacement", between=["piston", "joint"]),
+    ]
+    masses = {"body": 345.0, "wheel": 45.0}
+    return model("quarter-car-isd", masses, elements, inputs, outputs)
 
 
 DEVICE, STRUT, DAMPER, TYRE = (

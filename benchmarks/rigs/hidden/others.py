@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..families.draw import channel, model
 from .secret import (
     FINE,
     Array,
@@ -30,28 +31,15 @@ if TYPE_CHECKING:
 
 # ---------------------------------------------------------------------------------------------- the force rig
 def rig_base(r: Generator, secret: Secret) -> Model:
-    return {
-        "schema": "isd-model/1",
-        "name": "force-rig",
-        "masses": {},
-        "elements": [
-            element(
-                "linear_stiffness", "top", "piston", name="oil", stiffness=709000.0
-            ),
-            element("inertance", "piston", "ground", name="inerter", inertance=95.0),
-            element("linear_damping", "piston", "ground", name="leak", damping=1293.0),
-            element("coulomb_friction", "piston", "ground", name="seal", level=500.0),
-        ],
-        "inputs": [
-            {
-                "name": "displacement",
-                "quantity": "displacement",
-                "at": "top",
-                "unit": "m",
-            }
-        ],
-        "outputs": [{"name": "force", "quantity": "force", "at": "top", "unit": "N"}],
-    }
+    elements = [
+        element("linear_stiffness", "top", "piston", name="oil", stiffness=709000.0),
+        element("inertance", *PISTON, name="inerter", inertance=95.0),
+        element("linear_damping", *PISTON, name="leak", damping=1293.0),
+        element("coulomb_friction", *PISTON, name="seal", level=500.0),
+    ]
+    inputs = [channel("displacement", "displacement", at="top")]
+    outputs = [channel("force", "force", at="top")]
+    return model("force-rig", {}, elements, inputs, outputs)
 
 
 PISTON = ("piston", "ground")
@@ -160,43 +148,19 @@ def rig_inputs(
 
 # --------------------------------------------------------------------------------------------- other networks
 def mass_base(r: Generator, secret: Secret) -> Model:
-    mass, frequency, ratio = (
-        r.uniform(20, 60),
-        r.uniform(1.5, 4.0),
-        r.uniform(0.08, 0.2),
-    )
-    w = 2 * np.pi * frequency
-    return {
-        "schema": "isd-model/1",
-        "name": "one-mass",
-        "masses": {"mass": mass},
-        "elements": [
-            element(
-                "linear_stiffness",
-                "mass",
-                "ground",
-                name="spring",
-                stiffness=mass * w**2,
-            ),
-            element(
-                "linear_damping",
-                "mass",
-                "ground",
-                name="damper",
-                damping=2 * ratio * mass * w,
-            ),
-        ],
-        "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
-        "outputs": [
-            {"name": "position", "quantity": "displacement", "at": "mass", "unit": "m"},
-            {
-                "name": "acceleration",
-                "quantity": "acceleration",
-                "at": "mass",
-                "unit": "m/s^2",
-            },
-        ],
-    }
+    mass = r.uniform(20, 60)
+    w = 2 * np.pi * r.uniform(1.5, 4.0)
+    ratio = r.uniform(0.08, 0.2)
+    elements = [
+        element("linear_stiffness", *BODY, name="spring", stiffness=mass * w**2),
+        element("linear_damping", *BODY, name="damper", damping=2 * ratio * mass * w),
+    ]
+    inputs = [channel("push", "force", at="mass")]
+    outputs = [
+        channel("position", "displacement", at="mass"),
+        channel("acceleration", "acceleration", at="mass"),
+    ]
+    return model("one-mass", {"mass": mass}, elements, inputs, outputs)
 
 
 def decay_base(r: Generator, secret: Secret) -> Model:
@@ -208,90 +172,35 @@ def decay_base(r: Generator, secret: Secret) -> Model:
 
 def drive_base(r: Generator, secret: Secret) -> Model:
     """A strut in a testing machine: displacement in, force out, no free node."""
-    return {
-        "schema": "isd-model/1",
-        "name": "strut-on-machine",
-        "masses": {},
-        "elements": [
-            element(
-                "linear_stiffness",
-                "rod",
-                "ground",
-                name="spring",
-                stiffness=r.uniform(1e4, 3e4),
-            ),
-            element(
-                "linear_damping",
-                "rod",
-                "ground",
-                name="damper",
-                damping=r.uniform(800, 2000),
-            ),
-            element(
-                "inertance",
-                "rod",
-                "ground",
-                name="inerter",
-                inertance=r.uniform(10, 40),
-            ),
-        ],
-        "inputs": [
-            {"name": "stroke", "quantity": "displacement", "at": "rod", "unit": "m"}
-        ],
-        "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
-    }
+    elements = [
+        element("linear_stiffness", *ROD, name="spring", stiffness=r.uniform(1e4, 3e4)),
+        element("linear_damping", *ROD, name="damper", damping=r.uniform(800, 2000)),
+        element("inertance", *ROD, name="inerter", inertance=r.uniform(10, 40)),
+    ]
+    inputs = [channel("stroke", "displacement", at="rod")]
+    outputs = [channel("force", "force", at="rod")]
+    return model("strut-on-machine", {}, elements, inputs, outputs)
 
 
 def two_base(r: Generator, secret: Secret) -> Model:
     upper, lower = r.uniform(15, 30), r.uniform(30, 60)
-    k1, k2 = (
-        lower * (2 * np.pi * r.uniform(2, 3)) ** 2,
-        upper * (2 * np.pi * r.uniform(4, 6)) ** 2,
-    )
-    return {
-        "schema": "isd-model/1",
-        "name": "two-mass",
-        "masses": {"upper": upper, "lower": lower},
-        "elements": [
-            element("linear_stiffness", "upper", "lower", name="spring", stiffness=k2),
-            element(
-                "linear_damping",
-                "upper",
-                "lower",
-                name="damper",
-                damping=0.2 * np.sqrt(k2 * upper),
-            ),
-            element("linear_stiffness", "lower", "ground", name="foot", stiffness=k1),
-            element(
-                "linear_damping",
-                "lower",
-                "ground",
-                name="pad",
-                damping=0.3 * np.sqrt(k1 * lower),
-            ),
-        ],
-        "inputs": [{"name": "push", "quantity": "force", "at": "upper", "unit": "N"}],
-        "outputs": [
-            {
-                "name": "upper_acceleration",
-                "quantity": "acceleration",
-                "at": "upper",
-                "unit": "m/s^2",
-            },
-            {
-                "name": "lower_acceleration",
-                "quantity": "acceleration",
-                "at": "lower",
-                "unit": "m/s^2",
-            },
-            {
-                "name": "stroke",
-                "quantity": "displacement",
-                "between": ["upper", "lower"],
-                "unit": "m",
-            },
-        ],
-    }
+    k1 = lower * (2 * np.pi * r.uniform(2, 3)) ** 2
+    k2 = upper * (2 * np.pi * r.uniform(4, 6)) ** 2
+    c1, c2 = 0.3 * np.sqrt(k1 * lower), 0.2 * np.sqrt(k2 * upper)
+    elements = [
+        element("linear_stiffness", *UPPER, name="spring", stiffness=k2),
+        element("linear_damping", *UPPER, name="damper", damping=c2),
+        element("linear_stiffness", *LOWER, name="foot", stiffness=k1),
+        element("linear_damping", *LOWER, name="pad", damping=c1),
+    ]
+    inputs = [channel("push", "force", at="upper")]
+    outputs = [
+        channel("upper_acceleration", "acceleration", at="upper"),
+        channel("lower_acceleration", "acceleration", at="lower"),
+        channel("stroke", "displacement", between=["upper", "lower"]),
+    ]
+    masses = {"upper": upper, "lower": lower}
+    return model("two-mass", masses, elements, inputs, outputs)
 
 
 def push_inputs(
