@@ -20,12 +20,7 @@ from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import states_along
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
-from isd_gym.diagnosis._planning.excitation import (
-    Limits,
-    Rig,
-    make_excitation,
-    make_record,
-)
+from isd_gym.diagnosis._planning.excitation import Excitation, Rig, make_record
 from isd_gym.diagnosis._records.splitting import LEAD_IN, split_records
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._selection.held_out_table import row_of
@@ -228,13 +223,9 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     # friction gives the piston many rests: from a guess the first stretch held out ended in another (0.063 of the deviation)
     drag = element("drag", "quadratic_damping", "piston", "ground", damping=1381.0)
     net = Network.load("force-rig").with_element(drag)
-    rig = Rig(
-        {"displacement": Limits(0.01, 0.5)},
-        (3.437331794985563, 20.623990769913377),
-        20.0,
-        0.002424361053969285,
-    )
-    record = make_record(net, rig, make_excitation(net, rig))
+    band = (3.437331794985563, 20.623990769913377)
+    rig = Rig({"displacement": (0.01, 0.5)}, band, 20.0, 0.002424361053969285)
+    record = make_record(net, rig, Excitation("multisine", band, ("displacement",)))
     clean = simulate(net, record.time, record.inputs)["force"]
     noisy = clean + 16.0 * np.random.default_rng(1).standard_normal(len(clean))
     whole = Problem(net, [replace(record, measured=noisy[:, None])], ["fit"])

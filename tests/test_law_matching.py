@@ -1,14 +1,12 @@
 """Laws that are matched to the residual of a fit, along the measured motion."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from builders import fitted, oscillator, sines
 
 from isd_gym.diagnosis._estimation.structure import Hypothesis
 from isd_gym.diagnosis._hypotheses.motion import motions
-from isd_gym.diagnosis._hypotheses.pair_forces import law_forces, measured_motions
+from isd_gym.diagnosis._hypotheses.pair_forces import law_force, measured_motions
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
 from isd_gym.physics.simulate import simulate
@@ -50,14 +48,13 @@ def test_the_measured_motion_is_nearer_to_the_truth_than_the_simulated_motion():
     assert np.std(measured - true) < 0.5 * np.std(simulated - true)
 
 
-def test_a_force_that_repeats_is_read_from_one_period():
-    h, d = Hypothesis("cogging_force", PLACE), np.linspace(-0.03, 0.05, 999)
-    ways = [
-        (replace(h, where=w), {"amplitude": 10.0, "pitch": 0.02, "phase": 0.5})
-        for w in (PLACE, PLACE[::-1])
-    ]
-    forces = law_forces(rig(), PLACE, el.Motion(d, 0 * d, 0 * d), STEP, ways)
-    angle = 2 * np.pi * d / 0.02
-    assert forces == pytest.approx(
-        10 * np.sin(np.array([angle + 0.5, angle - 0.5]).T), abs=0.01
-    )
+def test_a_law_acts_along_a_motion_in_either_order_of_its_nodes():
+    d = np.linspace(-0.03, 0.05, 999)
+    motion = el.Motion(d, 0 * d, 0 * d)
+    values = {"amplitude": 10.0, "pitch": 0.02, "phase": 0.5}
+    for place, sign in ((PLACE, 1.0), (PLACE[::-1], -1.0)):
+        force = law_force(Hypothesis("cogging_force", place), values, PLACE, motion)
+        wanted = sign * 10 * np.sin(2 * np.pi * sign * d / 0.02 + 0.5)
+        assert force == pytest.approx(wanted, abs=0.01)
+    inertance = Hypothesis("inertance", PLACE)
+    assert law_force(inertance, {"inertance": 1.0}, PLACE, motion) is None

@@ -1,20 +1,20 @@
 """The test that decides between candidates: within the limits of the rig, and better than the usual one."""
 
+from types import SimpleNamespace
+
 import builders
 import numpy as np
 import pytest
 from builders import channel, damper, spring
 
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis._planning.design import Rival, design_test
+from isd_gym.diagnosis._planning.design import design_test
 from isd_gym.diagnosis._planning.excitation import (
     KINDS,
     Excitation,
-    Limits,
     Rig,
     infer_rig,
     list_excitations,
-    make_excitation,
     make_record,
 )
 from isd_gym.physics.network import Network
@@ -33,16 +33,15 @@ MASS = Network.load(
         },
     )
 )
-SHORT = Rig({"stroke": Limits(0.01)}, (1.0, 7.0), 8.0, 0.008)
+SHORT = Rig({"stroke": (0.01, np.inf)}, (1.0, 7.0), 8.0, 0.008)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_excitation_keeps_within_the_rigs_limits(kind):
     network = Network.load("quarter-car-isd")
-    rig = Rig(
-        {"road": Limits(0.02, 0.3), "current": Limits(4.0)}, (0.5, 15.0), 10.0, 2e-3
-    )
-    played = Excitation(kind, 0.5, 15.0, ("road", "current")).signals(network, rig)
+    limits = {"road": (0.02, 0.3), "current": (4.0, np.inf)}
+    rig = Rig(limits, (0.5, 15.0), 10.0, 2e-3)
+    played = Excitation(kind, rig.band, ("road", "current")).signals(network, rig)
     road, current = played["road"], played["current"]
     assert np.abs(road).max() <= 0.02 * (1 + 1e-9)
     assert np.abs(np.diff(road)).max() / rig.step <= 0.3 * (1 + 1e-9)
@@ -54,11 +53,11 @@ def test_an_excitation_keeps_within_the_rigs_limits(kind):
 
 
 def test_limits_come_from_the_records():
-    record = make_record(MASS, SHORT, Excitation("sweep", 1.0, 5.0, ("stroke",), 0.5))
+    sweep = Excitation("sweep", (1.0, 5.0), ("stroke",), 0.5)
+    record = make_record(MASS, SHORT, sweep)
     rig = infer_rig(MASS, [record])
-    assert rig.limits["stroke"].reach == pytest.approx(
-        np.abs(record.inputs["stroke"]).max()
-    )
+    largest = np.abs(record.inputs["stroke"]).max()
+    assert rig.limits["stroke"][0] == pytest.approx(largest)
     assert rig.length == pytest.approx(8.0, rel=0.01)
     assert 0.5 < rig.band[0] < 1.5
     assert 3.0 < rig.band[1] < 7.0
@@ -66,21 +65,27 @@ def test_limits_come_from_the_records():
 
 
 def rival(effect, **values):
-    structure = add(
-        base_structure(MASS), Hypothesis(effect, ("table", "ground")), values
-    )
-    return Rival(effect, structure, structure.start)
+    law = Hypothesis(effect, ("table", "ground"))
+    structure = add(base_structure(MASS), law, values)
+    return SimpleNamespace(label=effect, structure=structure, x=structure.start)
 
 
 def test_a_designed_test_separates_rivals_better_than_the_usual_one():
     left = [rival("coulomb_friction", level=3.0), rival("linear_damping", damping=14.0)]
+    usual = Excitation("multisine", SHORT.band, ("stroke",))
     tests = [
-        Excitation(k, 1.0, 7.0, ("stroke",), size)
-        for k, size in (("triangle", 0.4), ("sweep", 0.3))
+        usual,
+        Excitation("triangle", SHORT.band, ("stroke",), 0.4),
+        Excitation("sweep", SHORT.band, ("stroke",), 0.3),
     ]
-    tests.insert(0, make_excitation(MASS, SHORT))
-    found = design_test(MASS, left, SHORT, np.array([0.05]), tests=tests)
-    assert found.separation >= found.usual > 0
+    noise = np.array([0.05])
+
+    def distance(tests, noise=noise):
+        return design_test(MASS, left, SHORT, noise, tests).separation.distance
+
+    found = design_test(MASS, left, SHORT, noise, tests)
+    assert found.separation.distance >= distance([usual]) > 0
+    assert set(found.separation.closest) == {"coulomb_friction", "linear_damping"}
     assert np.abs(found.record.inputs["stroke"]).max() <= 0.01 + 1e-12
-    louder = design_test(MASS, left, SHORT, np.array([0.5]), tests=tests)
-    assert louder.separation < found.separation
+    assert distance(tests, 10 * noise) < found.separation.distance
+    assert found.table(MASS).columns.keys() == {"stroke [mm]"}

@@ -19,7 +19,7 @@ from ._estimation.structure import (
 )
 from ._hypotheses.library import hypotheses
 from ._hypotheses.motion import loads_of, tell_gain
-from ._planning.design import next_experiment, played
+from ._planning.design import next_experiment
 from ._selection.answer import beyond_noise
 from ._selection.free_force import FreeForce, fit_free_force
 from ._selection.uncertainty import intervals, with_posterior
@@ -357,10 +357,11 @@ class ResultBuilder:
         self.flow.say("designing the test that would decide")
 
         def design() -> tuple[dict[str, Any], Table] | None:
-            found = next_experiment(self.flow.whole, [row.fit for row in rows], noise)
+            whole = self.flow.whole
+            found = next_experiment(whole, [row.fit for row in rows], noise)
             if found is None:
                 return None
-            return found.to_dict(), played(self.flow.whole.network, found.record)
+            return found.to_dict(whole.network), found.table(whole.network)
 
         return self._attempt("the next test", design) or (None, None)
 

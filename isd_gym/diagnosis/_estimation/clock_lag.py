@@ -41,9 +41,7 @@ BLOCKS = 20  # number of blocks for the confidence interval by scatter
 ROUNDS = 6  # largest number of Gauss-Newton rounds
 #: Largest change of a lag per round, in time scales of the record: outputs are linear over shorter times only.
 STRIDE = 0.3
-RIVAL = 4.0  # ratio to the least cost of minima of the wide search to be fitted
-MANY = 6  # largest number of minima to be fitted beside the best
-ALIKE = 1.3  # ratio to the least cost of fits below which a lag is nearly as good
+ALIKE = 1.15  # ratio to the least cost below which a lag is nearly as good
 
 
 @dataclass(frozen=True)
@@ -86,10 +84,8 @@ def align_clocks(
     problem = Problem(network, out)
     for i, r in enumerate(out):
         if r.clocks and previous is None:
-            found, doubts[i], rivals = _search_lags(problem, structure, i, limit)
+            found, doubts[i] = _search_lags(problem, structure, i, limit)
             out[i] = _apply_lags(r, found, network)
-            if rivals:
-                out[i], doubts[i] = _fit_rivals(out[i], rivals, network)
     x, fit = structure.start, None
     for _ in range(ROUNDS):
         problem = Problem(network, out)
@@ -219,8 +215,8 @@ class _LagCost:
 
 def _search_lags(
     problem: Problem, base: Structure, index: int, limit: float
-) -> tuple[dict[str, float], str, list[float]]:
-    """Return the lags of a record's clocks [s] within a limit, a reason to doubt them, and rival lags of a single clock [s]."""
+) -> tuple[dict[str, float], str]:
+    """Return the lags of a record's clocks [s] within a limit, and a reason to doubt them."""
     record = problem.records[index]
     x0 = guess(problem, base.at(base.start), index)
     fine = Problem(problem.network, [record.unread()], time=problem.time)
@@ -230,32 +226,21 @@ def _search_lags(
     )
     lags, doubt = dict(record.lags), ""
     if not np.isfinite(columns).all():
-        return lags, "the model breaks down before anything is fitted", []
+        return lags, "the model breaks down before anything is fitted"
     prior = np.append(1 / base.sigma, np.full(tangent.by_state.shape[2], 1e-9))
     grid = record.start + record.step * np.arange(len(columns))
     reach = min(limit, 0.25 * (grid[-1] - grid[0]))
-    known = [
-        j
-        for j in range(len(problem.channels))
-        if not any(own[j] for own in record.late)
-    ]
-    rivals: list[float] = []
+    free_offset = problem.shared_offset | problem.record_offset
+    known = np.flatnonzero(~np.any(record.late, axis=0)).tolist()
     for clock, own in zip(record.clocks, record.late, strict=True):
         late = np.flatnonzero(own).tolist()
         samples = {
             j: _thin_samples(problem, record, j, grid, reach) for j in (*known, *late)
         }
         if min(len(s.values) for s in samples.values()) < FEWEST:
-            return lags, "too short to look for it", []
+            return lags, "too short to look for it"
         cost = _LagCost(
-            samples,
-            known,
-            late,
-            grid,
-            record.step,
-            columns,
-            prior,
-            problem.shared_offset | problem.record_offset,
+            samples, known, late, grid, record.step, columns, prior, free_offset
         )
         trials = _choose_trials(cost, record.pace, reach)
         costs = np.array([cost(float(t)) for t in trials])
@@ -264,13 +249,14 @@ def _search_lags(
             near = best + width * record.pace * np.arange(-2, 3)
             best = float(near[int(np.argmin([cost(float(t)) for t in near]))])
         lags[clock] = best
+        far = np.abs(trials - best) > 2.0 * record.pace
         count = sum(len(s.values) for s in samples.values())
-        doubt, rivals = _find_rivals(
-            trials, costs, best, cost(best), count, record.pace, doubt
-        )
         if abs(best) > 0.97 * reach:
             doubt = f"at the limit of {reach:.3g} s within which it was sought"
-    return lags, doubt, rivals if len(record.clocks) == 1 else []
+        elif far.any() and costs[far].min() < ALIKE * cost(best) + 0.02 * count:
+            rival = float(trials[far][int(np.argmin(costs[far]))])
+            doubt = f"{1e3 * rival:.4g} ms would be nearly as good"
+    return lags, doubt
 
 
 def _thin_samples(
@@ -306,66 +292,3 @@ def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
         size = np.linalg.norm(x, axis=1) * np.linalg.norm(v - v.mean())
         score += x @ (v - v.mean()) / np.maximum(size, 1e-300)
     return every[np.sort(np.argsort(-score)[:TRIALS])]
-
-
-def _find_rivals(
-    trials: Array,
-    costs: Array,
-    best: float,
-    least: float,
-    count: int,
-    pace: float,
-    doubt: str,
-) -> tuple[str, list[float]]:
-    """Return a reason to doubt the best lag, `doubt` by default, and further minima of the wide search for a fit [s]."""
-    far = np.abs(trials - best) > 2.0 * pace
-    if far.any() and float(costs[far].min()) < 1.15 * least + 0.02 * count:
-        doubt = _say_rival(float(trials[far][int(np.argmin(costs[far]))]))
-    valleys = [
-        k
-        for k in range(1, len(trials) - 1)
-        if costs[k] <= min(costs[k - 1], costs[k + 1])
-        and abs(trials[k] - best) > pace
-        and costs[k] < RIVAL * least
-    ]
-    small = sorted(valleys, key=lambda k: abs(trials[k]))[
-        : MANY // 2
-    ]  # small lags are more likely
-    chosen = list(dict.fromkeys([*small, *sorted(valleys, key=lambda k: costs[k])]))[
-        :MANY
-    ]
-    return doubt, [float(trials[k]) for k in chosen]
-
-
-def _fit_rivals(
-    record: Record, rivals: Sequence[float], network: Network
-) -> tuple[Record, str]:
-    """Return a record with the best lag of its only clock after a fit of the rival lags, and a reason to doubt the lag."""
-    (clock,) = record.clocks
-    structure, tried = base_structure(network), []
-    for r in [record, *(_apply_lags(record, {clock: lag}, network) for lag in rivals)]:
-        weights = white_weights(
-            0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300)
-        )
-        try:
-            fit = Fitter(Problem(network, [r]), weights).fit(structure, iterations=5)
-        except InputError:
-            continue
-        (step,) = np.clip(
-            fit.offset[0][len(network.outputs) :], -STRIDE * r.pace, STRIDE * r.pace
-        )
-        tried.append(((fit.cost + fit.prior) / len(r), r.lags[clock] + float(step)))
-    if not tried:
-        return record, "the model breaks down before anything is fitted"
-    least, best = min(tried)
-    alike = [
-        lag
-        for cost, lag in tried
-        if cost < ALIKE * least and abs(lag - best) > record.pace
-    ]
-    doubt = _say_rival(min(alike, key=abs)) if alike else ""
-    return _apply_lags(record, {clock: best}, network), doubt
-
-
-def _say_rival(lag: float) -> str:
-    return f"{1e3 * lag:.4g} ms would be nearly as good"

@@ -1,5 +1,5 @@
 """Forces between two nodes: the missing one over time, which the residuals of the outputs show, its periods over travel, and those of
-laws along a given motion, with the response of a fitted model.
+laws along a given motion.
 
 A force that repeats over travel has a line in its spectrum over position, whatever the motion in time (Lomb, Least-squares frequency
 analysis of unequally spaced data, Astrophysics and Space Science 39 (1976) 447).
@@ -21,8 +21,7 @@ from ..._common.units import convert
 from ...physics import elements as el
 from ...physics.network import GROUND, Channel, Network, assemble, linearise
 from ...physics.network.frames import frames, order_told
-from ...physics.simulate import Plant, pace, side_by_side
-from .._estimation.structure import Structure, add
+from ...physics.simulate import pace
 from .._simulation.problem import BROKEN, Problem, bare
 from .motion import motions_by_record
 
@@ -42,15 +41,13 @@ if TYPE_CHECKING:
 
 HIGHEST = 8.0  # times the frequency of the motion
 LINES = 4  # periods that are returned
-KNOTS = 240  # per period of a force that repeats
+POINTS = 1601  # of the curve of a law: a cogging may have dozens of periods
 RESOLUTION = 0.25  # step of the spectrum, in periods over the whole travel
 RESOLVED = 2.5  # samples of a period, at the typical speed, below which the period cannot be seen
 MOST_PERIODS = 20_000  # over the travel
 ALL = 1e9  # no upper limit of the band but the sampling
 BAND = 0.9  # of the thinned records' band that their low-pass keeps
 LOST = 0.25  # share of the residual's power beyond the noise that must not be lost
-#: names of the force in a model, and of the travel of a bench
-PUSH, TRAVEL = "_push", "_travel"
 #: samples of a record below which its simulated motion is used
 LEAST = 16
 
@@ -348,78 +345,14 @@ def _corrected(m: Motion, record: Record, moved: Array) -> Motion:
     return el.Motion(m.d + d, m.v + v, m.a)
 
 
-def law_forces(
-    network: Network,
-    pair: Pair,
-    motion: Motion,
-    step: float,
-    ways: Sequence[tuple[Hypothesis, Mapping[str, float]]],
-) -> Array:
-    """Return the force that each law adds between two nodes along a motion with a sampling step [s] (samples, laws) [N]; NaN where a law
-    has no force there. The elements between the nodes are simulated alone; a force that repeats over travel is read from one period."""
-    driven, held = pair if pair[0] != GROUND else pair[::-1]
-    sign = 1.0 if driven == pair[0] else -1.0
-    alone = _bench(network, driven, held)
-    groups: dict[tuple[object, ...], list[tuple[int, Network]]] = {}
-    periodic: dict[int, Array] = {}
-    for k, (h, values) in enumerate([(None, {}), *ways]):
-        try:
-            built = alone
-            if h is not None:
-                if h.kind.periodic and h.kind.plane == "elongation":
-                    side = 1.0 if h.where == pair else -1.0
-                    periodic[k] = side * _repeated(h, values, side * motion.d)
-                    continue
-                where = tuple(GROUND if n == held else n for n in h.where)
-                built = add(
-                    Structure(alone, ()), replace(h, where=where), values
-                ).network
-            here = [e for e in built.elements if GROUND in e.where]
-            probes = tuple(
-                built.probe(f"_{e.name}", "force", element=e.name) for e in here
-            )
-            built = bare(replace(built, outputs=probes))
-            along = tuple(1.0 if e.where[1] == GROUND else -1.0 for e in here)
-            groups.setdefault((along, *side_by_side(assemble(built))), []).append(
-                (k, built)
-            )
-        except (ValueError, *BROKEN):
-            continue
-    out = np.full((len(motion.d), 1 + len(ways)), np.nan)
-    travel = {TRAVEL: sign * motion.d}
-    rates = {TRAVEL: (sign * motion.v, sign * motion.a)}
-    for key, members in groups.items():
-        try:
-            plant = Plant([n for _, n in members], step)
-            y = plant.run(travel, samples=len(motion.d), derivatives=rates)
-        except BROKEN:
-            continue
-        out[:, [k for k, _ in members]] = sign * np.einsum(
-            "ijk,j->ik", y, np.array(key[0])
-        )
-    out -= out[:, :1]
-    for k, force in periodic.items():
-        out[:, k] = force
-    return out[:, 1:]
-
-
-def _repeated(h: Hypothesis, values: Mapping[str, float], travel: Array) -> Array:
-    """Return the force (n,) [N] of a law that repeats over travel, from its curve over one period."""
+def law_force(
+    h: Hypothesis, values: Mapping[str, float], pair: Pair, motion: Motion
+) -> Array | None:
+    """Return the force (samples,) [N] of a law along the motion of a pair, from its curve; None for a law without one."""
+    if h.kind.plane == "time":
+        return None
     element = h.kind(name="alone", where=h.where, **values, **dict(h.options))
-    period = element.period() or math.inf
-    axis = np.linspace(0.0, period, KNOTS + 1)
-    return np.interp(np.mod(travel, period), axis, element.curve(axis))
-
-
-def _bench(network: Network, driven: str, held: str) -> Network:
-    """Return the elements between two nodes alone, without those that read other channels or elements."""
-    here: list[el.Element] = [
-        replace(e, where=tuple(GROUND if n == held else n for n in e.where))
-        for e in el.beside(network, (driven, held))
-        if not (isinstance(e, el.Motor) or e.loaded or e.scheduled)
-    ]
-    if not here:  # a network has at least one element
-        here = [el.LinearStiffness("_none", (driven, GROUND), stiffness=0.0)]  # type: ignore[call-arg]
-    return Network(
-        "bench", {}, tuple(here), (Channel(TRAVEL, "displacement", "m", at=driven),)
-    )
+    side = 1.0 if h.where == pair else -1.0
+    along = side * (motion.v if h.kind.plane == "rate" else motion.d)
+    axis = np.linspace(float(along.min()), float(along.max()), POINTS)
+    return side * np.interp(along, axis, element.curve(axis))

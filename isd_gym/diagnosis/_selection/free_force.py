@@ -25,7 +25,7 @@ from .._hypotheses.forces import PlaceForces, place_forces
 from .._hypotheses.law_matching import follows_motion, starts_of
 from .._hypotheses.library import hypotheses, pairs
 from .._hypotheses.motion import motions
-from .._hypotheses.pair_forces import law_forces
+from .._hypotheses.pair_forces import law_force
 from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
 from .admissibility import is_admissible, travels
@@ -426,25 +426,18 @@ def nearest(
     known = travels(problem, best.network, {e.between: m})
     laws = [h for h in here if not h.kind.periodic and is_admissible(h, known)]
     starts = starts_of(problem, best, {(h.where[0], h.where[1]): m for h in laws}, laws)
-    step = problem.records[problem.estimation[0]].step
-    forces = law_forces(
-        network,
-        e.between,
-        m,
-        step,
-        [(h, way) for h, start in starts for way in start.ways],
-    )
-    target, at, out = e.at(m.d, m.v), 0, dict[str, float]()
+    target = e.at(m.d, m.v)
+    out: dict[str, float] = {}
     for h, start in starts:
-        columns = forces[:, at : at + len(start.ways)]
-        at += len(start.ways)
-        if not np.isfinite(columns).all():
+        forces = [law_force(h, way, e.between, m) for way in start.ways]
+        known_forces = [f for f in forces if f is not None]
+        if not known_forces:
             continue
+        columns = np.stack(known_forces, axis=1)
         size = np.linalg.lstsq(columns, target, rcond=None)[0]
         if start.signed or np.all(size > 0):
-            share = 1.0 - float(
-                np.sum((target - columns @ size) ** 2) / max(np.sum(target**2), 1e-300)
-            )
+            left = np.sum((target - columns @ size) ** 2)
+            share = 1.0 - float(left / max(np.sum(target**2), 1e-300))
             out[h.effect] = max(out.get(h.effect, 0.0), share)
     ranked = sorted(out.items(), key=lambda t: -t[1])
     return [(name, share) for name, share in ranked if share > 0.05][:3]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...diagnosis._estimation.structure import Hypothesis
-from ...diagnosis._hypotheses.pair_forces import law_forces
+from ...diagnosis._hypotheses.pair_forces import law_force
 from ...physics import elements as el
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule
 from .plots import BLUE, COLOURS, INK, MUTED, Look, caption, percent
@@ -145,20 +145,19 @@ def _force(view: View, cloud: Cloud, kind: str) -> Panel:
 
 def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
     """Yield the curve of each candidate at the place of the missing force."""
-    base, trace = view.d.refitted, view.trace
+    trace = view.trace
     if trace is None:
         return
     factor, _ = law_axis(kind, view.turns(cloud.pair))
     step = float(trace.time[1] - trace.time[0])
     motion = el.Motion(cloud.travel, cloud.rate, np.gradient(cloud.rate, step))
-    given = np.stack(
-        [cloud.travel, cloud.rate, motion.a, np.ones(len(cloud.rate))], axis=1
-    )
+    given = [cloud.travel, cloud.rate, motion.a, np.ones(len(cloud.rate))]
     for k, laws in enumerate(_candidates_at(view.d, cloud.pair)):
-        force = law_forces(base, cloud.pair, motion, step, laws)
-        if not np.isfinite(force).all():
+        forces = [law_force(h, values, cloud.pair, motion) for h, values in laws]
+        drawn_laws = [f for f in forces if f is not None]
+        if not drawn_laws:
             continue
-        columns = np.concatenate([force, given], axis=1)
+        columns = np.stack([*drawn_laws, *given], axis=1)
         size = np.linalg.norm(columns, axis=0)
         columns /= np.where(size > 0, size, 1.0)
         drawn = columns @ np.linalg.lstsq(columns, cloud.before, rcond=1e-9)[0]
