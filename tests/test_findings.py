@@ -15,6 +15,7 @@ from isd_gym.diagnosis._selection.weights import FREE_FORCE, Statement, Weighted
 from isd_gym.diagnosis._verdict.findings import Finder
 from isd_gym.diagnosis._verdict.grades import MISTAKEN, OBSERVED, grade, observed
 from isd_gym.diagnosis._verdict.wording import summary_of
+from isd_gym.diagnosis.result import _plain
 
 FRONT, REAR = ("body_front", "wheel_front"), ("body_rear", "wheel_rear")
 NO_LAWS = SimpleNamespace(hypotheses=(), elements=())
@@ -109,7 +110,7 @@ def test_a_place_with_most_of_the_weight_is_not_open_however_doubtful_the_kind_i
 def test_a_kind_that_explains_a_part_is_told_as_probable():
     front = [friction(FRONT)]
     for explained, told in ((0.99, "is missing"), (0.6, "is probably missing")):
-        findings = [f.to_dict() for f in found((1.0, front), explained=explained)]
+        findings = [_plain(f) for f in found((1.0, front), explained=explained)]
         text = summary_of(document(NONE, findings=findings))
         assert (
             f"Dry friction between body_front and wheel_front {told} (probability"
@@ -119,7 +120,7 @@ def test_a_kind_that_explains_a_part_is_told_as_probable():
 
 def test_the_summary_says_that_the_place_is_open():
     front, rear = [friction(FRONT)], [friction(REAR)]
-    findings = [f.to_dict() for f in found((0.55, front), (0.43, rear), (0.02, []))]
+    findings = [_plain(f) for f in found((0.55, front), (0.43, rear), (0.02, []))]
     text = summary_of(document(NONE, findings=findings))
     assert (
         "Dry friction is missing (probability 0.93), but the data do not determine its place:"
@@ -129,18 +130,6 @@ def test_the_summary_says_that_the_place_is_open():
         "between body_front and wheel_front (0.53) or between body_rear and wheel_rear (0.42)."
         in text
     )
-    assert "Also possible" not in text
-
-
-@pytest.mark.parametrize(
-    ("beside", "words"), [(True, "Perhaps beside it"), (False, "Also possible")]
-)
-def test_a_kind_beside_a_certain_kind_is_told_from_one_in_its_place(beside, words):
-    spring = Statement(FRONT, "elastic", "cubic_stiffness")
-    further = [friction(FRONT), spring] if beside else [spring]
-    findings = [f.to_dict() for f in found((0.75, [friction(FRONT)]), (0.25, further))]
-    text = summary_of(document(NONE, findings=findings))
-    assert f"{words}: an elastic force between body_front and wheel_front" in text
 
 
 @pytest.mark.parametrize(

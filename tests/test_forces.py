@@ -10,13 +10,11 @@ from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
 from isd_gym.diagnosis._hypotheses.forces import (
     PlaceForces,
-    dissipated_work,
     lossy_share,
     place_forces,
 )
 from isd_gym.diagnosis._hypotheses.law_matching import simulate_unmodelled_effects
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics import elements as el
 
 STEP, BODY = 5e-3, 400.0
 
@@ -119,15 +117,6 @@ def ring_down(damping, effect, values):
         structure, structure.start, [0]
     )
     return problem, fit
-
-
-def test_the_elastic_part_of_a_force_does_no_work():
-    phase = np.linspace(0.0, 6.0 * np.pi, 3001)
-    motion = el.Motion(0.2 * np.sin(phase), 0.2 * np.cos(phase), -0.2 * np.sin(phase))
-    force = 30.0 * motion.d + 5.0 * motion.d**3 + 2.0 * np.sign(motion.v) + 7.0
-    assert dissipated_work(force, motion) == pytest.approx(
-        2.0 * 0.2 * 2.0 / np.pi, rel=1e-3
-    )
 
 
 def test_unmodelled_friction_is_small_beside_the_damping_where_damping_is_slight():

@@ -77,7 +77,7 @@ def test_a_coast_down_whose_speed_alone_is_measured_shows_no_spring():
     ]
     d = diagnose(runs[:2], DRUM, validate=runs[2:])
     stated = {e.effect for e in d.effects} | {
-        e for c in d.contenders for e in c.effects
+        e for c in d.alternatives for e in c.effects
     }
     assert stated
     assert not stated & {

@@ -6,10 +6,11 @@ from builders import fitted, oscillator, sines
 
 from isd_gym.diagnosis._estimation.structure import Hypothesis
 from isd_gym.diagnosis._hypotheses.motion import motions
-from isd_gym.diagnosis._hypotheses.pair_forces import law_force, measured_motions
+from isd_gym.diagnosis._hypotheses.pair_forces import measured_motions
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
 from isd_gym.physics.simulate import simulate
+from isd_gym.view.report.steps import law_force
 
 STEP, NOISE, PLACE = 2e-3, 2e-6, ("mass", "base")
 

@@ -86,7 +86,7 @@ def test_it_is_named_where_it_is_hidden(registered):
         {"mass", "base"},
     )
     assert effect.parameters["force"].value == pytest.approx(5.0, rel=0.1)
-    assert found.laws and found.model.element(effect.element).type == "softening_clip"
+    assert found.model.element(effect.element).type == "softening_clip"
 
 
 LAW = """

@@ -74,11 +74,11 @@ isd_gym.benchmark.sweep.items
 isd_gym.benchmark.tracks
     TRACKS Track find_track
 isd_gym.diagnosis
-    CRITERIA Contender Criteria Diagnosis Effect Evidence Gate Hypothesis Law Place Quantity SearchSettings
-    Trace diagnose hypotheses
+    CRITERIA Criteria Diagnosis Effect Evidence Gate Hypothesis LawSet Place Quantity SearchSettings Trace
+    diagnose hypotheses
 isd_gym.diagnosis.result
-    Contender Diagnosis Effect Law Place Quantity Trace
-    also BestCandidate BestTable FOLDER LawSet Over Remainder SCHEMA ScreenedPlace Stretches Tabulated
+    Diagnosis Effect LawSet Place Quantity Trace
+    also BestCandidate BestTable FOLDER Over Remainder SCHEMA ScreenedPlace Stretches Tabulated
 isd_gym.diagnosis.simulation
     FittedInitialState initial_state state_of
 isd_gym.env
@@ -208,7 +208,7 @@ isd_gym.view.report.diagnosis
     WORST check_target draw_gap draw_law draw_loops draw_other_loops draw_parameters draw_plane draw_residuals
     draw_spectra draw_time learned notebook_page write_report
 isd_gym.view.report.forces
-    also Cloud Curve GRID Loops TAPER clouds loops_of measured_loops
+    also Cloud Curve GRID Law Loops TAPER clouds laws_of loops_of measured_loops
 isd_gym.view.report.inspection
     also page
 isd_gym.view.report.plots
@@ -221,7 +221,7 @@ isd_gym.view.report.score
     also COLUMNS SCORE_KIND SCORE_PARTS SIGNALS Shown WELCH check_report distribution histories limits
     score_report spectra trade_off
 isd_gym.view.report.steps
-    also draw_steps force_axis law_axis trend
+    also GRID draw_steps force_axis law_axis law_force trend
 """
 
 

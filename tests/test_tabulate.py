@@ -1,4 +1,4 @@
-"""The law that no list has: tables with a smooth prior, the laws nearest to them, and the verdict that shows one."""
+"""The law that no list has: tables with a smooth prior, and the verdict that shows one."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -104,7 +104,7 @@ def test_a_finished_diagnosis_is_not_lost_where_a_model_does_not_simulate_a_whol
 
     monkeypatch.setattr(builder, "Fitter", Breaking)
     monkeypatch.setattr(builder.Finder, "find", breaks)
-    for name in ("intervals", "draw_law", "next_experiment"):
+    for name in ("intervals", "next_experiment"):
         monkeypatch.setattr(builder, name, breaks)
     result = diagnose(runs[:1], network, validate=runs[1:])
     assert (
@@ -113,9 +113,6 @@ def test_a_finished_diagnosis_is_not_lost_where_a_model_does_not_simulate_a_whol
     )
     assert all(np.isnan(y).all() for t in result.traces for y in t.after.values())
     assert any("no curve is drawn" in n for n in result.notes)
-    assert any(
-        "the picture of a law could not be made: singular" in n for n in result.notes
-    )
     page = write_report(result, tmp_path / "found")
     assert (
         page.exists()

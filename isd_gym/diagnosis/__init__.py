@@ -19,18 +19,17 @@ from ._selection.criteria import CRITERIA, Criteria
 from ._selection.settings import SearchSettings
 from ._verdict.evidence import Evidence
 from ._workflow import diagnose
-from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
+from .result import Diagnosis, Effect, LawSet, Place, Quantity, Trace
 
 __all__ = [
     "CRITERIA",
-    "Contender",
     "Criteria",
     "Diagnosis",
     "Effect",
     "Evidence",
     "Gate",
     "Hypothesis",
-    "Law",
+    "LawSet",
     "Place",
     "Quantity",
     "SearchSettings",

@@ -26,12 +26,11 @@ from ._selection.uncertainty import intervals, with_posterior
 from ._selection.weights import Statement, weigh
 from ._simulation.problem import BROKEN
 from ._simulation.time_limit import RESULT, TimeUp
-from ._verdict.explanation import draw_law, draw_table, locate_errors
+from ._verdict.explanation import locate_errors
 from ._verdict.findings import Finder
 from ._verdict.wording import summary_of
 from .result import (
     BestCandidate,
-    Contender,
     Diagnosis,
     Effect,
     LawSet,
@@ -57,14 +56,11 @@ if TYPE_CHECKING:
     from ._verdict.findings import Finding
     from ._verdict.gates import Decision
     from ._workflow import Workflow
-    from .result import Law, Tabulated
 
 
 T = TypeVar("T")
-#: reason why one set of several is not named
-ALIKE = "cannot be told apart on these data"
-#: largest number of sets of laws with a completed model, and of sets that the result lists
-MOST_SETS, RIVALS = 5, 6
+#: largest number of sets of laws that the result lists
+MOST_SETS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +102,7 @@ class ResultBuilder:
         effects = self._effects(measured.quantities, findings) if is_named else []
         rows = self._errors(final)
         noise = measured.noise * search.evaluator.validation_deviation
-        rivals = self._rivals()
-        test, inputs = self._next_test(rivals, noise) if is_ambiguous else (None, None)
+        test, inputs = self._next_test(noise) if is_ambiguous else (None, None)
         fitted = with_sensor_offsets(final.fit.network, final.fit.structure.offsets)
         result = Diagnosis(
             verdict=verdict,
@@ -120,9 +115,8 @@ class ResultBuilder:
             stretches=over,
             closed_loop=self.flow.feedback,
             effects=tuple(effects),
-            contenders=tuple(self._contenders(rivals if is_ambiguous else rivals[1:])),
             findings=findings,
-            sets=tuple(s for s, _ in self.sets),
+            sets=self.sets,
             where=()
             if verdict == "no_discrepancy"
             else locate_errors(p, refit.fit, noise),
@@ -141,7 +135,6 @@ class ResultBuilder:
                 with_posterior(fitted, posterior), decision, completes
             ),
             traces=self._traces(final),
-            laws=self._laws(final.fit, effects, free.tabulated),
             notes=tuple(dict.fromkeys((*self.flow.notes, *self._tried(), *self.lost))),
             units={c.name: c.unit for c in network.outputs},
             evidence=measured.evidence,
@@ -150,10 +143,6 @@ class ResultBuilder:
         )
         result = replace(result, not_tried=tuple(search.clock.left_out))
         return replace(result, summary=summary_of(result.to_dict()))
-
-    def _rivals(self) -> list[Row]:
-        """Return the sets of the band, the simplest first, each with other kinds or places."""
-        return list(self.answer.band[: RIVALS + 1])
 
     def _is_supported(self, free: FreeForce) -> bool:
         """Return whether the foremost set completes the model: it errs less than the refitted model, on test records by a material amount,
@@ -232,23 +221,29 @@ class ResultBuilder:
         out = []
         for f in found:
             place = tuple(sorted(f.place))
-            own = tuple(s for s, kinds in self.sets if (f.kind, place) in kinds)
-            out.append(replace(f, sets=own))
+            rows = zip(self.sets, answer.band, strict=False)
+            own = [s.file for s, row in rows if (f.kind, place) in row.kinds]
+            out.append(replace(f, sets=tuple(own)))
         return tuple(out)
 
     @functools.cached_property
-    def sets(self) -> list[tuple[LawSet, frozenset[tuple[str, tuple[str, ...]]]]]:
-        """The sets of the band, the simplest first, at most `MOST_SETS`, each with its kinds and places."""
+    def sets(self) -> tuple[LawSet, ...]:
+        """The sets of the band, the simplest first, at most `MOST_SETS`."""
         answer, out = self.answer, []
-        for k, (row, weight) in enumerate(
-            zip(answer.band[:MOST_SETS], answer.weights, strict=False)
-        ):
-            members = tuple((m.effect, m.place) for m in row.members)
-            file = f"set_{k + 1}.json" if k else "model.json"
-            out.append(
-                (LawSet(members, weight, row.error, file, row.fit.network), row.kinds)
+        before = max(beyond_noise(answer.refit, answer.noise), 1e-12)
+        rows = zip(answer.band[:MOST_SETS], answer.weights, strict=False)
+        for k, (row, weight) in enumerate(rows):
+            found = LawSet(
+                **_effects_of(row.fit),
+                options=tuple(h.choices for h in row.fit.hypotheses),
+                excess=(beyond_noise(row, answer.noise) / before) ** 2,
+                weight=weight,
+                error=row.error,
+                file=f"set_{k + 1}.json" if k else "model.json",
+                model=row.fit.network,
             )
-        return out
+            out.append(found)
+        return tuple(out)
 
     # -- parts of the result ------------------------------------------------------------------------------
     def _errors(self, final: Row) -> dict[str, Array]:
@@ -337,28 +332,13 @@ class ResultBuilder:
             )
         return out
 
-    def _laws(
-        self, final: Fit, effects: Sequence[Effect], tabulated: Tabulated | None
-    ) -> tuple[Law, ...]:
-        """Return the laws of the found effects and of the table of a free force, each as a curve."""
-        p, what = self.search.problem, "the picture of a law"
-        laws = [
-            self._attempt(what, draw_law, p, final, e.element, e.parameters)
-            for e in effects
-        ]
-        if tabulated:
-            laws.append(self._attempt(what, draw_table, p, final, tabulated))
-        return tuple(law for law in laws if law is not None)
-
-    def _next_test(
-        self, rows: Sequence[Row], noise: Array
-    ) -> tuple[dict[str, Any] | None, Table | None]:
+    def _next_test(self, noise: Array) -> tuple[dict[str, Any] | None, Table | None]:
         """Return the test that would decide between sets, and its inputs."""
         self.flow.say("designing the test that would decide")
 
         def design() -> tuple[dict[str, Any], Table] | None:
             whole = self.flow.whole
-            found = next_experiment(whole, [row.fit for row in rows], noise)
+            found = next_experiment(whole, [r.fit for r in self.answer.band], noise)
             if found is None:
                 return None
             return found.to_dict(whole.network), found.table(whole.network)
@@ -381,42 +361,17 @@ class ResultBuilder:
             completes=completes,
         )
 
-    def _contenders(self, rows: Sequence[Row]) -> list[Contender]:
-        """Return the sets that the records do not tell apart."""
-        answer, out = self.answer, []
-        before = max(beyond_noise(answer.refit, answer.noise), 1e-12)
-        for row in rows:
-            left = (beyond_noise(row, answer.noise) / before) ** 2
-            options = tuple(h.choices for h in row.fit.hypotheses)
-            out.append(
-                Contender(
-                    **_effects_of(row.fit), score=left, why_not=ALIKE, options=options
-                )
-            )
-        return out
-
     def _remainder(self, noise: Array, rows: Mapping[str, Array]) -> Remainder | None:
         """Return the error beside the named effects; None where it is small."""
-        found, best, p = self.answer.foremost, self.answer.best, self.search.problem
         beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
         j = int(np.argmax(beyond))
         if beyond[j] < self.search.criteria.wide_gap**2:
             return None
-        channel = p.channels[j]
-        place = next(
-            x for x in locate_errors(p, found.fit, noise) if x.channel == channel
-        )
-        left = Remainder(
-            channel, float(rows["after"][j]), float(rows["noise_floor"][j]), place.when
-        )
-        more = [h for h in best.fit.hypotheses if h not in found.fit.hypotheses]
-        if (
-            len(more) != len(best.members) - len(found.members)
-            or not best.test[j] < found.test[j]
-        ):
-            return left
-        effects, where = tuple(h.effect for h in more), tuple(h.where for h in more)
-        return replace(left, effects=effects, where=where, error=float(best.test[j]))
+        problem, fit = self.search.problem, self.answer.foremost.fit
+        places = {x.channel: x for x in locate_errors(problem, fit, noise)}
+        channel = problem.channels[j]
+        after, floor = float(rows["after"][j]), float(rows["noise_floor"][j])
+        return Remainder(channel, after, floor, places[channel].when)
 
     def _traces(self, final: Row) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""

@@ -28,10 +28,9 @@ if TYPE_CHECKING:
     from ._verdict.gates import Reason
 
 __all__ = [
-    "Contender",
     "Diagnosis",
     "Effect",
-    "Law",
+    "LawSet",
     "Place",
     "Quantity",
     "Trace",
@@ -78,14 +77,8 @@ class Quantity:
     prior: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        head = {} if self.prior is None else {"prior": self.prior}
-        return head | {
-            "value": self.value,
-            "low": self.low,
-            "high": self.high,
-            "unit": self.unit,
-        }
+        """Return the entry of the JSON document, without an unknown prior."""
+        return {k: v for k, v in vars(self).items() if v is not None}
 
 
 @dataclass(frozen=True)
@@ -115,26 +108,28 @@ class Effect:
         return self.parameters | self.totals
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        out: dict[str, Any] = {"effect": self.effect}
-        if self.channel is not None:
-            out["channel"] = self.channel
-        else:
-            out["between"] = list(self.between) if self.between else None
-        if self.behind:
-            out["behind"] = self.behind
-        parameters = {k: q.to_dict() for k, q in self.parameters.items()}
-        if self.totals:
-            out["totals"] = {k: q.to_dict() for k, q in self.totals.items()}
-        return out | {"confidence": self.confidence, "parameters": parameters}
+        """Return the entry of the JSON document, without what the effect has not."""
+        return {
+            k: v
+            for k, v in vars(self).items()
+            if k == "parameters" or v not in (None, "", {})
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class LawSet:
     """A set of laws that the held-out records do not tell from the best one."""
 
-    #: type and place of each member
-    members: tuple[tuple[str, tuple[str, ...]], ...]
+    #: types of the effects
+    effects: tuple[str, ...]
+    #: place of each effect
+    where: tuple[tuple[str, ...], ...]
+    #: parameters of each effect by name
+    values: tuple[dict[str, float], ...]
+    #: options of each effect that are not numbers
+    options: tuple[dict[str, str], ...]
+    #: share of the refitted model's squared error beyond noise that the set leaves
+    excess: float
     #: weight beside the other sets
     weight: float
     #: error on the validation records, as a share of the deviation, root of the mean square over channels
@@ -144,37 +139,14 @@ class LawSet:
     #: the completed model
     model: Network
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        members = [{"effect": effect, "place": place} for effect, place in self.members]
-        return {
-            "members": members,
-            "weight": self.weight,
-            "error": self.error,
-            "model": self.file,
-        }
-
-
-@dataclass(frozen=True)
-class Contender:
-    """A set of effects that was tried."""
-
-    #: types of the effects
-    effects: tuple[str, ...]
-    #: place of each effect
-    where: tuple[tuple[str, ...], ...]
-    #: excess error on held-out data (1: as the refitted model, 0: noise)
-    score: float
-    #: reason why the set is not named, in words
-    why_not: str
-    #: parameters of each effect by name
-    values: tuple[dict[str, float], ...] = ()
-    #: options of each effect that are not numbers
-    options: tuple[dict[str, str], ...] = ()
+    @property
+    def members(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """Type and place of each effect."""
+        return tuple(zip(self.effects, self.where, strict=True))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        return {"excess" if k == "score" else k: v for k, v in vars(self).items()}
+        return {k: v for k, v in vars(self).items() if k != "model"}
 
 
 @dataclass(frozen=True)
@@ -184,8 +156,8 @@ class Place:
     channel: str
     #: share of the squared error beyond noise over all channels
     share: float
-    #: frequency bands (low, high) with most of the error [Hz]
-    bands_hz: tuple[tuple[float, float], ...]
+    #: frequency band (low, high) with 80 % of the error [Hz]; None without an error beyond noise
+    band_hz: tuple[float, float] | None
     #: condition of the motion under which the error is largest
     when: str
 
@@ -234,26 +206,6 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class Law:
-    """Force of an effect over elongation or rate, with its 95 % band."""
-
-    #: name of the element in the new model
-    element: str
-    #: 'rate' or 'travel'
-    kind: str
-    #: rate [m/s] or elongation [m] (n,)
-    axis: Array
-    #: force [N] (n,)
-    force: Array
-    #: lower end of the band [N] (n,)
-    low: Array
-    #: upper end of the band [N] (n,)
-    high: Array
-    #: measured operating points, in the unit of `axis`
-    visited: Array
-
-
-@dataclass(frozen=True)
 class Tabulated:
     """A missing force without a known law, as a table with its 95 % band."""
 
@@ -275,29 +227,6 @@ class Tabulated:
     low: Array
     #: upper end of the band at the knots [N]
     high: Array
-    #: nearest known laws, best first: effect, share of the squared force over the measured motion
-    nearest: tuple[tuple[str, float], ...] = ()
-    #: for a table over both arguments: argument, share of the squared force that a function of the argument alone gives
-    shares: tuple[tuple[str, float], ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        axes = {
-            k: list(v)
-            for k, v in (("elongation", self.elongation), ("rate", self.rate))
-            if v
-        }
-        return {
-            **{
-                k: getattr(self, k) for k in ("between", "over", "element", "explained")
-            },
-            **axes,
-            **{k: getattr(self, k) for k in ("force", "low", "high")},
-            "nearest": [
-                {"effect": name, "share": share} for name, share in self.nearest
-            ],
-            "shares": dict(self.shares),
-        }
 
 
 @dataclass(frozen=True)
@@ -351,18 +280,6 @@ class Remainder:
     noise_floor: float
     #: condition of the motion under which the error is largest
     when: str
-    #: effects of the closest further candidate, which was not kept
-    effects: tuple[str, ...] = ()
-    #: place of each of these effects
-    where: tuple[tuple[str, ...], ...] = ()
-    #: NRMSE of the further candidate
-    error: float = math.nan
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document."""
-        out = dict(vars(self))
-        addition = {k: out.pop(k) for k in ("effects", "where", "error")}
-        return out | {"candidate": addition if self.effects else None}
 
 
 @dataclass(frozen=True)
@@ -400,8 +317,6 @@ class Diagnosis:
     summary: str
     #: named effects
     effects: tuple[Effect, ...]
-    #: other candidates, best first
-    contenders: tuple[Contender, ...]
     #: part of the gap in each channel, largest first
     where: tuple[Place, ...]
     #: refitted parameters of the nominal model by path
@@ -422,8 +337,6 @@ class Diagnosis:
     model: Network
     #: measured and simulated signals of each record
     traces: tuple[Trace, ...]
-    #: forces of the named effects, for figures
-    laws: tuple[Law, ...] = ()
     #: notes in words
     notes: tuple[str, ...] = ()
     #: parts of the work that the limit of the time left out, in words
@@ -465,6 +378,11 @@ class Diagnosis:
     #: inputs that follow from outputs
     closed_loop: tuple[Feedback, ...] = ()
 
+    @property
+    def alternatives(self) -> tuple[LawSet, ...]:
+        """The sets of laws that the records do not tell apart, without a named one."""
+        return self.sets if self.verdict == "ambiguous" else self.sets[1:]
+
     def __repr__(self) -> str:
         found = [
             f"{e.effect} {e.channel or '-'.join(e.between or ())}".strip()
@@ -484,24 +402,9 @@ class Diagnosis:
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document (`isd-diagnosis/1`)."""
         own = {k: getattr(self, k, None) for k in _DOCUMENT}
-        clocks = [
-            {
-                "record": x.record,
-                "clock": x.clock,
-                "lag": {"value": x.value, "low": x.low, "high": x.high, "unit": "s"},
-            }
-            | ({"doubt": x.doubt} if x.doubt else {})
-            for x in self.lags
-        ]
-        # infinite evidence, such as the loss ratio without a rival, is left out
-        evidence = self.evidence and {
-            k: v
-            for k, v in vars(self.evidence).items()
-            if not (isinstance(v, float) and math.isinf(v))
-        }
         made = {
-            "schema": SCHEMA, "alternatives": self.contenders, "gap": {"held_out": self.gap, "closed": self.closed},
-            "evidence": evidence, "search": self.settings, "clocks": clocks,
+            "schema": SCHEMA, "gap": {"held_out": self.gap, "closed": self.closed},
+            "search": self.settings, "clocks": self.lags,
         }  # fmt: skip
         return {k: _plain(v) for k, v in (own | made).items()}
 

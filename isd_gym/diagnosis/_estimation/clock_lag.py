@@ -1,47 +1,45 @@
 """Lags between the clocks of loggers, estimated with the nominal model by record.
 
-A wide search with the model linear in parameters and initial state comes first. Gauss-Newton iterations over lags,
-parameters and initial state follow.
+The lags at which the nominal model correlates best with the measured outputs are fitted first. Gauss-Newton iterations over lags,
+parameters and initial states of all records follow.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..._common.arrays import Z95, Array
+from ..._common.arrays import Z95
 from ..._common.errors import InputError
 from .._records.multirate import build_record
-from .._simulation.problem import Problem, Record
+from .._simulation.problem import BROKEN, Problem, Record
 from .gauss_newton import Fit, Fitter
 from .initial_states import guess
 from .noise import white_weights
-from .sensitivities import tangents
-from .structure import Structure, base_structure
+from .structure import base_structure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from ...physics.network import Network
 
-LIMIT = 0.5  # largest lag in the search [s]
-TRIALS = 400  # number of lags in the wide search
-ROWS = 1500  # largest number of samples of a channel in the wide search
-FEWEST = 16  # least number of samples of a channel in the wide search
-ROUGH = 0.1  # assumed model error before any fit, as a share of a signal's deviation
-#: Widths of the refinement about the best lag of the wide search, in time scales of the record.
-WIDTHS = (0.15, 0.06, 0.025, 0.01)
-BLOCKS = 20  # number of blocks for the confidence interval by scatter
-ROUNDS = 6  # largest number of Gauss-Newton rounds
-#: Largest change of a lag per round, in time scales of the record: outputs are linear over shorter times only.
+#: largest lag in the search [s]
+LIMIT = 0.5
+#: interval of the lags that are tried, in time scales of the record, and largest number of fitted lags
+RASTER, PEAKS = 0.25, 6
+#: assumed model error before any fit, as a share of a signal's deviation
+ROUGH = 0.1
+#: number of blocks for the confidence interval by scatter
+BLOCKS = 20
+#: largest number of Gauss-Newton rounds
+ROUNDS = 6
+#: largest change of a lag per round, in time scales of the record: outputs are linear over shorter times only
 STRIDE = 0.3
-ALIKE = 1.15  # ratio to the least cost below which a lag is nearly as good
+#: ratio to the least cost of fits below which a lag is nearly as good
+ALIKE = 1.3
 
 
 @dataclass(frozen=True)
@@ -81,11 +79,9 @@ def align_clocks(
         if x.record == r.name
     }
     structure = base_structure(network)
-    problem = Problem(network, out)
     for i, r in enumerate(out):
         if r.clocks and previous is None:
-            found, doubts[i] = _search_lags(problem, structure, i, limit)
-            out[i] = _apply_lags(r, found, network)
+            out[i], doubts[i] = _search_lags(r, network, limit)
     x, fit = structure.start, None
     for _ in range(ROUNDS):
         problem = Problem(network, out)
@@ -156,139 +152,62 @@ def _estimate_lags(problem: Problem, fit: Fit, index: int, doubt: str) -> list[L
     return out
 
 
-@dataclass(frozen=True)
-class _Samples:
-    """Smoothed and thinned samples of a measured channel."""
-
-    time: Array  # time stamps [s] (n,)
-    values: Array  # values in the units of the model (n,)
-    deviation: float  # standard deviation of the values
-
-
-@dataclass(frozen=True)
-class _LagCost:
-    """Least squares of a record as a function of one clock's lag, minimised over parameters and initial state."""
-
-    #: Samples of channels with a known clock and of late channels, by channel index.
-    samples: Mapping[int, _Samples]
-    known: Sequence[int]  # indices of the channels with a known clock
-    late: Sequence[int]  # indices of the late channels
-    grid: np.ndarray  # simulation grid [s]
-    step: float  # interval of the grid [s]
-    #: Simulated outputs and their derivatives by parameters and initial state (grid, channels, 1 + unknowns).
-    columns: Array
-    prior: Array  # one over the prior standard deviation by unknown
-    free_offset: NDArray[
-        np.bool_
-    ]  # whether the offset of a channel is free (channels,)
-
-    def __call__(self, lag: float) -> float:
-        """Return the least sum of squares at a lag [s]."""
-        rows = np.concatenate([*self._fixed, *(self._rows(j, lag) for j in self.late)])
-        b, A = rows[:, 0] - rows[:, 1], rows[:, 2:]
-        if not A.shape[1]:
-            return float(b @ b)
-        H = A.T @ A + np.diag(self.prior**2)
-        g = A.T @ b
-        return float(
-            b @ b
-            - g @ np.linalg.solve(H + 1e-12 * np.trace(H) * np.eye(len(H)) / len(H), g)
-        )
-
-    @cached_property
-    def _fixed(self) -> list[Array]:
-        return [self._rows(j, 0.0) for j in self.known]
-
-    def _rows(self, channel: int, lag: float) -> Array:
-        """Return measured values, simulated values and derivatives of a channel (n, 2 + unknowns), weighted."""
-        samples = self.samples[channel]
-        place = (samples.time - lag - self.grid[0]) / self.step
-        k = np.clip(place.astype(int), 0, len(self.grid) - 2)
-        u = (place - k)[:, None]
-        simulated = (1 - u) * self.columns[k, channel] + u * self.columns[
-            k + 1, channel
+def _search_lags(record: Record, network: Network, limit: float) -> tuple[Record, str]:
+    """Return a record with the lags of its clocks within a limit [s], and a reason to doubt them: of the lags with the highest
+    correlation of simulated and measured outputs the one with the smallest error of a fit."""
+    structure, doubt = base_structure(network), ""
+    deviation = np.maximum(record.measured.std(axis=0), 1e-300)
+    weights = white_weights(0.5 * ROUGH * deviation)
+    for k, clock in enumerate(record.clocks):
+        tried = []
+        for lag in _peaks(record, network, k, limit):
+            r = _apply_lags(record, {**record.lags, clock: lag}, network)
+            try:
+                fit = Fitter(Problem(network, [r]), weights).fit(
+                    structure, iterations=5
+                )
+            except BROKEN:
+                continue
+            step = fit.offset[0][len(network.outputs) + k]
+            found = lag + float(np.clip(step, -STRIDE * r.pace, STRIDE * r.pace))
+            tried.append(((fit.cost + fit.prior) / len(r), found))
+        if not tried:
+            return record, "the model breaks down before anything is fitted"
+        least, best = min(tried)
+        alike = [
+            lag
+            for cost, lag in tried
+            if cost < ALIKE * least and abs(lag - best) > record.pace
         ]
-        out = np.column_stack([samples.values, simulated])
-        mean = out.mean(axis=0) * self.free_offset[channel]
-        return np.asarray((out - mean) / (ROUGH * samples.deviation))
+        if abs(best) > 0.97 * limit:
+            doubt = f"at the limit of {limit:.3g} s within which it was sought"
+        elif alike:
+            doubt = f"{1e3 * min(alike, key=abs):.4g} ms would be nearly as good"
+        record = _apply_lags(record, {**record.lags, clock: best}, network)
+    return record, doubt
 
 
-def _search_lags(
-    problem: Problem, base: Structure, index: int, limit: float
-) -> tuple[dict[str, float], str]:
-    """Return the lags of a record's clocks [s] within a limit, and a reason to doubt them."""
-    record = problem.records[index]
-    x0 = guess(problem, base.at(base.start), index)
-    fine = Problem(problem.network, [record.unread()], time=problem.time)
-    tangent = tangents(fine, base, base.start, {0: x0})[0]
-    columns = np.concatenate(
-        [tangent.outputs[:, :, None], tangent.by_parameter, tangent.by_state], axis=2
-    )
-    lags, doubt = dict(record.lags), ""
-    if not np.isfinite(columns).all():
-        return lags, "the model breaks down before anything is fitted"
-    prior = np.append(1 / base.sigma, np.full(tangent.by_state.shape[2], 1e-9))
-    grid = record.start + record.step * np.arange(len(columns))
-    reach = min(limit, 0.25 * (grid[-1] - grid[0]))
-    free_offset = problem.shared_offset | problem.record_offset
-    known = np.flatnonzero(~np.any(record.late, axis=0)).tolist()
-    for clock, own in zip(record.clocks, record.late, strict=True):
-        late = np.flatnonzero(own).tolist()
-        samples = {
-            j: _thin_samples(problem, record, j, grid, reach) for j in (*known, *late)
-        }
-        if min(len(s.values) for s in samples.values()) < FEWEST:
-            return lags, "too short to look for it"
-        cost = _LagCost(
-            samples, known, late, grid, record.step, columns, prior, free_offset
-        )
-        trials = _choose_trials(cost, record.pace, reach)
-        costs = np.array([cost(float(t)) for t in trials])
-        best = float(trials[np.argmin(costs)])
-        for width in WIDTHS:
-            near = best + width * record.pace * np.arange(-2, 3)
-            best = float(near[int(np.argmin([cost(float(t)) for t in near]))])
-        lags[clock] = best
-        far = np.abs(trials - best) > 2.0 * record.pace
-        count = sum(len(s.values) for s in samples.values())
-        if abs(best) > 0.97 * reach:
-            doubt = f"at the limit of {reach:.3g} s within which it was sought"
-        elif far.any() and costs[far].min() < ALIKE * cost(best) + 0.02 * count:
-            rival = float(trials[far][int(np.argmin(costs[far]))])
-            doubt = f"{1e3 * rival:.4g} ms would be nearly as good"
-    return lags, doubt
-
-
-def _thin_samples(
-    problem: Problem, record: Record, channel: int, grid: np.ndarray, reach: float
-) -> _Samples:
-    """Return about `ROWS` samples of a channel, on the grid for every lag up to `reach` [s]."""
+def _peaks(record: Record, network: Network, clock: int, limit: float) -> list[float]:
+    """Return the lags [s] of a clock with the highest correlation of simulated and measured outputs, each a time scale from the others."""
     assert record.source is not None
-    signal = record.source.signals[problem.channels[channel]]
-    inside = (signal.time > grid[0] + reach) & (signal.time < grid[-1] - reach)
-    time, values = (
-        signal.time[inside],
-        (signal.values * problem.factors[channel])[inside],
-    )
-    stride = max(1, len(time) // ROWS)
-    if stride > 1:  # the motion tells a lag, not the noise above the motion
-        values = np.convolve(values, np.ones(stride) / stride, mode="same")
-    return _Samples(time[::stride], values[::stride], max(float(values.std()), 1e-300))
-
-
-def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
-    """Return lags [s] for the wide search, a quarter of the time scale `pace` [s] apart: all, or the `TRIALS` with the highest
-    correlation of simulated and measured outputs."""
-    every = np.arange(-reach, reach + 0.25 * pace, 0.25 * pace)
-    if 0.25 * pace >= 2 * reach / TRIALS:
-        return every
-    score = np.zeros(len(every))
-    for j in cost.late:
-        time, v = cost.samples[j].time, cost.samples[j].values
-        x = np.stack(
-            [np.interp(time - lag, cost.grid, cost.columns[:, j, 0]) for lag in every]
-        )
-        x = x - x.mean(axis=1, keepdims=True)
-        size = np.linalg.norm(x, axis=1) * np.linalg.norm(v - v.mean())
-        score += x @ (v - v.mean()) / np.maximum(size, 1e-300)
-    return every[np.sort(np.argsort(-score)[:TRIALS])]
+    problem = Problem(network, [record.unread()])
+    initial = guess(Problem(network, [record]), network, 0)[:, None]
+    simulated = problem.simulate([network], 0, initial)[:, :, 0]
+    grid = record.start + record.step * np.arange(len(simulated))
+    spacing = RASTER * record.pace
+    count = int(min(limit, 0.25 * (grid[-1] - grid[0])) / spacing)
+    lags = spacing * np.arange(-count, count + 1)
+    inner = slice(*np.searchsorted(grid, [grid[0] - lags[0], grid[-1] + lags[0]]))
+    score = np.zeros(len(lags))
+    for j in np.flatnonzero(record.late[clock]):
+        signal = record.source.signals[problem.channels[j]]
+        y = simulated[inner, j] - simulated[inner, j].mean()
+        for n, lag in enumerate(lags):
+            x = np.interp(grid[inner] + lag, signal.time, signal.values)
+            size = float(np.linalg.norm(x - x.mean()) * np.linalg.norm(y))
+            score[n] += float((x - x.mean()) @ y) / max(size, 1e-300)
+    found: list[float] = []
+    for n in np.argsort(-score, kind="stable"):
+        if len(found) < PEAKS and all(abs(lags[n] - x) > record.pace for x in found):
+            found.append(float(lags[n]))
+    return found

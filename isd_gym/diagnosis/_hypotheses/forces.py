@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ..._common.arrays import Array
-    from ...physics.elements import Motion
     from ...physics.network import Channel
     from .._estimation.gauss_newton import Fit
     from .._simulation.problem import Problem
@@ -112,15 +111,6 @@ def lossy_share(problem: Problem, fit: Fit) -> float:
         size[e.name] for e in elements if e.name in size and e.mechanism in DISSIPATIVE
     ]
     return max(lossy) / max(*size.values(), 1e-300) if lossy else 1.0
-
-
-def dissipated_work(force: Array, motion: Motion) -> float:
-    """Return the mean power [W] of the equivalent viscous damper of a force (samples,), beside a spring (Den Hartog: Mechanical
-    Vibrations, 4th edition (1956), section 8.9)."""
-    columns = np.stack([motion.v, motion.d, np.ones(len(force))], axis=1)
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    damping = np.linalg.lstsq(columns / size, force, rcond=None)[0][0] / size[0]
-    return float(damping * np.mean(motion.v**2))
 
 
 def _measured_force(problem: Problem) -> float:

@@ -37,18 +37,19 @@ DEPENDENT = 1e-7
 
 @dataclass(frozen=True)
 class Residual:
-    """Whitened residual of a fit before (`whole`) and after (`left`) the projection orthogonal to the derivatives: (rows,), with the rows
-    and outputs of each record, an orthonormal basis of its nuisances and of the parameters, and the map to the parameters that explain a
-    residual."""
+    """Whitened residual of a fit, and what the fit absorbs of any residual to first order."""
 
-    whole: Array
+    #: residual orthogonal to the derivatives (rows,)
     left: Array
+    #: first and last row, and outputs of each record
     spans: dict[int, tuple[int, int, Array]]
+    #: orthonormal basis of the initial state and the offsets of each record
     nuisances: dict[int, Array]
+    #: orthonormal basis of the parameters, and of the offsets that records share
     basis: Array
-    solve: Array
 
     def without(self, columns: Array) -> Array:
+        """Return columns (rows, n) without what the fit absorbs."""
         out = columns - self.basis @ (self.basis.T @ columns)
         for i, Q in self.nuisances.items():
             first, last, _ = self.spans[i]
@@ -57,50 +58,40 @@ class Residual:
 
 
 def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
+    """Return the residual of a fit; its last rows are those of the stated uncertainty."""
     structure, own = fit.structure, len(fit.x)
-    p = own + int(
-        problem.shared_offset.sum()
-    )  # parameters, and offsets that all records share
     parts, spans, nuisances, at = [], {}, {}, 0
     begun = {i: fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, fit.x, begun).items():
-        r = (
-            problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i])
-        )[:, :, None]
-        free = problem.nuisances(i, t.outputs)
+        said = problem.shifted(i, t.outputs, fit.offset[i])
+        left = (problem.records[i].measured - said)[:, :, None]
         common = problem.common(t.outputs)
-        W = fitter.weights(
-            np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2)
-        )
+        free = problem.nuisances(i, t.outputs)
+        kept = 1 + own + common.shape[2]
+        stack = [left, t.by_parameter, common, t.by_state, free]
+        W = fitter.weights(np.concatenate(stack, axis=2))
         W = W.reshape(-1, W.shape[2])
-        nuisances[i], _, _ = _orthogonal(W[:, 1 + p :])
-        parts.append(W[:, : 1 + p])
+        nuisances[i] = _orthogonal(W[:, kept:])
+        parts.append(W[:, :kept])
         spans[i] = (at, at + len(W), t.outputs)
         at += len(W)
-    J = np.zeros((at + own, 1 + p))
+    J = np.zeros((at + own, kept))
     J[:at] = np.concatenate(parts)
     J[at:, 0] = (structure.mean - fit.x) / structure.sigma
-    J[at:, 1 : 1 + own] = np.diag(1 / structure.sigma)  # the stated uncertainty
-    whole, norm = J[:, 0].copy(), np.linalg.norm(J, axis=0)
+    J[at:, 1 : 1 + own] = np.diag(1 / structure.sigma)
+    norm = np.linalg.norm(J, axis=0)
     for i, (first, last, _) in spans.items():
         J[first:last] -= nuisances[i] @ (nuisances[i].T @ J[first:last])
-    basis, Q, R = _orthogonal(J[:, 1:], norm[1:])
-    solve = (np.linalg.pinv(R, rcond=DEPENDENT) @ Q.T)[:own] / np.where(
-        norm > 0, norm, 1
-    )[1 : 1 + own, None]
-    return Residual(
-        whole, J[:, 0] - basis @ (basis.T @ J[:, 0]), spans, nuisances, basis, solve
-    )
+    basis = _orthogonal(J[:, 1:], norm[1:])
+    left = J[:, 0] - basis @ (basis.T @ J[:, 0])
+    return Residual(left, spans, nuisances, basis)
 
 
-def _orthogonal(
-    columns: Array, norm: Array | None = None
-) -> tuple[Array, Array, Array]:
-    """Return an orthonormal basis of columns (rows, columns), and their QR decomposition relative to `norm`, their own norms by
-    default."""
+def _orthogonal(columns: Array, norm: Array | None = None) -> Array:
+    """Return an orthonormal basis of columns (rows, columns), without those that are small beside `norm`, their own norms by default."""
     norm = np.linalg.norm(columns, axis=0) if norm is None else norm
     Q, R = np.linalg.qr(columns / np.where(norm > 0, norm, 1))
-    return Q[:, np.abs(np.diag(R)) > DEPENDENT], Q, R
+    return np.asarray(Q[:, np.abs(np.diag(R)) > DEPENDENT])
 
 
 def follows_motion(h: Hypothesis) -> bool:

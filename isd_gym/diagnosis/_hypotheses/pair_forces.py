@@ -1,5 +1,4 @@
-"""Forces between two nodes: the missing one over time, which the residuals of the outputs show, its periods over travel, and those of
-laws along a given motion.
+"""Forces between two nodes: the missing one over time, which the residuals of the outputs show, and its periods over travel.
 
 A force that repeats over travel has a line in its spectrum over position, whatever the motion in time (Lomb, Least-squares frequency
 analysis of unequally spaced data, Astrophysics and Space Science 39 (1976) 447).
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...physics.elements import Motion
     from .._estimation.gauss_newton import Fit
-    from .._estimation.structure import Hypothesis
     from .._simulation.problem import Record
 
     Pair = tuple[str, str]
@@ -41,7 +39,6 @@ if TYPE_CHECKING:
 
 HIGHEST = 8.0  # times the frequency of the motion
 LINES = 4  # periods that are returned
-POINTS = 1601  # of the curve of a law: a cogging may have dozens of periods
 RESOLUTION = 0.25  # step of the spectrum, in periods over the whole travel
 RESOLVED = 2.5  # samples of a period, at the typical speed, below which the period cannot be seen
 MOST_PERIODS = 20_000  # over the travel
@@ -343,16 +340,3 @@ def _corrected(m: Motion, record: Record, moved: Array) -> Motion:
     )
     d, v = (np.interp(fine, at, moved[:, k]) for k in range(2))
     return el.Motion(m.d + d, m.v + v, m.a)
-
-
-def law_force(
-    h: Hypothesis, values: Mapping[str, float], pair: Pair, motion: Motion
-) -> Array | None:
-    """Return the force (samples,) [N] of a law along the motion of a pair, from its curve; None for a law without one."""
-    if h.kind.plane == "time":
-        return None
-    element = h.kind(name="alone", where=h.where, **values, **dict(h.options))
-    side = 1.0 if h.where == pair else -1.0
-    along = side * (motion.v if h.kind.plane == "rate" else motion.d)
-    axis = np.linspace(float(along.min()), float(along.max()), POINTS)
-    return side * np.interp(along, axis, element.curve(axis))

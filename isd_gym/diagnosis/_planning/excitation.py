@@ -68,7 +68,8 @@ class Excitation:
         Returns:
             Signal (samples,) [SI unit] by input.
         """
-        time = rig.step * np.arange(round(rig.length / rig.step) + 1)
+        count = round(rig.length / rig.step) + 1
+        time = np.asarray(rig.step * np.arange(count), dtype=np.float64)
         ramp = min(RAMP, 0.1 * float(time[-1]))
         position = np.clip(np.minimum(time, time[-1] - time) / ramp, 0.0, 1.0)
         window = 0.5 - 0.5 * np.cos(math.pi * position)

@@ -22,13 +22,11 @@ from .._estimation.gauss_newton import Fit, Fitter, residuals
 from .._estimation.noise import weights_of
 from .._estimation.structure import Free, Structure, cells_beside
 from .._hypotheses.forces import PlaceForces, place_forces
-from .._hypotheses.law_matching import follows_motion, starts_of
-from .._hypotheses.library import hypotheses, pairs
+from .._hypotheses.library import pairs
 from .._hypotheses.motion import motions
-from .._hypotheses.pair_forces import law_force
 from .._simulation.problem import BROKEN, Problem, bare
 from ..result import BestTable, Over, Tabulated
-from .admissibility import is_admissible, travels
+from .admissibility import travels
 from .answer import removed_share
 from .conditions import table_gates
 from .held_out_table import Row, compare, row_of
@@ -41,8 +39,8 @@ if TYPE_CHECKING:
 
 #: knots of a table: a resolution, finer than the shortest correlation length
 KNOTS = {"rate": 33, "elongation": 33, "both": 13}
-#: correlation lengths, as shares of half the motion's range, that are tried in turn
-LENGTHS = {"rate": (0.7, 0.35), "elongation": (0.7, 0.35), "both": (0.7,)}
+#: correlation length, as a share of half the motion's range
+LENGTH = 0.7
 #: smallest variance of a direction, as a share of the variance of the strongest direction
 KEPT = 1e-4
 #: largest number of directions
@@ -58,12 +56,10 @@ PLANES: tuple[Over, ...] = ("rate", "elongation")
 ENOUGH = 0.9
 #: number of places with a fitted table over both arguments
 BOTH = 2
-#: factor by which the square of the error of a table over both arguments, or with a shorter length, must be smaller
+#: factor by which the square of the error of a table over both arguments must be smaller
 RICHER = 1.15
 #: Gauss-Newton steps of a table with few samples, and with all
 STEPS, LAST_STEPS = 12, 4
-#: points of the motion at which the arguments of a table are separated: a resolution
-MARGINAL = 4000
 
 
 @dataclass(frozen=True)
@@ -137,15 +133,13 @@ def table(
     pair: tuple[str, str],
     over: Over,
     m: el.Motion,
-    length: float,
     sigma: float,
 ) -> Table:
-    """Return the refitted nominal model with a table between two nodes. `length`: share of half the motion's range; `sigma`: deviation of
-    the force [N]."""
+    """Return the refitted nominal model with a table between two nodes. `sigma`: deviation of the force [N]."""
     network, base = fit.network, fit.structure
     motion = {"elongation": m.d, "rate": m.v}
     axes = {k: _axis(x, KNOTS[over]) for k, x in motion.items() if over in (k, "both")}
-    basis = _directions([*axes.values()], length, sigma, MAX_DIRECTIONS[over])
+    basis = _directions([*axes.values()], LENGTH, sigma, MAX_DIRECTIONS[over])
     name = network.free_name("missing_force")
     shape = tuple(map(len, axes.values()))
     given: dict[str, Any] = {k: tuple(x.tolist()) for k, x in axes.items()}
@@ -211,9 +205,7 @@ def _ranked(
             if over == "elongation" and not known[pair].is_known:
                 continue
             try:
-                built = table(
-                    base, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair)
-                )
+                built = table(base, pair, over, m, STRONG * forces.at(pair))
                 ranked.append((gain(problem.rough, rough, fit, built), built))
             except BROKEN:
                 continue
@@ -264,20 +256,13 @@ def fit_free_force(
         )[:BOTH]:
             if not is_told(problem, base, pair, motion[pair]):
                 continue
-            built = table(
-                base,
-                pair,
-                "both",
-                motion[pair],
-                LENGTHS["both"][0],
-                STRONG * forces.at(pair),
-            )
+            sigma = STRONG * forces.at(pair)
+            built = table(base, pair, "both", motion[pair], sigma)
             row = _fit_table(evaluator, base, built)
             tried += [row] if row is not None else []
         found = _best_table(tried)
     if found is None:
         return FreeForce()
-    found = _refine_length(evaluator, base, found, forces)
     gained = _gained(evaluator, refit, found)
     explained = gained[0]
     structure = _structure(found)
@@ -346,24 +331,6 @@ def _best_table(tried: Sequence[Row]) -> Row | None:
     return min(tried, key=square, default=None)
 
 
-def _refine_length(
-    evaluator: HeldOutEvaluator, base: Fit, found: Row, forces: PlaceForces
-) -> Row:
-    """Return the table with a shorter correlation length, where that errs clearly less."""
-    old = _structure(found)
-    pair = old.network.element(old.element).between
-    m = motions(evaluator.problem, found.fit, (pair,))[pair]
-    for length in LENGTHS[old.over][1:]:
-        try:
-            shorter = table(base, pair, old.over, m, length, STRONG * forces.at(pair))
-        except BROKEN:
-            continue
-        row = _fit_table(evaluator, base, shorter)
-        if row is not None and RICHER * row.error**2 < found.error**2:
-            found = row
-    return found
-
-
 # ------------------------------------------------------------------------------------------------- what is told
 
 
@@ -386,58 +353,7 @@ def _tabulated(
     force, low, high = (
         y.reshape(structure.shape) for y in (force, force - spread, force + spread)
     )
-    shares = _shares(problem, best, e) if structure.over == "both" else ()
-    near = tuple(nearest(problem, best, e))
-    over, axes = structure.over, (e.elongation, e.rate)
+    axes = (e.elongation, e.rate)
     return Tabulated(
-        e.between, over, e.name, explained, *axes, force, low, high, near, shares
+        e.between, structure.over, e.name, explained, *axes, force, low, high
     )
-
-
-def _shares(
-    problem: Problem, best: Fit, e: el.TabulatedForce
-) -> tuple[tuple[str, float], ...]:
-    """Shares of the square of a table's force, over the measured motion, that functions of one argument alone give."""
-    m = motions(problem, best, (e.between,))[e.between]
-    thin = slice(None, None, max(1, len(m.d) // MARGINAL))
-    d, v = m.d[thin], m.v[thin]
-    force = e.at(d, v)
-    size = max(float(np.mean(force**2)), 1e-300)
-    out = []
-    for name, x, knots in (("elongation", d, e.elongation), ("rate", v, e.rate)):
-        cell = np.digitize(x, knots)
-        count = np.maximum(np.bincount(cell), 1)
-        mean = (np.bincount(cell, force) / count)[cell]
-        out.append((name, max(0.0, 1.0 - float(np.mean((force - mean) ** 2)) / size)))
-    return tuple(out)
-
-
-def nearest(
-    problem: Problem, best: Fit, e: el.TabulatedForce
-) -> list[tuple[str, float]]:
-    """Return at most three known laws at the place of a table, best first, with the share of its force over the measured motion that
-    each gives with the best size."""
-    m, network = motions(problem, best, (e.between,))[e.between], problem.network
-    here = [
-        h
-        for h in hypotheses(network)
-        if follows_motion(h) and set(h.where) == set(e.between)
-    ]
-    known = travels(problem, best.network, {e.between: m})
-    laws = [h for h in here if not h.kind.periodic and is_admissible(h, known)]
-    starts = starts_of(problem, best, {(h.where[0], h.where[1]): m for h in laws}, laws)
-    target = e.at(m.d, m.v)
-    out: dict[str, float] = {}
-    for h, start in starts:
-        forces = [law_force(h, way, e.between, m) for way in start.ways]
-        known_forces = [f for f in forces if f is not None]
-        if not known_forces:
-            continue
-        columns = np.stack(known_forces, axis=1)
-        size = np.linalg.lstsq(columns, target, rcond=None)[0]
-        if start.signed or np.all(size > 0):
-            left = np.sum((target - columns @ size) ** 2)
-            share = 1.0 - float(left / max(np.sum(target**2), 1e-300))
-            out[h.effect] = max(out.get(h.effect, 0.0), share)
-    ranked = sorted(out.items(), key=lambda t: -t[1])
-    return [(name, share) for name, share in ranked if share > 0.05][:3]

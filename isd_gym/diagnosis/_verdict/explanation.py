@@ -1,4 +1,4 @@
-"""Where the error is: channels, bands and conditions; and curves of the laws for drawings."""
+"""Where the error is: channels, bands and conditions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import welch
 
-from ..._common.errors import InputError
 from ...physics.network.frames import order_told
+from .._estimation.gauss_newton import residuals
 from .._hypotheses.motion import motions
 from .._selection.admissibility import travels
 from .._simulation.problem import BROKEN
-from ..result import Law, Place, Quantity, Tabulated
+from ..result import Place
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -25,27 +25,14 @@ if TYPE_CHECKING:
     from .._simulation.problem import Problem
 
 
-def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float]]:
-    """Return the bands [Hz] with 80 % of the residual's power above white noise of deviation `floor`."""
+def band(residual: Array, floor: float, step: float) -> tuple[float, float] | None:
+    """Return the band [Hz] with 80 % of the residual's power above white noise of deviation `floor`; None without such power."""
     f, s = welch(residual - residual.mean(), 1 / step, nperseg=min(2048, len(residual)))
-    s = np.maximum(np.asarray(s, float) - 2 * floor**2 * step, 0.0)
-    if s.sum() <= 0:
-        return []
-    order = np.argsort(-s)
-    needed = order[: int(np.searchsorted(np.cumsum(s[order]), 0.8 * s.sum())) + 1]
-    keep = np.zeros(len(f), bool)
-    keep[needed] = True
-    width = max(1, round(0.01 * len(f)))
-    out: list[tuple[float, float]] = []
-    for k in np.flatnonzero(keep):
-        low, high = float(max(f[k] - 0.5 * f[1], 0.0)), float(f[k] + 0.5 * f[1])
-        if out and low - out[-1][1] <= width * f[1]:
-            out[-1] = (out[-1][0], high)
-        else:
-            out.append((low, high))
-    power = [float(s[(f >= a) & (f <= b)].sum()) for a, b in out]
-    best = sorted(np.argsort(power)[::-1][:3])
-    return [(round(out[k][0], 2), round(out[k][1], 2)) for k in best]
+    total = np.cumsum(np.maximum(s - 2 * floor**2 * step, 0.0))
+    if total[-1] <= 0:
+        return None
+    low, high = f[np.searchsorted(total, [0.1 * total[-1], 0.9 * total[-1]])]
+    return round(float(low), 2), round(float(high), 2)
 
 
 def find_condition(
@@ -75,133 +62,50 @@ def near_reversals(rate: Array, width: int) -> NDArray[np.bool_]:
 def conditions(
     problem: Problem, motion: dict[tuple[str, str], Motion], n: int, width: int
 ) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """Yield conditions on the motion of node pairs and on currents in the first fitted record: masks of samples (n,) and their words."""
-    record, known = (
-        problem.records[problem.estimation[0]],
-        travels(problem, problem.network, motion),
-    )
+    """Yield conditions on the motion of node pairs in the first fitted record: masks of samples (n,) and their words."""
+    network, record = problem.network, problem.records[problem.estimation[0]]
+    known = travels(problem, network, motion)
     for (a, b), m in motion.items():
-        turns = {a, b} & problem.network.rotating
+        turns = {a, b} & network.rotating
         scale, length, speed = (1.0, "rad", "rad/s") if turns else (1e3, "mm", "m/s")
         d, v = record.seen(m.d[: record.samples]), record.seen(m.v[: record.samples])
         if len(d) < n:
             continue
         yield near_reversals(v, width), f"velocity of {a}-{b} changes sign"
         for q in (0.8, 0.95):
-            level = float(np.quantile(np.abs(d), q))
-            if known[a, b].is_known and not order_told(problem.network, (a, b)):
-                yield (
-                    np.abs(d) > level,
-                    f"|travel of {a}-{b}| is beyond {scale * level:.3g} {length}",
-                )
+            if known[a, b].is_known and not order_told(network, (a, b)):
+                level = float(np.quantile(np.abs(d), q))
+                far = f"|travel of {a}-{b}| is beyond {scale * level:.3g} {length}"
+                yield np.abs(d) > level, far
             level = float(np.quantile(np.abs(v), q))
             yield (
                 np.abs(v) > level,
                 f"|velocity of {a}-{b}| is above {level:.3g} {speed}",
             )
-            low, high = np.quantile(v, 1 - q), np.quantile(v, q)
+            low, high = np.quantile(v, [1 - q, q])
             if low < 0.0 < high:
                 yield v > high, f"{a}-{b} extends faster than {high:.3g} {speed}"
                 yield v < low, f"{a}-{b} compresses faster than {-low:.3g} {speed}"
-    for c in problem.network.inputs:
-        if c.quantity == "current":
-            current = np.abs(record.seen(record.inputs[c.name]))
-            level = float(np.quantile(current, 0.8))
-            yield current > level, f"{c.name} is above {level:.3g} A"
 
 
 def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
-    """Return each channel's share of the excess error, with its bands and the condition of the motion, largest share first."""
+    """Return each channel's share of the excess error, with its band and the condition of the motion, largest share first."""
     try:
         motion = motions(problem, fit)
     except BROKEN:
         motion = {}
-    excess, spread = [], problem.deviation()
-    for j in range(len(problem.channels)):
-        every = np.concatenate(
-            [
-                problem.records[i].measured[:, j] - fit.outputs[i][:, j]
-                for i in problem.estimation
-            ]
-        )
-        excess.append(
-            max(float(np.mean(every**2)) - floor[j] ** 2, 0.0) / float(spread[j]) ** 2
-        )
-    total = sum(excess) or 1.0
-    out = []
+    power = np.mean(np.concatenate(residuals(problem, fit)) ** 2, axis=0)
+    excess = np.maximum(power - floor**2, 0.0) / problem.deviation() ** 2
+    share = excess / (excess.sum() or 1.0)
     first = problem.estimation[0]
     record = problem.records[first]
+    left = record.measured - fit.outputs[first]
     width = max(1, int(0.2 * problem.time / record.interval))
     tried = list(conditions(problem, motion, len(record), width))
+    out = []
     for j, name in enumerate(problem.channels):
-        r = record.measured[:, j] - fit.outputs[first][:, j]
-        condition = find_condition(r, width, tried)
-        found = tuple(bands(r, floor[j], record.interval))
-        out.append(Place(name, excess[j] / total, found, condition))
+        own = left[:, j]
+        condition = find_condition(own, width, tried)
+        found = band(own, floor[j], record.interval)
+        out.append(Place(name, float(share[j]), found, condition))
     return tuple(sorted(out, key=lambda p: -p.share))
-
-
-def draw_law(
-    problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]
-) -> Law | None:
-    """Return the force of an effect over travel or rate, with a band from the intervals of its parameters."""
-    e = fit.network.element(name)
-    motion = (
-        motions(problem, fit, (e.between,)).get(e.between)
-        if e.place == "between"
-        else None
-    )
-    if motion is None or e.plane == "time":
-        return None
-    visited = motion.v if e.plane == "rate" else motion.d
-    reach = float(np.quantile(np.abs(visited), 0.999)) or 1e-6
-    axis = np.linspace(-reach, reach, 1601)  # a cogging may have dozens of periods
-    middle = e.curve(axis)
-    spread = np.zeros(len(axis))
-    for key, q in quantities.items():
-        for value in (q.low, q.high):
-            try:
-                changed = fit.network.with_parameters({f"{name}.{key}": value}).element(
-                    name
-                )
-            except InputError:
-                continue
-            spread = np.maximum(spread, np.abs(changed.curve(axis) - middle))
-    return _law(
-        name,
-        e.plane == "rate",
-        axis,
-        (middle, middle - spread, middle + spread),
-        visited,
-    )
-
-
-def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
-    """Return a tabulated force over rate or elongation; a force of both over elongation at zero rate."""
-    motion = motions(problem, fit, (t.between,))[t.between]
-    is_rate = t.over == "rate"
-    still = int(np.argmin(np.abs(t.rate))) if t.over == "both" else slice(None)
-    force, low, high = (
-        x[:, still] if t.over == "both" else x for x in (t.force, t.low, t.high)
-    )
-    axis = np.array(t.rate if is_rate else t.elongation)
-    return _law(
-        t.element, is_rate, axis, (force, low, high), motion.v if is_rate else motion.d
-    )
-
-
-def _law(
-    name: str,
-    is_rate: bool,
-    axis: Array,
-    curves: tuple[Array, Array, Array],
-    visited: Array,
-) -> Law:
-    """Return a curve with its band, and some of the operating points."""
-    return Law(
-        name,
-        "rate" if is_rate else "travel",
-        axis,
-        *curves,
-        visited[:: max(1, len(visited) // 2000)],
-    )

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from .._selection.criteria import Criteria
     from .._selection.weights import WeightedSet
-    from ..result import LawSet
     from .evidence import Evidence
 
 
@@ -30,12 +29,7 @@ class LawProbability:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON file."""
-        return {
-            "effect": self.effect,
-            "probability": self.probability,
-            "grade": grade(self.probability),
-            "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
-        }
+        return vars(self) | {"grade": grade(self.probability)}
 
 
 @dataclass(frozen=True)
@@ -52,8 +46,8 @@ class Finding:
     laws: tuple[LawProbability, ...]
     #: whether a law of the finding is among the named effects
     named: bool = False
-    #: sets of laws with the kind at the place
-    sets: tuple[LawSet, ...] = ()
+    #: files of the completed models of the sets of laws with the kind at the place
+    sets: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON file."""
@@ -61,14 +55,7 @@ class Finding:
             "place": grade(self.place_probability),
             "kind": grade(self.kind_probability),
         }
-        head = {
-            k: v for k, v in vars(self).items() if k not in ("laws", "named", "sets")
-        }
-        lists = {
-            "laws": [x.to_dict() for x in self.laws],
-            "sets": [x.to_dict() for x in self.sets],
-        }
-        return head | {"grade": levels, "named": self.named} | lists
+        return vars(self) | {"grade": levels}
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ WORDS: dict[str, dict[str, str]] = json.loads(
 ADVICE, KINDS, TESTS = WORDS["advice"], WORDS["kinds"], WORDS["tests"]
 #: error of which a candidate removes a share (`Evidence.explained`)
 EXCESS = "the squared held-out error beyond noise"
-RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
 OVER = {
     "rate": "their rate",
     "elongation": "their distance",
@@ -39,7 +38,7 @@ OVER = {
 }
 #: parameters whose change is stated
 CHANGES = 2
-#: probability from which on a further kind is mentioned, and from which on the title mentions a kind
+#: probability from which on a kind has a test, and from which on the title mentions the kind
 POSSIBLE, PERHAPS = 0.2, 0.4
 
 
@@ -109,7 +108,7 @@ def _template() -> Template:
     )  # plain text: nothing is escaped
     filters = (
         candidate_text, described, failures, plain_number, plain_value, spoken, _between, _capital, _in_unit_of, _kind, _parameter,
-        _parameter_name, _percent, _placed, _spot, _square, _test_of_kind, _test_of_law, _without,
+        _parameter_name, _percent, _placed, _spot, _square, _test_of_kind, _test_of_law,
     )  # fmt: skip
     env.filters |= {f.__name__.removeprefix("_"): f for f in filters}
     env.globals |= {
@@ -220,49 +219,21 @@ def failures(gates: Iterable[Mapping[str, Any]]) -> str:
 
 def _failure(g: Mapping[str, Any]) -> str:
     name, value, limit = g["gate"], g["value"], g["limit"]
-    if (
-        value is not None
-        and g["relation"] == ">="
-        and name in ("adequate", "confirmed", "explains")
-    ):
-        records = (
-            "the test records" if name == "confirmed" else "the validation records"
-        )
+    if value is None:
+        return f"{name} is unknown"
+    if name in ("confirmed", "explains"):
+        kind = "test" if name == "confirmed" else "validation"
+        error = f"of the squared error on the {kind} records"
         if value < 0.0:
-            return f"it increases the squared error on {records}"
+            return f"it increases the squared error on the {kind} records"
         digits = 1 if round(100.0 * value) == round(100.0 * limit) else 0
-        return f"it leaves {_percent(1.0 - value, digits)} of the squared error on {records} (at most {_percent(1.0 - limit, digits)})"
-    if value is not None and name == "determined" and g["relation"] == "<":
-        return (
-            "a 95 % interval of its values contains zero"
-            if value >= 1.0
-            else f"its values are uncertain by {_percent(value, 0)} (less than {_percent(limit, 0)} needed)"
-        )
-    if value is not None and name == "probable":
-        return f"other candidates are at least as likely (its probability is {_percent(value, 0)}, needed {_percent(limit, 0)})"
-    if value is not None and name == "distinguishable":
+        left, allowed = (_percent(1.0 - x, digits) for x in (value, limit))
+        return f"it leaves {left} {error} (at most {allowed})"
+    if name == "distinguishable":
         return f"{value:.0f} other {'laws predict' if value > 1 else 'law predicts'} as well"
-    if value is not None and name == "not the controller":
+    if name == "not the controller":
         return f"the controller's input explains {_percent(value, 0)} of its force (less than {_percent(limit, 0)} needed)"
-    # what the gate means; the subject is 'it'
-    known = WORDS["failures"].get(f"{name} {g['relation']}")
-    return (
-        known
-        or f"{name} is {plain_number(value, 3)} (needed {RELATIONS[g['relation']]} {plain_number(limit, 3)})"
-    )
-
-
-def _without(rival: Mapping[str, Any], common: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the effects of a candidate that are not among common effects."""
-    known = [
-        (e, sorted(w)) for e, w in zip(common["effects"], common["where"], strict=True)
-    ]
-    rest = [
-        (e, w)
-        for e, w in zip(rival["effects"], rival["where"], strict=True)
-        if (e, sorted(w)) not in known
-    ]
-    return {"effects": [e for e, _ in rest], "where": [w for _, w in rest]}
+    return WORDS["failures"][name]  # the subject is 'it'
 
 
 def _test_of_law(finding: Mapping[str, Any]) -> str:
@@ -408,50 +379,6 @@ class Facts:
             for f in found
             if f["place_probability"] >= least
         }
-
-    @property
-    def further_kinds(self) -> dict[str, list[Mapping[str, Any]]]:
-        """Less likely kinds by the words before them.
-
-        Candidates without the likeliest kind have the rest of the weight: a kind that is twice as likely stands mostly beside it.
-        """
-        kinds = self.kinds
-        open_kinds = {"other", *(f["kind"] for f in kinds if not f["place"])}
-        others = [
-            f
-            for f in self.d["findings"]
-            if f not in kinds
-            and f["kind"] not in open_kinds
-            and f["kind_probability"] >= POSSIBLE
-        ]
-        rest = 1.0 - max((f["kind_probability"] for f in kinds), default=0.0)
-        beside = [f for f in others if f["kind_probability"] > 2.0 * rest]
-        told = {
-            "Perhaps beside it": beside,
-            "Also possible": [f for f in others if f not in beside],
-        }
-        return told if kinds else {}
-
-    @property
-    def shared(self) -> dict[str, list[Any]] | None:
-        """The effects that each of several candidates contains at the same place; None where there are none."""
-        d, rivals = self.d, self.d["alternatives"]
-        if d["verdict"] != "ambiguous" or len(rivals) < 2:
-            return None
-        first, *others = (
-            [(e, sorted(w)) for e, w in zip(r["effects"], r["where"], strict=True)]
-            for r in rivals
-        )
-        shared = [
-            k
-            for k, effect in enumerate(first)
-            if all(effect in other for other in others)
-        ]
-        return (
-            {key: [rivals[0][key][k] for k in shared] for key in ("effects", "where")}
-            if shared
-            else None
-        )
 
     @property
     def kind_to_test(self) -> Mapping[str, Any] | None:

@@ -36,7 +36,7 @@ from .charts import (
     log_ticks,
     picture,
 )
-from .forces import clouds, loops_of
+from .forces import clouds, laws_of, loops_of
 from .plots import (
     BLUE,
     INK,
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from ..._common.arrays import Array
-    from ...diagnosis import Contender, Diagnosis, Quantity, Trace
+    from ...diagnosis import Diagnosis, LawSet, Quantity, Trace
     from ...physics.network import Network
     from .forces import Curve, Loops
 
@@ -236,8 +236,6 @@ class View:
             [self.printed(s) for s in part]
             for part in (told.finding, told.remarks, told.next_steps)
         )
-        # whether several candidates cannot be told apart
-        self.tied = d.verdict == "ambiguous"
         self.labels = {s: label for s, (label, _) in STAGES.items()}
         if d.verdict == "ambiguous":
             self.labels["after"] = "with the likeliest law"
@@ -271,13 +269,13 @@ class View:
                 "noise_floor": noise,
             }
         self.stages = list(self.errors)
-        self.clouds = clouds(d, self.trace) if self.trace is not None else []
+        self.laws = laws_of(d, self.trace) if self.trace is not None else []
+        self.clouds = clouds(d, self.trace, self.laws) if self.trace is not None else []
         self.remarks += list(dict.fromkeys(d.notes))
         self.spoken, self.observed = el.spoken, observed
         self.loops = (
             loops_of(d, self.trace, self.clouds) if self.trace is not None else []
         )
-        self.laws = list(d.laws)
 
     def _scale(self, name: str) -> Scale:
         unit = self.d.units.get(name) or next(
@@ -328,7 +326,7 @@ class View:
         """Return whether two nodes rotate relative to each other: torque over angle instead of force over travel."""
         return any(n in self.d.base.rotating for n in pair)
 
-    def lights(self, c: Contender) -> str:
+    def lights(self, c: LawSet) -> str:
         """Return the highlighted parts of the drawing for a rival."""
         return json.dumps(
             [part for where in c.where for part in place_parts(self.d.base, where)]
@@ -389,8 +387,8 @@ class View:
         effects = [e.effect for e in d.effects]
         if not effects and d.best_candidate is not None and d.best_candidate.completes:
             effects = list(d.best_candidate.effects)
-        if not effects and d.verdict == "ambiguous" and d.contenders:
-            effects = list(d.contenders[0].effects)
+        if not effects and d.verdict == "ambiguous" and d.sets:
+            effects = list(d.sets[0].effects)
         return " and ".join(self.spoken(e) for e in effects)
 
     @staticmethod
@@ -430,24 +428,6 @@ class View:
             text.replace("force", "torque").replace("travel", "angle")
             if self.turns(t.between)
             else text
-        )
-
-    @property
-    def nearest_text(self) -> str:
-        """Known laws nearest to an unnamed force, with the share of the force that each law explains."""
-        near = self.d.tabulated.nearest if self.d.tabulated is not None else ()
-        return ", ".join(
-            f"{el.spoken(name)} ({percent(share, 0, sign=False)} of it)"
-            for name, share in near
-        )
-
-    @property
-    def shares_text(self) -> str:
-        """Shares of a force over travel and rate that a single axis explains; '' for a force over one axis."""
-        shares = self.d.tabulated.shares if self.d.tabulated is not None else ()
-        return ", ".join(
-            f"a function of {OVER[over]} alone gives {percent(x, 0, sign=False)} of it"
-            for over, x in shares
         )
 
     def interval(self, q: Any) -> str:
@@ -825,7 +805,6 @@ def draw_spectra(view: View) -> Chart | None:
     shown = view.order[:6]
     columns = 2 if len(shown) in (2, 4) else min(3, len(shown))
     rows = -(-len(shown) // columns)
-    places = {p.channel: p for p in view.d.where}
     seconds = min(8.0, min(len(t.time) for t in used) * step)
     panels = []
     for c in shown:
@@ -855,8 +834,9 @@ def draw_spectra(view: View) -> Chart | None:
         least = min(float(y[keep].min()) for _, y, _ in curves[1:])
         low, high = max(0.5 * least, 1e-8 * top), 3 * max(top, float(old[keep].max()))
         items += [
-            Span(max(a, float(f[keep][0])), b)
-            for a, b in (places[c].bands_hz if c in places else ())
+            Span(max(place.band_hz[0], float(f[keep][0])), place.band_hz[1])
+            for place in view.d.where
+            if place.channel == c and place.band_hz is not None
         ]
         x = Axis(
             "frequency",

@@ -17,7 +17,6 @@ from ...diagnosis._hypotheses.library import pairs
 from ...diagnosis._hypotheses.motion import motions
 from ...diagnosis._hypotheses.pair_forces import Deconvolution
 from ...diagnosis._simulation.problem import Problem, Record
-from ...diagnosis.result import Law
 from ...physics import elements as el
 from ...physics.network import GROUND, Network
 from ...physics.simulate import pace
@@ -63,6 +62,19 @@ class Loops:
 
 
 @dataclass(frozen=True)
+class Law:
+    """Force of an effect over elongation or rate, with its 95 % band."""
+
+    element: str  # name of the element in the new model
+    kind: str  # 'rate' or 'travel'
+    axis: Array  # rate [m/s] or elongation [m] (n,)
+    force: Array  # force [N] (n,)
+    low: Array  # lower end of the band [N] (n,)
+    high: Array  # upper end of the band [N] (n,)
+    visited: Array  # operating points of the completed model, in the unit of `axis`
+
+
+@dataclass(frozen=True)
 class Cloud:
     """Force between two nodes that the measurements require, sample by sample, over the motion of the nodes."""
 
@@ -80,9 +92,57 @@ class Cloud:
     loops: Loops  # the whole force between the nodes
 
 
-def clouds(d: Diagnosis, trace: Trace) -> list[Cloud]:
+def laws_of(d: Diagnosis, trace: Trace) -> list[Law]:
+    """Return the curves of the named effects, or of the table of a force, where a law over rate or elongation gives them."""
+    out = []
+    for effect in d.effects:
+        if effect.between is None:
+            continue
+        e = d.model.element(effect.element)
+        if e.place != "between" or e.plane == "time":
+            continue
+        try:
+            motion = _simulated(d.model, trace, e.between)
+        except (InputError, np.linalg.LinAlgError):
+            continue
+        visited = motion.rate if e.plane == "rate" else motion.travel
+        reach = float(np.quantile(np.abs(visited), 0.999)) or 1e-6
+        axis = np.linspace(-reach, reach, GRID)
+        middle = e.curve(axis)
+        spread = np.zeros(GRID)
+        for key, q in effect.parameters.items():
+            for value in (q.low, q.high):
+                try:
+                    changed = d.model.with_parameters({f"{e.name}.{key}": value})
+                except InputError:
+                    continue
+                spread = np.maximum(
+                    spread, np.abs(changed.element(e.name).curve(axis) - middle)
+                )
+        kind = "rate" if e.plane == "rate" else "travel"
+        out.append(
+            Law(e.name, kind, axis, middle, middle - spread, middle + spread, visited)
+        )
+    t = d.tabulated
+    if t is not None:
+        try:
+            motion = _simulated(d.model, trace, t.between)
+        except (InputError, np.linalg.LinAlgError):
+            return out
+        kind, axis, visited = "travel", np.array(t.elongation), motion.travel
+        if t.over == "rate":
+            kind, axis, visited = "rate", np.array(t.rate), motion.rate
+        force, low, high = t.force, t.low, t.high
+        if t.over == "both":  # at rest
+            still = int(np.argmin(np.abs(t.rate)))
+            force, low, high = force[:, still], low[:, still], high[:, still]
+        out.append(Law(t.element, kind, axis, force, low, high, visited))
+    return out
+
+
+def clouds(d: Diagnosis, trace: Trace, found: Iterable[Law]) -> list[Cloud]:
     """Return a cloud for every pair of nodes with an effect, or for the best candidate."""
-    laws = {law.element: law for law in d.laws}
+    laws = {law.element: law for law in found}
     pairs: dict[tuple[str, str], list[Effect]] = {}
     for e in d.effects:
         kind = el.TYPES.get(e.effect)
@@ -96,7 +156,7 @@ def clouds(d: Diagnosis, trace: Trace) -> list[Cloud]:
     if d.tabulated is not None and d.tabulated.element in laws:
         pairs[d.tabulated.between] = []
     elif not d.effects:
-        first = d.best_candidate or next(iter(d.contenders), None)
+        first = d.best_candidate or next(iter(d.alternatives), None)
         where = first.where[-1] if first else ()
         if len(where) == 2:
             pairs[(where[0], where[1])] = []

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...diagnosis._estimation.structure import Hypothesis
-from ...diagnosis._hypotheses.pair_forces import law_force
 from ...physics import elements as el
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule
 from .plots import BLUE, COLOURS, INK, MUTED, Look, caption, percent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from ..._common.arrays import Array
     from ...diagnosis import Diagnosis
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 MOST_PLACES, MOST_LAWS = 6, 4
 #: least samples in a bin of a curve; quantiles of its band
 LEAST, BAND = 10, (0.1, 0.9)
+#: points of the curve of a law: a cogging may have dozens of periods
+GRID = 1601
 
 
 def draw_steps(view: View) -> Chart | None:
@@ -170,9 +171,26 @@ def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
         yield Line(text, middle, median, Look(COLOURS[k], "-", "", 1.4))
 
 
+def law_force(
+    h: Hypothesis,
+    values: Mapping[str, float],
+    pair: tuple[str, str],
+    motion: el.Motion,
+) -> Array | None:
+    """Return the force (samples,) [N] of a law along the motion of a pair, from its curve; None for a law without one."""
+    if h.kind.plane == "time":
+        return None
+    element = h.kind(name="alone", where=h.where, **values, **dict(h.options))
+    side = 1.0 if h.where == pair else -1.0
+    along = side * (motion.v if h.kind.plane == "rate" else motion.d)
+    axis = np.linspace(float(along.min()), float(along.max()), GRID)
+    return side * np.interp(along, axis, element.curve(axis))
+
+
 def _candidates_at(d: Diagnosis, pair: tuple[str, str]) -> list[Laws]:
     """Return the laws of each candidate at a place, the named or best candidate first; laws in series are left out."""
-    every: list[list[tuple[str, Sequence[str], dict[str, float], dict[str, str]]]] = [
+    every: list[Iterable[tuple[str, Sequence[str], dict[str, float], dict[str, str]]]]
+    every = [
         [
             (
                 e.effect,
@@ -183,30 +201,16 @@ def _candidates_at(d: Diagnosis, pair: tuple[str, str]) -> list[Laws]:
             for e in d.effects
         ]
     ]
-    if d.best_candidate is not None:
-        c = d.best_candidate
-        every.append(
-            [
-                (e, w, v, {})
-                for e, w, v in zip(c.effects, c.where, c.values, strict=False)
-            ]
-        )
-    for r in d.contenders:  # one without values has no curve
-        every.append(
-            list(
-                zip(
-                    r.effects,
-                    r.where,
-                    r.values,
-                    r.options or ({},) * len(r.effects),
-                    strict=False,
-                )
-            )
-        )
+    best = d.best_candidate
+    if best is not None:
+        none: tuple[dict[str, str], ...] = ({},) * len(best.effects)
+        every.append(zip(best.effects, best.where, best.values, none, strict=True))
+    for c in d.alternatives:
+        every.append(zip(c.effects, c.where, c.values, c.options, strict=True))
     out: dict[tuple[str, ...], Laws] = {}
     for effects in every:
         laws = [
-            (Hypothesis(effect, tuple(where), tuple(options.items())), dict(values))
+            (Hypothesis(effect, tuple(where), tuple(options.items())), values)
             for effect, where, values, options in effects
             if set(where) == set(pair)
             and effect in el.TYPES
