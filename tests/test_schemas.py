@@ -24,7 +24,7 @@ DIAGNOSIS = """
  "effects": [{"effect": "coulomb_friction", "between": ["piston", "joint"], "confidence": 0.99,
               "parameters": {"level": {"value": 502.0, "low": 495.0, "high": 509.0, "unit": "N"}}}],
  "alternatives": [{"effects": ["stribeck_friction"], "where": [["piston", "joint"]], "excess": 0.01, "weight": 0.3, "error": 0.02, "file": "set_2.json"}],
- "where": [{"channel": "suspension_travel", "share": 0.71, "band_hz": [0.8, 2.0], "when": "velocity of piston-joint changes sign"}],
+ "where": [{"channel": "suspension_travel", "share": 0.71, "band_hz": [0.8, 2.0]}],
  "parameters": {"body.mass": {"prior": 345.0, "value": 351.2, "low": 349.9, "high": 352.4, "unit": "kg"}},
  "gap": {"held_out": {"before": {"suspension_travel": 0.31}, "refit": {"suspension_travel": 0.22}, "after": {"suspension_travel": 0.051}, "noise_floor": {"suspension_travel": 0.050}},
          "closed": 0.99},

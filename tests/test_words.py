@@ -57,7 +57,7 @@ def document(found=NAMED, evidence=SEEN, after=0.02, **more):
         "reason": decision.reason,
         "effects": [FRICTION] if decision.verdict == "missing_effect" else [],
         "alternatives": [],
-        "where": [{"channel": "travel", "share": 1.0, "band_hz": None, "when": "velocity of a-b changes sign"}],
+        "where": [{"channel": "travel", "share": 1.0, "band_hz": None}],
         "parameters": {},
         "gap": {"held_out": {k: {"travel": v} for k, v in rows.items()}, "closed": None},
         "gates": gates,
@@ -118,7 +118,7 @@ def rivals():
 
 TABLE = {
     "between": ["mass", "ground"],
-    "over": "both",
+    "over": "rate",
     "element": "missing_force",
     "explained": 0.6,
 }

@@ -111,7 +111,7 @@ class ResultBuilder:
             best_table=free.best,
             best_candidate=self._rejected(decision, rows, completes),
             reason=decision.reason,
-            remainder=self._remainder(noise, rows) if is_named else None,
+            remainder=self._remainder(rows) if is_named else None,
             stretches=over,
             closed_loop=self.flow.feedback,
             effects=tuple(effects),
@@ -361,17 +361,16 @@ class ResultBuilder:
             completes=completes,
         )
 
-    def _remainder(self, noise: Array, rows: Mapping[str, Array]) -> Remainder | None:
+    def _remainder(self, rows: Mapping[str, Array]) -> Remainder | None:
         """Return the error beside the named effects; None where it is small."""
         beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
         j = int(np.argmax(beyond))
         if beyond[j] < self.search.criteria.wide_gap**2:
             return None
-        problem, fit = self.search.problem, self.answer.foremost.fit
-        places = {x.channel: x for x in locate_errors(problem, fit, noise)}
-        channel = problem.channels[j]
-        after, floor = float(rows["after"][j]), float(rows["noise_floor"][j])
-        return Remainder(channel, after, floor, places[channel].when)
+        channel = self.search.problem.channels[j]
+        return Remainder(
+            channel, float(rows["after"][j]), float(rows["noise_floor"][j])
+        )
 
     def _traces(self, final: Row) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""

@@ -45,7 +45,7 @@ _DOCUMENT = (
     "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
 )  # fmt: skip
 #: argument of a force without a known law
-Over = Literal["rate", "elongation", "both"]
+Over = Literal["rate", "elongation"]
 #: kind, mark and parts of the folder of a diagnosis, with its report
 FOLDER = (
     "diagnosis",
@@ -158,8 +158,6 @@ class Place:
     share: float
     #: frequency band (low, high) with 80 % of the error [Hz]; None without an error beyond noise
     band_hz: tuple[float, float] | None
-    #: condition of the motion under which the error is largest
-    when: str
 
 
 @dataclass(frozen=True)
@@ -211,7 +209,7 @@ class Tabulated:
 
     #: terminals
     between: tuple[str, str]
-    #: argument of the force: 'rate', 'elongation' or 'both'
+    #: argument of the force: 'rate' or 'elongation'
     over: Over
     #: name of the element in the new model
     element: str
@@ -278,8 +276,6 @@ class Remainder:
     after: float
     #: NRMSE of noise on the test records
     noise_floor: float
-    #: condition of the motion under which the error is largest
-    when: str
 
 
 @dataclass(frozen=True)

@@ -11,18 +11,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import tukey
 
 from ..._common.errors import InputError
 from ..._common.units import convert
 from ...physics import elements as el
-from ...physics.network import GROUND, Channel, Network, assemble, linearise
+from ...physics.network import GROUND, Channel, Network, linearise
 from ...physics.network.frames import frames, order_told
 from ...physics.simulate import pace
-from .._simulation.problem import BROKEN, Problem, bare
-from .motion import motions_by_record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -32,7 +29,7 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...physics.elements import Motion
     from .._estimation.gauss_newton import Fit
-    from .._simulation.problem import Record
+    from .._simulation.problem import Problem
 
     Pair = tuple[str, str]
 
@@ -248,95 +245,3 @@ def _strongest(power: Array, periods: float) -> list[float]:
         found.append(k * RESOLUTION)
         left[max(k - apart, 0) : k + apart + 1] = 0.0
     return found
-
-
-def measured_motions(
-    problem: Problem, fit: Fit, noise: Array
-) -> dict[Pair, dict[int, Motion]]:
-    """Return the motion of every pair of nodes in the training records as far as the outputs tell it: the simulated one, and the distance
-    or the motion by the force that explains the residual above the noise (channels,)."""
-    out: dict[Pair, dict[int, Motion]] = {}
-    for pair, simulated in motions_by_record(problem, fit).items():
-        told = _told_distance(problem, fit.network, pair)
-        out[pair] = {}
-        for i, m in simulated.items():
-            record = problem.records[i]
-            moved = None
-            if record.reading is None and len(record) > LEAST:
-                residual = record.measured - fit.outputs[i]
-                if told is not None:
-                    moved = _without_noise(
-                        residual @ told,
-                        float(np.hypot.reduce(noise * told)),
-                        record.interval,
-                    )
-                else:
-                    moved = _moved(
-                        fit.network, pair, record, problem.channels, residual, noise
-                    )
-            out[pair][i] = m if moved is None else _corrected(m, record, moved)
-    return out
-
-
-def _told_distance(problem: Problem, network: Network, pair: Pair) -> Array | None:
-    """Return the factors (channels,) with which outputs sum up to the distance of a pair; None where they do not."""
-    if order_told(network, pair):
-        return None
-    pure = bare(network)
-    asm = assemble(
-        replace(
-            pure,
-            outputs=(*pure.outputs, pure.probe("_d", "displacement", between=pair)),
-        )
-    )
-    free = np.concatenate(
-        [np.arange(s.start, s.stop) for s in (asm.columns("x"), asm.columns("f"))]
-    )
-    rows, wanted = asm.outputs[:-1][:, free], asm.outputs[-1, free]
-    size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-    factors = np.linalg.lstsq((rows / size[:, None]).T, wanted, rcond=1e-9)[0] / size
-    is_told = np.allclose(
-        factors @ rows, wanted, atol=1e-6 * (float(np.linalg.norm(wanted)) + 1e-300)
-    )
-    return factors / problem.factors if is_told and np.any(wanted) else None
-
-
-def _without_noise(signal: Array, noise: float, step: float) -> Array:
-    """Return a signal (n,) without white noise and its rate (n, 2), by a Wiener filter over cosines."""
-    lines = dct(signal, norm="ortho")
-    power = uniform_filter1d(lines**2, max(3, len(lines) // 40), mode="nearest")
-    gain = np.maximum(1.0 - noise**2 / np.maximum(power, 1e-300), 0.0)
-    smooth = idct(gain * lines, norm="ortho")
-    return np.stack([smooth, np.gradient(smooth, step)], axis=1)
-
-
-def _moved(
-    network: Network,
-    pair: Pair,
-    record: Record,
-    names: Sequence[str],
-    residual: Array,
-    noise: Array,
-) -> Array | None:
-    """Return the motion (n, 2) of a pair by the force that explains a residual; None where no force does."""
-    measured, left = (
-        dict(zip(names, values.T, strict=True))
-        for values in (record.measured, residual)
-    )
-    sizes = dict(zip(names, noise.tolist(), strict=True))
-    try:
-        _, moved = Deconvolution.of(network, pair, record.time, measured).force(
-            left, sizes
-        )
-    except (ValueError, *BROKEN):
-        return None
-    return moved if np.isfinite(moved).all() else None
-
-
-def _corrected(m: Motion, record: Record, moved: Array) -> Motion:
-    fine, at = (
-        np.arange(record.samples) * record.step,
-        (np.arange(len(record)) + record.before) * record.interval,
-    )
-    d, v = (np.interp(fine, at, moved[:, k]) for k in range(2))
-    return el.Motion(m.d + d, m.v + v, m.a)

@@ -1,4 +1,4 @@
-"""The free force: a missing force as a smooth function of elongation, of rate or of both, fitted with its band.
+"""The free force: a missing force as a smooth function of elongation or of rate, fitted with its band.
 
 The force at the knots of a table is a Gaussian process (Rasmussen and Williams, 2006, chapter 2) that vanishes at rest, written in
 the few directions that carry nearly all of its variance. The coordinates along these directions have unit variance and are fitted like
@@ -17,7 +17,6 @@ import numpy as np
 from ..._common.arrays import Z95, Array
 from ...physics import elements as el
 from ...physics.network import Network, assemble
-from ...physics.network.frames import order_told
 from .._estimation.gauss_newton import Fit, Fitter, residuals
 from .._estimation.noise import weights_of
 from .._estimation.structure import Free, Structure, cells_beside
@@ -32,19 +31,17 @@ from .conditions import table_gates
 from .held_out_table import Row, compare, row_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
 
-#: knots of a table: a resolution, finer than the shortest correlation length
-KNOTS = {"rate": 33, "elongation": 33, "both": 13}
+#: knots of a table: a resolution, finer than the correlation length
+KNOTS = 33
 #: correlation length, as a share of half the motion's range
-LENGTH = 0.7
+LENGTH = 0.35
 #: smallest variance of a direction, as a share of the variance of the strongest direction
 KEPT = 1e-4
 #: largest number of directions
-MAX_DIRECTIONS = {"rate": 12, "elongation": 12, "both": 24}
+MAX_DIRECTIONS = 12
 #: tables that are fitted with all samples
 FINALS = 3
 #: prior standard deviation of the force, as a multiple of the typical force
@@ -52,12 +49,6 @@ STRONG = 3.0
 #: share of the motion that the knots span
 INSIDE = 0.995
 PLANES: tuple[Over, ...] = ("rate", "elongation")
-#: explained fraction of a table over one argument above which no table over both is fitted
-ENOUGH = 0.9
-#: number of places with a fitted table over both arguments
-BOTH = 2
-#: factor by which the square of the error of a table over both arguments must be smaller
-RICHER = 1.15
 #: Gauss-Newton steps of a table with few samples, and with all
 STEPS, LAST_STEPS = 12, 4
 
@@ -68,7 +59,6 @@ class Table(Structure):
 
     element: str = ""
     over: Over = "rate"
-    shape: tuple[int, ...] = ()
     basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
@@ -78,12 +68,15 @@ class Table(Structure):
             self.network, self.free[: len(self.free) - self.basis.shape[1]]
         )
 
+    @property
+    def pair(self) -> tuple[str, str]:
+        """The two nodes."""
+        return self.network.element(self.element).between
+
     def _network(self, x: Array) -> Network:
         own = self.own
         force = self.basis @ x[len(own.free) :]
-        return own.at(x[: len(own.free)]).with_table(
-            self.element, force.reshape(self.shape).tolist()
-        )
+        return own.at(x[: len(own.free)]).with_table(self.element, force.tolist())
 
     @property
     def start(self) -> Array:
@@ -93,57 +86,38 @@ class Table(Structure):
 # ---------------------------------------------------------------------------------------------------- the prior
 
 
-def _axis(values: Array, count: int) -> Array:
-    """Knots over a motion, zero among them."""
+def _axis(values: Array) -> Array:
+    """Return knots over a motion, zero among them."""
     low, high = (float(np.quantile(values, q)) for q in (1 - INSIDE, INSIDE))
     reach = max(high, -low, 1e-12)
     low, high = min(low, -0.05 * reach), max(high, 0.05 * reach)
-    below = max(1, round((count - 1) * -low / (high - low)))
-    return np.concatenate(
-        [np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, count - below)[1:]]
-    )
+    below = max(1, round((KNOTS - 1) * -low / (high - low)))
+    above = np.linspace(0.0, high, KNOTS - below)
+    return np.concatenate([np.linspace(low, 0.0, below + 1), above[1:]])
 
 
-def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -> Array:
-    """Principal directions (knots, directions) [N] of a smooth random force that is zero at rest."""
-    covariance: Any = np.ones((1, 1))
-    for x in axes:
-        scale = length * 0.5 * float(np.ptp(x))
-        covariance = np.kron(
-            covariance, np.exp(-0.5 * ((x[:, None] - x[None, :]) / scale) ** 2)
-        )
-    at = int(
-        np.ravel_multi_index(
-            [int(np.argmin(np.abs(x))) for x in axes], [len(x) for x in axes]
-        )
-    )
-    covariance = (
-        covariance - np.outer(covariance[:, at], covariance[at]) / covariance[at, at]
-    )
-    values, vectors = np.linalg.eigh(covariance)
-    keep = np.argsort(values)[::-1][:most]
+def _directions(x: Array, sigma: float) -> Array:
+    """Return principal directions (knots, directions) [N] of a smooth random force over knots x that is zero at rest."""
+    scale = LENGTH * 0.5 * float(np.ptp(x))
+    covariance = np.exp(-0.5 * ((x[:, None] - x[None, :]) / scale) ** 2)
+    at = int(np.argmin(np.abs(x)))
+    rest = np.outer(covariance[:, at], covariance[at]) / covariance[at, at]
+    values, vectors = np.linalg.eigh(covariance - rest)
+    keep = np.argsort(values)[::-1][:MAX_DIRECTIONS]
     keep = keep[values[keep] > KEPT * values[keep[0]]]
-    return np.asarray(
-        sigma * vectors[:, keep] * np.sqrt(values[keep]), dtype=np.float64
-    )
+    return np.asarray(sigma * vectors[:, keep] * np.sqrt(values[keep]))
 
 
 def table(
-    fit: Fit,
-    pair: tuple[str, str],
-    over: Over,
-    m: el.Motion,
-    sigma: float,
+    fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, sigma: float
 ) -> Table:
     """Return the refitted nominal model with a table between two nodes. `sigma`: deviation of the force [N]."""
     network, base = fit.network, fit.structure
-    motion = {"elongation": m.d, "rate": m.v}
-    axes = {k: _axis(x, KNOTS[over]) for k, x in motion.items() if over in (k, "both")}
-    basis = _directions([*axes.values()], LENGTH, sigma, MAX_DIRECTIONS[over])
+    axis = _axis(m.v if over == "rate" else m.d)
+    basis = _directions(axis, sigma)
     name = network.free_name("missing_force")
-    shape = tuple(map(len, axes.values()))
-    given: dict[str, Any] = {k: tuple(x.tolist()) for k, x in axes.items()}
-    element = el.TabulatedForce(name, pair, force=np.zeros(shape).tolist(), **given)  # type: ignore[call-arg]
+    given: dict[str, Any] = {over: tuple(axis.tolist()), "force": [0.0] * len(axis)}
+    element = el.TabulatedForce(name, pair, **given)
     new = [
         Free(f"{name}.{k}", False, 0.0, 1.0, -math.inf, math.inf, 0)
         for k in range(basis.shape[1])
@@ -151,9 +125,9 @@ def table(
     outputs = cells_beside(network, element)
     built = replace(network, elements=(*network.elements, element), outputs=outputs)
     assemble(bare(built))
-    free, offsets = (*base.free, *new), base.offsets
+    free = (*base.free, *new)
     return Table(
-        built, free, offsets=offsets, element=name, over=over, shape=shape, basis=basis
+        built, free, offsets=base.offsets, element=name, over=over, basis=basis
     )
 
 
@@ -212,16 +186,6 @@ def _ranked(
     return [s for _, s in sorted(ranked, key=lambda t: -t[0])]
 
 
-def is_told(
-    problem: Problem, fit: Fit, pair: tuple[str, str], motion: el.Motion
-) -> bool:
-    """Return whether the records show a force over the distance of two nodes."""
-    return (
-        not order_told(fit.network, pair)
-        and travels(problem, fit.network, {pair: motion})[pair].is_known
-    )
-
-
 @dataclass(frozen=True)
 class FreeForce:
     """The best table of a force."""
@@ -248,38 +212,21 @@ def fit_free_force(
         {id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values()
     )
     tried = [row for s in finals if (row := _fit_table(evaluator, base, s)) is not None]
-    found = _best_table(tried)
-    if found is not None and _gained(evaluator, refit, found)[0] < ENOUGH:
-        motion = motions(problem, base)
-        for pair in list(
-            dict.fromkeys(s.network.element(s.element).between for s in ranked)
-        )[:BOTH]:
-            if not is_told(problem, base, pair, motion[pair]):
-                continue
-            sigma = STRONG * forces.at(pair)
-            built = table(base, pair, "both", motion[pair], sigma)
-            row = _fit_table(evaluator, base, built)
-            tried += [row] if row is not None else []
-        found = _best_table(tried)
-    if found is None:
+    if not tried:
         return FreeForce()
+    found = min(tried, key=lambda row: row.error)
     gained = _gained(evaluator, refit, found)
-    explained = gained[0]
-    structure = _structure(found)
-    pair = structure.network.element(structure.element).between
-    best = BestTable(pair, structure.over, explained, table_gates(*gained, criteria))
+    structure = found.fit.structure
+    assert isinstance(structure, Table)
+    gates = table_gates(*gained, criteria)
+    best = BestTable(structure.pair, structure.over, gained[0], gates)
     if not best.accepted:
         return FreeForce(best)
     try:
-        return FreeForce(best, found, _tabulated(problem, least, found.fit, explained))
+        tabulated = _tabulated(problem, least, found.fit, structure, gained[0])
     except BROKEN:
         return FreeForce(best)
-
-
-def _structure(row: Row) -> Table:
-    structure = row.fit.structure
-    assert isinstance(structure, Table)
-    return structure
+    return FreeForce(best, found, tabulated)
 
 
 def _gained(
@@ -321,24 +268,10 @@ def _fit_table(evaluator: HeldOutEvaluator, base: Fit, structure: Table) -> Row 
         return None
 
 
-def _best_table(tried: Sequence[Row]) -> Row | None:
-    """Return the table with the smallest error; a table over both arguments must err clearly less."""
-
-    def square(row: Row) -> float:
-        richer = RICHER if _structure(row).over == "both" else 1.0
-        return richer * row.error**2
-
-    return min(tried, key=square, default=None)
-
-
-# ------------------------------------------------------------------------------------------------- what is told
-
-
 def _tabulated(
-    problem: Problem, least: Array, best: Fit, explained: float
+    problem: Problem, least: Array, best: Fit, structure: Table, explained: float
 ) -> Tabulated:
-    structure = best.structure
-    assert isinstance(structure, Table)
+    """Return the table with the band that the curvature of its fit gives."""
     f = _fitter(problem, best, least).fit(
         structure, best.x, best.initial, best.offset, iterations=0
     )
@@ -350,10 +283,7 @@ def _tabulated(
     spread = Z95 * np.sqrt(np.maximum(variance, 0.0))
     e = best.network.element(structure.element)
     assert isinstance(e, el.TabulatedForce)
-    force, low, high = (
-        y.reshape(structure.shape) for y in (force, force - spread, force + spread)
-    )
-    axes = (e.elongation, e.rate)
     return Tabulated(
-        e.between, structure.over, e.name, explained, *axes, force, low, high
-    )
+        structure.pair, structure.over, e.name, explained, e.elongation, e.rate,
+        force, force - spread, force + spread,
+    )  # fmt: skip

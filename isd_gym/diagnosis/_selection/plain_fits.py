@@ -25,8 +25,7 @@ from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.structure import FAR, WIDE, add, parameter_values
 from .._hypotheses.law_matching import residual_of, starts_of
 from .._hypotheses.library import hypotheses
-from .._hypotheses.motion import joined, motions, simulate_variants
-from .._hypotheses.pair_forces import measured_motions
+from .._hypotheses.motion import motions, simulate_variants
 from .._simulation.problem import BROKEN, bare
 from .._simulation.time_limit import adopt, running
 from .admissibility import is_admissible, travels
@@ -184,10 +183,7 @@ class Stage:
         most = self.rules.starts_further if is_further else self.rules.starts
         out: list[Start] = []
         count: dict[Hypothesis, int] = defaultdict(int)
-        seen = measured_motions(self.whole, base, self.least)
-        for law, start in starts_of(
-            self.whole, base, {p: joined(m) for p, m in seen.items()}, laws
-        ):
+        for law, start in starts_of(self.whole, base, motion, laws):
             sizes = self.rules.sizes if start.grows else (1.0,)
             tries = [(s, refitted) for s in (sizes[:2] if is_further else sizes)]
             tries += [] if is_further else [(1.0, nominal)]

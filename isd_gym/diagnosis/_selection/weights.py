@@ -42,9 +42,8 @@ def _statement_of_table(fit: Fit) -> Statement:
     """Return the statement of a table of a force: a force of the distance alone is elastic, whatever its law."""
     structure = fit.structure
     assert isinstance(structure, Table)
-    pair = structure.network.element(structure.element).between
     kind = "elastic" if structure.over == "elongation" else "other"
-    return Statement(tuple(sorted(pair)), kind, FREE_FORCE)
+    return Statement(tuple(sorted(structure.pair)), kind, FREE_FORCE)
 
 
 def weigh(answer: Answer, table: Fit | None = None) -> tuple[WeightedSet, ...]:

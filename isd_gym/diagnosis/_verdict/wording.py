@@ -34,7 +34,6 @@ EXCESS = "the squared held-out error beyond noise"
 OVER = {
     "rate": "their rate",
     "elongation": "their distance",
-    "both": "their distance and rate",
 }
 #: parameters whose change is stated
 CHANGES = 2

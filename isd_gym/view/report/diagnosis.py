@@ -86,7 +86,7 @@ STAGES = {
 }
 RELATIONS = {"<": "<", "<=": "≤", ">": ">", ">=": "≥"}
 #: axes of an unnamed force
-OVER = {"rate": "rate", "elongation": "travel", "both": "travel and rate"}
+OVER = {"rate": "rate", "elongation": "travel"}
 
 
 def write_report(
@@ -994,7 +994,7 @@ def draw_law(view: View) -> Chart | None:
         "law",
         "The law that was found",
         "Force over travel or rate with its interval",
-        caption("law", over=d.tabulated.over if d.tabulated is not None else ""),
+        caption("law"),
         {"all": panels},
         columns=columns,
         size=((4.8, 6.2, 8.2)[columns - 1], 2.9),

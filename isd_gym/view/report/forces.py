@@ -132,11 +132,7 @@ def laws_of(d: Diagnosis, trace: Trace) -> list[Law]:
         kind, axis, visited = "travel", np.array(t.elongation), motion.travel
         if t.over == "rate":
             kind, axis, visited = "rate", np.array(t.rate), motion.rate
-        force, low, high = t.force, t.low, t.high
-        if t.over == "both":  # at rest
-            still = int(np.argmin(np.abs(t.rate)))
-            force, low, high = force[:, still], low[:, still], high[:, still]
-        out.append(Law(t.element, kind, axis, force, low, high, visited))
+        out.append(Law(t.element, kind, axis, t.force, t.low, t.high, visited))
     return out
 
 
