@@ -17,8 +17,6 @@ from ._estimation.structure import (
     parameter_values,
     with_sensor_offsets,
 )
-from ._hypotheses.library import hypotheses
-from ._hypotheses.motion import loads_of, tell_gain
 from ._planning.design import next_experiment
 from ._selection.answer import beyond_noise
 from ._selection.free_force import FreeForce, fit_free_force
@@ -135,7 +133,7 @@ class ResultBuilder:
                 with_posterior(fitted, posterior), decision, completes
             ),
             traces=self._traces(final),
-            notes=tuple(dict.fromkeys((*self.flow.notes, *self._tried(), *self.lost))),
+            notes=tuple(dict.fromkeys((*self.flow.notes, *self.lost))),
             units={c.name: c.unit for c in network.outputs},
             evidence=measured.evidence,
             criteria=criteria,
@@ -262,20 +260,6 @@ class ResultBuilder:
         return {
             n: float(v) for n, v in zip(self.search.problem.channels, row, strict=True)
         }
-
-    def _tried(self) -> list[str]:
-        """Return what was tried, in words."""
-        p = self.search.problem
-        every = list(hypotheses(p.network))
-        loads = loads_of(p, self.answer.refit.fit, every)
-        told = {name for name, load in loads.items() if tell_gain(load)}
-        every = [
-            h for h in every if not h.kind.loaded or dict(h.options)["load"] in told
-        ]
-        where = dict.fromkeys("-".join(h.where) for h in every)
-        return [
-            f"tried {len({h.effect for h in every})} effects at {len(where)} places: {', '.join(where)}",
-        ]
 
     def _places(self) -> tuple[ScreenedPlace, ...]:
         """Return the law that removes most at each place, alone."""

@@ -94,13 +94,6 @@ def _orthogonal(columns: Array, norm: Array | None = None) -> Array:
     return np.asarray(Q[:, np.abs(np.diag(R)) > DEPENDENT])
 
 
-def follows_motion(h: Hypothesis) -> bool:
-    """Return whether the motion of its two nodes tells the force of a law."""
-    return h.place == "between" and not (
-        h.kind.series or h.kind.loaded or h.kind.scheduled
-    )
-
-
 def starts_of(
     problem: Problem,
     fit: Fit,

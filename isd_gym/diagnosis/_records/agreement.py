@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +17,7 @@ from scipy import signal
 from ..._common.errors import plain
 from ..._common.units import TABLE, convert
 from ...physics.network import own_time
-from .._simulation.problem import BROKEN, Problem
+from .._simulation.problem import Problem, simulate_from_rest
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
@@ -121,29 +120,20 @@ def find_misreading(problem: Problem) -> str:
 def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
     """Return the power of simulated (channels,) and measured outputs (channels,), their cross power, and whether the
     records are single sines near or above the slowest oscillation of the rig."""
-    count = len(problem.network.outputs)
+    network = problem.network
+    count = len(network.outputs)
     xx, yy, xy = np.zeros(count), np.zeros(count), np.zeros((count, count))
     narrow, used = True, False
-    own = own_time(problem.network)
+    own = own_time(network)
     for record in problem.records:
         if len(record) < LEAST_SAMPLES:
             continue
-        rest = {
-            c.name: record.inputs[c.name][0] * (c.quantity in ("displacement", "angle"))
-            for c in problem.network.inputs
-        }
-        moved = replace(
-            record, inputs={n: x - rest[n] for n, x in record.inputs.items()}
-        )
-        try:
-            said = Problem(problem.network, [moved]).simulate([problem.network], 0)[
-                :, :, 0
-            ]
-        except BROKEN:
+        said = simulate_from_rest(network, record)
+        if said is None:
             continue
         skip = len(record) // 8  # start-up from rest
         x, y = said[skip : len(record)], record.measured[skip:]
-        if x.shape != y.shape or not (np.isfinite(x).all() and np.isfinite(y).all()):
+        if x.shape != y.shape or not np.isfinite(y).all():
             continue
         options = {"nperseg": len(x) // SEGMENTS, "detrend": "linear", "axis": 0}
         frequency, own_power = signal.welch(y, 1 / record.interval, **options)

@@ -22,8 +22,8 @@ from ...physics.simulate import pace
 from ...records.data import Table, check
 from ...records.data._quality import Scale, admit
 from ...records.loggers.recording import Recording, Signal, sampled
-from .._simulation.interpolation import through
-from .._simulation.problem import BROKEN, Problem, Record
+from .._simulation.interpolation import OutputSampler, through
+from .._simulation.problem import Record, simulate_from_rest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,26 +41,6 @@ LEAST = 64  # least number of compared samples
 FINER = 4  # refinement of the grid on which the bandwidth of the simulated motion is estimated
 FEW = 8.0  # samples per period of the middle frequency of the motion below which the sampling rate is checked
 EDGE = 0.9  # share of a channel's power below the frequency that counts as the upper end of the motion
-
-
-@dataclass(frozen=True)
-class OutputSampler:
-    """Linear map from simulated outputs on the grid of a record to compared outputs."""
-
-    matrices: tuple[Any, ...]  # sparse matrix (compared, grid) of each channel
-    filtered: bool  # whether a matrix contains a low-pass
-
-    def __call__(self, outputs: Array) -> Array:
-        """Return compared outputs (compared, channels, lanes) of simulated outputs (grid, channels, lanes)."""
-        return np.stack(
-            [m @ outputs[:, j] for j, m in enumerate(self.matrices)], axis=1
-        )
-
-    def part(self, first: int, stop: int, cut: slice) -> OutputSampler:
-        """Return the map of compared samples first..stop-1 from the grid samples `cut`."""
-        return OutputSampler(
-            tuple(m[first:stop, cut] for m in self.matrices), self.filtered
-        )
 
 
 @dataclass(frozen=True)
@@ -334,13 +314,12 @@ def check_sampling_rates(record: Record, network: Network) -> None:
     fine = replace(
         record.unread(), step=record.step / FINER, inputs=inputs, slopes={}, size=0
     )
-    try:
-        simulated = Problem(network, [fine]).simulate([network], 0)[:, :, 0]
-    except BROKEN:
+    simulated = simulate_from_rest(network, fine)
+    if simulated is None:
         return
     for j in slow:
         y = simulated[:, j]
-        if not np.isfinite(y).all() or not y.std() > 0:
+        if not y.std() > 0:
             continue
         f, density = welch(
             y - y.mean(), 1 / fine.step, nperseg=min(len(y), 4096 * FINER)

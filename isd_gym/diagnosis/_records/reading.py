@@ -16,7 +16,7 @@ from ...physics.simulate import COARSE
 from ...records.data import Table, check, read_table
 from ...records.data._quality import CAR, Scale, admit, known_check, rises_unevenly
 from ...records.loggers.recording import Recording, Signal
-from .._simulation.problem import BROKEN, Problem, Record, thinned
+from .._simulation.problem import BROKEN, Record, simulate_from_rest, thinned
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording
 
@@ -135,18 +135,13 @@ def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
         )
         if not is_sound or raw.samples < LEAST_SAMPLES:
             return scale
-        rest = {
-            c.name: raw.inputs[c.name][0] * (c.quantity == "displacement")
-            for c in network.inputs
-        }
-        moved = replace(raw, inputs={n: x - rest[n] for n, x in raw.inputs.items()})
-        problem = Problem(network, [moved])
-        outputs = (
-            problem.simulate([network], 0)[moved.samples // 2 :, :, 0] / problem.factors
-        )
+        outputs = simulate_from_rest(network, raw)
     except BROKEN:
         return scale
-    spread = dict(zip(problem.channels, map(float, outputs.std(axis=0)), strict=True))
-    return replace(
-        scale, spread={n: s for n, s in spread.items() if math.isfinite(s) and s > 0}
-    )
+    if outputs is None:
+        return scale
+    spread = {
+        c.name: float(convert(y[raw.samples // 2 :].std(), c.unit, c.si))
+        for c, y in zip(network.outputs, outputs.T, strict=True)
+    }
+    return replace(scale, spread={n: s for n, s in spread.items() if s > 0})

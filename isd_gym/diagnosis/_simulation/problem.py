@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from ..._common.arrays import Array
     from ...records.loggers.recording import Recording
-    from .._records.multirate import OutputSampler
+    from .interpolation import OutputSampler
 
 
 #: use of a record: training (fit), validation (choose) or test (report)
@@ -627,6 +627,20 @@ class Problem:
         return np.stack(
             [maps[key] @ initial[:, k] for k, key in enumerate(keys)], axis=1
         )
+
+
+def simulate_from_rest(network: Network, record: Record) -> Array | None:
+    """Return the outputs (samples, channels) of a model at rest where the inputs of a record begin; None where the simulation breaks down."""
+    inputs = {}
+    for c in network.inputs:
+        u = record.inputs[c.name]
+        inputs[c.name] = u - u[0] * (c.quantity in ("displacement", "angle"))
+    problem = Problem(network, [replace(record, inputs=inputs)])
+    try:
+        out = problem.simulate([network], 0)[:, :, 0]
+    except BROKEN:
+        return None
+    return out if np.isfinite(out).all() else None
 
 
 class SimulationCache:

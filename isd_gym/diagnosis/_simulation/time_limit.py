@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 #: share of the limit at which each stage ends, if it is not finished
-SEARCH, SELECTION, EVIDENCE, RESULT = 0.7, 0.87, 0.94, 0.97
+SEARCH, EVIDENCE, RESULT = 0.7, 0.94, 0.97
 
 
 class TimeUp(Exception):

@@ -303,22 +303,6 @@ class Facts:
         return is_gain(self.d["best_candidate"])
 
     @property
-    def is_unexplained(self) -> bool:
-        """Whether neither a known effect nor a table of a force explains half of the error, and no kind is likely."""
-        d, least = self.d, self.d["criteria"]["least_removed"]
-        tried = (d["best_candidate"], d["best_table"])
-        is_short = all(t is None or (t["explained"] or 0.0) < least for t in tried)
-        likely = self.places or [
-            f for f in d["findings"] if f["kind_probability"] >= PERHAPS
-        ]
-        return (
-            is_short
-            and d["best_table"] is not None
-            and not d["not_tried"]
-            and not likely
-        )
-
-    @property
     def bounded(self) -> dict[str, float]:
         """Channels whose noise is only bounded, with the bound."""
         e = self.d["evidence"]
@@ -326,25 +310,21 @@ class Facts:
         return {name: floor for name, floor, known in rows if not known}
 
     @property
-    def excess(self) -> list[dict[str, Any]]:
-        """Error of the refitted model beyond noise, noise, and error that unmodelled effects leave, by channel."""
+    def excess(self) -> dict[str, Any]:
+        """Largest error of the refitted model beyond noise, with its channel, noise, and error that unmodelled effects leave."""
         e = self.d["evidence"]
-        return [
+        names = ("channels", "refit", "noise", "envelope")
+        rows = [
             {
                 "channel": c,
                 "excess": max(r**2 - f**2, 0.0) ** 0.5,
                 "noise": f,
                 "envelope": w,
             }
-            for c, r, f, w in zip(
-                e["channels"], e["refit"], e["noise"], e["envelope"], strict=True
-            )
+            for c, r, f, w in zip(*(e[k] for k in names), strict=True)
             if None not in (r, f, w)
         ]
-
-    def largest_ratio(self, to: str) -> dict[str, Any]:
-        """Return the entry of `excess` with the largest ratio of the error to the noise or the envelope."""
-        return max(self.excess, key=lambda row: row["excess"] / max(row[to], 1e-12))
+        return max(rows, key=lambda row: row["excess"], default={})
 
     @property
     def moved(self) -> list[tuple[str, Mapping[str, Any]]]:
