@@ -18,7 +18,7 @@ from ._estimation.structure import (
     with_sensor_offsets,
 )
 from ._planning.design import next_experiment
-from ._selection.answer import beyond_noise
+from ._selection.answer import beyond_noise, removed_share
 from ._selection.free_force import FreeForce, fit_free_force
 from ._selection.uncertainty import intervals, with_posterior
 from ._selection.weights import Statement, weigh
@@ -200,7 +200,7 @@ class ResultBuilder:
             return ()
         named: frozenset[Statement] = frozenset()
         if verdict == "missing_effect":
-            certain = zip(answer.simplest.members, answer.certain, strict=True)
+            certain = zip(answer.foremost.members, answer.certain, strict=True)
             named = frozenset(
                 Statement(m.place, m.mechanism, m.effect)
                 for m, is_so in certain
@@ -278,7 +278,7 @@ class ResultBuilder:
         self, quantities: Mapping[str, Quantity], findings: Sequence[Finding]
     ) -> list[Effect]:
         """Return the certain effects of the foremost set."""
-        row, network, out = self.answer.simplest, self.search.problem.network, []
+        row, network, out = self.answer.foremost, self.search.problem.network, []
         fit = row.fit
         for h, element, m, is_certain in zip(
             fit.hypotheses,
@@ -430,11 +430,10 @@ def closed(rows: Mapping[str, Array]) -> float | None:
 
     None where the refitted model errs more than a constant: any model that errs less would close most of the gap.
     """
-    top = float(np.sum(rows["refit"] ** 2 - rows["after"] ** 2))
-    bottom = float(
-        np.sum(np.maximum(rows["refit"] ** 2 - rows["noise_floor"] ** 2, 0.0))
-    )
-    is_worse_than_constant = not np.mean(rows["refit"] ** 2) < 1.0
-    if not bottom > 0 or not math.isfinite(top) or (top > 0 and is_worse_than_constant):
+    refit, noise = rows["refit"], rows["noise_floor"]
+    share = removed_share(refit, rows["after"], noise)
+    is_worse_than_constant = not np.mean(refit**2) < 1.0
+    is_noise = not np.any(refit > noise)
+    if is_noise or not math.isfinite(share) or (share > 0 and is_worse_than_constant):
         return None
-    return min(1.0, top / bottom)
+    return min(1.0, share)

@@ -35,7 +35,7 @@ from ._selection.held_out_table import row_of
 from ._selection.law_sets import Search
 from ._selection.settings import SearchSettings
 from ._simulation.problem import BROKEN, Problem, Record, Role, bare
-from ._simulation.time_limit import EVIDENCE, RESULT, SEARCH, TimeLimit, TimeUp, running
+from ._simulation.time_limit import EVIDENCE, SEARCH, TimeLimit, TimeUp, running
 from ._verdict.closed_loop import decide_under_feedback
 from ._verdict.evidence import Measurements, collect_evidence
 from ._verdict.gates import decide
@@ -44,7 +44,6 @@ from .result import Diagnosis, Stretches
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from ._estimation.clock_lag import Lag
     from ._estimation.gauss_newton import Fit
     from ._selection.answer import Answer
     from ._verdict.gates import Decision
@@ -144,8 +143,6 @@ def diagnose(
             found = first or flow.run()
             if feedback and found.verdict == "unknown_effect":
                 found = _diagnose_inverse(flow, records) or found
-        if lags:
-            lags = _aligned_again(found, records, part, lags, limit)
     found = replace(
         found,
         lags=tuple(lags),
@@ -168,22 +165,6 @@ def _answering(limit: TimeLimit, steps: SearchSettings) -> Iterator[None]:
             f"the time limit of {steps.max_seconds:g} s is over before the nominal model is refitted and compared with the records: "
             "raise --max-seconds, or give shorter records"
         ) from None
-
-
-def _aligned_again(
-    found: Diagnosis,
-    records: list[Record],
-    network: Network,
-    lags: list[Lag],
-    limit: TimeLimit,
-) -> list[Lag]:
-    """Return the lags under a completed model, since the missing effect had a part in them; those of the nominal model where the new
-    ones cannot be found in time."""
-    if found.verdict == "missing_effect":
-        with contextlib.suppress(TimeUp, *BROKEN), limit.until(RESULT):
-            known = replace(found.model, uncertainty=network.uncertainty)
-            return align_clocks(records, known, previous=lags)[1]
-    return lags
 
 
 def _whole(records: list[Record], network: Network, training: int) -> Problem:

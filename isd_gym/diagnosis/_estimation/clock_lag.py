@@ -65,22 +65,15 @@ def align_clocks(
     records: Sequence[Record],
     network: Network,
     limit: float = LIMIT,
-    previous: Sequence[Lag] | None = None,
 ) -> tuple[list[Record], list[Lag]]:
-    """Return records with the lags between their clocks, fitted with the parameters of a model, and these lags. `limit`: largest lag [s];
-    `previous`: lags of an earlier model in place of the wide search."""
+    """Return records with the lags between their clocks, fitted with the parameters of a model, and these lags. `limit`: largest lag [s]."""
     if not any(r.clocks for r in records):
         return list(records), []
     out = list(records)
-    doubts = {
-        i: x.doubt
-        for i, r in enumerate(out)
-        for x in previous or ()
-        if x.record == r.name
-    }
+    doubts: dict[int, str] = {}
     structure = base_structure(network)
     for i, r in enumerate(out):
-        if r.clocks and previous is None:
+        if r.clocks:
             out[i], doubts[i] = _search_lags(r, network, limit)
     x, fit = structure.start, None
     for _ in range(ROUNDS):

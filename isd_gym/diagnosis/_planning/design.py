@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -61,7 +61,7 @@ class Design:
             "watch": self.separation.watch,
             "separates": list(self.separation.closest),
             "separation_sigma": self.separation.distance,
-            "excitation": self.excitation.to_dict(),
+            "excitation": asdict(self.excitation),
         }
 
     def table(self, network: Network) -> Table:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import welch
@@ -103,10 +103,6 @@ class Excitation:
         if self.kind == "triangle":
             band = f"at {low:.3g} Hz"
         return f"{self.kind}, {band}, {rig.length:g} s: {' and '.join(parts)}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the excitation as JSON types."""
-        return asdict(self)
 
     def _shape(self, c: Channel, time: Array, rng: np.random.Generator) -> Array:
         """Return an unscaled signal (samples,). Displacements have about the same speed at all frequencies."""

@@ -39,11 +39,6 @@ class Answer:
     gain: Comparison = field(default_factory=Comparison)
 
     @property
-    def simplest(self) -> Row:
-        """The simplest set of the band; the refitted model where the band is empty."""
-        return self.band[0] if self.band else self.refit
-
-    @property
     def foremost(self) -> Row:
         """The simplest set of the band; the best set where the band is empty."""
         return self.band[0] if self.band else self.best
@@ -63,10 +58,9 @@ class Answer:
 
     @property
     def certain(self) -> tuple[bool, ...]:
-        """Whether each member of the simplest set has its kind and place in every set of the band."""
-        return tuple(
-            all(m.kind in row.kinds for row in self.band) for m in self.simplest.members
-        )
+        """Whether each member of the foremost set has its kind and place in every set of the band; empty without a band."""
+        members = self.foremost.members if self.band else ()
+        return tuple(all(m.kind in row.kinds for row in self.band) for m in members)
 
 
 def removed_share(before: Array, after: Array, noise: Array) -> float:
