@@ -364,16 +364,10 @@ def _features(
     frames = _frames(shape, wanted) if acts.get("_shape") == [currents] else 1
     if shape != [frames * wanted]:
         others = [
-            f"{asked['observation']} of {name}"
+            f"{kind} of {name}"
             for name in CARS
-            if name != car.network.name
-            and shape
-            == [_width(asked["observation"], vehicle(Network.load(name)), step)]
-        ]
-        others += [
-            f"history of {n}"
-            for n in CARS
-            if shape == [_width("history", vehicle(Network.load(n)), step)]
+            for kind in TRAINED["observation"]
+            if shape == [_width(kind, vehicle(Network.load(name)), step)]
         ]
         fits = (
             f"; it fits {others[0]}, see --network and --trained-with" if others else ""

@@ -112,7 +112,7 @@ def reports() -> None:
             ("score", "trade_off"),
             ("score", "histories"),
             ("found", "time"),
-            ("found", "plane"),
+            ("found", "steps"),
         ):
             shutil.copy(
                 Path(folder) / kind / f"{figure}.svg", HERE / f"{kind}_{figure}.svg"
@@ -399,7 +399,7 @@ def films() -> None:
 def preview() -> None:
     """Change of J over the seconds of road ahead, of the references of the benchmark's card, and the ceilings."""
     from isd_gym.benchmark import cards
-    from isd_gym.benchmark.ceilings import known
+    from isd_gym.benchmark.ceilings import ceiling
     from isd_gym.physics.network import Network
     from isd_gym.physics.road import road
 
@@ -418,7 +418,7 @@ def preview() -> None:
                 if policy in rows and (ahead == 0) == (policy == stem):
                     found[name].append((ahead, 100 * rows[policy]))
         plant = Network.load(track["network"])
-        bound = known(
+        bound = ceiling(
             plant,
             road(track["road"]),
             track["speed"]["value"],
@@ -426,7 +426,7 @@ def preview() -> None:
             preview=ahead,
         )
         if bound:
-            bounds.append((ahead, 100 * bound["change"]))
+            bounds.append((ahead, 100 * bound.change))
     figure, axes = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
     for (name, points), mark in zip(found.items(), "s^o", strict=True):
         axes.plot(*zip(*sorted(points), strict=True), marker=mark, label=name)
@@ -439,25 +439,6 @@ def preview() -> None:
     axes.set(xlabel="road ahead [s]", ylabel="J against the passive car [%]")
     axes.legend()
     save(figure, "preview")
-
-
-def measured() -> None:
-    """The missing force of a measured drive (EMPS), where its records lie beside the repository."""
-    from isd_gym.diagnosis import diagnose
-    from isd_gym.view import write_report
-
-    records = Path(__file__).resolve().parents[2] / "shared" / "real" / "emps"
-    if not records.is_dir():
-        print("no records of EMPS: its figure stays")
-        return
-    found = diagnose(
-        [records / "estimation.csv"],
-        records / "model.json",
-        validate=[records / "validation.csv"],
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        write_report(found, Path(folder))
-        shutil.copy(Path(folder) / "plane.svg", HERE / "measured_emps.svg")
 
 
 def yardsticks() -> None:
@@ -529,7 +510,6 @@ if __name__ == "__main__":
         films,
         reports,
         preview,
-        measured,
         yardsticks,
     )
     for make in every:

@@ -31,7 +31,7 @@ import tracks as tracks_of
 from table import table
 
 from isd_gym.benchmark import cards, lq_bounds
-from isd_gym.benchmark.ceilings import known
+from isd_gym.benchmark.ceilings import ceiling
 from isd_gym.benchmark.tracks import TRACKS
 from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
@@ -151,14 +151,14 @@ def ceilings() -> str:
     """Searched and proven bounds, by the seconds of road ahead."""
     body = []
     for preview in (0.0, 0.1, 0.2):
-        found = known("quarter-car-isd", preview=preview)
+        found = ceiling("quarter-car-isd", preview=preview)
         assert found is not None
         body.append(
             [
                 "none" if preview == 0 else f"{preview:g} s",
-                str(found["roads"]),
-                f"{percent(found['change'])} ± {100 * found['change_standard_error']:.1f} %",
-                f"{percent(found['proven_without_stops'])} ± {100 * found['proven_standard_error']:.1f} %",
+                str(len(found.roads)),
+                f"{percent(found.change)} ± {100 * found.standard_error:.1f} %",
+                f"{percent(found.proven_change)} ± {100 * found.proven_standard_error:.1f} %",
             ]
         )
     heads = [
@@ -315,9 +315,9 @@ DISCRIMINATES = {
 def bound_of(track: Track) -> str:
     """Bound of the change of J on a track."""
     if track.card == tracks_of.QUARTER:
-        found = known("quarter-car-isd", preview=track.preview)
+        found = ceiling("quarter-car-isd", preview=track.preview)
         if found is not None:
-            return f"{percent(found['change'])} searched, {percent(found['proven_without_stops'])} proven without end stops"
+            return f"{percent(found.change)} searched, {percent(found.proven_change)} proven without end stops"
     if track.card == "ISDHalfCar-v0":
         speeds = stored("wheelbase.json")["speeds"]
         (found,) = (s["lq_bound"] for s in speeds if s["speed"]["value"] == 20.0)

@@ -238,7 +238,7 @@ def test_shares_of_the_ceiling_follow_from_card_and_ceiling(results):
     shares = re.search(
         r"`mpc-friction` has (\d+) % of the gain at the ceiling and `ppo` (\d+) %", text
     )
-    rows, ceiling = results.card_rows(), results.known("quarter-car-isd")["change"]
+    rows, ceiling = results.card_rows(), results.ceiling("quarter-car-isd").change
     for name, share in zip(("mpc-friction", "ppo"), shares.groups(), strict=True):
         assert round(100 * rows[name]["cost"]["change"] / ceiling) == int(share)
 

@@ -16,7 +16,6 @@ from isd_gym.diagnosis import Quantity
 from isd_gym.diagnosis._selection.uncertainty import with_posterior
 from isd_gym.diagnosis.simulation._prediction_errors import (
     prediction_errors,
-    removed_share,
 )
 from isd_gym.env._environment import ISDSuspensionEnv
 from isd_gym.physics._batch import posterior_ranges, ranges
@@ -129,70 +128,6 @@ def test_the_command_prints_the_table_and_writes_it(files):
 def test_other_wishes_are_one_line(files, monkeypatch, words, told):
     monkeypatch.chdir(files)
     write_table("push.csv", Table(TIME, {"push": PUSH}, "push"))
-    done = invoke("simulate", "rig.json", *words)
-    assert isinstance(done.exception, InputError) and told in str(done.exception)
-
-
-def test_the_share_that_transfers_is_one_for_the_true_model_and_negative_for_a_worse_one(
-    files,
-):
-    records = [files / "a.csv", files / "b.csv"]
-    true, other = (
-        prediction_errors(records, files / m) for m in ("rig.json", "other.json")
-    )
-    assert removed_share(true, other)["travel"] == pytest.approx(1.0, abs=0.02)
-    assert (
-        removed_share(other, true)["travel"] is None
-    )  # the other model errs by no more than noise
-    RIG.with_parameters({"damper.damping": 90.0}).save(files / "worse.json")
-    worse = prediction_errors(records, files / "worse.json")
-    assert removed_share(worse, other)["travel"] < -0.5
-    half = removed_share(other, worse)["travel"]
-    expected = 1.0 - (other.rows[-1].rms ** 2 - 0.05**2) / (
-        worse.rows[-1].rms ** 2 - 0.05**2
-    )
-    assert half == pytest.approx(expected, abs=0.02)
-
-
-def test_the_command_reports_the_transfer_of_a_model_to_another_rig(files):
-    made = files / "transfer.json"
-    words = ["--compare", "--against", files / "other.json", "--json", made]
-    done = invoke("simulate", files / "rig.json", files / "a.csv", *words)
-    assert done.exit_code == 0, done.output
-    told = " ".join(done.output.split())
-    assert (
-        "removes 100 % of the squared error of 'other' beyond noise in travel" in told
-    )
-    document = json.loads(made.read_text())
-    assert document["against"]["errors"][0]["nrmse"] > 0.15
-    assert document["removed"]["travel"] == pytest.approx(1.0, abs=0.02)
-    again = [
-        "simulate",
-        files / "other.json",
-        files / "a.csv",
-        "--compare",
-        "--against",
-        files / "rig.json",
-    ]
-    assert "'rig' errs by no more than noise in travel" in " ".join(
-        invoke(*again).output.split()
-    )
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (
-            ["a.csv", "--out", "o.csv", "--against", "other.json"],
-            "--against goes with --compare",
-        ),
-        (["a.csv", "--compare", "--against", "far.json"], "the same outputs"),
-    ],
-)
-def test_models_that_cannot_be_compared_are_one_line(files, monkeypatch, words, told):
-    monkeypatch.chdir(files)
-    output = channel("speed", "velocity", "mass")
-    oscillator(output, name="far").save("far.json")
     done = invoke("simulate", "rig.json", *words)
     assert isinstance(done.exception, InputError) and told in str(done.exception)
 

@@ -93,23 +93,6 @@ def test_a_name_in_markdown_is_text_in_one_cell():
     )
 
 
-def test_a_name_of_a_condition_leaves_the_table_of_a_sweep_whole(tmp_path):
-    grid = {
-        "policies": ["isd-passive"],
-        "episodes": 1,
-        "duration": 0.1,
-        "conditions": [{"name": HOSTILE}],
-    }
-    sweep(Grid.from_dict(grid), tmp_path / "out")
-    text = (tmp_path / "out" / "sweep.md").read_text()
-    rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert (
-        len(rows) == 3
-        and {row.count("|") for row in rows} == {3}
-        and "<script" not in text
-    )
-
-
 def test_names_are_shown_in_one_line_that_steers_nothing():
     assert shown("body") == "'body'" and shown("Straße 7 µm²") == "'Straße 7 µm²'"
     assert shown("a\nisd-gym: all fine") == r"'a\nisd-gym: all fine'"

@@ -19,10 +19,9 @@ from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, write_table
 from isd_gym.records.inspection import head, inspect, lines
 from isd_gym.records.inspection.map_file import save_map
-from isd_gym.records.loggers import ChannelMap, Column, Logger, Raster, mended, runs
-from isd_gym.records.loggers.record_reading import records_of, road_of
+from isd_gym.records.loggers import ChannelMap, Raster, mended, runs
+from isd_gym.records.loggers.record_reading import records_of
 from isd_gym.records.schemas import load
-from isd_gym.view.report.inspection import page
 
 NAMES = {
     "road": "base",
@@ -240,55 +239,6 @@ def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, 
         np.testing.assert_allclose(back.signals[name].values, column, rtol=1e-12)
 
 
-def test_a_map_leads_a_score_to_the_road_that_a_logger_measured(tmp_path, run):
-    """Signed, in mm, in a column of its own name: the profile over the time of the drive, from zero on."""
-    time, columns = run
-    write_table(
-        tmp_path / "rec.csv", Table(time + 3.0, {"Laser": -1e3 * columns["road"]})
-    )
-    by = ChannelMap({"road": Column("Laser", unit="mm", sign=-1)})
-    ground = road_of(tmp_path / "rec.csv", Network.load(CAR), by)
-    assert ground.over_time and ground.abscissa[0] == 0.0
-    np.testing.assert_allclose(ground.profile, columns["road"], rtol=0, atol=1e-12)
-    in_metres = ChannelMap({"road": Column("Laser")})
-    refused(
-        "is the height in mm",
-        road_of,
-        tmp_path / "rec.csv",
-        Network.load(CAR),
-        in_metres,
-    )
-
-
-def test_of_two_loggers_the_file_with_the_road_is_enough(tmp_path, run):
-    """The second logger's stamps have a name of their own; the first logger's file has no road."""
-    time, columns = run
-    write_table(
-        tmp_path / "body.csv", Table(time, {"az": columns["body_acceleration"]})
-    )
-    lines = (
-        f"{t:.9g},{1e3 * z:.12g}" for t, z in zip(time, columns["road"], strict=True)
-    )
-    (tmp_path / "wheel.csv").write_text("Zeit,Laser\n" + "\n".join(lines) + "\n")
-    told = {
-        "road": Column("Laser", logger=2, unit="mm"),
-        "body_acceleration": Column("az"),
-    }
-    by = ChannelMap(
-        told,
-        (Logger("body.csv", "time"), Logger("wheel.csv", "Zeit")),
-        source="map.json",
-    )
-    both = road_of(
-        f"{tmp_path / 'body.csv'}+{tmp_path / 'wheel.csv'}", Network.load(CAR), by
-    )
-    ground = road_of(tmp_path / "wheel.csv", Network.load(CAR), by)
-    np.testing.assert_allclose(ground.profile, columns["road"], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(both.profile, ground.profile, rtol=0, atol=1e-9)
-    words = r"body.csv: cannot be read as logger 2 of map.json \(wheel.csv\)"
-    refused(words, road_of, tmp_path / "body.csv", Network.load(CAR), by)
-
-
 def test_what_is_odd_is_told(tmp_path, run):
     time, columns = run
     frozen = columns["travel"].copy()
@@ -316,20 +266,18 @@ def test_the_terminal_holds_80_columns_and_the_page_fetches_nothing(tmp_path, ru
     names = {c: f"a_rather_long_name_of_a_column_{c}" for c in run[1]}
     _, made = found(tmp_path, run, names)
     assert max(map(len, lines(made, 80))) <= 80
-    text = page(made)
-    assert text.count("<path d=") == 4 and "src=" not in text.split("<main>")[1]
 
 
-def test_the_command_writes_its_page_and_over_no_record(tmp_path, program):
+def test_the_command_writes_over_no_record(tmp_path, program):
     file = tmp_path / "rec.csv"
     write_table(file, Table(0.01 * np.arange(400), {"x": np.sin(0.1 * np.arange(400))}))
     before = file.read_bytes()
     done = CliRunner().invoke(
-        program, ["inspect", str(file), "--html", str(tmp_path / "page.html")]
+        program, ["inspect", str(file), "--json", str(tmp_path / "facts.json")]
     )
     assert done.exit_code == 0, done.output
-    assert "<svg" in (tmp_path / "page.html").read_text()
-    done = CliRunner().invoke(program, ["inspect", str(file), "--html", str(file)])
+    assert (tmp_path / "facts.json").exists()
+    done = CliRunner().invoke(program, ["inspect", str(file), "--json", str(file)])
     assert isinstance(done.exception, InputError) and "it is an input file" in str(
         done.exception
     )

@@ -142,7 +142,7 @@ def test_a_model_file_keeps_the_load():
     network = joint()
     assert Network.from_dict(network.to_dict()).element("rub") == network.element("rub")
     assert network.unit_of("rub.gain") == "-" and network.unit_of("rub.level") == "N"
-    with pytest.raises(NotImplementedError, match="depends on the load"):
+    with pytest.raises(NotImplementedError, match="is no curve"):
         network.element("rub").curve(np.zeros(2))
 
 

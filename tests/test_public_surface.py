@@ -41,12 +41,12 @@ isd_gym.baselines.mpc
     also ACCELERATION_LIMIT Mpc PAPER TRAVEL_LIMIT
 isd_gym.benchmark
 isd_gym.benchmark.cards
-    also BUILT_IN CLOSE SAME built_in digest load make match ranking read_score regret track
+    also BUILT_IN CLOSE SAME built_in digest load make match ranking read_score track
 isd_gym.benchmark.ceilings
-    also Ceiling FEWEST FIGURES SEED SETTINGS bounds_beside ceiling fronts known known_ceilings passive_cost
+    also Ceiling FEWEST FIGURES SEED SETTINGS bounds_beside ceiling fronts known_ceilings passive_cost
     reachable
 isd_gym.benchmark.comparability
-    also Comparable NAMES PAPER_CARS PAPER_SPEED comparable
+    also Comparable NAMES comparable
 isd_gym.benchmark.driving
     Controller Entry cost_of
     also Crew Driver Idle travel
@@ -59,14 +59,12 @@ isd_gym.benchmark.policies
 isd_gym.benchmark.scoring
     Controller Entry Idle LIMITS PAPER Run SCHEMA Score comfort_point drive frequency_weighting score
     weighted_rms
-    also IDLE LEARN MEASURES PRINTED check_size compare corner_measures fingerprints idle_policies measures
-    units unscored
+    also IDLE LEARN MEASURES PRINTED check_size compare corner_measures fingerprints measures units unscored
 isd_gym.benchmark.show
-    also FPS SIZE WIDE check_window film live snapshots
+    also FPS SIZE WIDE film live snapshots
 isd_gym.benchmark.sweep
 isd_gym.benchmark.sweep.conditions
-    also COMMANDS FOLDER RESAMPLES change_cell check_policies drive_item items_are merge overall rows sweep
-    table
+    also FOLDER RESAMPLES change_cell check_policies drive_item items_are merge overall rows sweep
 isd_gym.benchmark.sweep.grid
     also BUILT_IN Condition Grid SCHEMA SENSES belongings built_in draw
 isd_gym.benchmark.sweep.items
@@ -157,7 +155,7 @@ isd_gym.records.loggers.grid
 isd_gym.records.loggers.mapping
     also ChannelMap Column JOIN Logger SCHEMA files_of runs
 isd_gym.records.loggers.record_reading
-    also records_of road_of
+    also records_of
 isd_gym.records.loggers.recording
     also EPOCH GAP LEAST Raster Recording Signal UNEVEN continuous even mended rasters rounded sampled spans
 isd_gym.records.schemas
@@ -204,24 +202,22 @@ isd_gym.view.report.charts
     also Axis COLUMNS Chart Dots Item Line MOST_DOTS Marks Panel QUIET Rule Span Ticks decades draw log_ticks
     picture
 isd_gym.view.report.diagnosis
-    also AFTER BEFORE FIGURES MEASURED MOST_CHANNELS NOISE OVER PERIODS RELATIONS STAGES STRETCH Scale View
-    WORST check_target draw_gap draw_law draw_loops draw_other_loops draw_parameters draw_plane draw_residuals
-    draw_spectra draw_time learned notebook_page write_report
+    also AFTER BEFORE FIGURES MEASURED MOST_CHANNELS MOST_LOOPS OVER PERIODS RELATIONS STAGES STRETCH Scale
+    View WORST check_target draw_gap draw_law draw_loops draw_parameters draw_spectra draw_time learned
+    notebook_page write_report
 isd_gym.view.report.forces
-    also Cloud Curve GRID Law Loops TAPER clouds laws_of loops_of measured_loops
-isd_gym.view.report.inspection
-    also page
+    also Curve GRID Law Loops Missing TAPER laws_of measured_loops missing_force
 isd_gym.view.report.plots
     also COLOURS DPI LINES LOOKS Look MARKERS Picture STYLE THEMED as_picture caption channel_text density
     figure looks number page percent sentence style themed unit_text units_text versions
 isd_gym.view.report.schematic
-    Drawing check_suffix draw place_parts
+    Drawing check_suffix draw
     also BOX HALF LETTER LETTERS LINE MARGIN MOVES PAPER SMALL SYMBOL SYMBOLS TALL
 isd_gym.view.report.score
-    also COLUMNS SCORE_KIND SCORE_PARTS SIGNALS Shown WELCH check_report distribution histories limits
-    score_report spectra trade_off
+    also COLUMNS SCORE_KIND SCORE_PARTS SIGNALS Shown WELCH check_report histories score_report spectra
+    trade_off
 isd_gym.view.report.steps
-    also GRID draw_steps force_axis law_axis law_force trend
+    also draw_steps force_axis law_axis law_force trend
 """
 
 

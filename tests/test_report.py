@@ -138,8 +138,8 @@ def evidence_of(gap, explained):
     )  # fmt: skip
 
 
-CURVES = ["steps", "loops", "other_loops", "gap", "time"]
-FIGURES = [*CURVES, "residuals", "spectra", "plane", "law", "parameters"]
+CURVES = ["steps", "loops", "gap", "time"]
+FIGURES = [*CURVES, "spectra", "law", "parameters"]
 #: of friction that leaves nearly all
 GATES = gates_of(NONE)
 #: verdicts, one of them with a table of the missing force
@@ -274,20 +274,20 @@ def check_page(path):
 
 
 def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
-    """Found from residuals alone, without the law: its level and its sign by the rate, and nothing left afterwards."""
-    (cloud,) = report.View(diagnosis).clouds
-    assert cloud.pair == ("piston", "joint")
-    moving = np.abs(cloud.rate) > 0.02
-    along = cloud.before[moving] * np.sign(cloud.rate[moving])
+    """Found from residuals alone, without the law: its level, and its sign by the rate."""
+    missing = report.View(diagnosis).missing
+    assert missing.pair == ("piston", "joint")
+    rate, force = missing.curve.rate, missing.curve.force
+    moving = np.abs(rate) > 0.02
+    along = force[moving] * np.sign(rate[moving])
     assert moving.mean() > 0.2
     assert np.mean(along) == pytest.approx(LEVEL, rel=0.15)
-    assert np.corrcoef(cloud.before[moving], np.sign(cloud.rate[moving]))[0, 1] > 0.85
-    assert np.sqrt(np.mean(cloud.after**2)) < 0.15 * LEVEL
+    assert np.corrcoef(force[moving], np.sign(rate[moving]))[0, 1] > 0.85
     # the rate is that of the record
     measured = np.gradient(
         simulate(diagnosis.model, *_held(diagnosis))["device_travel"], STEP
     )[125:-125]
-    assert np.sqrt(np.mean((cloud.rate - measured) ** 2)) < 0.05 * measured.std()
+    assert np.sqrt(np.mean((rate - measured) ** 2)) < 0.05 * measured.std()
 
 
 def test_the_first_figure_has_the_places_the_force_and_the_laws(diagnosis):
@@ -368,10 +368,7 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     ]
     drawn = {file.stem: file.read_text() for file in path.parent.glob("*.svg")}
     assert "with the force" in drawn["gap"] and "completed model" in drawn["time"]
-    assert (
-        "residual of the completed model" in drawn["spectra"]
-        and "added law" in drawn["plane"]
-    )
+    assert "residual of the completed model" in drawn["spectra"]
     # the law is that of the result
     law = next(
         i for i in report.draw_law(report.View(d)).panels[0].items if i.name == "law"
@@ -429,10 +426,6 @@ def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
     typical = chart.choices["one (fitted)"][1]
     assert typical.title == "typical stretch" and typical.x.high < 1500 * STEP
     assert len(typical.items[0].x) == round(report.STRETCH / STEP)
-    chart = report.draw_residuals(report.View(replace(diagnosis, traces=traces)))
-    residuals = chart.choices["one (fitted)"][0]
-    spans = [(i.low, i.high) for i in residuals.items if isinstance(i, charts.Span)]
-    assert spans == [(window.low, window.high), (typical.x.low, typical.x.high)]
 
 
 def test_a_sensor_is_told_from_physics(diagnosis, tmp_path, quick):
@@ -523,7 +516,7 @@ def test_score_report_stands_alone(small_score, tmp_path):
     path = score_page.score_report(small_score, tmp_path / "score")
     assert dict(matplotlib.rcParams) == before
     page = check_page(path)
-    names = {"trade_off", "histories", "spectra", "episodes", "limits"}
+    names = {"trade_off", "histories", "spectra"}
     assert {p.stem for p in path.parent.glob("*.svg")} == names
     told = json.loads(json.dumps(small_score.to_dict()))
     assert json.loads((path.parent / "score.json").read_text()) == told
@@ -773,7 +766,6 @@ def test_one_episode_has_no_interval(tmp_path):
     )
     page = check_page(score_page.score_report(one, tmp_path / "one"))
     assert "One episode has no interval" in page.text and "95 % paired" not in page.text
-    assert "episodes" not in page.figures
     items = score_page.trade_off(score_page.Shown(one)).panels[0].items
     points = [i for i in items if isinstance(i, charts.Marks)]
     assert points and not any(i.x_interval for i in points)
@@ -781,7 +773,7 @@ def test_one_episode_has_no_interval(tmp_path):
 
 def test_nobody_is_left_out_silently(small_score):
     shown = score_page.Shown(small_score)
-    for make in (score_page.histories, score_page.spectra, score_page.limits):
+    for make in (score_page.histories, score_page.spectra):
         chart = make(shown)
         items = (i for p in chart.panels for i in p.items)
         lines = {i.name for i in items if isinstance(i, charts.Line) and not i.fill}

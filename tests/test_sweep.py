@@ -5,24 +5,20 @@ import os
 import signal
 import sys
 import time
-from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from program import assert_one_line, refused, run
 
 from isd_gym._common.errors import InputError
-from isd_gym.benchmark.driving import Entry
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import drive, score
+from isd_gym.benchmark.scoring import score
 from isd_gym.benchmark.sweep import items as engine
-from isd_gym.benchmark.sweep.conditions import _watched, drive_item, overall, sweep
+from isd_gym.benchmark.sweep.conditions import drive_item, overall, sweep
 from isd_gym.benchmark.sweep.grid import Condition, Grid
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import vehicle
 
 GRID = """
 policies = ["isd-passive", "skyhook"]
@@ -220,27 +216,13 @@ def test_over_all_conditions_each_counts_the_same():
     assert [r["policy"] for r in overall(conditions, ("a", "b"))] == ["b"]
 
 
-def test_the_watch_sees_what_is_not_allowed():
-    wild = {"name": "wild", "reset": lambda: None, "act": lambda observation: 7.0}
-    entry = Entry("wild", lambda: SimpleNamespace(**wild))
-    counts, car = Counter(), Network.load("quarter-car-isd")
-    drive(_watched(entry, vehicle(car), counts), car, episodes=2, duration=0.05)
-    assert counts == {"given": 20, "not_finite": 0, "above_limit": 20, "above_slew": 20}
-
-
 @pytest.mark.slow
-def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
+def test_a_sweep_of_half_cars_goes_on(tmp_path):
     conditions = (Condition("half", network="half-car-isd"),)
     grid = Grid(("skyhook",), conditions, episodes=2, batch=2, duration=0.05)
     merged, failed = sweep(grid, tmp_path)
     assert not failed and not merged["missing"]
     (row,) = merged["conditions"][0]["policies"]
-    assert row["commands"] == {
-        "given": 2 * 2 * 10,
-        "not_finite": 0,
-        "above_limit": 0,
-        "above_slew": 0,
-    }
     assert row["pitch_acceleration_rms"]["unit"] == "rad/s^2"
     again = []
     assert (
@@ -315,8 +297,8 @@ def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path):
     part = run("sweep", good, "--out", tmp_path / "part", "--shard", "17/18")
     assert part.returncode == 0 and "17 items are not there yet" in part.stdout
     assert "heavy" not in part.stdout  # no row without a figure
-    assert run("sweep", good, "--out", out).returncode == 0
-    assert "| heavy |" in (out / "sweep.md").read_text()
+    whole = run("sweep", good, "--out", out)
+    assert whole.returncode == 0 and "heavy" in whole.stdout
     assert run("sweep", tmp_path / "absent.toml", "--out", out).returncode == 2
 
 

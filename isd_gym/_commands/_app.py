@@ -19,7 +19,6 @@ GROUPS = {
         "policies",
         "networks",
         "sweep",
-        "ceiling",
         "reproduce",
     ),
     "Train": ("train", "convert"),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
-from .._common.errors import InputError, plain
+from .._common.errors import plain
 from ._columns import print_columns
 from .console import printer
+
+if TYPE_CHECKING:
+    pass
 
 
 def print_track(
@@ -18,9 +21,7 @@ def print_track(
 
     from ..benchmark.cards import ranking
 
-    one = next(t for t in card["tracks"] if t["track"] == name)
-    rows = ranking(card, name, scores, _ceilings(one))
-    known = any(row["regret"] is not None for row in rows)
+    rows = ranking(card, name, scores)
     console = printer()
     gap = "\n" if console.width < 98 else " "
 
@@ -50,16 +51,6 @@ def print_track(
         },
         {
             "cost J": [f"{r['cost']['value']:.4f}" for r in rows],
-            **(
-                {
-                    "regret": [
-                        "" if r["regret"] is None else f"{r['regret']:.4f}"
-                        for r in rows
-                    ]
-                }
-                if known
-                else {}
-            ),
             "change of J": [change(r["cost"]) for r in rows],
         },
         {
@@ -74,10 +65,6 @@ def print_track(
             )
         },
     )
-    if known:
-        console.print(
-            "Regret: J above the causal ceiling, the least J known for causal controllers."
-        )
     for row in rows:
         for rival, q in row.get("against", {}).items():
             if "change" not in q:
@@ -86,21 +73,3 @@ def print_track(
                 f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {100 * q['change']:+.2f} % of J "
                 f"[{100 * q['low']:+.2f}, {100 * q['high']:+.2f}]",
             )
-
-
-def _ceilings(
-    one: Mapping[str, Any],
-) -> Callable[[float], Mapping[str, Any] | None] | None:
-    """Return a function from preview [s] to the causal ceiling of a track; None where no ceiling may stand beside the track."""
-    from ..benchmark.ceilings import known_ceilings
-    from ..benchmark.comparability import comparable
-    from ..physics.network import Network
-    from ..physics.road import road
-
-    speed, duration = one["speed"]["value"], one["duration"]["value"]
-    try:
-        plant, ground = Network.load(one["network"]), road(one["road"])
-    except InputError:  # of a file on another machine
-        return None
-    left_out = comparable(plant, ground, speed, one["episodes"], duration).ceiling
-    return None if left_out else known_ceilings(plant, ground, speed, duration)

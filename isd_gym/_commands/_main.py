@@ -11,7 +11,6 @@ import typer
 
 from .._common.errors import InputError, TyreContactWarning, plain
 from ._app import app
-from ._plugins import add_plugins
 from ._streams import prepare_streams
 
 
@@ -24,7 +23,6 @@ def main() -> None:
     stopped = _listen()
     warnings.showwarning = _warn
     try:
-        add_plugins()
         code = app(prog_name="isd-gym", standalone_mode=False)
         sys.stdout.flush()
     except InputError as error:

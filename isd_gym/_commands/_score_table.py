@@ -145,7 +145,7 @@ def _title(result: Any) -> str:
 
 
 def print_score(result: Any, *, full: bool) -> None:
-    """Print the table of a score and a sentence; with `full` all tables, the paper's tables and the bounds."""
+    """Print the table of a score and a sentence; with `full` all tables and the bounds."""
     from rich.text import Text
 
     console = printer()
@@ -168,25 +168,6 @@ def print_score(result: Any, *, full: bool) -> None:
     if not full:
         console.print(_sentence(result) + " More: --full.")
         return
-    if not result.comparable.tables:
-        for line in _paper_lines():
-            console.print(line, style="dim")
     for line in result.references.values():
         if isinstance(line, str):
             console.print(plain(line, 400), style="dim")
-
-
-def _paper_lines() -> list[str]:
-    """Return the rows of the paper's tables, one a line."""
-    from ..benchmark.scoring import PAPER
-
-    lines = []
-    for name, (before, after) in PAPER.items():
-        (a0, l0, t0), (a1, l1, t1) = before, after
-        parts = (
-            f"acceleration {a0:.3f} -> {a1:.3f} ({100 * (a1 / a0 - 1):+.1f} %)",
-            f"travel [mm] {1e3 * l0:.2f} -> {1e3 * l1:.2f} ({100 * (l1 / l0 - 1):+.1f} %)",
-            f"tyre load {t0:.0f} -> {t1:.0f} ({100 * (t1 / t0 - 1):+.1f} %)",
-        )
-        lines.append(f"The paper's {name}: " + ", ".join(parts))
-    return lines

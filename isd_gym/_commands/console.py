@@ -161,44 +161,6 @@ def print_names(rows: Mapping[str, str]) -> None:
 
 
 @contextmanager
-def counted(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Give a function that updates a counting bar on stderr; without a terminal, a line is printed now and then.
-
-    Args:
-        what: Counted things, such as 'cases'.
-
-    Yields:
-        ``update(done, all)``.
-    """
-    import time
-
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-    )
-
-    begun = told = time.monotonic()
-    if not sys.stderr.isatty():
-
-        def line(done: int, every: int) -> None:
-            nonlocal told
-            if time.monotonic() - told > SELDOM and done < every:
-                told = time.monotonic()
-                typer.echo(f"{told - begun:.0f} s: {done} of {every} {what}", err=True)
-
-        yield line
-        return
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, every: bar.update(task, completed=done, total=every)
-
-
-@contextmanager
 def resumable() -> Iterator[None]:
     """Tell the user on Ctrl-C how to continue work that is stored item by item."""
     try:

@@ -43,9 +43,6 @@ MapTargetOption = Annotated[
         "--out FILE", "Write the column found for each channel to this file, for --map."
     ),
 ]
-PageOption = Annotated[
-    Path | None, option("--html FILE", "Write a page with a picture of every column.")
-]
 ColumnUnitOption = Annotated[
     list[str] | None, option("--unit COLUMN=UNIT", "Unit of a column. May be repeated.")
 ]
@@ -55,7 +52,6 @@ def command(
     data: FilesArgument,
     model: ChannelModelOption = None,
     out: MapTargetOption = None,
-    html: PageOption = None,
     rename: RenameOption = None,
     unit: ColumnUnitOption = None,
     sign: SignOption = None,
@@ -73,16 +69,14 @@ def command(
 
     Example: isd-gym inspect body.csv wheel.mf4 --model car.json --out map.json
     """
-    from .._common.files import write_text
     from ..physics.network import Network
     from ..records.inspection.map_file import save_map
     from ..records.inspection.report import inspect, lines
     from ..records.loggers import ChannelMap, Column
     from ..records.loggers.mapping import files_of
-    from ..view.report.inspection import page
 
     files = [file for word in data for file in files_of(word)]
-    for target in (out, html, json_file):
+    for target in (out, json_file):
         check_file(target, model, *files)
     if out is not None and model is None:
         raise InputError(
@@ -140,9 +134,6 @@ def command(
     )
     for line in lines(found, max(60, min(terminal_columns(), 140))):
         typer.echo(line)
-    if html is not None:
-        write_text(html, page(found))
-        typer.echo(f"page: {html}", err=True)
     write_json(json_file, found.to_dict())
     if out is not None and found.suggestion is not None:
         made = found.suggestion

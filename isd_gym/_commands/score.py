@@ -13,7 +13,6 @@ from ._card_table import print_track
 from ._options import (
     DurationOption,
     JsonOption,
-    MapOption,
     NetworkOption,
     PoliciesArgument,
     PreviewOption,
@@ -65,7 +64,7 @@ PointOption = Annotated[
 
 
 #: parameters of the command that a track sets
-SET_BY_TRACK = ("network", "road", "map_file", "speed", "preview", "episodes")
+SET_BY_TRACK = ("network", "road", "speed", "preview", "episodes")
 
 
 def _refuse_conditions(context: typer.Context) -> None:
@@ -86,7 +85,6 @@ def command(
     policies: PoliciesArgument,
     track: TrackOption = None,
     road: RoadOption = "paper",
-    map_file: MapOption = None,
     speed: SpeedOption = 20.0,
     episodes: EpisodesOption = 32,
     seed: SeedOption = None,
@@ -111,21 +109,18 @@ def command(
 
     The table shows the cost J and the RMS of body acceleration, suspension travel and dynamic tyre load. Each number has
     its change against passive with a 95 % interval. --full adds peaks, energy, times, pitch, roll and each corner, and,
-    where their conditions hold, the paper's tables and the known bounds. They are means over random roads, so use at
-    least 32 episodes of 20 s.
+    where their conditions hold, the known bounds. They are means over random roads, so use at least 32 episodes of 20 s.
 
     Example: isd-gym score passive isd-passive mpc
     """
     from ..benchmark import ceilings as bounds
     from ..benchmark.policies import find_all, passive
-    from ..benchmark.scoring import IDLE, LEARN, check_size, idle_policies, unscored
+    from ..benchmark.scoring import check_size, unscored
     from ..benchmark.scoring import score as run
     from ..env import Sensors
     from ..physics.network import Network
     from ..physics.road import road as find_road
     from ..physics.vehicle import vehicle
-    from ..records.loggers import ChannelMap
-    from ..records.loggers.record_reading import road_of
 
     chosen = None
     if track is not None:
@@ -143,11 +138,7 @@ def command(
         check_report(report)
     plant = Network.load(network)
     check_size(vehicle(plant), episodes, duration)
-    ground = (
-        find_road(road)
-        if map_file is None
-        else road_of(road, plant, ChannelMap.load(map_file))
-    )
+    ground = find_road(road)
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     entries = find_all(
@@ -193,10 +184,5 @@ def command(
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)
     print_score(result, full=full)
-    for name in idle_policies(result, **drives):
-        typer.echo(
-            f"'{name}' costs what zero current costs, within {100 * IDLE:g} %. {LEARN}",
-            err=True,
-        )
     if card is not None and place is not None:
         print_track(card, place, [made])

@@ -50,9 +50,10 @@ def command(
     Example: isd-gym show mpc --against passive --out mpc.mp4
     """
     from ..benchmark.policies import find_all
-    from ..benchmark.show import check_window, film, live
+    from ..benchmark.show import film, live
     from ..physics.network import Network
     from ..physics.road import road as find_road
+    from ..view.rendering import check_display
 
     check_file(out)
     if seconds > LONGEST:
@@ -72,7 +73,7 @@ def command(
         "seed": seed,
     }
     if out is None:
-        check_window()
+        check_display()
         with progress() as update:
             warm_up(update)
         live(entries, plant, **drive)

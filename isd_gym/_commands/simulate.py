@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -27,7 +26,6 @@ from .console import check_file, printer, tell, write_json
 if TYPE_CHECKING:
     from ..diagnosis.simulation._prediction_errors import PredictionErrors
     from ..physics.network import Network
-    from ..physics.simulate import Interpolation
 
 
 def command(
@@ -51,14 +49,6 @@ def command(
             "parameters stay.",
         ),
     ] = False,
-    against: Annotated[
-        str | None,
-        option(
-            "--against MODEL",
-            "With --compare: a second model, such as the nominal model of this rig. Prints its errors too, and the share of its "
-            "squared error beyond noise that MODEL removes: how far a model found on another rig transfers.",
-        ),
-    ] = None,
     step: Annotated[
         float, option("--step", "Largest physics step [s].", min=1e-6)
     ] = 1e-3,
@@ -77,26 +67,14 @@ def command(
         ),
     ] = None,
     json_file: JsonOption = None,
-    interpolation: Annotated[
-        str,
-        option(
-            "--interpolation auto|linear|smooth|spline",
-            "Displacements and forces between samples. smooth: a cubic spline through inputs without much noise or jumps, "
-            "straight lines through others. auto: as in a diagnosis, 'smooth', and 'spline' with small physics steps where an output has "
-            "fewer than 21 samples per period.",
-        ),
-    ] = "auto",
 ) -> None:
     """Simulate a model with the inputs of a table, and write its outputs at the same times.
 
-    With --compare, print how far the model is from measured outputs: the test of a found model on records of another day. With
-    --against, print how far a model that was found on one rig transfers to another.
+    With --compare, print how far the model is from measured outputs: the test of a found model on records of another day.
 
     Example: isd-gym simulate force-rig test.csv --out force.csv
 
     Example: isd-gym simulate found/model.json new1.csv new2.csv --compare
-
-    Example: isd-gym simulate found/model.json rig-b.csv --compare --against rig-b.json
     """
     from ..physics.network import Network
 
@@ -108,14 +86,8 @@ def command(
             raise InputError(
                 "--compare writes no simulation: leave out --out and --initial"
             )
-        other = Network.load(against) if against else None
-        # a completed model has the name of its nominal model
-        if other and against and other.name == network.name:
-            network, other = replace(network, name=model), replace(other, name=against)
-        _compare(network, data, named, json_file, other)
+        _compare(network, data, named, json_file)
         return
-    if against:
-        raise InputError("--against goes with --compare")
     if out is None:
         raise InputError(
             "--out FILE is missing: name the file to write, or give --compare"
@@ -124,7 +96,7 @@ def command(
         raise InputError(
             "one DATA with --out; several DATA and --json go with --compare"
         )
-    _write(network, model, data[0], out, step, named, rate, initial, interpolation)
+    _write(network, model, data[0], out, step, named, rate, initial)
 
 
 def _compare(
@@ -132,59 +104,21 @@ def _compare(
     data: list[Path],
     named: dict[str, Any],
     json_file: Path | None,
-    against: Network | None,
 ) -> None:
-    """Print the errors of a model, and of the model to compare with, on records; write them to the file of --json."""
-    from ..diagnosis.simulation._prediction_errors import (
-        prediction_errors,
-        removed_share,
-    )
+    """Print the errors of a model on records, and write them to the file of --json."""
+    from ..diagnosis.simulation._prediction_errors import prediction_errors
     from ..records.loggers.record_reading import records_of
 
     check_records(data, [])
     if "by" in named:
         network = named["by"].measured(network)
-        against = named["by"].measured(against) if against else None
     wanted = (*network.inputs, *network.outputs)
-    if against and {c.name for c in (*against.inputs, *against.outputs)} != {
-        c.name for c in wanted
-    }:
-        raise InputError(
-            f"models '{shown(network.name)}' and '{shown(against.name)}' need the same inputs and the same outputs"
-        )
     records = [r for f in data for r in records_of(f, network, wanted, **named)]
     found = prediction_errors(records, network)
     for note in found.notes:
         typer.echo(plain(note, 400), err=True)
-    if against is None:
-        _print_errors(found)
-        write_json(json_file, found.to_dict())
-        return
-    # the order of the channels may differ between the models
-    against = replace(
-        against,
-        outputs=tuple(
-            next(c for c in against.outputs if c.name == o.name)
-            for o in network.outputs
-        ),
-    )
-    other = prediction_errors(records, against)
-    for errors in (other, found):
-        _print_errors(errors)
-    removed = removed_share(found, other)
-    mine, theirs = (plain(e.model, 60) for e in (found, other))
-    for channel, share in removed.items():
-        name = plain(channel, 40)
-        if share is None:
-            told = f"'{theirs}' errs by no more than noise in {name}, or the noise is not known: no share."
-        elif share < 0.0:
-            told = f"'{mine}' errs more than '{theirs}' in {name}: the model does not transfer."
-        else:
-            told = f"'{mine}' removes {100 * share:.0f} % of the squared error of '{theirs}' beyond noise in {name}."
-        typer.echo(told)
-    write_json(
-        json_file, {**found.to_dict(), "against": other.to_dict(), "removed": removed}
-    )
+    _print_errors(found)
+    write_json(json_file, found.to_dict())
 
 
 def _print_errors(found: PredictionErrors) -> None:
@@ -224,7 +158,6 @@ def _write(
     named: dict[str, Any],
     rate: float | None,
     initial: list[str] | None,
-    interpolation: str,
 ) -> None:
     """Simulate the inputs of a table and write the outputs."""
     import numpy as np
@@ -302,7 +235,7 @@ def _write(
         table.columns,
         step=step,
         initial=start,
-        interpolation=cast("Interpolation", interpolation),
+        interpolation="auto",
     )
     for name, values in outputs.items():
         if not np.isfinite(values).all():

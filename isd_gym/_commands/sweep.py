@@ -11,7 +11,7 @@ import typer
 from .._common.errors import plain
 from ._columns import print_columns
 from ._options import EngineOption, JobsOption
-from .console import counted, printer, resumable
+from .console import printer, progress, resumable
 
 
 def command(
@@ -49,7 +49,7 @@ def command(
     """Drive policies through a grid of conditions, on many cores or machines.
 
     The same command continues an interrupted sweep. The table shows the change of J against the passive car for every
-    condition, with a 95 % paired interval. The files are DIR/sweep.json and DIR/sweep.md. The exit status is 1 while
+    condition, with a 95 % paired interval. The file is DIR/sweep.json. The exit status is 1 while
     items are missing.
 
     Example: isd-gym sweep grid.toml --out runs/sweep --jobs 2
@@ -59,7 +59,7 @@ def command(
 
     made = Grid.load(grid)
     check_policies(made)
-    with resumable(), counted("items") as progress:
+    with resumable(), progress() as update:
         merged, failed = sweep(
             made,
             out,
@@ -67,7 +67,7 @@ def command(
             which=which,
             engine=engine,
             address=address,
-            progress=progress,
+            progress=lambda done, every: update("items", done / every),
             say=lambda text: typer.echo(text, err=True),
         )
     _print(merged)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -178,16 +178,10 @@ def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
     )
 
 
-def regret(cost: Mapping[str, float], ceiling: float) -> float:
-    """Return the cost above the least cost known for causal controllers."""
-    return float(cost["value"] / (1.0 + cost["change"]) * (cost["change"] - ceiling))
-
-
 def ranking(
     card: Mapping[str, Any],
     name: str,
     scores: Sequence[Mapping[str, Any]] = (),
-    ceiling: Callable[[float], Mapping[str, Any] | None] | None = None,
 ) -> list[dict[str, Any]]:
     """Return all policies of a track and of scores on the track, best first.
 
@@ -204,21 +198,16 @@ def ranking(
         k: unit for p in one["policies"].values() for k, unit in p["units"].items()
     }
     held = {policy: p["episodes"] for policy, p in one["policies"].items()}
-    ahead = {policy: p["preview"] for policy, p in one["policies"].items()}
     theirs: list[str] = []
     for score in scores:
         match(score, {**card, "tracks": [one]})
-        shown_road = {
-            row["policy"]: row.get("preview", {}).get("value", 0.0)
-            for row in score["policies"]
-        }
         for policy, values in _episodes(score).items():
             if policy in held and np.allclose(
                 values["cost"], held[policy]["cost"], rtol=CLOSE, atol=0.0
             ):
                 continue  # a reference that was driven again, possibly on another machine
             label = policy if policy not in held else f"{policy} (submitted)"
-            held[label], ahead[label] = values, shown_road.get(policy, 0.0)
+            held[label] = values
             theirs.append(label)
     rows = []
     for policy, values in held.items():
@@ -230,11 +219,6 @@ def ranking(
             for k, v in values.items()
             if k in ground
         }
-        bound = ceiling(ahead[policy]) if ceiling else None
-        known = bound and "change" in row["cost"]
-        row["regret"] = (
-            regret(row["cost"], bound["change"]) if bound and known else None
-        )
         if policy in theirs:
             own = np.array(values["cost"], float)
             costs = {

@@ -75,6 +75,26 @@ class Ceiling:
         return float(self.roads.mean())
 
     @property
+    def change(self) -> float:
+        """Change of J against the conventional passive car, as a fraction."""
+        return self.value / self.passive - 1.0
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of `change` due to the choice of roads."""
+        return _standard_error(self.roads) / self.passive
+
+    @property
+    def proven_change(self) -> float:
+        """Proven lower bound of `change`, for the car without end stops."""
+        return float(self.proven.mean()) / self.passive - 1.0
+
+    @property
+    def proven_standard_error(self) -> float:
+        """Standard error of `proven_change`."""
+        return _standard_error(self.proven) / self.passive
+
+    @property
     def sentence(self) -> str:
         """Value of the ceiling and proven bound in words, as in the documentation."""
         what, who = "causal ceiling", "that does not see the road"
@@ -83,45 +103,17 @@ class Ceiling:
                 f"ceiling with {self.preview:g} s of road ahead",
                 f"that sees {self.preview:g} s of road ahead",
             )
-        proven = 100 * (self.proven.mean() / self.passive - 1.0)
         bound = "There is no proven bound"
-        if math.isfinite(proven):
-            error = 100 * _standard_error(self.proven) / self.passive
-            bound = f"The proven bound, for a car without end stops, is {proven:+.1f} +- {error:.1f} %"
+        if math.isfinite(self.proven_change):
+            bound = (
+                f"The proven bound, for a car without end stops, is {100 * self.proven_change:+.1f} +- "
+                f"{100 * self.proven_standard_error:.1f} %"
+            )
         return (
             f"The {what} is an estimate, not a proven bound: J {100 * self.change:+.1f} +- "
-            f"{100 * self.standard_error / self.passive:.1f} % against passive. "
+            f"{100 * self.standard_error:.1f} % against passive. "
             f"No controller {who} is known to be better. {bound}."
         )
-
-    @property
-    def standard_error(self) -> float:
-        """Standard error of `value` due to the choice of roads."""
-        return _standard_error(self.roads)
-
-    @property
-    def change(self) -> float:
-        """Change of J against the conventional passive car, as a fraction."""
-        return self.value / self.passive - 1.0
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the ceiling as plain data.
-
-        Returns:
-            Values with their uncertainty.
-        """
-        return {
-            "preview": {"value": self.preview, "unit": "s"},
-            "roads": len(self.roads),
-            "cost": self.value,
-            "standard_error": self.standard_error,
-            "passive": self.passive,
-            "change": self.change,
-            "change_standard_error": self.standard_error / self.passive,
-            "proven_without_stops": float(self.proven.mean()) / self.passive - 1.0,
-            "proven_standard_error": _standard_error(self.proven) / self.passive,
-            "sentence": self.sentence,
-        }
 
 
 def _standard_error(values: np.ndarray) -> float:
@@ -209,7 +201,7 @@ def ceiling(
         preview: Known road ahead [s].
 
     Returns:
-        The ceiling; None if fewer than `FEWEST` roads are known.
+        The ceiling; None for a car or a road of which fewer than `FEWEST` roads are known.
     """
     network, ground, cost = Network.load(network), find_road(road), StageCost()
     key = _episode_key(
@@ -228,12 +220,9 @@ def ceiling(
     if len(roads) < FEWEST:
         return None
     proven = [math.nan if r["proven"] is None else r["proven"] for r in roads]
-    return Ceiling(
-        preview,
-        np.array([r["reached"] for r in roads]),
-        np.array(proven),
-        passive_cost(network, ground, speed, duration, cost),
-    )
+    passive = passive_cost(network, ground, speed, duration, cost)
+    reached = [r["reached"] for r in roads]
+    return Ceiling(preview, np.array(reached), np.array(proven), passive)
 
 
 def reachable(
@@ -274,33 +263,17 @@ def reachable(
 
 def known_ceilings(
     plant: Any, road: Any, speed: float, duration: float
-) -> Callable[[float], dict[str, Any] | None]:
+) -> Callable[[float], Ceiling | None]:
     """Return a function from preview [s] to the causal ceiling of controllers with that preview, or None."""
     return functools.cache(
-        lambda preview: known(plant, road, speed, duration, preview=preview)
+        lambda preview: ceiling(plant, road, speed, duration, preview=preview)
     )
-
-
-def known(
-    plant: Network | str | Path,
-    road: str | Road = "paper",
-    speed: float = 20.0,
-    duration: float = 20.0,
-    *,
-    preview: float = 0.0,
-) -> dict[str, Any] | None:
-    """Return the ceiling as plain data; None for a road or a car without a ceiling."""
-    try:
-        found = ceiling(plant, road, speed, duration, preview=preview)
-    except InputError:
-        return None
-    return None if found is None else found.to_dict()
 
 
 def bounds_beside(
     result: Any,
     optimum: dict[str, Any] | None,
-    ceilings: Callable[[float], dict[str, Any] | None],
+    ceilings: Callable[[float], Ceiling | None],
 ) -> dict[str, Any]:
     """Return one line per bound of a score, and one line about the bounds left out."""
     lines: dict[str, Any] = {}
@@ -318,7 +291,7 @@ def bounds_beside(
             for s in sorted({row["preview"]["value"] for row in result.policies})
         }
         lines |= {
-            f"ceiling_{s:g}": bound["sentence"]
+            f"ceiling_{s:g}": bound.sentence
             for s, bound in found.items()
             if bound is not None
         }

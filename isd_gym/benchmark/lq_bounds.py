@@ -235,7 +235,8 @@ def _solve(car: Linear, weights: np.ndarray) -> LQPoint:
     P = solve_continuous_are(car.A, car.B, Q / scale, R / scale, s=N / scale) * scale
     gain = ((car.B.T @ P + N.T) / scale)[0]
     cost = float(car.G @ P @ car.G) * car.intensity
-    return LQPoint(*stationary(car, gain).tolist(), cost, w, gain)
+    acceleration, travel, tyre = map(float, stationary(car, gain))
+    return LQPoint(acceleration, travel, tyre, cost, w, gain)
 
 
 def lq_bound(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..physics.road import Road
+    from .ceilings import Ceiling
 
 __all__ = [
     "LIMITS",
@@ -265,7 +266,6 @@ def drive(
     first: int = 0,
     duration: float = 20.0,
     cost: StageCost | None = None,
-    randomize: dict[str, Any] | None = None,
     sensors: Sensors | None = None,
     timed: int = _TIMED,
     progress: Callable[[float], None] | None = None,
@@ -282,7 +282,6 @@ def drive(
         first: Index of the first episode.
         duration: Length of an episode [s].
         cost: Stage cost of the reward; None for the usual one.
-        randomize: Ranges of the environment.
         sensors: Imperfections of the sensors.
         timed: Number of decisions of a batched policy that are repeated one at a time to measure the time.
         progress: Called now and then with the finished share.
@@ -305,7 +304,6 @@ def drive(
         observation=crew.observation,
         preview=crew.preview or None,
         cost=cost,
-        randomize=randomize,
         duration=duration,
         sensors=sensors,
         autoreset_mode="disabled",
@@ -504,7 +502,7 @@ def _policy_row(
     own: dict[str, tuple[np.ndarray, str]],
     reference: dict[str, tuple[np.ndarray, str]],
     clairvoyant: np.ndarray | None,
-    ceiling: Callable[[float], dict[str, Any] | None] | None,
+    ceiling: Callable[[float], Ceiling | None] | None,
 ) -> dict[str, Any]:
     """Return the row of a policy in a score, from its `measures` and those of the reference."""
     row: dict[str, Any] = {"policy": name}
@@ -526,7 +524,7 @@ def _policy_row(
         },
         "share_of_reachable_gain": reachable,
         "preview": {"value": run.preview, "unit": "s"},
-        "share_of_causal_gain": row["cost"]["change"] / bound["change"] + 0.0
+        "share_of_causal_gain": row["cost"]["change"] / bound.change + 0.0
         if bound
         else None,
     }
@@ -578,6 +576,7 @@ class Score:
         default_factory=Comparable
     )  # allowed bounds and published figures
     cost: StageCost = field(default_factory=StageCost)  # stage cost of the car
+    reference: str = "passive"  # name of the reference of the changes
     point: str = ""  # point of the body of the evaluation by ISO 2631-1
     model: Network | None = field(
         repr=False, default=None
@@ -672,40 +671,6 @@ IDLE = 0.005
 LEARN = "A trained policy with this cost learned nothing: train longer, on ISDSuspensionLearning-v0, see docs/tutorials/train.md."
 
 
-def idle_policies(result: Score, **drives: Any) -> list[str]:
-    """Return the policies of a score whose cost J is that of zero current, within `IDLE`.
-
-    Args:
-        result: The score.
-        drives: Road, speed and further arguments of `drive` of that score.
-
-    Returns:
-        Names; none for a network without motors.
-    """
-    network = result.plant
-    acting = [
-        row
-        for row in result.policies
-        if row["policy"] not in ("passive", "isd-passive")
-    ]
-    if (
-        network is None
-        or not acting
-        or all(corner.motor is None for corner in vehicle(network).corners)
-    ):
-        return []
-    still = drive(
-        Entry("isd-passive", lambda: Idle("isd-passive", network)),
-        network,
-        timed=0,
-        **drives,
-    )
-    cost = float(still.cost(result.cost).mean())
-    return [
-        row["policy"] for row in acting if abs(row["cost"]["value"] / cost - 1.0) < IDLE
-    ]
-
-
 def score(
     policies: str | Entry | Sequence[str | Entry],
     network: Network | str = "quarter-car-isd",
@@ -717,11 +682,10 @@ def score(
     seed: int | None = None,
     duration: float = 20.0,
     cost: StageCost | None = None,
-    randomize: dict[str, Any] | None = None,
     sensors: Sensors | None = None,
     point: str | None = None,
     clairvoyant: np.ndarray | None = None,
-    ceiling: Callable[[float], dict[str, Any] | None] | None = None,
+    ceiling: Callable[[float], Ceiling | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Score:
     """Score policies against a reference on the same roads.
@@ -739,11 +703,10 @@ def score(
         seed: Seed of episode 0; None for the scoring roads.
         duration: Length of an episode [s].
         cost: Stage cost; None for the usual one of the car.
-        randomize: Ranges of the environment.
         sensors: Imperfections of the sensors.
         point: Point of the body of the evaluation by ISO 2631-1; None for `comfort_point`.
         clairvoyant: Least known cost of each episode (episodes,), for the share of the reachable gain.
-        ceiling: Returns the bound of controllers with a given preview [s] (its `change`), for the share of
+        ceiling: Returns the `Ceiling` of controllers with a given preview [s], or None, for the share of
             the causal gain, which is omitted for small samples (`comparability`).
         progress: Called now and then with the name of a policy and its finished share.
 
@@ -769,11 +732,8 @@ def score(
     allowed = comparable(
         network,
         ground,
-        speed,
         episodes,
         duration,
-        randomize=randomize,
-        sensors=sensors,
         reference=reference.name,
     )
     if allowed.ceiling:
@@ -789,7 +749,6 @@ def score(
             road=road,
             **conditions,
             cost=cost,
-            randomize=randomize,
             sensors=sensors,
             progress=progress and partial(progress, entry.name),
         )
@@ -810,11 +769,12 @@ def score(
             name: {key: _rounded(values) for key, (values, _) in own.items()}
             for name, own in found.items()
         },
-        roads=[] if randomize else fingerprints(road, **conditions),
+        roads=fingerprints(road, **conditions),
         runs=runs,
         plant=network,
         ground=ground,
         comparable=allowed,
         cost=cost,
+        reference=reference.name,
         point=point,
     )

@@ -117,23 +117,8 @@ def film(
         progress(1.0)
 
 
-def check_window() -> None:
-    """Check before long work that `live` can open a window."""
-    from ..view.rendering import check_display
-
-    try:
-        check_display()
-    except InputError as error:
-        if "window" in str(error):
-            raise InputError(
-                "this machine has no display to open a window on; write a film with --out FILE.mp4"
-            ) from None
-        raise
-
-
 def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> None:
     """Show policies in a window at the pace of the simulated time, until the end or until the window is closed."""
-    check_window()
     network = Network.load(network)
     with _renderer("human", network, len(entries)) as renderer:
         for shots in snapshots(entries, network, **drive):

@@ -55,7 +55,10 @@ def drive(study: Study) -> None:
         _paper_row(study, f"{name}, passive", before, before)
         _paper_row(study, f"{name}, active", after, before)
     for row in found.policies:
-        cells = [_cell(row[f"{n}_rms"], *form) for n, _, *form in SIGNALS]
+        cells = [
+            _cell(row[f"{name}_rms"], scale, digits)
+            for name, _, scale, digits in SIGNALS
+        ]
         study.cars.append([row["policy"], f"{row['cost']['value']:.3f}", *cells])
     changes = {name: best[f"{name}_rms"]["change"] for name, *_ in SIGNALS}
     reached = f"{best['policy']}: {_changes_text(changes.values())}"
@@ -86,8 +89,9 @@ def _changes_text(changes: Iterable[float]) -> str:
 def _paper_row(study: Study, name: str, values: Any, passive: Any) -> None:
     """Add a row of Table 7 or 8 as printed."""
     cells = []
-    for value, ground, (_, _, *form) in zip(values, passive, SIGNALS, strict=True):
-        cells.append(_cell({"value": value, "change": value / ground - 1}, *form))
+    for value, ground, signal in zip(values, passive, SIGNALS, strict=True):
+        quantity = {"value": value, "change": value / ground - 1}
+        cells.append(_cell(quantity, signal[2], signal[3]))
     study.cars.append([name, "–", *cells])
 
 

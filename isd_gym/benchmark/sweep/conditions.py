@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +10,6 @@ import numpy as np
 
 from ..._common.errors import InputError
 from ..._common.files import claim_folder, write_text
-from ..._common.markdown import markdown
-from ..._common.seeds import named_roads
 from ...physics.network import Network
 from .grid import SCHEMA, Condition, Grid, belongings
 from .items import key_of, run, shard, stored
@@ -20,12 +17,10 @@ from .items import key_of, run, shard, stored
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from ...physics.vehicle import Vehicle
 
 RESAMPLES = 4000
 #: kind, mark and parts of the folder of a sweep
-FOLDER = ("sweep", None, ("items", "sweep.json", "sweep.md"))
-COMMANDS = ("given", "not_finite", "above_limit", "above_slew")
+FOLDER = ("sweep", None, ("items", "sweep.json"))
 
 
 def drive_item(
@@ -49,14 +44,12 @@ def drive_item(
         files: Digests of the files that the grid's machine read.
 
     Returns:
-        `isd_gym.benchmark.scoring.measures` of each episode, number of fallbacks, and counts of commands; no signals,
-            to keep files small.
+        `isd_gym.benchmark.scoring.measures` of each episode, and number of fallbacks; no signals, to keep files small.
 
     Raises:
         InputError: A file is missing or differs on this machine.
     """
     from ...physics.cost import StageCost
-    from ...physics.vehicle import vehicle
     from ..policies import find
     from ..scoring import drive, measures
 
@@ -71,9 +64,8 @@ def drive_item(
     entry = find(
         policy, plant, model=Network.load(c.model or c.network), speed=c.speed, **ahead
     )
-    counts: Counter[str] = Counter()
     driven = drive(
-        _watched(entry, vehicle(plant), counts),
+        entry,
         plant,
         road=c.road,
         speed=c.speed,
@@ -93,41 +85,7 @@ def drive_item(
         },
         "units": {name: unit for name, (_, unit) in found.items()},
         "fallbacks": driven.fallbacks,
-        "commands": {name: counts[name] for name in COMMANDS},
     }
-
-
-def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
-    """Return the policy with counted commands: all, not finite, and outside of the limits of Table 5."""
-    from ...physics.vehicle import CURRENT_LIMIT, SLEW_LIMIT
-    from ..driving import Entry
-
-    currents = [i for i, signal in enumerate(car.measured) if signal.kind == "current"]
-
-    def make() -> Any:
-        controller: Any = entry.make()
-        name = "act_batch" if hasattr(controller, "act_batch") else "act"
-        act = getattr(controller, name)
-
-        def watched(observation: np.ndarray) -> Any:
-            command = act(observation)
-            present = np.atleast_2d(observation)[:, currents]
-            # one current of many cars may come without an axis
-            wanted = np.broadcast_to(
-                np.reshape(command, (-1, len(currents))), present.shape
-            )
-            counts["given"] += wanted.size
-            counts["not_finite"] += int(np.sum(~np.isfinite(wanted)))
-            counts["above_limit"] += int(np.sum(np.abs(wanted) > CURRENT_LIMIT + 1e-6))
-            counts["above_slew"] += int(
-                np.sum(np.abs(wanted - present) > SLEW_LIMIT + 1e-6)
-            )
-            return command
-
-        setattr(controller, name, watched)
-        return controller
-
-    return Entry(entry.name, make, entry.network)
 
 
 def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
@@ -164,9 +122,6 @@ def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
             for name, values in own.items():
                 row[name] = compare(name, values, ground[name], parts[0]["units"][name])
             row["fallbacks"] = sum(p["fallbacks"] for p in parts)
-            row["commands"] = {
-                n: sum(p["commands"][n] for p in parts) for n in COMMANDS
-            }
             if policy in grid.policies:
                 rows.append(row)
         conditions.append(
@@ -270,8 +225,7 @@ def sweep(
 ) -> tuple[dict[str, Any], int]:
     """Run the unfinished items of a grid.
 
-    Items are files in ``out/items``; the merged sweep is ``out/sweep.json``, and a readable table
-    ``out/sweep.md``.
+    Items are files in ``out/items``; the merged sweep is ``out/sweep.json``.
 
     Args:
         grid: The grid.
@@ -306,7 +260,6 @@ def sweep(
     write_text(
         Path(out) / "sweep.json", json.dumps(merged, indent=1, allow_nan=False) + "\n"
     )
-    write_text(Path(out) / "sweep.md", table(merged))
     return merged, len(failed)
 
 
@@ -387,34 +340,3 @@ def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
             ]
         )
     return names, out
-
-
-def table(merged: Mapping[str, Any]) -> str:
-    """Return a merged sweep as Markdown.
-
-    Args:
-        merged: The merged sweep.
-
-    Returns:
-        Text.
-    """
-    names, lines = rows(merged)
-    seeds = named_roads(merged["seed"], merged["episodes"])
-    text = [
-        f"Change of J against the conventional passive car [%], 95 % paired intervals; {merged['episodes']} roads of "
-        f"{merged['duration']['value']:g} s, {seeds}.",
-        "",
-        "| "
-        + " | ".join(["condition", *(markdown(n, code=True) for n in names)])
-        + " |",
-        "|---" + "|---:" * len(names) + "|",
-        *(
-            "| "
-            + " | ".join([markdown(head), *(cell.replace("-", "−") for cell in cells)])
-            + " |"
-            for head, *cells in lines
-        ),
-    ]
-    if merged["missing"]:
-        text += ["", f"{items_are(merged['missing'])} missing."]
-    return "\n".join(text) + "\n"

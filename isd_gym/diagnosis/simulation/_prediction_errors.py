@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 #: smallest noise that residuals are weighted with, as a share of the signal's deviation
 LEAST_NOISE = 1e-3
-#: error, as a multiple of the noise, up to which a model errs by noise: the noise is estimated to about a tenth
-ABOVE_NOISE = 1.2
 
 
 @dataclass(frozen=True)
@@ -134,23 +132,3 @@ def prediction_errors(
                 )
             )
     return PredictionErrors(network.name, tuple(rows), (*notes, *map(str, lags)))
-
-
-def removed_share(
-    found: PredictionErrors, other: PredictionErrors
-) -> dict[str, float | None]:
-    """Return the share of the squared error of another model beyond noise that a model removes on the same records, by channel.
-
-    1 where the model errs by no more than noise, 0 where both err alike, negative where the model errs more. None where the other model errs
-    by no more than noise, or the noise is not known.
-    """
-    shares: dict[str, float | None] = {}
-    # the last row of a channel is over all records
-    for mine, theirs in zip(found.rows, other.rows, strict=True):
-        noise = theirs.noise
-        if noise is None or theirs.nrmse <= ABOVE_NOISE * noise:
-            shares[mine.channel] = None
-        else:
-            left = max(mine.nrmse**2 - noise**2, 0.0)
-            shares[mine.channel] = 1.0 - left / (theirs.nrmse**2 - noise**2)
-    return shares

@@ -230,6 +230,11 @@ class Start:
             object.__setattr__(self, "ways", (self.values,))
 
 
+def growing(**values: float) -> Start:
+    """Return a start of parameters that all scale with the amplitude of the effect."""
+    return Start(values, grows=tuple(values))
+
+
 # ------------------------------------------------------------------------------------------- the element
 
 
@@ -360,7 +365,12 @@ class Element:
 
         Returns:
             Force (n,) [N].
+
+        Raises:
+            NotImplementedError: The force depends on something else, too.
         """
+        if self.plane == "time":
+            raise NotImplementedError(f"{self.type} is no curve over rate or travel")
         p, rate = np.array(self.law_parameters()), self.plane == "rate"
         cls = type(self)
         if cls.bound is not None:

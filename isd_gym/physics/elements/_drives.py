@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ._base import Element, Setting, Start, driven_motor, parameter, plausible, register
+from ._base import (
+    Element,
+    Setting,
+    Start,
+    driven_motor,
+    growing,
+    parameter,
+    plausible,
+    register,
+)
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
@@ -115,10 +124,7 @@ class ActuatorLag(_Drive):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [
-            Start({"time_constant": t}, grows=("time_constant",))
-            for t in (0.05 * at.time, 0.25 * at.time)
-        ]
+        return [growing(time_constant=t) for t in (0.05 * at.time, 0.25 * at.time)]
 
 
 @register
@@ -139,10 +145,7 @@ class ActuatorDelay(_Drive):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [
-            Start({"delay": t}, grows=("delay",))
-            for t in (0.05 * at.time, 0.25 * at.time)
-        ]
+        return [growing(delay=t) for t in (0.05 * at.time, 0.25 * at.time)]
 
 
 @register
@@ -165,10 +168,7 @@ class DriveDeadZone(_Drive):
     def starts(cls, at: Setting) -> list[Start]:
         if at.samples is None or not has_levels(at.samples):
             return []
-        return [
-            Start({"threshold": share * at.signal}, grows=("threshold",))
-            for share in (0.1, 0.4)
-        ]
+        return [growing(threshold=share * at.signal) for share in (0.1, 0.4)]
 
 
 @register

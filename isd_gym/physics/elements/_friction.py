@@ -13,6 +13,7 @@ from ._base import (
     Setting,
     Start,
     beside,
+    growing,
     held_still,
     parameter,
     register,
@@ -59,7 +60,13 @@ class CoulombFriction(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"level": at.small}, grows=("level",))]
+        return [growing(level=at.small)]
+
+
+def known_level(at: Setting) -> float:
+    """Return the level of the Coulomb friction that the model has at the place [N]; 0 without one."""
+    levels = (e.level for e in at.beside if isinstance(e, CoulombFriction))
+    return next(levels, 0.0)
 
 
 @register
@@ -89,9 +96,7 @@ class StribeckFriction(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        level = next(
-            (e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0
-        )
+        level = known_level(at)
         return [
             Start(
                 {
@@ -162,17 +167,11 @@ class AsymmetricFriction(Element):
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
         # if only a spring defines the zero, the constant part is a preload of the spring
-        rubs = any(
-            isinstance(e, StribeckFriction | AsymmetricFriction)
-            for e in beside(network, where)
-        )
-        return not rubs and not held_still(network, where)
+        return not rubs_unevenly(network, where) and not held_still(network, where)
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        level = next(
-            (e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0
-        )
+        level = known_level(at)
         pairs = ((1.3, 0.7), (0.7, 1.3))
         return [
             Start({"extension": a * (level or at.small), "compression": b * (level or at.small)},
@@ -185,3 +184,9 @@ class AsymmetricFriction(Element):
         cls, simple: str, values: Mapping[str, float], motion: Motion | None
     ) -> dict[str, float]:
         return {"level": 0.5 * (values["extension"] + values["compression"])}
+
+
+def rubs_unevenly(network: Network, where: tuple[str, ...]) -> bool:
+    """Return whether a place has a friction whose level depends on the rate."""
+    kinds = StribeckFriction | AsymmetricFriction
+    return any(isinstance(e, kinds) for e in beside(network, where))

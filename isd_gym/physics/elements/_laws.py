@@ -19,6 +19,7 @@ from ._base import (
     Setting,
     Start,
     beside,
+    growing,
     held_still,
     parameter,
     plausible,
@@ -220,12 +221,7 @@ class GravitySine(Element):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         held = sum(e.linear()[0] for e in at.beside if e.type == "linear_stiffness")
-        return [
-            Start(
-                {"torque": held or at.small / rms(np.sin(at.moves.d))},
-                grows=("torque",),
-            )
-        ]
+        return [growing(torque=held or at.small / rms(np.sin(at.moves.d)))]
 
 
 @register
@@ -245,7 +241,7 @@ class QuadraticDamping(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"damping": at.small / rms(at.moves.v**2)}, grows=("damping",))]
+        return [growing(damping=at.small / rms(at.moves.v**2))]
 
 
 #: knee of degressive damping, as a share of the RMS rate, below which the law is dry friction
@@ -554,10 +550,7 @@ class Hysteresis(Element):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         e, d = at.small, rms(at.moves.d)
-        return [
-            Start({"level": e, "stiffness": e / (s * d)}, grows=("level", "stiffness"))
-            for s in (0.03, 0.15, 0.6)
-        ]
+        return [growing(level=e, stiffness=e / (s * d)) for s in (0.03, 0.15, 0.6)]
 
     def support(self, motion: Motion) -> float:
         """Return the share of the samples beyond the slip displacement; below, the law is a spring."""

@@ -10,6 +10,7 @@ from ._base import (
     Setting,
     Start,
     beside,
+    growing,
     held_by_parameter,
     parameter,
     register,
@@ -42,7 +43,7 @@ class LinearStiffness(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"stiffness": at.small / rms(at.moves.d)}, grows=("stiffness",))]
+        return [growing(stiffness=at.small / rms(at.moves.d))]
 
 
 @register
@@ -91,7 +92,7 @@ class LinearDamping(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"damping": at.small / rms(at.moves.v)}, grows=("damping",))]
+        return [growing(damping=at.small / rms(at.moves.v))]
 
 
 @register
@@ -115,7 +116,7 @@ class Inertance(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"inertance": at.small / rms(at.moves.a)}, grows=("inertance",))]
+        return [growing(inertance=at.small / rms(at.moves.a))]
 
 
 @register
@@ -153,7 +154,7 @@ class TerminalInertia(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"mass": at.small / rms(at.moves.a)}, grows=("mass",))]
+        return [growing(mass=at.small / rms(at.moves.a))]
 
 
 @register

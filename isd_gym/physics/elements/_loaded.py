@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
-from ._base import GROUND, Element, Setting, Start, beside, parameter, register, rms
-from ._friction import AsymmetricFriction, CoulombFriction, StribeckFriction
+from ._base import GROUND, Element, Setting, Start, parameter, register, rms
+from ._friction import known_level, rubs_unevenly
 from ._linear import LinearStiffness, Motor
 
 if TYPE_CHECKING:
@@ -62,18 +62,9 @@ class LoadDependentFriction(Element):
     gain: float = parameter("-", 0.01, 0.5)
     load: str = ""
 
-    def curve(self, axis: Array) -> Array:
-        raise NotImplementedError(
-            f"{self.type} is no curve: its force depends on the load"
-        )
-
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        rubs = any(
-            isinstance(e, StribeckFriction | AsymmetricFriction)
-            for e in beside(network, where)
-        )
-        return not rubs and super().stands(network, where)
+        return not rubs_unevenly(network, where) and super().stands(network, where)
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
@@ -103,9 +94,7 @@ class LoadDependentFriction(Element):
     def starts(cls, at: Setting) -> list[Start]:
         if at.samples is None:
             return []
-        known = next(
-            (e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0
-        )
+        known = known_level(at)
         level = known or at.small
         return [
             Start(

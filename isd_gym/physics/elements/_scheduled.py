@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ._base import Element, Setting, Start, beside, parameter, register, rms
-from ._friction import AsymmetricFriction, CoulombFriction, StribeckFriction
+from ._base import Element, Setting, Start, parameter, register, rms
+from ._friction import known_level, rubs_unevenly
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
@@ -47,11 +47,6 @@ class _Scheduled(Element):
 
     plane = "time"
     scheduled: ClassVar[bool] = True
-
-    def curve(self, axis: Array) -> Array:
-        raise NotImplementedError(
-            f"{self.type} is no curve: its force depends on a logged channel"
-        )
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
@@ -131,20 +126,14 @@ class ScheduledFriction(_Scheduled):
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        rubs = any(
-            isinstance(e, StribeckFriction | AsymmetricFriction)
-            for e in beside(network, where)
-        )
-        return not rubs and super().stands(network, where)
+        return not rubs_unevenly(network, where) and super().stands(network, where)
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         mean, deviation = _spread(at)
         if not deviation:
             return []
-        known = next(
-            (e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0
-        )
+        known = known_level(at)
         level = known or at.small
         return [
             Start(
@@ -173,11 +162,6 @@ class ControlledDamper(Element):
     low: float = parameter("N s/m", 100.0, 1500.0)
     high: float = parameter("N s/m", 1000.0, 5000.0)
     current: float = parameter("A", 0.5, 5.0, open_end=True)
-
-    def curve(self, axis: Array) -> Array:
-        raise NotImplementedError(
-            f"{self.type} is no curve: its force depends on a current"
-        )
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:

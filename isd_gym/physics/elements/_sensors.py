@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._base import Element, Setting, Start, parameter, plausible, register
+from ._base import Element, Setting, Start, growing, parameter, plausible, register
 from ._drives import delayed
 
 if TYPE_CHECKING:
@@ -149,10 +149,7 @@ class SensorDeadZone(_ZeroSensor):
     def starts(cls, at: Setting) -> list[Start]:
         if at.samples is None or not rests_at_zero(at.samples):
             return []
-        return [
-            Start({"width": share * at.signal}, grows=("width",))
-            for share in (0.1, 0.4)
-        ]
+        return [growing(width=share * at.signal) for share in (0.1, 0.4)]
 
 
 def rests_at_zero(samples: Array) -> bool:

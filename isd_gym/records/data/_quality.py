@@ -96,7 +96,7 @@ CHECKS = (
 #: checks whose errors cannot be accepted: such a record cannot be compared
 UNACCEPTABLE = ("time", "finite", "constant")
 NOT_UNIFORM = "sampling is not uniform"
-_MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels and rods stay below 5
+MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels and rods stay below 5
 
 
 @dataclass(frozen=True)
@@ -371,24 +371,27 @@ def _check_time(time: np.ndarray) -> list[Finding]:
     return found
 
 
+def spread_and_speed(x: np.ndarray, step: float, quantity: str) -> tuple[float, float]:
+    """Return the spread of a channel (n,) (see `QUANTITIES`), and the RMS speed of a displacement [1/s]; 0 for other quantities."""
+    spread = float(np.quantile(np.abs(x - np.median(x)), 0.995))
+    if quantity != "displacement":
+        return spread, 0.0
+    lag = min(max(1, round(0.02 / step)), len(x) - 1)
+    return spread, float(np.std(x[lag:] - x[:-lag])) / (lag * step)
+
+
 def _check_magnitude(
     name: str, quantity: str, x: np.ndarray, step: float, of_model: float
 ) -> list[Finding]:
     """Return findings on impossible amplitudes; `of_model` is the ratio to the model's amplitude and has
     priority (NaN: unknown)."""
     unit, doubtful, impossible, least = QUANTITIES[quantity]
-    spread = float(np.quantile(np.abs(x - np.median(x)), 0.995))
+    spread, speed = spread_and_speed(x, step, quantity)
     text = f"{quantity} reaches {spread:.4g} {unit}"
-    lag = min(max(1, round(0.02 / step)), len(x) - 1)
-    speed = (
-        float(np.std(x[lag:] - x[:-lag])) / (lag * step)
-        if quantity == "displacement"
-        else 0.0
-    )
     if 1 / ALIKE < of_model < ALIKE:
         doubtful, impossible, least, speed = math.inf, math.inf, 0.0, 0.0
-    if spread > impossible or speed > _MAX_SPEED:
-        text += f" at {speed:.3g} m/s" if speed > _MAX_SPEED else ""
+    if spread > impossible or speed > MAX_SPEED:
+        text += f" at {speed:.3g} m/s" if speed > MAX_SPEED else ""
         return [
             Finding(
                 "error",

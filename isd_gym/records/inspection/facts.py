@@ -13,7 +13,12 @@ from scipy.signal import welch
 from ..._common.errors import InputError
 from ..._common.units import TABLE, UNITS, convert, si_of
 from ..data._columns import unit_known
-from ..data._quality import QUANTITIES, held_samples
+from ..data._quality import (
+    MAX_SPEED,
+    QUANTITIES,
+    held_samples,
+    spread_and_speed,
+)
 from ..data._signals import even_stamps, stamp_rounding
 from ..loggers.recording import GAP, Raster, even, rounded
 
@@ -315,12 +320,10 @@ def odd_scale(raster: Raster, facts: Facts, quantity: str) -> list[Oddity]:
     x = x[np.isfinite(x)]
     si, doubtful, impossible, least = QUANTITIES[quantity]
     factor = convert(1.0, facts.unit, si)
-    spread = factor * float(np.quantile(np.abs(x - np.median(x)), 0.995))
-    speed = 0.0
-    if quantity == "displacement" and raster.step > 0:  # invalid stamps have no step
-        lag = min(max(1, round(0.02 / raster.step)), len(x) - 1)
-        speed = factor * float(np.std(x[lag:] - x[:-lag])) / (lag * raster.step)
-    big, small = spread > doubtful or speed > 15.0, spread < 2 * least
+    # invalid stamps have no step
+    step = raster.step if raster.step > 0 else math.inf
+    spread, speed = (factor * v for v in spread_and_speed(x, step, quantity))
+    big, small = spread > doubtful or speed > MAX_SPEED, spread < 2 * least
     if not big and not small:
         return []
     wanted = [
@@ -332,9 +335,9 @@ def odd_scale(raster: Raster, facts: Facts, quantity: str) -> list[Oddity]:
             for r in ((1e-3, 1e-6, 1 / 9.81) if big else (1e3, 1e6, 9.81))
         )
         and 2 * least < spread * k / factor < doubtful
-        and speed * k / factor < 15.0
+        and speed * k / factor < MAX_SPEED
     ]
-    text = f"reaches {spread:.4g} {si}{f' at {speed:.3g} m/s' if speed > 15.0 else ''} as {facts.unit}"
+    text = f"reaches {spread:.4g} {si}{f' at {speed:.3g} m/s' if speed > MAX_SPEED else ''} as {facts.unit}"
     advice = (
         f"in {' or '.join(wanted)} it would be plausible: --unit {facts.name}={wanted[0]}"
         if wanted

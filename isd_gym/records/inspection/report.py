@@ -1,4 +1,4 @@
-"""Content and oddities of loggers' files, and the columns of a model's channels: as data, as lines and as a page."""
+"""Content and oddities of loggers' files, and the columns of a model's channels: as data and as lines."""
 
 from __future__ import annotations
 
@@ -165,7 +165,6 @@ def inspect(
             for f in facts_of(raster, i, k, units):
                 facts.append(f)
                 odd += odd_values(raster, f)
-    odd += _twins(groups, facts)
     found = None
     if network is not None:
         from .match import suggest
@@ -183,22 +182,6 @@ def _continuous(raster: Raster, units: Mapping[str, str], odd: list[Oddity]) -> 
         if note:
             odd.append(Oddity(raster.name, name, note.removeprefix(f"{name}: ")))
     return replace(raster, columns=smooth)
-
-
-def _twins(groups: list[list[Raster]], facts: list[Facts]) -> list[Oddity]:
-    out: list[Oddity] = []
-    seen: dict[bytes, str] = {}
-    for f in facts:
-        if f.constant:
-            continue
-        raster = groups[f.file][f.raster]
-        key = raster.columns[f.name].tobytes()
-        if key in seen:
-            out.append(
-                Oddity(raster.name, f.name, f"is the same column as {seen[key]}")
-            )
-        seen.setdefault(key, f.name)
-    return out
 
 
 # ------------------------------------------------------------------------------------------------ the terminal

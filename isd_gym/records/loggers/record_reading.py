@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
-from ..._common.errors import InputError, MissingColumn, hint, plain, shown
+from ..._common.errors import InputError, MissingColumn, hint, shown
 from ..._common.units import convert
 from ...physics.network import Channel, Network, without
-from ...physics.road import Road, profiled
 from ..data import Table, read_table
 from ..data._table import format_of
 from ..data._text import SideBySide
-from .mapping import ChannelMap, Column, files_of, runs
+from .mapping import ChannelMap, files_of, runs
 from .recording import Raster, Recording, Signal, continuous, mended, rasters
 
 
@@ -109,52 +107,6 @@ def _check_used(
             raise InputError(
                 f"{option}: the model has no channel {shown(name)}, and none is read from such a column; {hint(name, sorted(known))}"
             )
-
-
-def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
-    """Return the road that a logger measured during a drive: the column of the input that moves the model."""
-    moved = [c for c in network.moving if c.quantity == "displacement"]
-    if len(moved) != 1:
-        raise InputError(
-            f"model '{network.name}' has no single road that a map could name"
-        )
-    source = by.channels.get(moved[0].name)
-    if (
-        source is not None
-        and len(files_of(path)) == 1
-        and source.logger <= len(by.loggers) > 1
-    ):
-        found = _of_one_logger(path, network, moved[0], by, source)
-    else:
-        found = runs(path, network, moved, by=by)
-    if len(found) > 1:
-        why = (
-            f"there are gaps in time ({found[0].notes[0]})"
-            if found[0].notes
-            else "there are several runs"
-        )
-        raise InputError(f"road '{path}': {why}: drive a piece at a time")
-    signal = found[0].signals[moved[0].name]
-    return profiled(
-        str(path), signal.time - signal.time[0], signal.values, over_time=True
-    )
-
-
-def _of_one_logger(
-    path: str | Path, network: Network, channel: Channel, by: ChannelMap, source: Column
-) -> list[Recording]:
-    """Return a channel from one logger's file, by a map of several loggers; raise `InputError` for the file of another logger."""
-    logger = by.loggers[source.logger - 1]
-    alone = replace(
-        by, channels={channel.name: replace(source, logger=1)}, loggers=(logger,)
-    )
-    try:
-        return runs(path, network, [channel], by=alone)
-    except InputError as error:
-        raise InputError(
-            f"{path}: cannot be read as logger {source.logger} of {by.source} ({plain(logger.file, 60)}), which has "
-            f"{channel.name}: {error}"
-        ) from None
 
 
 def _pieces(table: Table, wanted: Sequence[Channel]) -> list[Table | Recording]:

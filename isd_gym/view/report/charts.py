@@ -71,7 +71,6 @@ class Dots:
     x: Array  # abscissae (n,)
     y: Array  # ordinates (n,)
     look: Look  # style
-    size: float = 2.2  # diameter of a dot [pt]
     alpha: float = 0.55  # opacity from 0 to 1
 
 
@@ -87,9 +86,6 @@ class Marks:
     x_interval: tuple[Sequence[float], Sequence[float]] | None = None
     #: lower and upper ordinates; None without intervals
     y_interval: tuple[Sequence[float], Sequence[float]] | None = None
-    notes: Sequence[
-        str
-    ] = ()  # texts that the page shows where the pointer rests on a point
     open: bool = False  # whether markers are hollow
     size: float = 7.0  # size of a marker [pt]
     bar: float = 1.0  # width of the interval lines [pt]
@@ -101,7 +97,6 @@ class Rule:
 
     axis: str  # axis of the value, 'x' or 'y'
     at: float  # value
-    text: str = ""  # label; '' without a label
     look: Look = QUIET  # style
 
 
@@ -125,7 +120,6 @@ class Panel:
     items: tuple[Item, ...]  # items in the order of drawing
     title: str = ""  # title; '' without a title
     link: str = ""  # panels with the same link share their horizontal axis
-    tall: float = 1.0  # height relative to the other panels of the chart
 
 
 @dataclass(frozen=True)
@@ -140,7 +134,6 @@ class Chart:
     choices: Mapping[str, Sequence[Panel]]
     columns: int = 1  # number of columns of panels
     size: tuple[float, float] = (7.4, 3.0)  # size of the picture [inch]
-    align: bool = True  # whether the panels of a column are aligned
     still: int | None = None  # number of panels that are drawn; None for all
     #: captions by choice, for choices with another caption than `caption`
     captions: Mapping[str, str] = field(default_factory=dict)
@@ -157,12 +150,9 @@ def picture(chart: Chart, folder: Path) -> Picture:
     for name, panels in chart.choices.items():
         one = replace(chart, choices={name: panels})
         fig = figure(*chart.size)
-        notes: dict[str, str] = {}
-        draw(fig, one, notes)
+        draw(fig, one)
         caption = chart.captions.get(name, chart.caption)
-        drawn.append(
-            as_picture(fig, chart.name, chart.title, chart.alt, caption, notes)
-        )
+        drawn.append(as_picture(fig, chart.name, chart.title, chart.alt, caption))
     drawn[0].save(folder)
     return replace(
         drawn[0], others=dict(zip(list(chart.choices)[1:], drawn[1:], strict=True))
@@ -172,18 +162,13 @@ def picture(chart: Chart, folder: Path) -> Picture:
 # ------------------------------------------------------------------------------------------------- the picture
 
 
-def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None:
+def draw(fig: Figure, chart: Chart) -> None:
     """Draw the first choice of a chart on an empty figure."""
-    notes = {} if notes is None else notes
     panels = chart.panels
     columns = min(chart.columns, len(panels))
     rows = -(-len(panels) // columns)
     fig.set_size_inches(*chart.size)
-    tall = [
-        max(p.tall for p in panels[r * columns : (r + 1) * columns])
-        for r in range(rows)
-    ]
-    grid = fig.add_gridspec(rows, columns, height_ratios=tall)
+    grid = fig.add_gridspec(rows, columns)
     first: dict[str, Axes] = {}
     axes: list[Axes] = []
     for k, panel in enumerate(panels):
@@ -197,7 +182,7 @@ def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None
         ax = fig.add_subplot(grid[row, column], sharex=share, sharey=left)
         first.setdefault(panel.link, ax)
         axes.append(ax)
-        _draw_panel(ax, panel, notes)
+        _draw_panel(ax, panel)
         below = panels[k + columns] if k + columns < len(panels) else None
         if below is not None and below.x.text == panel.x.text:
             ax.set_xlabel("")
@@ -221,11 +206,10 @@ def draw(fig: Figure, chart: Chart, notes: dict[str, str] | None = None) -> None
             loc="outside upper left",
             ncols=max(1, min(len(handles), room // wide)),
         )
-    if chart.align:
-        fig.align_ylabels(axes[::columns])
+    fig.align_ylabels(axes[::columns])
 
 
-def _draw_panel(ax: Axes, panel: Panel, notes: dict[str, str]) -> None:
+def _draw_panel(ax: Axes, panel: Panel) -> None:
     if panel.x.log:
         ax.set_xscale("log")
     if panel.y.log:
@@ -235,11 +219,11 @@ def _draw_panel(ax: Axes, panel: Panel, notes: dict[str, str]) -> None:
             _draw_line(ax, item, panel.x)
         elif isinstance(item, Dots):
             ax.plot(
-                item.x, item.y, item.look.marker or ".", color=item.look.colour, ms=item.size, mew=0,
+                item.x, item.y, item.look.marker or ".", color=item.look.colour, ms=2.2, mew=0,
                 alpha=item.alpha, label=item.name or None, rasterized=len(item.x) > MOST_DOTS,
             )  # fmt: skip
         elif isinstance(item, Marks):
-            _draw_marks(ax, item, notes)
+            _draw_marks(ax, item)
         elif isinstance(item, Rule):
             line = ax.axvline if item.axis == "x" else ax.axhline
             line(
@@ -249,15 +233,6 @@ def _draw_panel(ax: Axes, panel: Panel, notes: dict[str, str]) -> None:
                 lw=item.look.width,
                 zorder=1 if item.look is QUIET else 4,
             )
-            if item.text and item.axis == "x":
-                ax.text(
-                    item.at,
-                    0.97,
-                    f" {item.text}",
-                    transform=ax.get_xaxis_transform(),
-                    fontsize=8,
-                    va="top",
-                )
         else:
             ax.axvspan(item.low, item.high, color=PALE, alpha=0.7, lw=0, zorder=0)
     ax.set_title(panel.title)
@@ -322,7 +297,7 @@ def _thinned(line: Line, axis: Axis) -> tuple[Array, Array]:
     return x[kept], y[kept]
 
 
-def _draw_marks(ax: Axes, item: Marks, notes: dict[str, str]) -> None:
+def _draw_marks(ax: Axes, item: Marks) -> None:
     x, y = np.asarray(item.x, float), np.asarray(item.y, float)
     for spans, other, flat in ((item.x_interval, y, True), (item.y_interval, x, False)):
         if spans is None:
@@ -336,26 +311,20 @@ def _draw_marks(ax: Axes, item: Marks, notes: dict[str, str]) -> None:
                 solid_capstyle="butt",
                 zorder=3,
             )
-    if item.look.marker:
-        style: dict[str, Any] = {
-            "marker": item.look.marker, "color": item.look.colour, "mfc": "white" if item.open else item.look.colour,
-            "mew": 1.4, "ms": item.size, "ls": "none", "zorder": 5,
-        }  # fmt: skip
-        label = item.name or None
-        if not item.notes:
-            ax.plot(x, y, label=label, **style)
-        for k, note in enumerate(
-            item.notes
-        ):  # each point is an element of the page, with its note
-            name = f"note-{len(notes)}"
-            notes[name] = note
-            ax.plot(
-                x[k : k + 1],
-                y[k : k + 1],
-                label=label if k == 0 else None,
-                gid=name,
-                **style,
-            )
+    look = item.look
+    if look.marker:
+        ax.plot(
+            x,
+            y,
+            label=item.name or None,
+            marker=look.marker,
+            color=look.colour,
+            mfc="white" if item.open else look.colour,
+            mew=1.4,
+            ms=item.size,
+            ls="none",
+            zorder=5,
+        )
     elif item.name:
         ax.plot(
             [],

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
-import tempfile
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
@@ -25,7 +23,6 @@ from ...physics.simulate import pace
 from .charts import (
     Axis,
     Chart,
-    Dots,
     Item,
     Line,
     Marks,
@@ -36,7 +33,7 @@ from .charts import (
     log_ticks,
     picture,
 )
-from .forces import clouds, laws_of, loops_of
+from .forces import laws_of, measured_loops, missing_force
 from .plots import (
     BLUE,
     INK,
@@ -50,24 +47,20 @@ from .plots import (
     density,
     number,
     page,
-    percent,
     style,
     unit_text,
     units_text,
 )
 from .schematic import draw as sketch
-from .schematic import place_parts
-from .steps import draw_steps, force_axis, law_axis, trend
+from .steps import draw_steps, force_axis, law_axis
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from ..._common.arrays import Array
-    from ...diagnosis import Diagnosis, LawSet, Quantity, Trace
+    from ...diagnosis import Diagnosis, Quantity, Trace
     from ...physics.network import Network
     from .forces import Curve, Loops
-
-    Panels = Callable[["View", Trace, Mapping[str, slice]], list[Panel]]
 
 
 #: stages of a diagnosis: head of a column, and its meaning
@@ -150,14 +143,14 @@ def _html(view: View, shown: Mapping[str, Picture], about: Mapping[str, str]) ->
 
 
 def notebook_page(d: Diagnosis) -> str:
-    """Return verdict, picture of the signals, effects and gap of a diagnosis as HTML for a notebook."""
+    """Return verdict, effects and gap of a diagnosis as HTML for a notebook."""
     stages = [s for s in ("before", "refit", "after", "noise_floor") if s in d.gap]
     rows = [
         [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
         for e in d.effects
         for name, q in e.stated.items()
     ]  # fmt: skip
-    out = f"<p><b>{escape(d.verdict)}</b>: {escape(d.summary)}</p>{_signal_picture(d)}"
+    out = f"<p><b>{escape(d.verdict)}</b>: {escape(d.summary)}</p>"
     if rows:
         out += _plain_table(
             ["effect", "where", "parameter", "value", "95 % interval"], rows
@@ -167,20 +160,6 @@ def notebook_page(d: Diagnosis) -> str:
         for c in d.gap.get("refit", {})
     ]
     return out + _plain_table(["error on held-out data", *stages], gap)
-
-
-def _signal_picture(d: Diagnosis) -> str:
-    """Return the picture of the signals as HTML; '' where it cannot be drawn, since a notebook shows the tables all the same."""
-    try:
-        chart = draw_time(View(d)) if d.traces else None
-        if chart is None:
-            return ""
-        with style(), tempfile.TemporaryDirectory() as place:
-            made = picture(chart, Path(place))
-    except Exception:
-        return ""
-    shown = f'<img src="{made.data}" alt="{escape(made.alt)}" width="{made.width}">'
-    return f"<figure>{shown}<figcaption>{escape(made.caption)}</figcaption></figure>"
 
 
 def _plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -269,13 +248,11 @@ class View:
                 "noise_floor": noise,
             }
         self.stages = list(self.errors)
-        self.laws = laws_of(d, self.trace) if self.trace is not None else []
-        self.clouds = clouds(d, self.trace, self.laws) if self.trace is not None else []
+        self.missing = missing_force(d, self.trace) if self.trace is not None else None
         self.remarks += list(dict.fromkeys(d.notes))
         self.spoken, self.observed = el.spoken, observed
-        self.loops = (
-            loops_of(d, self.trace, self.clouds) if self.trace is not None else []
-        )
+        self.loops = measured_loops(d, self.trace) if self.trace is not None else []
+        self.laws = laws_of(d, self.trace) if self.trace is not None else []
 
     def _scale(self, name: str) -> Scale:
         unit = self.d.units.get(name) or next(
@@ -325,12 +302,6 @@ class View:
     def turns(self, pair: Sequence[str]) -> bool:
         """Return whether two nodes rotate relative to each other: torque over angle instead of force over travel."""
         return any(n in self.d.base.rotating for n in pair)
-
-    def lights(self, c: LawSet) -> str:
-        """Return the highlighted parts of the drawing for a rival."""
-        return json.dumps(
-            [part for where in c.where for part in place_parts(self.d.base, where)]
-        )
 
     def printed(self, sentence: str) -> str:
         """Return a sentence with units, numbers and channels in the style of the page."""
@@ -503,11 +474,11 @@ def _digits(value: float, low: float, high: float) -> str:
 MEASURED = Look(INK, "-", "", 1.6)
 BEFORE = Look(VERMILLION, (0, (4, 1.5)), "D", 1.1)
 AFTER = Look(BLUE, "-", "o", 1.0)
-NOISE = Look(INK, (0, (1, 1.5)), "", 0.8)
 WORST = "worst stretch"
 STRETCH = 2.5  # length of the drawn stretches of a record [s]
 PERIODS = 4  # periods of the motion in a loop
 MOST_CHANNELS = 5  # channels of a picture over time
+MOST_LOOPS = 3  # forces of a picture of loops
 
 
 def draw_gap(view: View) -> Chart:
@@ -539,17 +510,12 @@ def draw_gap(view: View) -> Chart:
     for stage in view.stages:
         look, hollow, size = looks[stage]
         label = view.labels[stage]
-        notes = [
-            f"{channel_text(c)}, {label}: {percent(view.errors[stage][c], 2, sign=False)}"
-            for c in view.order
-        ]
         items.append(
             Marks(
                 label,
                 values[stage],
                 range(len(view.order)),
                 look,
-                notes=notes,
                 open=hollow,
                 size=size,
             )
@@ -587,14 +553,6 @@ def _stretches(view: View, trace: Trace) -> dict[str, slice]:
     return {name: slice(k, k + width) for name, k in starts.items()}
 
 
-def _steady(axis: Axis, left: Sequence[np.ndarray], noise: float) -> Axis:
-    """Return an axis that clips a peak of a few samples, as after a wrong initial state."""
-    usual = max(noise, *(float(np.quantile(np.abs(r), 0.99)) for r in left))
-    if max(float(np.abs(r).max()) for r in left) <= 3 * usual:
-        return axis
-    return replace(axis, low=-1.5 * usual, high=1.5 * usual)
-
-
 def _records(view: View) -> dict[str, Trace]:
     """Return the records that a chart over time shows, by their name in the chart; the record of the picture first."""
     chosen = [view.trace, *(t for t in view.traces if t is not view.trace)][:8]
@@ -611,45 +569,28 @@ def _simulated(view: View, t: Trace) -> dict[str, tuple[dict[str, Array], Look]]
     return out | ({"completed model": (t.after, AFTER)} if view.changed else {})
 
 
-def _signal_axis(view: View, c: str) -> Axis:
-    """Return the axis of a channel, its name in two lines."""
-    return Axis(channel_text(c).replace(" ", "\n", 1), view.scales[c].unit or "–")
-
-
-def _over_time(
-    view: View,
-    name: str,
-    texts: tuple[str, str],
-    panels: Panels,
-    columns: int,
-    height: float,
-) -> Chart | None:
-    """Return a chart of all records over time; the picture has the channels with the largest error. None without records."""
+def draw_time(view: View) -> Chart | None:
+    """Return the chart of all records over time: the stretch with the largest error, and a typical stretch; None without records."""
     if view.trace is None:
         return None
     few = min(len(view.order), MOST_CHANNELS)
     choices, captions = {}, {}
     for record, t in _records(view).items():
         stretches = _stretches(view, t)
-        choices[record] = panels(view, t, stretches)
+        choices[record] = _signal_panels(view, t, stretches)
         length = float(np.ptp(t.time[next(iter(stretches.values()))]))
-        captions[record] = caption(name, view=view, t=t, length=length, few=few)
+        captions[record] = caption("time", view=view, t=t, length=length, few=few)
     return Chart(
-        name,
-        *texts,
+        "time",
+        "In time",
+        "Measured and simulated signals over time: the stretch with the largest error, and a typical stretch",
         next(iter(captions.values())),
         choices,
-        columns=columns,
-        size=(7.6, height * few + 0.7),
-        still=columns * few,
+        columns=2,
+        size=(7.6, 1.65 * few + 0.7),
+        still=2 * few,
         captions=captions,
     )
-
-
-def draw_time(view: View) -> Chart | None:
-    """Return the chart of all records over time: the stretch with the largest error, and a typical stretch; None without records."""
-    alt = "Measured and simulated signals over time: the stretch with the largest error, and a typical stretch"
-    return _over_time(view, "time", ("In time", alt), _signal_panels, 2, 1.65)
 
 
 def _signal_panels(view: View, t: Trace, stretches: Mapping[str, slice]) -> list[Panel]:
@@ -669,7 +610,12 @@ def _signal_panels(view: View, t: Trace, stretches: Mapping[str, slice]) -> list
                 f(float(f(k * y[c][cut])) for y, _ in says.values()) for f in (min, max)
             )
             room = 0.05 * (high - low) or 1.0
-            y_axis = replace(_signal_axis(view, c), low=low - room, high=high + room)
+            y_axis = Axis(
+                channel_text(c).replace(" ", "\n", 1),
+                view.scales[c].unit or "–",
+                low=low - room,
+                high=high + room,
+            )
             x_axis = Axis(
                 "time", "s", low=float(t.time[cut][0]), high=float(t.time[cut][-1])
             )
@@ -677,60 +623,14 @@ def _signal_panels(view: View, t: Trace, stretches: Mapping[str, slice]) -> list
     return panels
 
 
-def draw_residuals(view: View) -> Chart | None:
-    """Return the chart of the residuals of all records; None without records."""
-    texts = ("Residuals", "Measured minus simulated signals over time")
-    return _over_time(view, "residuals", texts, _residual_panels, 1, 1.1)
-
-
-def _residual_panels(
-    view: View, t: Trace, stretches: Mapping[str, slice]
-) -> list[Panel]:
-    panels = []
-    spans = [
-        Span(float(t.time[cut][0]), float(t.time[cut][-1]))
-        for cut in stretches.values()
-    ]
-    for c in view.order:
-        k = view.scales[c].factor
-        rest = {
-            n: (k * (t.measured[c] - y[c]), look)
-            for n, (y, look) in _simulated(view, t).items()
-        }
-        noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(t.measured[c]))
-        items: list[Item] = [
-            Line(n, t.time, r, replace(look, line="-", width=0.7, marker=""))
-            for n, (r, look) in rest.items()
-        ]
-        items += [*(Rule("y", y, look=NOISE) for y in (-noise, noise)), *spans]
-        x_axis = Axis("time", "s", low=float(t.time[0]), high=float(t.time[-1]))
-        y_axis = _steady(_signal_axis(view, c), [r for r, _ in rest.values()], noise)
-        panels.append(Panel(x_axis, y_axis, tuple(items), link="time"))
-    return panels
-
-
 def draw_loops(view: View) -> Chart | None:
-    """Return the chart of the force at the place of the finding over velocity and over travel; None without a force or its motion."""
-    return _loops_chart(view, "loops", "Force over velocity and travel", view.loops[:1])
-
-
-def draw_other_loops(view: View) -> Chart | None:
-    """Return the chart of the other forces over velocity and over travel; None without other forces."""
-    return _loops_chart(
-        view, "other_loops", "Other forces over velocity and travel", view.loops[1:4]
-    )
-
-
-def _loops_chart(
-    view: View, name: str, title: str, forces: Sequence[Loops]
-) -> Chart | None:
-    """Return loops in the measurement, the model as given, and the completed (or refitted) model."""
-    trace = view.trace
+    """Return the chart of the measured forces over velocity and travel: measured, as given, and completed (or refitted); None without such a force."""
+    trace, forces = view.trace, view.loops[:MOST_LOOPS]
     if trace is None or not forces:
         return None
-    new, look = (
-        ("completed model", AFTER) if view.changed else ("refitted model", BEFORE)
-    )
+    new, look = ("refitted model", BEFORE)
+    if view.changed:
+        new, look = ("completed model", AFTER)
     choices = {}
     for stretch_name, stretch in _stretches(view, trace).items():
         panels = []
@@ -749,10 +649,10 @@ def _loops_chart(
             panels += _loop_panels(view, loops, shown)
         choices[stretch_name] = panels
     return Chart(
-        name,
-        title,
+        "loops",
+        "Force over velocity and travel",
         "Loops of the force over velocity and over travel, measured and simulated",
-        caption("loops", t=trace, periods=PERIODS, forces=forces),
+        caption("loops", t=trace, periods=PERIODS),
         choices,
         columns=2,
         size=(7.4, 2.5 * len(forces) + 0.4),
@@ -764,7 +664,7 @@ def _cycles(loops: Loops, stretch: slice, step: float) -> slice:
     period = 2 * math.pi * pace(loops.measured.rate, step) / step
     count, whole = len(loops.measured.travel), stretch.stop - stretch.start
     width = min(count, max(10, min(whole, round(PERIODS * period))))
-    start = (stretch.start + stretch.stop - width) // 2 - loops.samples.start
+    start = (stretch.start + stretch.stop - width) // 2
     start = min(max(start, 0), count - width)
     return slice(start, start + width)
 
@@ -864,82 +764,7 @@ def draw_spectra(view: View) -> Chart | None:
         {"all": panels},
         columns=columns,
         size=((5.2, 6.8, 8.2)[columns - 1], 2.1 * rows + 0.55),
-        align=False,
     )
-
-
-def draw_plane(view: View) -> Chart | None:
-    """Return the chart of the missing force over motion, before and after; None without a place of the force."""
-    if view.trace is None or not view.clouds:
-        return None
-    panels = []
-    for cloud in view.clouds:
-        law = cloud.law
-        kind = law.kind if law is not None else "rate"
-        over = {"rate": cloud.rate, "travel": cloud.travel}
-        if cloud.after is not None:
-            parts = [
-                (kind, cloud.before, "missing in the refitted model", VERMILLION),
-                (kind, cloud.after, "missing in the completed model", BLUE),
-            ]
-        else:
-            parts = [
-                (
-                    k,
-                    cloud.before,
-                    f"missing in the refitted model, over {k}",
-                    VERMILLION,
-                )
-                for k in ("rate", "travel")
-            ]
-        top = float(np.quantile(np.abs(cloud.before), 0.98)) * 1.25
-        if law is not None:
-            top = max(top, 1.15 * float(np.abs(law.force).max()))
-        for k, (axis_kind, force, title, colour) in enumerate(parts):
-            turns = view.turns(cloud.pair)
-            factor, x = law_axis(axis_kind, turns)
-            x = replace(x, label=f"{x.label} of {cloud.pair[0]}–{cloud.pair[1]}")
-            items, x = _dots(x, factor * over[axis_kind], force, colour)
-            if law is not None and k == 0:
-                look = Look(BLUE, "-", "", 1.6)
-                items.append(
-                    Line(
-                        "added law",
-                        factor * law.axis,
-                        law.force,
-                        look,
-                        band=(law.low, law.high),
-                    )
-                )
-            y = force_axis("missing force", turns, -top, top)
-            panels.append(Panel(x, y, tuple(items), title=title))
-    return Chart(
-        "plane",
-        "Missing force over the motion",
-        "The missing force over travel or rate, before and after",
-        caption(
-            "plane",
-            t=view.trace,
-            has_law=any(cloud.law is not None for cloud in view.clouds),
-        ),
-        {"all": panels},
-        columns=2,
-        size=(7.4, 2.9 * len(view.clouds) + 0.4),
-    )
-
-
-def _dots(axis: Axis, x: Array, y: Array, colour: str) -> tuple[list[Item], Axis]:
-    """Return a cloud, its median along x, and an axis without the outer two thousandths of x."""
-    thin = max(1, len(x) // 2500)
-    middle, (median,) = trend(x, y)
-    low, high = (float(q) for q in np.quantile(x, [0.001, 0.999]))
-    margin = 0.05 * (high - low) or 1.0
-    items: list[Item] = [
-        Rule("y", 0.0),
-        Dots("", x[::thin], y[::thin], Look(colour, "-", ".")),
-        Line("median of the dots", middle, median, Look(INK, "-", "o", 1.0)),
-    ]
-    return items, replace(axis, low=low - margin, high=high + margin)
 
 
 def draw_law(view: View) -> Chart | None:
@@ -998,7 +823,6 @@ def draw_law(view: View) -> Chart | None:
         {"all": panels},
         columns=columns,
         size=((4.8, 6.2, 8.2)[columns - 1], 2.9),
-        align=False,
     )
 
 
@@ -1049,10 +873,6 @@ def draw_parameters(view: View) -> Chart | None:
             [100 * (getattr(q, key) / q.prior - 1) for _, _, q in own]
             for key in ("value", "low", "high")
         )
-        notes = [
-            f"{path}: {view.quantity(q)}, 95 % {view.interval(q)}, as given {number(q.prior, 4)}"
-            for _, path, q in own
-        ]
         spans = (
             [min(p) for p in zip(low, high, strict=True)],
             [max(p) for p in zip(low, high, strict=True)],
@@ -1064,7 +884,6 @@ def draw_parameters(view: View) -> Chart | None:
                 [k for k, _, _ in own],
                 look,
                 spans,
-                notes=notes,
                 open=hollow,
                 size=4.5,
                 bar=2.2,
@@ -1091,12 +910,9 @@ def draw_parameters(view: View) -> Chart | None:
 FIGURES: Sequence[Callable[[View], Chart | None]] = (
     draw_steps,
     draw_loops,
-    draw_other_loops,
     draw_gap,
     draw_time,
-    draw_residuals,
     draw_spectra,
-    draw_plane,
     draw_law,
     draw_parameters,
 )

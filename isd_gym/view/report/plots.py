@@ -98,25 +98,22 @@ LINES = (
     (0, (1.6, 1.6)),
 )
 MARKERS = ("o", "D", "^", "v", "P", "X", "<", ">", "h", "d", "*")
-#: the first style belongs to the reference of a comparison
-LOOKS = (
-    Look(BLACK, (0, (1.2, 1.2)), "s", 1.2),
-    *(Look(c, LINES[i % len(LINES)], MARKERS[i], 1.4) for i, c in enumerate(COLOURS)),
-)
+
+
+def _styles(count: int) -> Iterator[Look]:
+    """Yield the style of the reference of a comparison, then that of each other series."""
+    yield Look(BLACK, (0, (1.2, 1.2)), "s", 1.2)
+    for i in range(count):
+        colour, line = COLOURS[i % len(COLOURS)], LINES[i % len(LINES)]
+        yield Look(colour, line, MARKERS[i % len(MARKERS)], 1.4)
+
+
+LOOKS = tuple(_styles(len(COLOURS)))
 
 
 def looks(names: Sequence[str]) -> dict[str, Look]:
     """Return a style for each name; no two of the first 57 share colour and line, or colour and marker."""
-    others = (
-        Look(
-            COLOURS[i % len(COLOURS)],
-            LINES[i % len(LINES)],
-            MARKERS[i % len(MARKERS)],
-            1.4,
-        )
-        for i in range(len(names))
-    )
-    return dict(zip(names, (LOOKS[0], *others), strict=False))
+    return dict(zip(names, _styles(len(names)), strict=False))
 
 
 @contextmanager
@@ -165,24 +162,13 @@ class Picture:
     caption: str  # caption
     drawing: str  # SVG text
     width: int  # width at which the text has the size of the page's small print [CSS pixel]
-    #: text that the page shows where the pointer rests on an element, by the element's identifier
-    notes: Mapping[str, str] = field(default_factory=dict)
     #: further pictures of the figure by name, such as those of other records
     others: Mapping[str, Picture] = field(default_factory=dict)
-
-    @property
-    def data(self) -> str:
-        """Data URI of the picture, for an image element."""
-        return "data:image/svg+xml;base64," + base64.b64encode(
-            self.drawing.encode()
-        ).decode("ascii")
 
     @property
     def inline(self) -> str:
         """The picture as an element of a page, in the colours of the page."""
         text = themed(self.drawing)
-        for name, note in self.notes.items():
-            text = text.replace(f'<g id="{name}">', f"<g><title>{escape(note)}</title>")
         head = f'<svg class="chart" style="width:{self.width}px" role="img" aria-label="{escape(self.alt)}"'
         return text.replace("<svg", head, 1)
 
@@ -198,14 +184,7 @@ def themed(drawing: str) -> str:
     return drawing
 
 
-def as_picture(
-    fig: Figure,
-    stem: str,
-    title: str,
-    alt: str,
-    caption: str,
-    notes: Mapping[str, str] | None = None,
-) -> Picture:
+def as_picture(fig: Figure, stem: str, title: str, alt: str, caption: str) -> Picture:
     """Return a figure as a picture of a page; equal figures give equal texts. To be called within `style`."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
@@ -225,7 +204,7 @@ def as_picture(
         text,
     )
     width = round(122 * fig.get_size_inches()[0])
-    return Picture(stem, title, alt, caption, text, width, notes or {})
+    return Picture(stem, title, alt, caption, text, width)
 
 
 def number(value: float | None, digits: int = 3) -> str:

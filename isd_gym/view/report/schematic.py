@@ -600,16 +600,4 @@ def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
     return _Sheet(network, found).draw()
 
 
-def place_parts(network: Network, where: Sequence[str]) -> list[str]:
-    """Return the highlighted parts of a drawing for a place."""
-    if len(where) == 2:
-        between = [
-            e.name
-            for e in network.elements
-            if e.place == "between" and set(e.where) == set(where)
-        ]
-        return [*(f"node:{n}" for n in where), *(f"el:{n}" for n in between)]
-    return [f"el:{where[0]}", f"ch:{where[0]}"]
-
-
-__all__ = ["Drawing", "check_suffix", "draw", "place_parts"]
+__all__ = ["Drawing", "check_suffix", "draw"]

@@ -14,7 +14,6 @@ from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, pictur
 from .plots import (
     INK,
     LOOKS,
-    MUTED,
     Look,
     caption,
     density,
@@ -25,8 +24,6 @@ from .plots import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from ...benchmark.scoring import Score
 
 SCORE_KIND = "score report"
@@ -68,10 +65,7 @@ def score_report(score: Score, folder: str | Path) -> Path:
     folder = Path(folder)
     shown = Shown(score)
     with style(), whole_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS) as place:
-        charts = (
-            make(shown)
-            for make in (trade_off, histories, spectra, distribution, limits)
-        )
+        charts = (make(shown) for make in (trade_off, histories, spectra))
         pictures = [picture(chart, place) for chart in charts if chart is not None]
         write_text(
             place / "score.json",
@@ -94,14 +88,7 @@ class Shown:
 
     def __init__(self, score: Score) -> None:
         self.score = score
-        self.reference = next(iter(score.runs))  # the reference is driven first
-        for row in score.policies:
-            if (
-                row["cost"].get("change") == 0.0
-                and row["cost"].get("low") == row["cost"].get("high") == 0.0
-            ):
-                self.reference = row["policy"]
-                break
+        self.reference = score.reference
         self.rows = {row["policy"]: row for row in score.policies}
         self.names = [self.reference, *(n for n in score.runs if n != self.reference)]
         self.looks = looks(self.names)
@@ -165,11 +152,8 @@ class Shown:
     @property
     def left_out(self) -> str:
         """Omitted bounds and published figures with the reasons; '' if nothing is omitted."""
-        return (
-            self.score.references.get("left_out")
-            or self.score.comparable.left_out
-            or ""
-        )
+        told = self.score.references.get("left_out")
+        return told or self.score.comparable.left_out or ""
 
     def few(self, count: int) -> tuple[list[str], str]:
         """Return the reference and the best policies, since many curves are unreadable."""
@@ -214,23 +198,9 @@ class Shown:
             "headline", shown=self, heads={k: COLUMNS[k][0] for k in list(COLUMNS)[1:]}
         )
 
-    def change(self, name: str, key: str) -> np.ndarray:
-        """Return the change of each episode against the same episode of the reference (episodes,), as fractions."""
-        own, base = (self._by_episode(n, key) for n in (name, self.reference))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return own / base - 1.0
-
-    def _by_episode(self, name: str, key: str) -> np.ndarray:
-        if key == "cost":
-            return self.costs[name]
-        signals = self.runs[name].of(key.removesuffix("_rms"))
-        return np.sqrt(
-            sum(np.mean(signal**2, axis=0) for signal in signals) / len(signals)
-        )
-
 
 def histories(shown: Shown) -> Chart:
-    """Return the chart of four seconds around the reference's worst moment: the best policy in a median episode and in the hardest, then others."""
+    """Return the chart of four seconds around the reference's worst moment: the best policy in a median episode, and in the hardest."""
     base = shown.runs[shown.reference]
     order = np.argsort(shown.costs[shown.reference])
     middle, hardest = int(order[len(order) // 2]), int(order[-1])
@@ -246,14 +216,9 @@ def histories(shown: Shown) -> Chart:
     ]
     time = shown.step * np.arange(steps, dtype=np.float64)
 
-    def panels(episode: int, names: Sequence[str]) -> list[Panel]:
-        peak = int(
-            np.argmax(
-                np.max(
-                    [np.abs(load[:, episode]) for load in base.of("tyre_load")], axis=0
-                )
-            )
-        )
+    def panels(episode: int) -> list[Panel]:
+        loads = [np.abs(load[:, episode]) for load in base.of("tyre_load")]
+        peak = int(np.argmax(np.max(loads, axis=0)))
         first = max(0, min(peak - width // 2, steps - width))
         begin, end = float(time[first]), float(time[first]) + width * shown.step
         window = Axis("time", "s", low=begin, high=end)
@@ -261,7 +226,7 @@ def histories(shown: Shown) -> Chart:
         for key in moved:
             head, unit, scale = signals[key]
             lines = []
-            for name in names:
+            for name in few:
                 own = shown.runs[name].signals.get(key)
                 if own is None or (key.startswith("current") and not np.any(own)):
                     continue
@@ -282,28 +247,19 @@ def histories(shown: Shown) -> Chart:
             )
         return out
 
-    median = f"the median by the cost of {shown.reference}"
-    pictures = [
-        (middle, median, few),
-        (hardest, f"the hardest for {shown.reference}", few),
-    ][: 1 + (hardest != middle)]
-    pictures += [
-        (middle, name, [shown.reference, name])
-        for name in shown.names
-        if name not in few
-    ]
+    pictures = {f"the median by the cost of {shown.reference}": middle}
+    if hardest != middle:
+        pictures[f"the hardest for {shown.reference}"] = hardest
     choices, captions = {}, {}
-    for episode, words, names in pictures:
+    for about, episode in pictures.items():
         road = road_name(shown.score.seed, episode)
-        choices[f"{road}: {words}"] = panels(episode, names)
-        about = words if names is few else f"{median}, with {words}"
-        gone = left_out if names is few else ""
-        captions[f"{road}: {words}"] = caption(
+        choices[f"{road}: {about}"] = panels(episode)
+        captions[f"{road}: {about}"] = caption(
             "histories",
             road=road,
             about=about,
             seconds=width * shown.step,
-            left_out=gone,
+            left_out=left_out,
         )
     return Chart(
         "histories",
@@ -378,7 +334,7 @@ def spectra(shown: Shown) -> Chart | None:
         y = Axis(
             "density", unit, log=True, low=low, high=high, ticks=decades(low, high)
         )
-        top.append(Panel(x, y, (*lines, *extra), title=title, link=key, tall=1.7))
+        top.append(Panel(x, y, (*lines, *extra), title=title, link=key))
         y = Axis(
             f"ratio to {shown.reference}", log=True, low=0.125, high=8.0, ticks=halves
         )
@@ -397,7 +353,7 @@ def spectra(shown: Shown) -> Chart | None:
 
 def trade_off(shown: Shown) -> Chart:
     """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load."""
-    marks = [*_policy_marks(shown), *_published_marks(shown)]
+    marks = [*_policy_marks(shown), *_optimum_marks(shown)]
     xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
     from ...benchmark.ceilings import fronts
 
@@ -438,21 +394,11 @@ def _mark(
     acceleration: float,
     tyre: float | None,
     look: Look,
-    more: str = "",
     **style: Any,
 ) -> Marks:
     """Return the point of a policy, from its changes as fractions."""
-    x, y = 100 * travel, 100 * acceleration
-    text, note = (
-        name,
-        f"{name}: travel {percent(x / 100)}, acceleration {percent(y / 100)}",
-    )
-    if tyre is not None:
-        text, note = (
-            f"{name}, tyre {percent(tyre)}",
-            f"{note}, tyre load {percent(tyre)}",
-        )
-    return Marks(text, [x], [y], look, notes=[note + more], **style)
+    text = name if tyre is None else f"{name}, tyre {percent(tyre)}"
+    return Marks(text, [100 * travel], [100 * acceleration], look, **style)
 
 
 def _policy_marks(shown: Shown) -> list[Marks]:
@@ -466,33 +412,20 @@ def _policy_marks(shown: Shown) -> list[Marks]:
         a, l, t = (row[k] for k in list(COLUMNS)[1:])
         if "change" not in a or "change" not in l:
             continue
-        spans = {}
+        spans: dict[str, Any] = {}
         if shown.interval(a) and shown.interval(l):
             spans = {
                 f"{k}_interval": ([100 * q["low"]], [100 * q["high"]])
                 for k, q in (("x", l), ("y", a))
             }
-        more = ""
-        if "change" in row["cost"]:
-            more = f"; cost J {percent(row['cost']['change'])} {shown.interval(row['cost'])}"
-        marks.append(
-            _mark(name, l["change"], a["change"], t.get("change"), look, more, **spans)
-        )
+        tyre = t.get("change")
+        marks.append(_mark(name, l["change"], a["change"], tyre, look, **spans))
     return marks
 
 
-def _published_marks(shown: Shown) -> list[Marks]:
-    """Return the points of the paper's tables and of the clairvoyant optimum, where they apply to the score."""
-    from ...benchmark.scoring import PAPER
-
+def _optimum_marks(shown: Shown) -> list[Marks]:
+    """Return the point of the clairvoyant optimum, where it is known."""
     marks = []
-    if not shown.score.comparable.tables:
-        for (name, (before, after)), marker in zip(
-            PAPER.items(), ("*", "p"), strict=True
-        ):
-            a, l, t = (q / p - 1 for p, q in zip(before, after, strict=True))
-            label, look = f"paper's {name.split(' (')[0]}", Look(MUTED, "-", marker)
-            marks.append(_mark(label, l, a, t, look, open=True, size=9.0))
     if known := shown.score.references.get("clairvoyant_point"):
         a, l, t = (
             known[f"{k}_change"]
@@ -502,109 +435,3 @@ def _published_marks(shown: Shown) -> list[Marks]:
             _mark("clairvoyant", l, a, t, Look(INK, "-", "o"), open=True, size=8.0)
         )
     return marks
-
-
-def distribution(shown: Shown) -> Chart | None:
-    """Return the chart of the changes of all episodes against the reference on the same road; None for a single episode."""
-    names = [n for n in shown.names if n != shown.reference and n in shown.rows]
-    if not names or shown.score.episodes < 2:
-        return None
-    order = np.arange(shown.score.episodes)
-    # spread by the golden angle: reproducible, with distant neighbours
-    lift = 0.22 * (2 * np.mod(order * 0.61803398875, 1.0) - 1)
-    panels = []
-    for key, (title, _, _, _) in COLUMNS.items():
-        items: list[Item] = [Rule("x", 0.0)]
-        for i, name in enumerate(names):
-            look, q = shown.looks[name], shown.rows[name][key]
-            values = 100 * shown.change(name, key)
-            notes = [
-                f"{name}, {road_name(shown.score.seed, k)}: {title} {percent(v / 100)}"
-                for k, v in enumerate(values)
-            ]
-            dot = Look(look.colour, "-", "o")
-            items.append(
-                Marks("", list(values), list(i + lift), dot, notes=notes, size=2.2)
-            )
-            if "change" in q:
-                spans = ([100 * q["low"]], [100 * q["high"]])
-                note = f"{name}: {title} {percent(q['change'])} {shown.interval(q)}"
-                items.append(
-                    Marks(
-                        "",
-                        [100 * q["change"]],
-                        [i],
-                        look,
-                        spans,
-                        notes=[note],
-                        open=True,
-                        size=6.0,
-                        bar=3.5,
-                    )
-                )
-        panels.append(
-            Panel(
-                Axis("change", "%"), Axis(rows=tuple(names)), tuple(items), title=title
-            )
-        )
-    return Chart(
-        "episodes",
-        "Episode by episode",
-        "Paired changes of every episode, by policy",
-        caption("episodes", reference=shown.reference),
-        {"all": panels},
-        columns=len(panels),
-        size=(7.8, 0.9 + 0.42 * len(names)),
-    )
-
-
-def limits(shown: Shown) -> Chart:
-    """Return the chart of the share of time that a signal spends above a value, up to and beyond the limit."""
-    from ...benchmark.scoring import LIMITS
-
-    few, left_out = shown.few(3)
-    least = max(0.5 / shown.runs[shown.reference].current.size, 1e-6)
-    panels = []
-    for key in ("body_acceleration", "suspension_travel", "current"):
-        head, unit, scale = SIGNALS[key]
-        limit = LIMITS[key] * scale
-        reach = max(
-            [
-                1.22 * limit,
-                *(
-                    1.02 * scale * np.abs(getattr(r, key)).max()
-                    for r in shown.runs.values()
-                ),
-            ]
-        )
-        x = np.linspace(0.0, reach, 400)
-        items: list[Item] = []
-        for name in few:
-            values = np.sort(np.abs(getattr(shown.runs[name], key)).ravel()) * scale
-            if not values.any():
-                continue
-            share = 1.0 - np.searchsorted(values, x, side="right") / len(values)
-            keep = np.where(share > 0, share, np.nan)
-            items.append(Line(name, x, keep, shown.looks[name]))
-        items.append(Rule("x", limit, "limit", Look(INK, "-", "", 1.0)))
-        y = Axis(
-            "share of time above",
-            log=True,
-            low=least,
-            high=1.0,
-            ticks=decades(least, 1.0),
-        )
-        panels.append(
-            Panel(
-                Axis("|value|", unit, low=0.0, high=reach), y, tuple(items), title=head
-            )
-        )
-    return Chart(
-        "limits",
-        "Exceedances",
-        "Share of time above a value, by policy",
-        caption("limits", left_out=left_out),
-        {"all": panels},
-        columns=3,
-        size=(7.8, 2.9),
-    )

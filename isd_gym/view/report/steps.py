@@ -10,6 +10,7 @@ import numpy as np
 from ...diagnosis._estimation.structure import Hypothesis
 from ...physics import elements as el
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule
+from .forces import GRID
 from .plots import BLUE, COLOURS, INK, MUTED, Look, caption, percent
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...diagnosis import Diagnosis
     from .diagnosis import View
-    from .forces import Cloud
+    from .forces import Curve, Missing
 
     #: effects of a candidate at a place, with their values
     Laws = list[tuple[Hypothesis, dict[str, float]]]
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 MOST_PLACES, MOST_LAWS = 6, 4
 #: least samples in a bin of a curve; quantiles of its band
 LEAST, BAND = 10, (0.1, 0.9)
-#: points of the curve of a law: a cogging may have dozens of periods
-GRID = 1601
 
 
 def draw_steps(view: View) -> Chart | None:
@@ -36,11 +35,11 @@ def draw_steps(view: View) -> Chart | None:
     if not view.d.places:
         return None
     panels = [_places(view)]
-    cloud = next(iter(view.clouds), None)
-    if cloud is not None:
-        kind = _axis_of(cloud)
-        panels.append(_force(view, cloud, kind))
-        lines = list(_laws(view, cloud, kind))
+    missing = view.missing
+    if missing is not None:
+        kind = _axis_of(missing.curve)
+        panels.append(_force(view, missing, kind))
+        lines = list(_laws(view, missing, kind))
         if lines:
             rule, _, curve = panels[-1].items
             bare = [replace(curve, band=None)] if isinstance(curve, Line) else []
@@ -52,11 +51,10 @@ def draw_steps(view: View) -> Chart | None:
         "steps",
         "How the effect was looked for",
         "Places by the share of the error that a law there removes; the missing force over the motion; laws on its curve",
-        caption("steps", view=view, cloud=cloud, has_laws=len(panels) > 2),
+        caption("steps", view=view, has_laws=len(panels) > 2),
         {"all": panels},
         columns=len(panels),
-        size=(7.2, 0.95 + 0.3 * rows) if cloud is None else (8.6, 3.1),
-        align=False,
+        size=(7.2, 0.95 + 0.3 * rows) if missing is None else (8.6, 3.1),
     )
 
 
@@ -76,10 +74,6 @@ def _places(view: View) -> Panel:
             (k, p) for k, p in enumerate(shown) if (set(p.where) in found) == is_found
         ]
         share = [100 * max(p.share, 0.0) for _, p in own]
-        notes = [
-            f"{view.place_text(p.where)}: {el.spoken(p.effect)} removes {percent(p.share, 0, sign=False)}"
-            for _, p in own
-        ]
         rows = [k for k, _ in own]
         items.append(
             Marks(
@@ -88,7 +82,6 @@ def _places(view: View) -> Panel:
                 rows,
                 look,
                 ([0.0] * len(own), share),
-                notes=notes,
                 size=4.5,
                 bar=5.0,
             )
@@ -99,10 +92,10 @@ def _places(view: View) -> Panel:
     )
 
 
-def _axis_of(cloud: Cloud) -> str:
+def _axis_of(curve: Curve) -> str:
     """Return 'rate' or 'travel', over which the missing force has the narrower curve."""
     by_rate, by_travel = (
-        _explained(x, cloud.before) for x in (cloud.rate, cloud.travel)
+        _explained(x, curve.force) for x in (curve.rate, curve.travel)
     )
     return "rate" if by_rate >= by_travel else "travel"
 
@@ -112,19 +105,23 @@ def _explained(x: Array, force: Array) -> float:
     middle, (median,) = trend(x, force)
     if len(middle) < 2:
         return 0.0
-    left = force - np.interp(x, middle, median)
-    return 1.0 - float(np.mean(left**2) / max(np.var(force), 1e-300))
+    return _share(force - np.interp(x, middle, median), force)
 
 
-def _force(view: View, cloud: Cloud, kind: str) -> Panel:
+def _share(left: Array, force: Array) -> float:
+    """Return the share of the square of a force that is not left."""
+    return 1.0 - float(np.mean(left**2) / max(float(np.var(force)), 1e-300))
+
+
+def _force(view: View, missing: Missing, kind: str) -> Panel:
     """Return the panel of the missing force, sample by sample, with its curve."""
-    turns = view.turns(cloud.pair)
+    turns, force = view.turns(missing.pair), missing.curve.force
     factor, axis = law_axis(kind, turns)
-    x = factor * getattr(cloud, kind)
-    middle, (low, median, high) = trend(x, cloud.before, (BAND[0], 0.5, BAND[1]))
+    x = factor * getattr(missing.curve, kind)
+    middle, (low, median, high) = trend(x, force, (BAND[0], 0.5, BAND[1]))
     ends = [float(q) for q in np.quantile(x, (0.001, 0.999))]
     margin = 0.05 * (ends[1] - ends[0]) or 1.0
-    top = 1.25 * float(np.quantile(np.abs(cloud.before), 0.98))
+    top = 1.25 * float(np.quantile(np.abs(force), 0.98))
     thin = max(1, len(x) // 2500)
     curve = Line(
         "median",
@@ -134,8 +131,8 @@ def _force(view: View, cloud: Cloud, kind: str) -> Panel:
         band=(low, high),
         band_name="80 % of the samples",
     )
-    dots = Dots("", x[::thin], cloud.before[::thin], Look(MUTED, "-", "."), alpha=0.4)
-    label = f"{axis.label} of {cloud.pair[0]}–{cloud.pair[1]}"
+    dots = Dots("", x[::thin], force[::thin], Look(MUTED, "-", "."), alpha=0.4)
+    label = f"{axis.label} of {missing.pair[0]}–{missing.pair[1]}"
     axis = replace(axis, label=label, low=ends[0] - margin, high=ends[1] + margin)
     return Panel(
         axis,
@@ -144,28 +141,25 @@ def _force(view: View, cloud: Cloud, kind: str) -> Panel:
     )
 
 
-def _laws(view: View, cloud: Cloud, kind: str) -> Iterator[Line]:
+def _laws(view: View, missing: Missing, kind: str) -> Iterator[Line]:
     """Yield the curve of each candidate at the place of the missing force."""
-    trace = view.trace
-    if trace is None:
-        return
-    factor, _ = law_axis(kind, view.turns(cloud.pair))
+    trace, pair, curve = view.trace, missing.pair, missing.curve
+    assert trace is not None
+    factor, _ = law_axis(kind, view.turns(pair))
     step = float(trace.time[1] - trace.time[0])
-    motion = el.Motion(cloud.travel, cloud.rate, np.gradient(cloud.rate, step))
-    given = [cloud.travel, cloud.rate, motion.a, np.ones(len(cloud.rate))]
-    for k, laws in enumerate(_candidates_at(view.d, cloud.pair)):
-        forces = [law_force(h, values, cloud.pair, motion) for h, values in laws]
+    motion = el.Motion(curve.travel, curve.rate, np.gradient(curve.rate, step))
+    given = [motion.d, motion.v, motion.a, np.ones(len(motion.d))]
+    for k, laws in enumerate(_candidates_at(view.d, pair)):
+        forces = [law_force(h, values, pair, motion) for h, values in laws]
         drawn_laws = [f for f in forces if f is not None]
         if not drawn_laws:
             continue
         columns = np.stack([*drawn_laws, *given], axis=1)
         size = np.linalg.norm(columns, axis=0)
         columns /= np.where(size > 0, size, 1.0)
-        drawn = columns @ np.linalg.lstsq(columns, cloud.before, rcond=1e-9)[0]
-        middle, (median,) = trend(factor * getattr(cloud, kind), drawn)
-        share = 1.0 - float(
-            np.mean((cloud.before - drawn) ** 2) / max(np.var(cloud.before), 1e-300)
-        )
+        drawn = columns @ np.linalg.lstsq(columns, curve.force, rcond=1e-9)[0]
+        middle, (median,) = trend(factor * getattr(curve, kind), drawn)
+        share = _share(curve.force - drawn, curve.force)
         name = " and ".join(el.spoken(h.effect) for h, _ in laws)
         text = f"{name} ({percent(max(share, 0.0), 0, sign=False)})"
         yield Line(text, middle, median, Look(COLOURS[k], "-", "", 1.4))
