@@ -61,6 +61,13 @@ def python(
     return Done(done.returncode, done.stdout, done.stderr)
 
 
+def printed(*words: Any, cwd: Path | None = None) -> str:
+    """Return what the program prints, which must end well."""
+    done = run(*words, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def assert_one_line(done: Done, *words: str) -> None:
     """Assert that the program refused its input: status 2, and one line on stderr with these words."""
     assert done.returncode == 2, done.stderr

@@ -14,10 +14,9 @@ from isd_gym._commands import app
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.physics.network import Network
-from isd_gym.physics.road import road
 from isd_gym.physics.simulate import simulate
 from isd_gym.records.data import Table, write_table
-from isd_gym.records.inspection import head, inspect, lines
+from isd_gym.records.inspection import inspect, lines
 from isd_gym.records.inspection.map_file import save_map
 from isd_gym.records.loggers import ChannelMap, Raster, mended, runs
 from isd_gym.records.loggers.record_reading import records_of
@@ -147,16 +146,6 @@ def test_the_unit_is_that_of_the_model_or_of_the_column_s_name(tmp_path, column,
     assert made.map("pendulum.json").channels["phi"].unit == unit
 
 
-def test_a_sign_that_the_physics_leaves_open_is_not_turned(tmp_path, run):
-    """In one file a channel of another time follows the model neither as it is nor turned round."""
-    time, columns = run
-    late = np.roll(columns["travel"], 300)
-    file = tmp_path / "rec.csv"
-    write_table(file, Table(time, columns | {"travel": late}))
-    pick, _ = inspect([file], Network.load(CAR)).suggestion.channels["travel"]
-    assert (pick.facts.name, pick.sign) == ("travel", 1)
-
-
 def test_an_input_whose_outputs_are_all_turned_is_asked_for(tmp_path, run):
     _, made = found(tmp_path, run, NAMES, factors={"road": -1.0})
     assert {pick.sign for pick, _ in made.suggestion.channels.values()} == {1}
@@ -196,20 +185,6 @@ def test_a_text_among_the_numbers_is_told_and_the_column_stays(
     )
 
 
-def test_a_column_of_an_input_s_own_name_is_in_the_input_s_unit_whatever_the_model_lacks(
-    tmp_path,
-):
-    rig = Network.load("quarter-car-isd")
-    rng = np.random.default_rng(1)
-    time = 2.5e-3 * np.arange(2400)
-    heights = road("paper").heights(time[-1], speed=20.0, step=2.5e-3, rng=rng)
-    driven = {"road": heights, "current": np.repeat(rng.uniform(-3, 3, 120), 20)}
-    file = tmp_path / "rec.csv"
-    write_table(file, Table(time, driven | simulate(rig, time, driven)))
-    made = inspect([file], rig.without_element("seal")).suggestion.channels
-    assert {name: pick.unit for name, (pick, _) in made.items()}["current"] == "A"
-
-
 def test_two_columns_that_could_be_it_are_not_called_sure(tmp_path, run):
     time, columns = run
     twin = columns["travel"] + 1e-5 * np.random.default_rng(1).standard_normal(
@@ -221,22 +196,6 @@ def test_two_columns_that_could_be_it_are_not_called_sure(tmp_path, run):
     made = inspect([file], Network.load(CAR)).suggestion.channels["travel"]
     assert made[0].facts.name in ("travel_1", "travel_2")
     assert made[1] < 0.9
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".mat", ".parquet", ".mf4"])
-def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, suffix):
-    time, columns = run
-    file = tmp_path / f"rec{suffix}"
-    write_table(file, Table(time, {n: columns[c] for c, n in NAMES.items()}))
-    network = Network.load(CAR)
-    made = inspect([file], network)
-    assert chosen(made) == NAMES
-    save_map(made.suggestion.map(made.files, "car.json"), tmp_path / "map.json")
-    by = ChannelMap.load(valid(tmp_path / "map.json"))
-    (back,) = runs(file, network, (*network.inputs, *network.outputs), by=by)
-    assert back.name == "rec"
-    for name, column in columns.items():
-        np.testing.assert_allclose(back.signals[name].values, column, rtol=1e-12)
 
 
 def test_what_is_odd_is_told(tmp_path, run):
@@ -535,13 +494,3 @@ def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(
         )
         assert any("an angle that begins anew each turn" in n for n in record.notes)
         assert read_record(record, network, []).measured.shape == (4000, 1)
-
-
-def test_the_rate_is_that_of_the_mean_step_without_gaps():
-    """Stamps that jitter between 2 and 3 ms, twice as often 2 ms, with a gap: the median step would give 500 Hz."""
-    steps = np.tile([0.002, 0.002, 0.0025], 400)
-    steps[600] = 0.5
-    time = np.concatenate([[0.0], np.cumsum(steps)])
-    raster = Raster("a.csv", time, {"x": np.zeros(len(time))})
-    assert raster.step == pytest.approx(0.002)
-    assert "461.5" in head(raster)

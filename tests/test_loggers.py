@@ -11,7 +11,6 @@ from program import refused
 from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._estimation.clock_lag import align_clocks
 from isd_gym.diagnosis._records.multirate import build_record
-from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import simulate
@@ -60,23 +59,6 @@ def even(step, phase=0.0):
     return phase + step * np.arange(int((9.9 - phase) / step))
 
 
-def test_one_raster_says_what_the_table_says(truth):
-    stamps = dict.fromkeys((c.name for c in CHANNELS), even(2.5e-3))
-    run = recording(truth, stamps)
-    table = Table(stamps["road"], {n: s.values for n, s in run.signals.items()})
-    made, known = build_record(run, NETWORK), read_record(table, NETWORK, [])
-    a, b = (
-        Problem(NETWORK, [r], ["fit"]).simulate([NETWORK], 0)[:, :, 0]
-        for r in (made, known)
-    )
-    np.testing.assert_allclose(
-        a, b[made.margin : len(b) - made.margin], rtol=0, atol=1e-9 * np.abs(b).max()
-    )
-    np.testing.assert_array_equal(
-        made.measured, known.measured[made.margin : len(b) - made.margin]
-    )
-
-
 def test_two_rasters_are_compared_without_a_trace_of_resampling(truth):
     """Accelerations at 1 kHz, the travel at 130 Hz between their instants: the true model fits both."""
     stamps = {c.name: even(1e-3) for c in CHANNELS} | {"travel": even(1 / 130, 0.0033)}
@@ -99,21 +81,6 @@ def test_uneven_stamps_are_compared_at_their_own_instants(truth):
     # as if they were even, they do not fit
     as_even = {n: replace(s, time=even(2.5e-3)) for n, s in run.signals.items()}
     assert left(build_record(replace(run, signals=as_even), NETWORK)).max() > 0.02
-
-
-def test_a_record_is_cut_where_its_samples_are(truth):
-    stamps = {c.name: even(1e-3) for c in CHANNELS} | {"travel": even(1 / 130, 0.0033)}
-    record = build_record(recording(truth, stamps), NETWORK)
-    part = record.part(200, 900, "part")
-    problem = Problem(NETWORK, [record, part], ["fit", "fit"])
-    whole = problem.simulate([NETWORK], 0)[:, :, 0]
-    said = problem.simulate([NETWORK], 1)[
-        :, :, 0
-    ]  # from rest: alike once that has died out
-    np.testing.assert_allclose(
-        said[500:], whole[700:900], atol=0.02 * whole.std(axis=0).max()
-    )
-    np.testing.assert_array_equal(part.measured, record.measured[200:900])
 
 
 @pytest.mark.parametrize("lag", [0.02, -0.02, 0.137])

@@ -144,32 +144,6 @@ def test_stamps_have_the_unit_of_their_name_or_of_the_user(
     assert group[0].step == pytest.approx(0.002)
 
 
-def test_a_hint_without_effect_is_refused(tmp_path):
-    content = HEAD + "\n" + text()
-    for option in ("units", "signs"):
-        with pytest.raises(InputError, match="the model has no channel 'Time_ms'"):
-            read(tmp_path / "a.csv", content, **{option: {"Time_ms": "ms"}})
-
-
-def test_stamps_in_another_unit_get_a_hint_that_works(tmp_path):
-    data = DATA.copy()
-    data[:, 0] *= 1e6
-    (tmp_path / "a.csv").write_text(
-        "Zeit,table,acc\n" + text(data, form="{:.12g}".format)
-    )
-    (odd,) = [
-        str(o)
-        for o in inspect([tmp_path / "a.csv"]).oddities
-        if "another unit" in str(o)
-    ]
-    name, unit = re.search(r"--unit (\S+)=(\S+)", odd).groups()
-    assert not [
-        o
-        for o in inspect([tmp_path / "a.csv"], units={name: unit}).oddities
-        if "another" in str(o)
-    ]
-
-
 @pytest.mark.parametrize("stamp", ["t", "zeit", "Time_s"])
 def test_single_numbers_and_texts_of_a_mat_file_are_no_time(stamp, tmp_path):
     own = {stamp: DATA[:, 0], "table": DATA[:, 1], "acc": DATA[:, 2]}

@@ -6,10 +6,8 @@ import runpy
 from pathlib import Path
 
 import pytest
-from program import refused
-from typer.testing import CliRunner
+from program import printed, refused
 
-from isd_gym._commands import app
 from isd_gym._common.errors import InputError
 from isd_gym.physics import elements
 from isd_gym.physics.network import Network, builtin_networks
@@ -74,28 +72,20 @@ def _set(*path, value):
 #: what schema and reader refuse, and the words of the reader
 WRONG = [
     (_set("colour", value="red"), "unknown key 'colour'"),
-    (_set("schema", value="isd-model/2"), "schema is 'isd-model/2'"),
     (_set("masses", "ground", value=1.0), ""),
     (_set("masses", "body", value=0.0), "'body' must be a positive number of kg"),
     (_set("elements", value=[]), ""),
     (_set("elements", 0, "type", value="spring"), "main_spring.*unknown type 'spring'"),
-    (_set("elements", 0, "rate", value=1.0), "main_spring.*unknown key 'rate'"),
-    (
-        _set("elements", 0, "stiffness", value="22 kN/m"),
-        "main_spring.*must be a number",
-    ),
     (
         _set("elements", 0, "stiffness", value=-1.0),
         "main_spring.*stiffness must be >= 0",
     ),
     (_set("elements", 0, "between", value=["body"]), ""),
-    (_set("elements", 0, "between", value=["body", "body"]), "main_spring.*itself"),
     (_set("outputs", 0, "between", value=["body", "wheel"]), ""),
     (
         _set("outputs", 0, "unit", value="mm"),
         "body_acceleration.*cannot be converted to",
     ),
-    (_set("outputs", 0, "quantity", value="jerk"), ""),
     (_set("inputs", 0, "quantity", value="acceleration"), ""),
     (_set("inputs", 0, "quantity", value="current"), ""),
     (_set("outputs", 0, "offset", value=True), ""),
@@ -126,19 +116,8 @@ def test_schema_and_reader_accept_the_same_units(unit):
 
 def test_score_json_of_a_half_car_is_valid(tmp_path):
     file = tmp_path / "score.json"
-    told = [
-        "score",
-        "passive",
-        "lqg",
-        "--network",
-        "half-car-isd",
-        "--point",
-        "body_rear",
-        "--episodes",
-        "2",
-    ]
-    run = CliRunner().invoke(app, [*told, "--duration", "1", "--json", str(file)])
-    assert run.exit_code == 0, run.output
+    words = "score passive lqg --network half-car-isd --point body_rear"
+    printed(*words.split(), "--episodes", 2, "--duration", 1, "--json", file)
     score = json.loads(file.read_text())
     jsonschema.validate(score, schemas.load("isd-score/1"))
     assert score["comfort_point"] == "body_rear"
