@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from builders import channel, damper, element, friction, network, spring
 
-from isd_gym.physics.network import Channel, Network
+from isd_gym.physics.network import Network
 from isd_gym.physics.simulate import Plant
 
 STEP = 1e-3
@@ -88,24 +88,6 @@ def test_a_lane_is_the_car_alone_with_any_matrices(case):
     for l in range(LANES):
         alone = single.run({k: v[:, l] for k, v in inputs.items()}, samples=1501)
         np.testing.assert_array_equal(shared[:, :, l], alone[:, :, 0])
-
-
-def test_a_car_clear_of_its_stop_does_not_feel_its_neighbour_on_it():
-    """Blocks in which some cars touch their stop and some do not, beside blocks in which none or all do."""
-    net, device = (
-        Network.load("quarter-car-isd"),
-        Channel("device", "displacement", "m", between=DEVICE),
-    )
-    inputs = drives(2001)
-    together = Plant(net, STEP, lanes=LANES, extra=[device]).run(inputs, samples=2001)
-    clear = np.abs(together[:, -1]).max(axis=0) < net.parameters["end_stop.clearance"]
-    assert clear.any() and not clear.all()
-    for half in (np.flatnonzero(clear), np.flatnonzero(~clear)):
-        part = {k: v[:, half] for k, v in inputs.items()}
-        apart = Plant(net, STEP, lanes=len(half), extra=[device]).run(
-            part, samples=2001
-        )
-        np.testing.assert_array_equal(together[:, :, half], apart)
 
 
 @pytest.mark.parametrize("other", [{}, {"body.mass": 9.0}])

@@ -5,12 +5,12 @@ import json
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, friction, spring
+from builders import channel, friction, spring
 from program import refused
 from rigs import reference
 
 from isd_gym import simulate
-from isd_gym.physics.network import Network, assemble, cut, transfer
+from isd_gym.physics.network import Network, assemble, transfer
 from isd_gym.view.report.schematic import draw
 
 FREQUENCY = np.geomspace(0.05, 60.0, 60)
@@ -92,26 +92,6 @@ def test_a_lever_is_kept_by_file_copy_and_parameters():
     refused("other than zero", network.with_parameters, {"pinion.ratio": 0.0})
 
 
-def test_a_cut_keeps_the_levers_on_its_side():
-    strut = [spring("body", "wheel", 22e3), damper("arm_end", "wheel_end", 1500.0)]
-    parts = [*strut, spring("wheel", "patch", 192e3, "tyre")]
-    seen = ["acc acceleration body", "hub displacement wheel"]
-    levers = [
-        lever("arm", "arm_end", "body", 0.8),
-        lever("hub", "wheel_end", "wheel", 0.8),
-    ]
-    levers.append(lever("belt", "patch", "road", 1.0))
-    known = {"arm.ratio": 0.02, "belt.ratio": 0.02, "body.mass": 0.05}
-    masses, road = {"body": 345.0, "wheel": 45.0}, ["road displacement road"]
-    car = model(masses, parts, road, seen, levers, uncertainty=known)
-    part, t = cut(car, "wheel"), np.arange(0.0, 3.0, 1e-3)
-    assert [v.name for v in part.levers] == ["arm", "hub"]
-    assert set(part.uncertainty) == {"arm.ratio", "body.mass"}
-    whole = simulate(car, t, {"road": 0.01 * np.sin(9.0 * t) ** 3})
-    alone = simulate(part, t, {"hub": whole["hub"]})
-    assert np.std(alone["acc"] - whole["acc"]) < 1e-3 * np.std(whole["acc"])
-
-
 def test_a_lever_is_drawn_between_its_nodes():
     made = draw(rack())
     assert {"el:pinion", "node:shaft", "node:mass", "node:ground"} <= set(made.parts)
@@ -131,26 +111,14 @@ def _bare(**more):
 ENDS = [channel(n, "displacement", n) for n in ("one", "other")]
 BAD = [
     (_with(_bare(ratio=1.0)), r"lever 'x': 'unit' is missing"),
-    (_with(_bare(unit="m/m")), r"lever 'x': 'ratio' is missing"),
     (_with(_bare(between=["mass"], ratio=1.0, unit="m/m")), r"two node names"),
     (
         _with(lever("x", "mass", "b", 1.0, "mm/rad")),
         r"lever 'x': unit 'mm/rad' is not that of a ratio",
     ),
-    (
-        _with(lever("x", "mass", "b", 0.0)),
-        r"lever 'x': the ratio must be a number other than zero",
-    ),
-    (_with(lever("x", "mass", "b", "two")), r"lever 'x': the ratio must be a number"),
     (_with(lever("x", "mass", "ground", 1.0)), r"lever 'x': the ground does not move"),
     (_with(lever("x", "mass", "mass", 1.0)), r"lever 'x': it couples 'mass' to itself"),
-    (
-        _with(lever("x", "mass", "b", 1.0) | {"play": 1.0}),
-        r"lever 'x': unknown key 'play'",
-    ),
     (_with(lever("spring", "mass", "b", 1.0)), r"two elements are called 'spring'"),
-    (_with(levers={}), r"levers must be a list"),
-    # a loop, and a contradiction
     (
         _with(lever("x", "b", "mass", 2.0), lever("y", "mass", "b", 0.5)),
         r"lever 'y' closes a loop: other levers and bodies say the same; leave it out",

@@ -1,21 +1,17 @@
 """Nodes that are moved by their velocity or acceleration, or cut where their motion was measured."""
 
 import copy
-from dataclasses import replace
 
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, friction, spring
+from builders import channel, damper, friction, spring
 from program import refused
 
 from isd_gym import simulate
 from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
-from isd_gym.diagnosis._hypotheses.motion import motions
-from isd_gym.diagnosis._hypotheses.pair_forces import Deconvolution
-from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.network import Network, assemble, cut, linearise, rejoin
+from isd_gym.physics.network import Network, cut, rejoin
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98
 STRUT = [spring("m", "table", K, "k"), damper("m", "table", C, "c")]
@@ -72,32 +68,8 @@ def test_a_table_that_is_told_by_its_rate_moves_the_mass_as_the_closed_solution_
     )  # second order: lines between samples
 
 
-def test_the_three_inputs_of_one_motion_agree_and_a_velocity_tells_absolute_velocities():
-    t = np.arange(0, 3, 1e-3)
-    speed = {"outputs": [channel("v", "velocity", "m")]}
-    more = {"acceleration": {}, "velocity": speed, "displacement": speed}
-    by = {q: simulate(shaken(q, **more[q]), t, {"u": MOVES[q][1](t)}) for q in MOVES}
-    for name in ("a", "d", "F"):
-        for q in ("acceleration", "velocity"):
-            assert np.allclose(
-                by[q][name],
-                by["displacement"][name],
-                atol=2e-4 * np.abs(by[q][name]).max(),
-            )
-    assert np.allclose(by["velocity"]["v"], by["displacement"]["v"], atol=1e-6)
-
-
-def test_the_names_of_a_state_space_say_what_was_measured():
-    space = linearise(shaken("acceleration"))
-    assert space.inputs == ("u",)
-    # slowly, the mass goes with the table
-    assert np.allclose(space.response(np.array([1e-3]))[0, 0], 1.0, atol=1e-3)
-    assert linearise(shaken("velocity")).inputs[0] == "u"
-
-
 GROUND_SPRING = spring("m", "ground", 1.0, "s")
 GROUND_RUB = friction("m", "ground", 1.0, "s")
-AT_M = channel("x", "displacement", "m")
 SPEED = channel("x", "velocity", "m")
 SECOND = channel("u2", "acceleration", "m")
 
@@ -108,7 +80,6 @@ SECOND = channel("u2", "acceleration", "m")
         ("acceleration", {"elements": [GROUND_SPRING]}, "'s' ties 'm' to 'ground', and needs the displacement of 'table'"),
         ("velocity", {"elements": [GROUND_SPRING]}, "needs the displacement of 'table', which its velocity does not tell"),
         ("acceleration", {"elements": [GROUND_RUB]}, "needs the velocity of 'table'"),
-        ("acceleration", {"outputs": [AT_M]}, "the displacement of 'm' against the ground is not told by input 'u'"),
         ("acceleration", {"outputs": [SPEED]}, "the velocity of 'm' against the ground"),
         ("acceleration", {"inputs": [SECOND]}, "says nothing of its distance from 'm', which 'u2' moves"),
     ],
@@ -147,67 +118,6 @@ def test_effects_at_the_ground_need_no_more_than_the_input_tells():
         "velocity": velocity,
         "displacement": everything,
     }
-
-
-def fitted(network, inputs, step=1e-3):
-    """The nominal model from rest over a record of noise-free inputs."""
-    size = len(next(iter(inputs.values())))
-    rest = np.zeros(assemble(network).size[0])
-    record = Record("run", step, inputs, np.zeros((size, len(network.outputs))))
-    problem = Problem(replace(network, uncertainty={}), [record], ["fit"])
-    return problem, builders.fitted(
-        problem, *np.ones(len(network.outputs)), initial={0: rest}, iterations=0
-    )
-
-
-def test_the_motion_against_the_ground_is_that_of_the_displacement_from_the_start_of_the_record():
-    t = np.arange(0, 2, 1e-3)
-    where = ("m", "ground")
-    seen = {}
-    for quantity in ("velocity", "displacement"):
-        problem, fit = fitted(
-            Network.load(shaken(quantity)), {"u": MOVES[quantity][1](t)}
-        )
-        fit = replace(fit, initial={0: np.zeros(2)})
-        seen[quantity] = motions(problem, fit)[where]
-    for key in ("d", "v"):
-        one, other = (getattr(seen[q], key) for q in ("velocity", "displacement"))
-        assert np.allclose(one, other, atol=2e-3 * np.abs(other).max())
-
-
-FLYWHEEL = element("flywheel", "inertance", "rod", "ground", inertance=25.0)
-RACK = [FLYWHEEL, damper("rod", "ground", 30.0, "bearing")]
-INERTER = builders.model(
-    "rack and pinion", RACK, ["speed velocity rod"], ["force force rod"]
-)
-
-
-def test_a_table_over_rate_stands_between_a_node_moved_by_its_speed_and_the_ground():
-    t = np.arange(0, 2, 1e-3)
-    table = element("t", "tabulated_force", "rod", "ground", rate=[-1.0, 1.0], force=[-50.0, 50.0])  # fmt: skip
-    v = 0.3 * np.sin(9.0 * t)
-    model = {**INERTER, "elements": [*INERTER["elements"], table]}
-    out = simulate(model, t, {"speed": v})
-    assert np.allclose(out["force"], 25.0 * 2.7 * np.cos(9.0 * t) + 80.0 * v, atol=0.1)
-
-
-@pytest.mark.parametrize(("model", "pair", "moves"), [(INERTER, ("rod", "ground"), False), (shaken("velocity"), ("m", "ground"), True)])  # fmt: skip
-def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_known(
-    model, pair, moves
-):
-    network = Network.load(model)
-    t = np.arange(0, 4, 2e-3)
-    names = [c.name for c in network.outputs]
-    response = Deconvolution.of(network, pair, t, {n: np.sin(9.0 * t) for n in names})
-    if moves:  # as the mass answers against the table
-        compliance = 1 / (
-            K
-            - M * (2 * np.pi * response.frequency) ** 2
-            + 2j * np.pi * response.frequency * C
-        )
-        assert np.allclose(np.abs(response.moved[:, 0]), np.abs(compliance), rtol=1e-6)
-    else:
-        assert not response.moved.any()
 
 
 def car():

@@ -93,24 +93,6 @@ def test_load_cell_of_a_fully_prescribed_rig_reads_equation_6():
     assert np.abs(y - expected)[inner].max() < 2e-4 * np.abs(expected).max()
 
 
-def test_backlash_in_series_is_a_dead_zone_then_a_spring():
-    play = element("play", "backlash", "top", "mid", gap=0.004, stiffness=1e6)
-    force = builders.channel("force", "force", "top")
-    rig = model(
-        {},
-        play,
-        builders.spring("mid", "ground", 2e4),
-        inputs=[moved("top")],
-        outputs=[force],
-    )
-    t = np.arange(400) * 1e-3
-    x = 0.01 * np.sin(12 * t)
-    seen = simulate(rig, t, {"motion": x}, step=1e-4)["force"]
-    stiffness = 1 / (1 / 1e6 + 1 / 2e4)
-    expected = stiffness * (x - np.clip(x, -0.002, 0.002))
-    np.testing.assert_allclose(seen, expected, atol=1e-6)
-
-
 def test_every_element_type_is_in_a_seeded_rig():
     assert set(laws.ELEMENTS) == set(TYPES)
 

@@ -103,7 +103,6 @@ def test_recorded_profile_over_distance(tmp_path):
             "line 11: gap of 492",
         ),
         ("distance,height\n0,0\n1,nan\n", "line 3: not finite"),
-        ("a,b\n0,0\n", "needs a header"),
         ("distance,height\n0,0\n", "fewer than two points"),
     ],
 )

@@ -56,20 +56,6 @@ def test_a_table_does_what_its_law_does(law, table):
             assert np.abs(by_table[name] - by_law[name]).max() < 0.02 * moved + 1e-9
 
 
-def test_a_smooth_table_is_nearer_to_a_smooth_law_than_lines_are():
-    few = np.linspace(-0.02, 0.02, 9)
-    axis = np.linspace(-0.02, 0.02, 101)
-    err = {}
-    for interpolation in ("linear", "smooth"):
-        element = tabulated(
-            elongation=few, force=np.sin(100 * few), interpolation=interpolation
-        )
-        e = car(element).element("extra")
-        err[interpolation] = np.abs(e.curve(axis) - np.sin(100 * axis)).max()
-        assert np.allclose(e.curve(few), np.sin(100 * few))
-    assert err["smooth"] < 0.3 * err["linear"]
-
-
 def test_beyond_its_ends_a_table_holds_its_force_or_its_slope():
     element = tabulated(rate=[-1.0, 0.0, 1.0], force=[-2.0, 0.0, 4.0])
     axis = np.array([-3.0, 3.0])
