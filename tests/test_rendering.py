@@ -25,7 +25,6 @@ LIMIT = 0.02465  # [m], Table 1's deputy stroke at the terminals
 # at 640x400: 90 px are a metre, and motions are exaggerated ten times
 METRE = 90
 PIXELS_PER_METRE = 10 * METRE
-FLOOR = 400 - 66  # row of a flat road at 640x400
 WHEEL = 150  # column of the wheel at 640x400
 
 
@@ -83,19 +82,6 @@ def test_the_body_moves_up_by_the_stated_factor():
     assert moved == pytest.approx(rise * PIXELS_PER_METRE, abs=1.0)
 
 
-def test_a_road_that_rises_under_everything_changes_nothing():
-    """Only displacements against the road at large are seen, so a long climb does not leave the picture."""
-    high = 3.0
-    lifted = snapshot(
-        body=high,
-        wheel=high,
-        piston=high,
-        joint=high,
-        road_profiles=np.full((1, 201), high),
-    )
-    assert np.array_equal(frame(lifted), frame(snapshot()))
-
-
 def arrows(picture, colour):
     """Widths of the thrust arrows, row by row from the uppermost, beside the main cylinder."""
     column = scene(picture)[:, WHEEL - 36 : WHEEL - 14]
@@ -115,26 +101,6 @@ def test_thrust_arrows_show_direction_and_size():
     # The head is the widest part of an arrow; in the upper one it is below the shaft when the motor pulls.
     assert int(np.argmax(pull[:half])) > half / 2
     assert int(np.argmax(push[: len(push) // 2])) < len(push) / 4
-
-
-def test_the_current_bar_points_to_its_side():
-    for current, colour, side in ((4.0, rendering.PULL, 1), (-4.0, rendering.PUSH, -1)):
-        _, columns = where(frame(snapshot(current=current))[60:74, 372:], colour)
-        middle = (14 + 254) / 2  # of the panel
-        assert side * (columns.mean() - middle) == pytest.approx(0.4 * 120, abs=4)
-        assert np.ptp(columns) == pytest.approx(0.8 * 120, abs=4)
-
-
-def test_a_stop_that_is_hit_is_marked_on_its_side():
-    assert where(frame(snapshot(joint=0.01)), rendering.VERMILLION)[1].size == 0
-    for travel in (-LIMIT, LIMIT):
-        picture = frame(snapshot(joint=-travel, suspension_travel=0.0))[:, :300]
-        rows, columns = where(picture, rendering.VERMILLION)
-        stop = columns[
-            rows < rows.min() + 15
-        ]  # the stop stands above the gauge's words
-        assert (stop.mean() > WHEEL + 50) == (travel > 0)
-        assert np.ptp(stop) < 8
 
 
 def test_the_words_state_the_scales(monkeypatch):
@@ -158,71 +124,6 @@ def test_the_words_state_the_scales(monkeypatch):
     assert [words for words in said if "vertical" in words] == ["50 mm, vertical ×3"]
 
 
-def test_the_tyre_squashes_and_lifts():
-    def rubber(shot):
-        """Height [px] of the tyre between rim and road, with the line of the road."""
-        return int(
-            (frame(shot)[FLOOR - 15 : FLOOR + 6, WHEEL].sum(axis=1) < 3 * 75).sum()
-        )
-
-    # In contact, tyre and road line are one dark piece; off the road, the sky shows between them.
-    def pieces(shot):
-        dark = frame(shot)[FLOOR - 15 : FLOOR + 6, WHEEL].sum(axis=1) < 3 * 75
-        return int(np.count_nonzero(np.diff(dark.astype(int)) == 1) + dark[0])
-
-    lift = 0.025
-    hop = {"wheel": lift, "joint": lift, "piston": lift, "body": lift}
-    assert pieces(snapshot()) == 1
-    assert pieces(snapshot(**hop, tyre_load=-2000.0)) == 1
-    assert pieces(snapshot(**hop, tyre_load=-3900.0)) == 2
-    squashed = snapshot(wheel=-0.01, joint=-0.01, tyre_load=1920.0)
-    assert rubber(snapshot()) - rubber(squashed) == pytest.approx(
-        0.01 * PIXELS_PER_METRE, abs=1.5
-    )
-
-
-def test_the_ground_passes_with_the_speed():
-    step = 0.035  # [s]: 0.7 m at 20 m/s, 63 px
-    before, after = (
-        frame(snapshot(time=t))[FLOOR + 10, :371] for t in (1.0, 1.0 + step)
-    )
-    moved = np.abs(after[10:300].astype(int) - before[10 + 63 : 300 + 63]).max()
-    unmoved = np.abs(after[10:300].astype(int) - before[10:300]).max()
-    assert moved <= 12 < unmoved
-
-
-def test_the_road_ahead_is_at_the_right():
-    road = np.zeros((1, 201))
-    road[0, 120:140] = 0.02  # 1 to 2 m ahead
-    dark = frame(snapshot(road_profiles=road))[:, :371].sum(axis=2) < 3 * 75
-    surface = np.array([np.nonzero(dark[250:, x])[0].max() for x in range(371)])
-    raised = np.nonzero(surface < np.median(surface) - 8)[0]
-    assert raised.min() == pytest.approx(WHEEL + METRE, abs=4)
-    assert raised.max() == pytest.approx(WHEEL + 2 * METRE, abs=4)
-
-
-def test_curves_are_where_the_values_are():
-    renderer = Renderer("rgb_array", width=640, height=400)
-    for k in range(101):
-        picture = renderer.draw(
-            snapshot(time=0.02 * k, body_acceleration=2.0, suspension_travel=-0.02)
-        )
-    assert picture is not None
-    rows, columns = where(picture[:, 420:], rendering.BLUE, 40)
-    upper, lower = rows[(rows > 140) & (rows < 240)], rows[rows > 260]
-    grid = np.nonzero((picture[:, 430] == picture[180, 430]).all(axis=1))[0]
-    top, foot = grid[grid < 245].min(), grid[grid < 245].max()
-    assert (upper.mean() - top) / (foot - top) == pytest.approx(
-        1 / 6, abs=0.02
-    )  # +2 in a range of -3 to 3
-    top, foot = grid[grid > 255].min(), grid[grid > 255].max()
-    # -20 mm in a range of -30 to 30
-    assert (lower.mean() - top) / (foot - top) == pytest.approx(5 / 6, abs=0.02)
-    assert columns[rows > 260].min() + 420 == pytest.approx(
-        626 - 107, abs=4
-    )  # two of four seconds
-
-
 @pytest.mark.parametrize("size", [(640, 400), (960, 600), (1280, 500), (700, 800)])
 @pytest.mark.parametrize("cars", [1, 2])
 def test_words_never_touch_nor_leave_the_picture(size, cars, monkeypatch):
@@ -234,25 +135,6 @@ def test_words_never_touch_nor_leave_the_picture(size, cars, monkeypatch):
         snapshot(piston=None), passive(cost=804.86, suspension_travel=-0.5),
     ]  # fmt: skip
     picture_checks.check_words(poses, cars, size, monkeypatch)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("body", np.nan),
-        ("current", np.inf),
-        ("road_profiles", np.array([[0.0, np.nan]])),
-    ],
-)
-def test_a_bad_snapshot_names_its_field(field, value):
-    refused(field, snapshot, **{field: value})
-
-
-def test_without_pygame_the_answer_is_one_line(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(InputError) as caught:
-        Renderer("rgb_array")
-    assert str(caught.value) == f"drawing needs pygame-ce: {how_to_install('render')}"
 
 
 @pytest.mark.skipif(

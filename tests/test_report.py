@@ -401,33 +401,6 @@ def test_a_diagnosis_is_short_in_a_prompt_and_a_table_in_a_notebook(diagnosis):
     assert "<b>x</b>" not in replace(diagnosis, summary="<b>x</b>")._repr_html_()
 
 
-def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
-    """The window is where the refitted model errs most in that record, and the words are about that record."""
-    late = replace(
-        diagnosis.traces[0],
-        refit={c: y.copy() for c, y in diagnosis.traces[0].measured.items()},
-    )
-    for y in late.refit.values():
-        y[1500:1600] += np.ptp(y)
-    partly = replace(diagnosis.traces[0], name="three", held_from=7.0)
-    traces = (late, diagnosis.traces[1], partly)
-    chart = report.draw_time(report.View(replace(diagnosis, traces=traces)))
-    assert [*chart.choices] == [
-        "two (held out)",
-        "one (fitted)",
-        "three (fitted up to 7 s, then held out)",
-    ]
-    for name in chart.choices:
-        assert chart.captions[name].startswith(
-            f"Record “{name.split()[0]}” ({name.split(' (')[1]}"
-        )
-    window = chart.choices["one (fitted)"][0].x
-    assert window.low <= 1500 * STEP and window.high >= 1599 * STEP - 1e-9
-    typical = chart.choices["one (fitted)"][1]
-    assert typical.title == "typical stretch" and typical.x.high < 1500 * STEP
-    assert len(typical.items[0].x) == round(report.STRETCH / STEP)
-
-
 def test_a_sensor_is_told_from_physics(diagnosis, tmp_path, quick):
     gain = {"gain": Quantity(1.127, 1.125, 1.129, "-")}
     effect = Effect("sensor_gain", None, "body_acceleration", 0.99, gain, "g")
@@ -555,26 +528,6 @@ def test_a_score_on_a_flat_road_can_be_shown(tmp_path):
     page = check_page(score_page.score_report(flat, tmp_path / "flat"))
     assert "No policy shown here costs less than passive." in page.text
     assert not (tmp_path / "flat" / "spectra.svg").exists()  # nothing moves
-
-
-def test_the_clairvoyant_point_is_on_the_trade_off(small_score):
-    shown = score_page.Shown(small_score)
-    point = {
-        "body_acceleration_change": -0.33,
-        "suspension_travel_change": -0.4,
-        "tyre_load_change": -0.04,
-    }
-    known = score_page.Shown(
-        replace(small_score, references={"clairvoyant_point": point})
-    )
-    for view, there in ((shown, False), (known, True)):
-        chart = score_page.trade_off(view)
-        drawn = [
-            (i.x[0], i.y[0])
-            for i in chart.panels[0].items
-            if isinstance(i, charts.Marks)
-        ]
-        assert ((-40.0, -33.0) in drawn) == there == ("clairvoyant" in chart.caption)
 
 
 def test_headline_names_who_is_level_with_the_best(small_score):
@@ -738,27 +691,6 @@ def test_a_curve_of_many_samples_keeps_its_extremes():
     assert part.size == 503 and part[0] <= 10.0 and part[-1] >= 10.5
 
 
-def test_a_parameter_that_the_data_do_not_tell_is_drawn_as_such(diagnosis):
-    told = {"body.mass": Quantity(351.2, 349.9, 352.4, "kg", 345.0)}
-    told["oil.stiffness"] = Quantity(709e3, 640e3, 778e3, "N/m", 709e3)
-    chart = report.draw_parameters(report.View(replace(diagnosis, parameters=told)))
-    marks = {
-        i.name.split(":")[0]: list(i.y)
-        for i in chart.panels[0].items
-        if isinstance(i, charts.Marks)
-    }
-    assert marks["estimate with 95 % interval"] == [0] and marks[
-        "not determined by these data"
-    ] == [1]
-
-
-def test_no_two_policies_look_the_same():
-    names = [f"policy {k}" for k in range(50)]
-    made = plots.looks(names)
-    for key in (lambda k: (k.colour, str(k.line)), lambda k: (k.colour, k.marker)):
-        assert len({key(look) for look in made.values()}) == len(names)
-
-
 def test_one_episode_has_no_interval(tmp_path):
     car = Network.load("quarter-car-isd")
     one = score(
@@ -769,21 +701,3 @@ def test_one_episode_has_no_interval(tmp_path):
     items = score_page.trade_off(score_page.Shown(one)).panels[0].items
     points = [i for i in items if isinstance(i, charts.Marks)]
     assert points and not any(i.x_interval for i in points)
-
-
-def test_nobody_is_left_out_silently(small_score):
-    shown = score_page.Shown(small_score)
-    for make in (score_page.histories, score_page.spectra):
-        chart = make(shown)
-        items = (i for p in chart.panels for i in p.items)
-        lines = {i.name for i in items if isinstance(i, charts.Line) and not i.fill}
-        for name in set(shown.names) - lines:
-            assert name in chart.caption.split("Not in the picture")[1]
-
-
-@pytest.mark.parametrize("high", [1.15, 1.3, 1.6, 2.0, 2.9, 5.0, 9.0, 30.0, 300.0])
-def test_texts_on_a_logarithmic_axis_have_room(high):
-    for low in (0.011, 0.99, 4.1, 10.8, 97.0):
-        ticks = charts.log_ticks(low, high * low, "{:g} %")
-        assert 2 <= len(ticks) <= 11, ticks
-        assert all(low <= at <= high * low for at, _ in ticks)
