@@ -92,19 +92,6 @@ def test_a_misread_channel_is_named_with_its_remedy(changes, remedy):
     assert remedy in said
 
 
-def test_two_channels_of_one_quantity_are_exchanged_by_their_names():
-    model = {
-        **CAR,
-        "outputs": [*CAR["outputs"], channel("hub", "acceleration", "wheel", unit="g")],
-    }
-    rig = {**true_rig().to_dict(), "outputs": Network.load(model).to_dict()["outputs"]}
-    rig = Network.load(rig)
-    assert line(record(rig=rig), model=model) == ""
-    assert "--rename acc=hub --rename hub=acc" in line(
-        record(rig=rig, acc="hub", hub="acc"), model=model
-    )
-
-
 @pytest.mark.parametrize(
     "changes",
     [{}, {"acc": 0.6}, {"travel": 1.3}, {"load": 1.1}, {"acc": 5.0}],

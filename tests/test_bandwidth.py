@@ -8,7 +8,6 @@ from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
 from isd_gym.diagnosis._records.filtering import (
-    choose_decimation,
     count_derivatives,
     differentiate_inputs,
 )
@@ -190,10 +189,3 @@ def test_an_input_that_tells_more_is_differentiated_less():
         model["inputs"][0].update(quantity=quantity, unit=unit)
         model["outputs"][0].update(quantity="acceleration", unit="m/s^2")
         assert count_derivatives(Network.load(model)) == orders
-
-
-def test_a_displacement_without_noise_needs_no_low_pass():
-    natural, rate, rng = 3.0, 100.0, np.random.default_rng(6)
-    network, motion = shaken(natural), base_motion("random", natural, rate, rng)
-    record, _ = measured(network, motion, rate, rng, noise=0.0)
-    assert choose_decimation([record], network) == 1

@@ -135,19 +135,6 @@ def test_feedback_is_found(law, stiffness):
     assert find_feedback([as_record(*(x[:100] for x in controlled(law)))], cart()) == ()
 
 
-def test_a_measured_motion_is_no_feedback():
-    """The displacement of a shaken node is an input, not the answer of a controller."""
-    slide = element("b", "inertance", "rod", "ground", inertance=3.0)
-    network = builders.network(
-        "slide", [slide], ["x displacement rod"], ["force force rod"]
-    )
-    rng = np.random.default_rng(1)
-    force = lfilter([1.0], [1.0, -0.7], rng.standard_normal(SAMPLES))
-    motion = lfilter([1.0], [1.0, -1.99, 0.991], force)
-    record = Record("run", STEP, {"x": motion}, force[:, None])
-    assert find_feedback([record], network) == ()
-
-
 def test_a_spring_imitates_a_controller_and_friction_does_not():
     """Friction is half a multiple of the input of a linear controller, and a third of one given travel and rate."""
 

@@ -56,21 +56,6 @@ def record(network, samples=2400, seed=3):
     )
 
 
-def test_records_side_by_side_say_what_each_says_alone():
-    net = shaken()
-    whole = record(net)
-    parts = [whole.part(k * 600, (k + 1) * 600, f"part {k}") for k in range(4)]
-    problem = Problem(net, [*parts, whole], ["fit"] * 5)
-    nets = [net, net.with_parameters({"spring.stiffness": 4200.0})]
-    begun = {i: np.full((2, 2), 1e-3 * i) for i in range(5)}
-    together = problem.simulate_all(nets, range(5), begun, like=net)
-    assert list(together) == list(range(5))
-    for i in range(5):
-        np.testing.assert_array_equal(
-            together[i], problem.simulate(nets, i, begun[i], like=net)
-        )
-
-
 def errors_of_decays(*starts):
     """Errors, as shares of the deviation, of a softening oscillator whose decays from these states are followed over forty periods."""
     soft = element("soft", "cubic_stiffness", "mass", "ground", stiffness=-16.6)
@@ -232,9 +217,3 @@ def test_what_rests_on_a_limit_is_held_and_the_rest_moves_as_if_it_were_known():
     low, high = np.zeros(2), np.full(2, 10.0)
     step = bounded_step(H, slope, np.zeros(2), low, high, np.full(2, np.inf), 0.0)
     np.testing.assert_allclose(step, [0.0, 0.5])
-
-
-def test_no_stride_is_exceeded():
-    slope, wide = np.array([100.0, -0.1]), np.full(2, 9e9)
-    step = bounded_step(np.eye(2), slope, np.zeros(2), -wide, wide, np.ones(2), 0.0)
-    np.testing.assert_allclose(step, [1.0, -0.1])

@@ -61,23 +61,6 @@ def test_a_force_between_two_masses_is_compared_with_the_smaller_of_their_forces
     assert forces.at(("motor",)) == 900.0
 
 
-def test_an_input_force_counts_at_its_node():
-    drag = damper("cart", "ground", 0.1, "drag")
-    cart = network(
-        "cart",
-        [drag],
-        ["push force cart"],
-        ["speed velocity cart"],
-        masses={"cart": 2.0},
-    )
-    push = 10.0 * np.sin(2 * np.pi * 1.5 * STEP * np.arange(800))
-    problem = Problem(cart, [recorded(cart, STEP, {"push": push})], ["fit"])
-    fit = fitted(problem, 1e-6, frozen=True, iterations=3)
-    assert place_forces(problem, fit).at(("cart", "ground")) == pytest.approx(
-        rms(push), rel=0.05
-    )
-
-
 def test_a_model_that_stands_still_takes_its_scale_from_the_measured_motion():
     swing = 0.01 * np.sin(2 * np.pi * 1.6 * STEP * np.arange(600))
     problem = Problem(

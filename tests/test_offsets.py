@@ -72,15 +72,6 @@ def test_another_offset_is_refused(wrong):
     refused('"offset" must be "free"', stand, wrong)
 
 
-def test_one_sensor_has_one_offset_over_all_records():
-    problem = problem_of(stand(), OFFSET, OFFSET, OFFSET)
-    fit = fitted(problem, NOISE)
-    found = {float(o[0]) for o in fit.offset.values()}
-    assert len(found) == 1
-    assert fit.structure.offsets == (found.pop(),)
-    assert fit.structure.offsets[0] == pytest.approx(OFFSET, abs=4 * NOISE)
-
-
 def test_mean_forces_show_a_stiffness_through_one_offset_only():
     """Three mean forces deflect a spring by 6 N / k each: a free offset in each record hides these deflections."""
     spread = {}
@@ -182,31 +173,18 @@ def test_a_held_out_record_has_the_offset_of_the_training_records():
     assert nominal.offset[2][0] == pytest.approx(OFFSET, abs=1e-4)
 
 
-def test_a_held_out_record_may_have_its_own_offset():
-    problem = problem_of(stand("record"), OFFSET, OFFSET, held=OFFSET + 0.003)
-    evaluator = HeldOutEvaluator(problem)
-    fit = evaluator.plain_fitter.fit(base_structure(problem.network))
-    held = evaluator.plain_fitter.follow(fit.structure, fit.x, problem.held)
-    assert held.offset[2][0] == pytest.approx(OFFSET + 0.003, abs=10 * NOISE)
-
-
 def test_the_deviation_is_that_within_records():
-    """Two places, ten times the motion apart: the distance is no motion."""
+    """Two places, ten times the motion apart: the distance is no motion. Segments of one record are one record."""
     t = np.arange(1000) * 1e-2
-    motion = 0.01 * np.sin(2 * np.pi * t)
-    records = [
-        Record(f"run {k}", 1e-2, {"push": 0 * t}, (place + motion)[:, None]) for k, place in enumerate((0.3, 0.4))
-    ]  # fmt: skip
-    problem = Problem(stand(), records, ["fit", "fit"])
-    assert problem.measured().std() > 0.05
-    assert problem.deviation()[0] == pytest.approx(0.01 / np.sqrt(2), rel=1e-6)
-    # segments of one record are one record
-    halves = [records[0].part(0, 500, "run 0"), records[0].part(500, 1000, "run 0")]
-    ramp = [
-        Record("run 0", 1e-2, {"push": h.inputs["push"]}, h.measured + k)
-        for k, h in enumerate(halves)
-    ]
-    expected = np.hypot(0.01 / np.sqrt(2), 0.5)
-    assert Problem(stand(), ramp, ["fit", "fit"]).deviation()[0] == pytest.approx(
-        expected
-    )
+    motion, push = 0.01 * np.sin(2 * np.pi * t), {"push": 0 * t}
+
+    def problem(*parts):
+        records = [Record(n, 1e-2, push, y[:, None]) for n, y in parts]
+        return Problem(stand(), records, ["fit"] * len(records))
+
+    apart = problem(("run 0", 0.3 + motion), ("run 1", 0.4 + motion))
+    assert apart.measured().std() > 0.05
+    within = 0.01 / np.sqrt(2)
+    assert apart.deviation()[0] == pytest.approx(within, rel=1e-6)
+    ramp = problem(("run 0", motion), ("run 0", 1.0 + motion))
+    assert ramp.deviation()[0] == pytest.approx(np.hypot(within, 0.5))

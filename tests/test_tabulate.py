@@ -41,13 +41,3 @@ def test_a_table_of_the_distance_alone_is_elastic(over, kind):
     structure = TableStructure(network, (), element="missing", over=over)
     told = _statement_of_table(SimpleNamespace(structure=structure))
     assert (told.place, told.kind) == (("base", "mass"), kind)
-
-
-@pytest.mark.parametrize(
-    "law", [lambda x: 5 * np.tanh(2 * x), lambda x: x**3, lambda x: x * np.exp(-(x**2))]
-)
-def test_a_few_directions_hold_any_smooth_law(law):
-    x = _axis(np.linspace(-1.5, 1.5, 1000))
-    basis = _directions(x, 10.0)
-    found = basis @ np.linalg.lstsq(basis, law(x), rcond=None)[0]
-    assert np.abs(found - law(x)).max() < 0.02 * np.abs(law(x)).max()
