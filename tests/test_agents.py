@@ -1,7 +1,6 @@
 """Policies: memory, files, and the same actions in numpy as in Stable-Baselines3."""
 
 import hashlib
-import io
 import json
 import sys
 from importlib.util import find_spec
@@ -10,15 +9,12 @@ from itertools import pairwise
 import gymnasium
 import numpy as np
 import pytest
-from isd_gym.agents._archives import read_torch
-from isd_gym.agents._entry import open_policy
 from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.baselines import make
 from program import refused, run
 
 from isd_gym.benchmark.policies import conventional
-from isd_gym.physics.cost import StageCost
 from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import vehicle
 
@@ -50,37 +46,6 @@ def drive(policy, steps, seed=3):
     return np.array(seen)
 
 
-def test_memory_is_the_signals_their_changes_and_their_leaky_integral(rng):
-    memory = Memory((2.0, 4.0), (0.5, 0.25), order=2, leak=((1, 0.1, 3.0),), step=0.01)
-    x = rng.normal(size=(5, 1, 2)).astype(np.float32)
-    recall = memory.start(x[0])
-    for row in x[1:]:
-        features = recall.see(row)[0]
-    np.testing.assert_allclose(features[:2], x[4, 0] / [2.0, 4.0], rtol=1e-6)
-    np.testing.assert_allclose(
-        features[2:4], (x[4, 0] - x[3, 0]) / [0.5, 0.25], rtol=1e-5
-    )
-    second = x[4, 0] - 2 * x[3, 0] + x[2, 0]
-    np.testing.assert_allclose(features[4:6], second / [0.5, 0.25], rtol=1e-4)
-    integral = sum(0.01 * x[k, 0, 1] * 0.9 ** (4 - k) for k in range(1, 5))
-    assert features[6] == pytest.approx(integral / 3.0, rel=1e-5)
-
-
-def test_each_car_has_a_memory_of_its_own(rng):
-    x = rng.normal(size=(4, 3, 6)).astype(np.float32)
-    many = MEMORY.start(x[0])
-    alone = MEMORY.start(x[0, 1:2])
-    for k, row in enumerate(x[1:]):
-        many.see(row)
-        alone.see(row[1:2])
-        if k == 1:
-            many.begin(np.array([True, False, False]), row[:1])
-            np.testing.assert_array_equal(
-                many.features[0], MEMORY.start(row).features[0]
-            )
-    np.testing.assert_array_equal(many.features[1], alone.features[0])
-
-
 def test_a_residual_of_nothing_is_the_lqg():
     """The filter in float32 and in its own coordinates commands what `isd_gym.baselines.lqg` does, stick and slip included."""
     memory = Policy.load("ppo").memory
@@ -103,21 +68,6 @@ def test_a_residual_of_nothing_is_the_lqg():
     z = np.array(features)[100:, :, -10:-3]
     size = np.sqrt((z**2).mean(axis=(0, 1)))  # coordinates of about unit size
     assert size.min() > 0.4 and size.max() < 2.0
-
-
-def test_increment_and_target_are_currents_within_the_drive_s_limits(rng):
-    present = np.array([[-4.8], [0.0], [4.9]], np.float32)
-    share = np.array([[-1.0], [0.5], [1.0]], np.float32)
-    np.testing.assert_allclose(
-        Head("increment").current(share, present)[:, 0], [-5.0, 0.25, 5.0]
-    )
-    np.testing.assert_allclose(
-        Head("target").current(share, present)[:, 0], [-5.0, 2.5, 5.0]
-    )
-    two = Head("increment").current(
-        np.array([[1.0, -1.0]], np.float32), np.array([[4.9, 0.0]], np.float32)
-    )
-    np.testing.assert_allclose(two, [[5.0, -0.5]])
 
 
 def test_reset_forgets_and_what_is_not_finite_is_taken_as_nothing(rng):
@@ -169,15 +119,6 @@ def test_a_car_with_other_inputs_is_refused(rng):
     refused(
         "filter", small_policy, rng, Head("residual")
     )  # a residual is added to the current of a filter
-
-
-def test_scoring_finds_a_folder_and_leaves_other_names_alone(rng, tmp_path):
-    folder = small_policy(rng).save(tmp_path / "p")
-    net = Network.load("quarter-car-isd")
-    entry = open_policy(str(folder), net, StageCost(), 5e-3, {})
-    assert entry is not None and np.isfinite(entry.make().act(np.zeros(6)))
-    assert open_policy("no-such-policy", net, StageCost(), 5e-3, {}) is None
-    refused("acts every", open_policy, str(folder), net, StageCost(), 1e-2, {})
 
 
 @pytest.mark.parametrize("name", [p.parent.name for p in SHIPPED.glob("*/policy.json")])
@@ -292,19 +233,3 @@ def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
             assert infos[i]["terminal_observation"][6:].any()
             assert np.all(obs[i, 6:] == 0.0) and obs[i].shape == start[i].shape
     assert ends == {0: 3, 1: 1}  # staggered
-
-
-def test_weights_are_read_as_torch_reads_them(sb3, tmp_path):
-    import torch
-
-    layer = torch.nn.Linear(3, 2)
-    state = {
-        **layer.state_dict(),
-        "turned": layer.weight.detach().T,
-        "count": torch.arange(4),
-    }
-    buffer = io.BytesIO()
-    torch.save(state, buffer)
-    ours = read_torch(buffer.getvalue(), "here")
-    for name, value in state.items():
-        np.testing.assert_array_equal(ours[name], value.numpy())

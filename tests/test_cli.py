@@ -14,7 +14,6 @@ from isd_gym.benchmark.policies import available, find
 from isd_gym.benchmark.scoring import score
 from isd_gym.physics.elements import TYPES
 from isd_gym.physics.network import Network
-from isd_gym.records.data import read_table
 
 
 def test_the_module_is_the_program_and_tells_its_version():
@@ -74,61 +73,6 @@ def test_score_ends_with_what_puts_it_in_place(tmp_path):
     assert "{" not in text
     row = next(r for r in data["policies"] if r["policy"] == "lqg")
     assert 0 < row["share_of_reachable_gain"] < row["share_of_causal_gain"] < 1
-
-
-def test_a_short_score_says_nothing_of_bounds(tmp_path):
-    """Two roads of 4 s, where a policy may beat what the LQ bound has for the mean over roads."""
-    done = run(
-        "score",
-        "passive",
-        "lqg",
-        "--episodes",
-        2,
-        "--duration",
-        4,
-        "--full",
-        "--json",
-        tmp_path / "s.json",
-    )
-    text = " ".join(done.stdout.split())
-    bounds = "at best|ceiling is searched|Clairvoyant|of the gain|of the causal"
-    assert not re.search(bounds, text)
-    data = json.loads((tmp_path / "s.json").read_text())
-    assert set(data["references"]) == {"left_out"}
-    assert (
-        data["references"]["left_out"] in text
-        and "2 x 4 s is too small a sample" in text
-    )
-    for row in data["policies"]:
-        assert (
-            row["share_of_reachable_gain"] is None
-            and row["share_of_causal_gain"] is None
-        )
-
-
-def test_simulate_takes_other_names_and_writes_over_no_record(tmp_path):
-    t = np.arange(0, 1, 0.01)
-    rows = (f"{a:.2f},{5 * np.sin(6 * a):.6f}" for a in t)
-    (tmp_path / "d.csv").write_text("time,stroke\n" + "\n".join(rows))
-    before = (tmp_path / "d.csv").read_bytes()
-    refused = run("simulate", "force-rig", "d.csv", "--out", "./d.csv", cwd=tmp_path)
-    assert (
-        refused.returncode == 2
-        and "it is an input file; give another name" in refused.stderr
-    )
-    lost = run("simulate", "force-rig", "d.csv", "--out", "o.csv", cwd=tmp_path)
-    assert lost.returncode == 2 and "--rename COLUMN=displacement" in lost.stderr
-    named = ("--rename", "stroke=displacement", "--unit", "displacement=mm")
-    assert (
-        run(
-            "simulate", "force-rig", "d.csv", "--out", "o.csv", *named, cwd=tmp_path
-        ).returncode
-        == 0
-    )
-    assert (
-        100 < read_table(tmp_path / "o.csv")["force"].max() < 1000
-    )  # N, of 5 mm and not of 5 m
-    assert (tmp_path / "d.csv").read_bytes() == before
 
 
 @pytest.mark.parametrize("word", ["policies", "networks", "card", "--help"])

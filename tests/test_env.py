@@ -43,17 +43,6 @@ def test_twin_rollouts_and_global_state():
     assert not np.array_equal(a[-1], other[-1])
 
 
-def test_reset_without_seed_goes_on_from_the_generator():
-    env = gym.make("ISDSuspension-v0")
-    env.reset(seed=3)
-    first = env.step(np.zeros(1, np.float32))[0]
-    env.reset()
-    second = env.step(np.zeros(1, np.float32))[0]
-    env.reset(seed=3)
-    assert not np.array_equal(first, second)
-    np.testing.assert_array_equal(first, env.step(np.zeros(1, np.float32))[0])
-
-
 def test_pickling_in_mid_episode():
     env = ISDSuspensionEnv()
     env.reset(seed=1)
@@ -63,18 +52,6 @@ def test_pickling_in_mid_episode():
     one = np.ones(1, np.float32)
     for _ in range(50):
         np.testing.assert_array_equal(env.step(one)[0], copy.step(one)[0])
-
-
-def test_time_limit_truncates_and_nothing_terminates():
-    env = gym.make("ISDSuspension-v0", road="E")
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    for k in range(4000):
-        _, _, terminated, truncated, _ = env.step(
-            rng.choice([-5.0, 5.0], 1).astype(np.float32)
-        )
-        assert not terminated
-        assert truncated == (k == 3999)
 
 
 def test_reward_is_minus_the_stage_cost_of_section_4_2():

@@ -144,19 +144,6 @@ def test_public_names():
     assert typed == isd_gym._HOME  # type checkers and Python know the same names
 
 
-def test_simulate_is_a_module_and_a_function():
-    time = np.arange(100) * 1e-3
-    inputs = {"displacement": 0.01 * np.sin(20 * time)}
-    import isd_gym.physics.simulate as module
-    from isd_gym.physics.simulate import simulate
-
-    assert isd_gym.physics.simulate is module and inspect.ismodule(module)
-    one, other = (
-        f("force-rig", time, inputs)["force"] for f in (isd_gym.simulate, simulate)
-    )
-    np.testing.assert_array_equal(one, other)
-
-
 @pytest.mark.parametrize("folder", ["agents", "baselines"])
 def test_source_folder_is_no_package_of_its_own(folder):
     code = f"try: import {folder}\nexcept ImportError as error: print(error)"

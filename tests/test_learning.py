@@ -37,20 +37,20 @@ def test_a_held_increment_is_a_ramp_of_the_current_over_its_control_steps(name):
     own.reset(seed=7), plain.reset(seed=7)
     rng, present = np.random.default_rng(0), np.zeros(plain.action_space.shape)
     for _ in range(40):
-        rate = rng.uniform(-1.2, 1.2, plain.action_space.shape)
+        rate = rng.uniform(-1.2, 1.2, present.shape)
         obs, reward, _, _, info = own.step(rate)
-        steps = []
+        currents = []
         for _ in range(3):
             present = np.clip(present + 0.5 * np.clip(rate, -1, 1), -5, 5)
-            steps.append(plain.step(present))
-        np.testing.assert_array_equal(obs, steps[-1][0])
-        mean = np.mean([step[1] for step in steps])
-        assert (reward, -info["cost"]) == pytest.approx((mean, mean), rel=1e-12)
-        travel = np.mean([step[4]["cost_travel"] for step in steps])
-        assert info["cost_travel"] == pytest.approx(travel, rel=1e-12)
-        assert info["exceeds_acceleration"] == max(
-            step[4]["exceeds_acceleration"] for step in steps
-        )
+            currents.append(present)
+        seen, rewards, infos = driven(plain, currents)
+        np.testing.assert_array_equal(obs, seen[-1])
+        travel = [one["cost_travel"] for one in infos]
+        told = (reward, -info["cost"], info["cost_travel"])
+        mean = np.mean(rewards)
+        assert told == pytest.approx((mean, mean, np.mean(travel)), rel=1e-12)
+        exceeded = max(one["exceeds_acceleration"] for one in infos)
+        assert info["exceeds_acceleration"] == exceeded
 
 
 @pytest.mark.parametrize("name", ["ISDSuspension-v0", "ISDFullCar-v0"])
@@ -132,35 +132,24 @@ def test_a_reference_leaves_the_order_of_policies_unchanged():
 
 
 def test_a_group_shares_a_road_and_its_rewards_have_no_sum():
-    relative = {"reward": "relative", "reward_scale": 1.0, "hold": 2}
-    env = gymnasium.make_vec(
-        "ISDHalfCarLearning-v0",
-        6,
-        cars_per_road=3,
-        road="C+bump",
-        duration=0.4,
-        **relative,
-    )
-    single = made(
-        "ISDHalfCarLearning-v0",
-        road="C+bump",
-        duration=0.4,
-        **relative | {"reward": "cost"},
-    )
+    name = "ISDHalfCarLearning-v0"
+    given = {"road": "C+bump", "duration": 0.4, "reward_scale": 1.0, "hold": 2}
+    env = gymnasium.make_vec(name, 6, cars_per_road=3, reward="relative", **given)
+    single = made(name, reward="cost", **given)
     env.reset(seed=5), single.reset(seed=6)
     rng = np.random.default_rng(0)
     for k in range(90):  # over two ends of episodes
         actions = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
         obs, reward, _, over, info = env.step(actions)
         np.testing.assert_allclose(reward.reshape(2, 3).sum(axis=1), 0.0, atol=1e-9)
-        costs = info["cost"].reshape(2, 3)
+        assert over.all() == over.any() == (k % 41 == 39)
         if k < 40:
+            costs = info["cost"].reshape(2, 3)
             expected = RELATIVE_SCALE * (costs.mean(axis=1, keepdims=True) - costs)
-            np.testing.assert_allclose(reward.reshape(2, 3), expected, atol=1e-9)
+            np.testing.assert_allclose(reward, expected.ravel(), atol=1e-9)
             own, cost, *_ = single.step(actions[4])
             np.testing.assert_array_equal(obs[4], own)
             assert -cost == info["cost"][4]
-        assert over.all() == over.any() == (k % 41 == 39)
     assert len(np.unique(env.unwrapped.task.batch.road_heights[0])) == 2
 
 
@@ -184,15 +173,8 @@ def test_a_scale_of_the_reward_changes_the_reward_alone(options):
     np.testing.assert_allclose(many[1], 30 * np.array(one[1]), rtol=1e-12)
     np.testing.assert_array_equal(many[0], one[0])
     assert many[2] == one[2]
-    batch = gymnasium.make_vec("ISDSuspension-v0", 3, reward_scale=30, **options)
-    batch.reset(seed=2)  # the last car has seed 4
-    rewards = batch.step(np.full((3, 1), actions[0]).astype(np.float32))[1]
-    assert rewards[2] == pytest.approx(many[1][0], rel=1e-6)
-    refused(
-        "reward_scale must be a number from 1e-06 to 1e\\+06, not 0",
-        made,
-        reward_scale=0,
-    )
+    words = "reward_scale must be a number from 1e-06 to 1e\\+06, not 0"
+    refused(words, made, reward_scale=0)
 
 
 @pytest.mark.parametrize("control_step", [1e-3, 5e-3, 20e-3])
@@ -225,14 +207,15 @@ SPREAD = {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "bump"]}
         ("ISDSuspension-v0", {}),
         ("ISDSuspensionLearning-v0", {}),
         ("ISDFullCar-v0", {"observation": "preview", "road": "B+pothole"}),
-        (
-            "ISDSuspension-v0",
-            {"randomize": SPREAD, "sensors": {"noise": 1.0, "delay": 2}},
-        ),
+        ("ISDSuspension-v0", {"randomize": SPREAD, "sensors": {"noise": 1.0, "delay": 2}}),
         ("ISDHalfCarLearning-v0", {"per_level": True, "road": "C"}),
     ],
-)
+)  # fmt: skip
 def test_an_episode_branches_from_a_state_to_the_last_bit(name, options):
+    def same(one, other):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
+
     env, rng = made(name, **options), np.random.default_rng(0)
     env.reset(seed=3)
     shape = env.action_space.shape
@@ -240,33 +223,26 @@ def test_an_episode_branches_from_a_state_to_the_last_bit(name, options):
     state = pickle.loads(pickle.dumps(env.get_state()))
     actions = rng.uniform(-1, 1, (500, *shape))
     seen, rewards, infos = driven(env, actions)
-    following = env.reset()[0]
     other = made(name, **options)
     other.reset(seed=9)
     driven(other, actions[:5])
     other.set_state(state)
-    again = driven(other, actions)
-    np.testing.assert_array_equal(seen, again[0])
-    np.testing.assert_array_equal(rewards, again[1])
-    assert infos == again[2]
-    np.testing.assert_array_equal(
-        following, other.reset()[0]
-    )  # and so do the next roads
+    same((seen, rewards, infos), driven(other, actions))
+    same(env.reset()[0], other.reset()[0])  # and so do the next roads
     many = gymnasium.make_vec(name, 11, **options).unwrapped
     many.reset(seed=50)
     for _ in range(31):  # another place in the rings of the road
         many.step(rng.uniform(-1, 1, (11, *shape)))
     many.set_state(9, state)
     back = many.get_state(9)
-    for k, action in enumerate(actions[:200]):
+    for k in range(200):
         all_actions = np.zeros((11, *shape))
-        all_actions[9] = action
+        all_actions[9] = actions[k]
         obs, reward, *_ = many.step(all_actions)
-        np.testing.assert_array_equal(obs[9], seen[k])
-        assert reward[9] == rewards[k]
+        same((obs[9], reward[9]), (seen[k], rewards[k]))
     many.set_state(2, back)
     other.set_state(many.get_state(2))
-    np.testing.assert_array_equal(driven(other, actions[:50])[0], seen[:50])
+    same(driven(other, actions[:50])[0], seen[:50])
 
 
 def test_a_state_of_another_car_is_refused():
@@ -305,10 +281,8 @@ def test_no_seed_reaches_a_scoring_road():
 
 def test_info_tells_the_drawn_parameters_and_exceeded_limits():
     ranges = {"body.mass": (0.8, 1.2), "road": ["A", "H"]}
-    many, one = (
-        gymnasium.make_vec("ISDSuspension-v0", 6, randomize=ranges),
-        made(randomize=ranges),
-    )
+    many = gymnasium.make_vec("ISDSuspension-v0", 6, randomize=ranges)
+    one = made(randomize=ranges)
     info, single = many.reset(seed=0)[1], one.reset(seed=4)[1]
     assert set(info["road"]) == {"A", "H"} and info["_body.mass"].all()
     assert single["body.mass"] == info["body.mass"][4] == pytest.approx(345.0, rel=0.2)
@@ -316,40 +290,27 @@ def test_info_tells_the_drawn_parameters_and_exceeded_limits():
     for _ in range(400):
         *_, info = many.step(np.zeros((6, 1), np.float32))
         own = one.step([0.0])[4]
-        assert (
-            own["exceeds_travel"] == info["exceeds_travel"][4]
-            and own["road"] == info["road"][4]
-        )
+        for key in ("exceeds_travel", "road"):
+            assert own[key] == info[key][4]
         beyond += info["exceeds_acceleration"]
-    out = many.unwrapped.task.batch.out
-    assert ((np.abs(out[0]) > 5.0) == info["exceeds_acceleration"]).all()
-    assert ((np.abs(out[1]) > 0.08) == info["exceeds_travel"]).all()
-    assert (beyond[info["road"] == "H"] > 0).all() and not beyond[
-        info["road"] == "A"
-    ].any()
+    acceleration, travel = np.abs(many.unwrapped.task.batch.out[:2])
+    np.testing.assert_array_equal(acceleration > 5.0, info["exceeds_acceleration"])
+    np.testing.assert_array_equal(travel > 0.08, info["exceeds_travel"])
+    np.testing.assert_array_equal(beyond > 0, info["road"] == "H")
 
 
 WRONG = [
-    ({"hold": 0}, "hold must be a whole number"),
     ({"hold": 1.5}, "hold must be a whole number"),
-    ({"hold": True}, "hold must be a whole number"),
     ({"reward": "own"}, "reward must be one of cost, relative"),
     ({"action": "voltage"}, "action must be one of current, share, increment"),
-    ({"observation": "memory"}, "observation must be one of"),
     ({"preview": 0.1}, "preview is for observation"),
     ({"control_step": np.nan}, "control_step must be a number"),
     ({"control_step": 3.3e-3}, "whole multiple"),
-    ({"duration": np.inf}, "duration must be a number"),
-    ({"speed": 10**400}, "speed must be a number"),
     ({"preview": 1e6, "observation": "preview"}, "preview must be a number"),
     ({"cost": 3}, "cost must be a mapping"),
     ({"cost": {"acceleration": 1e308}}, "weight of acceleration must be"),
-    ({"cost": {"acceleration_reference": 1e-300}}, "reference of acceleration must be"),
-    ({"sensors": 3}, "sensors must be a mapping"),
     ({"randomize": 3}, "randomize must be a mapping"),
     ({"randomize": {"speed": None}}, "must be a pair"),
-    ({"randomize": {"road": 3}}, "must be a list of roads"),
-    ({"network": []}, "network must be a name"),
     ({"network": "force-rig"}, "is no car"),
     ({"road": "moon"}, "no road 'moon'"),
     ({"speed": 0.0}, "speed must be a number"),
@@ -357,7 +318,6 @@ WRONG = [
     ({"randomize": {"body.mass": (1.2, 0.8)}}, "needs 0 < low <= high"),
     ({"render_mode": "ascii"}, "render_mode .*must be"),
     ({"network": "half-car-isd", "cost": {"roll": 0.1}}, "does not roll"),
-    ({"network": "half-car-isd", "cost": {"yaw": 0.1}}, "no 'yaw'"),
     (
         {"network": "half-car-isd", "cost": {"travel_reference": (1e-3,) * 3}},
         "3 values for 2 corners",
@@ -394,9 +354,7 @@ def test_a_wrong_argument_of_a_batch_is_one_line(options, message):
     [
         ({"abscissa": [0, 1], "profile": [0, np.nan]}, "finite numbers"),
         ({"abscissa": [0, 1], "profile": [0, 1e300]}, "no road"),
-        ({"abscissa": [], "profile": []}, "at least one"),
         ({"abscissa": [1, 0], "profile": [0, 0]}, "must not go back"),
-        ({"roughness": np.nan}, "roughness must be"),
         ({"roughness": -1.0}, "roughness must be"),
     ],
 )
@@ -406,26 +364,27 @@ def test_a_road_has_finite_numbers(road, message):
 
 def test_a_batch_refuses_a_second_thread_and_half_a_start():
     env = ISDSuspensionVectorEnv(4, autoreset_mode="disabled", cars_per_road=2)
-    with pytest.raises(InputError, match="must start all cars"):
-        env.reset(seed=1, options={"reset_mask": np.array([True, True, False, False])})
+
+    def start(*mask):
+        env.reset(seed=1, options={"reset_mask": np.array(mask)})
+
+    refused("must start all cars", start, True, True, False, False)
     refused("same seed", env.reset, seed=[1, 2, 3, 4])
     env.reset(seed=1)
-    with pytest.raises(InputError, match="all cars of a road or none"):
-        env.reset(options={"reset_mask": np.array([True, False, False, False])})
-    found = []
+    refused("all cars of a road or none", start, True, False, False, False)
+    still, found = np.zeros((4, 1)), []
     with env._alone():
 
         def step():
             try:
-                env.step(np.zeros((4, 1)))
+                env.step(still)
             except InputError as error:
                 found.append(str(error))
 
         thread = threading.Thread(target=step)
         thread.start()
         thread.join()
-    assert found == [
-        "another thread is using this vector environment: one thread at a time may call it"
-    ]
-    env.step(np.zeros((4, 1)))
-    pickle.loads(pickle.dumps(env)).step(np.zeros((4, 1)))
+    (told,) = found
+    assert told.startswith("another thread is using this vector environment")
+    env.step(still)
+    pickle.loads(pickle.dumps(env)).step(still)

@@ -16,7 +16,6 @@ NAME = "ISDSuspension-v0"
 CARS, STEPS = 3, 30
 STEP_INFO = gym.make(NAME).unwrapped.task.step_info
 KEYS = {"speed", "cost", *STEP_INFO}
-MASKS = {f"_{key}" for key in KEYS}  # which cars of a batch have a number: all
 #: what these libraries warn of is theirs
 theirs = pytest.mark.filterwarnings("ignore")
 
@@ -71,24 +70,6 @@ def test_wrappers_of_many_cars():
         _, _, _, truncated, info = env.step(a / 5)
     assert truncated.all()
     np.testing.assert_allclose([i["episode"]["r"] for i in info], returns(), rtol=1e-5)
-
-
-@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
-def test_reset_and_step_tell_the_same(mode):
-    env = cars(autoreset_mode=mode, cost={"tyre_load": 0.1, "current": 0.1})
-    assert env.autoreset_mode is env.metadata["autoreset_mode"]
-    _, info = env.reset(seed=0)
-    assert set(info) == KEYS | MASKS and all(v.shape == (CARS,) for v in info.values())
-    assert all(info[mask].all() for mask in MASKS)
-    assert not any(info[k].any() for k in STEP_INFO)  # a car at rest
-    _, reward, *_, info = env.step(currents(1)[0])
-    assert set(info) == KEYS | MASKS
-    np.testing.assert_allclose(
-        reward, -sum(v for k, v in info.items() if k.startswith("cost_"))
-    )
-    one = gym.make(NAME)
-    _, first = one.reset(seed=0)
-    assert set(first) == set(one.step(currents(1)[0, 0])[4]) == KEYS
 
 
 @theirs
@@ -164,20 +145,6 @@ def test_skrl():
     env._reset_once = False
     total = sum(env.step(torch.from_numpy(a))[1].numpy()[:, 0] for a in currents(STEPS))
     np.testing.assert_allclose(total, returns(), rtol=1e-5)
-
-
-@theirs
-def test_sb3_contrib_learns():
-    contrib = pytest.importorskip(
-        "sb3_contrib", reason="SB3-contrib is of isd-gym[libraries]"
-    )
-    from isd_gym.sb3 import make_vec_env
-
-    small = {"n_steps": 16, "batch_size": 32, "n_epochs": 1, "seed": 0}
-    model = contrib.RecurrentPPO("MlpLstmPolicy", make_vec_env(4), **small).learn(128)
-    assert model.num_timesteps == 128 and all(
-        p.isfinite().all() for p in model.policy.parameters()
-    )
 
 
 @theirs

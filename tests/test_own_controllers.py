@@ -2,10 +2,11 @@
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
-from program import refused, run
+from program import assert_one_line, refused, run
 
 from isd_gym.benchmark.scoring import Entry, score
 
@@ -45,13 +46,42 @@ class Wrong(SkyDamper):
 
 class Nothing:
     pass
+
+
+class Remembers:
+    observation = "history"
+
+    def reset(self):
+        pass
+
+    def act_batch(self, observations):
+        assert observations.shape[1] > 12 and np.abs(observations).max() <= 10
+        return np.full(len(observations), helper_of_mine.CURRENT)
+
+
+def zero(observation):
+    return 0.0
+
+
+def fails(observation):
+    return observation.nonsense
+
+
+class Wants:
+    def __init__(self, gain):
+        pass
 """
+FILE = "import helper_of_mine\n" + OWN
 DRIVE = {"episodes": 3, "duration": 0.5}
 
 
 @pytest.fixture
-def made(tmp_path):
-    (tmp_path / "own.py").write_text(OWN)
+def made(tmp_path, monkeypatch):
+    (tmp_path / "own.py").write_text(FILE)
+    (tmp_path / "helper_of_mine.py").write_text("CURRENT = 0.1\n")
+    monkeypatch.setattr(
+        sys, "path", [*sys.path]
+    )  # the folder of a controller is put on it
     space = {}
     exec(OWN, space)
     return tmp_path / "own.py", space
@@ -77,14 +107,36 @@ def test_both_doors_score_alike(made, name):
 
 @pytest.mark.parametrize(
     ("name", "says"),
-    [("Wrong", "act_batch returned None"), ("Nothing", "no method act")],
+    [
+        (":Wrong", "act_batch returned None"),
+        (":Nothing", "no method act"),
+        (
+            "",
+            "needs the name of a class or function after a colon: there are SkyDamper",
+        ),
+        (":SkyDampr", "did you mean 'SkyDamper'?"),
+        (":fails", "AttributeError"),
+        (":Wants", "TypeError"),
+    ],
 )
-def test_both_doors_refuse_alike(made, name, says):
+def test_a_wrong_controller_is_one_line(made, name, says):
     file, space = made
-    refused(says, score, Entry("own", space[name]), **DRIVE)
-    done = run("score", f"{file}:{name}", "--episodes", 1, "--duration", 0.1)
-    assert (
-        done.returncode == 2
-        and says in done.stderr
-        and len(done.stderr.splitlines()) == 1
-    )
+    done = run("score", f"{file}{name}", "--episodes", 1, "--duration", 0.1)
+    assert_one_line(done, says)
+    if name in (":Wrong", ":Nothing"):  # by its class as well
+        refused(says, score, Entry("own", space[name[1:]]), **DRIVE)
+    if name == ":fails":
+        line = FILE.splitlines().index("    return observation.nonsense") + 1
+        assert f"own.py:{line}" in done.stderr
+
+
+def test_controllers_are_scored_by_file_and_name(made):
+    """A controller with memory, and a function, beside a policy of the same cost."""
+    file, _ = made
+    to, names = file.with_name("s.json"), [f"{file}:{n}" for n in ("Remembers", "zero")]
+    brief = ["--episodes", 2, "--duration", 1, "--json", to]
+    done = run("score", "isd-passive", *names, *brief)
+    assert done.returncode == 0, done.stderr
+    rows = {row["policy"]: row for row in json.loads(to.read_text())["policies"]}
+    assert list(rows) == ["passive", "isd-passive", "Remembers", "zero"]
+    assert rows["zero"]["cost"]["value"] == rows["isd-passive"]["cost"]["value"]

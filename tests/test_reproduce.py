@@ -12,18 +12,6 @@ from isd_gym.benchmark.scoring import PAPER
 from isd_gym.physics.network import Network
 
 
-def test_first_harmonic_of_a_known_signal():
-    time = np.arange(0, 1.0 + 1e-9, 1e-3)
-    signal = (
-        3.0 * np.sin(2 * np.pi * 4 * time + 0.7)
-        + 1.5
-        + 0.4 * np.sin(2 * np.pi * 12 * time)
-    )
-    found = rig.fundamental(time, signal, 4.0)
-    assert abs(found) == pytest.approx(3.0, rel=1e-6)
-    assert np.angle(found) == pytest.approx(0.7, abs=1e-6)
-
-
 @pytest.mark.parametrize("frequency", [1.0, 5.0, 10.0])
 def test_sine_without_friction_is_the_impedance_in_closed_form(frequency):
     own = Network.load("force-rig").with_parameters({"seal.level": 1e-6})

@@ -8,7 +8,7 @@ import pytest
 from isd_gym.agents.policy import SHIPPED
 from program import refused
 
-from isd_gym.benchmark.policies import Idle, conventional, passive
+from isd_gym.benchmark.policies import Idle, passive
 from isd_gym.benchmark.scoring import Entry, frequency_weighting, score, weighted_rms
 from isd_gym.physics.network import Network
 
@@ -109,17 +109,3 @@ def test_policies_of_the_same_name_are_called_by_their_paths(tmp_path):
         [Entry("a", lambda: Idle("a"))] * 2,
     ):
         refused("is named twice", score, twice, CAR, episodes=1, duration=0.5)
-
-
-def test_the_conventional_car_takes_masses_by_their_order():
-    data = CAR.to_dict()
-    text = (
-        json.dumps(data).replace('"body"', '"sprung"').replace('"wheel"', '"unsprung"')
-    )
-    own = json.loads(text)
-    own["masses"]["sprung"] = 500.0
-    own["uncertainty"] = {}
-    assert conventional(Network.load(own)).masses == {
-        "body": 500.0,
-        "wheel": CAR.masses["wheel"],
-    }

@@ -86,18 +86,6 @@ def test_each_is_done_once_and_not_again(jobs, tmp_path, importable):
     assert _done(tmp_path) == [0, 1, 2, 3, 4]
 
 
-def test_a_broken_result_is_made_again(tmp_path):
-    items, out = _items(tmp_path, 2), tmp_path / "out"
-    engine.run(noted, items, out)
-    for text in (
-        "{",
-        "[]",
-        '{"schema": "isd-result/1", "key": "another", "result": 7}',
-    ):
-        (out / f"{engine.key_of(items[0])}.json").write_text(text)
-        assert not engine.run(noted, items, out) and _results(items, out) == [0, 1]
-
-
 def test_what_is_done_is_kept_when_a_worker_dies(tmp_path, importable):
     items, out = _items(tmp_path, 3), tmp_path / "out"
     refused(
@@ -119,16 +107,6 @@ def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable
     assert list(failed.values()) == ["ValueError: of its own"]
     assert len(lines) == 1
     assert not list((tmp_path / "out").glob(".*"))  # nothing half-written
-
-
-def test_shards_are_a_partition():
-    items = _items(Path("x"), 11)
-    parts = [engine.shard(items, f"{i}/3") for i in range(3)]
-    assert (
-        sorted((i for p in parts for i in p), key=lambda item: item["number"]) == items
-    )
-    for bad in ("3/3", "-1/3", "1", "a/b", "1/0"):
-        refused("", engine.shard, items, bad)
 
 
 def test_a_grid_is_axes_crossed_and_conditions_named(tmp_path):

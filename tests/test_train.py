@@ -80,7 +80,11 @@ def test_ranges_are_options_of_the_environment(tmp_path):
 
 @pytest.mark.filterwarnings("ignore")  # tensorboard warns of itself
 @pytest.mark.parametrize(
-    ("algorithm", "car"), [("PPO", "half-car-isd"), ("SAC", "quarter-car-isd")]
+    ("algorithm", "car"),
+    [
+        ("SAC", "quarter-car-isd"),
+        pytest.param("PPO", "half-car-isd", marks=pytest.mark.slow),
+    ],
 )
 def test_a_training_goes_on_where_ctrl_c_stopped_it(
     algorithm, car, tmp_path, monkeypatch

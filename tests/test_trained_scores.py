@@ -358,46 +358,6 @@ def own(tmp_path, monkeypatch):
     return tmp_path / "mine.py"
 
 
-def test_own_controllers_are_scored_by_file_and_name(own):
-    drive_ = ["--episodes", 2, "--duration", 1, "--json", own.with_name("s.json")]
-    names = [f"{own}:{name}" for name in ("Sky", "Many", "zero")]
-    code, out, err = run("score", "isd-passive", *names, *drive_)
-    assert code == 0, err
-    rows = {
-        row["policy"]: row
-        for row in json.loads(own.with_name("s.json").read_text())["policies"]
-    }
-    assert list(rows) == ["passive", "isd-passive", "my sky", "Many", "zero"]
-    assert rows["zero"]["cost"]["value"] == rows["isd-passive"]["cost"]["value"]
-    assert (
-        rows["my sky"]["current_rms"]["value"]
-        > 0.01
-        > rows["zero"]["current_rms"]["value"]
-    )
-    assert "my sky" in out
-
-
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        (
-            "",
-            "needs the name of a class or function after a colon: there are Sky, Many",
-        ),
-        (":Skye", "did you mean 'Sky'?"),
-        (":nothing", "act returned None, not a current"),
-        (":fails", "AttributeError"),
-        (":Wants", "TypeError"),
-    ],
-)
-def test_a_wrong_controller_is_one_line(own, name, says):
-    code, _, err = run("score", f"{own}{name}", "--episodes", 1, "--duration", 0.1)
-    assert code == 2 and says in err and len(err.splitlines()) == 1
-    if name == ":fails":
-        line = OWN.splitlines().index("    return observation.nonsense") + 1
-        assert f"mine.py:{line}" in err
-
-
 def test_a_file_that_does_not_run_is_one_line(tmp_path):
     (tmp_path / "m.py").write_text("x = 1\ny = x +\n")
     for name, says in (

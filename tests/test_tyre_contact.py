@@ -57,23 +57,6 @@ def test_the_share_is_the_share_of_a_drive(name, ground):
     assert pulling_share(car, road(ground), 20.0) == pytest.approx(share, rel=0.15)
 
 
-def test_the_share_grows_with_road_and_speed():
-    car = vehicle(Network.load("quarter-car-isd"))
-    by_road = [
-        pulling_share(car, road(name), 20.0)
-        for name in ("flat", "A", "C", "D", "E", "F")
-    ]
-    by_speed = [pulling_share(car, road("D"), speed) for speed in (10.0, 20.0, 40.0)]
-    assert by_road == sorted(by_road) and by_road[0] == 0.0
-    assert by_speed == sorted(by_speed)
-    assert (
-        pulling_share(
-            vehicle(Network.load(with_lift_off("quarter-car-isd"))), road("E"), 20.0
-        )
-        == 0.0
-    )
-
-
 @pytest.mark.parametrize(
     "options",
     [
