@@ -105,9 +105,7 @@ def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed()
 )
 def test_a_coast_down_without_a_known_travel_shows_no_compliance(is_driven, passes):
     """The deflection of a compliance in line with a damper may start anywhere: it is any smooth function of time, as a spring's force is."""
-    travel = Travel(
-        is_observed=False, passes=passes, span=10.0, advance=0.1, is_driven=is_driven
-    )
+    travel = Travel(is_observed=False, passes=passes, is_driven=is_driven)
     kinds = {h.effect: h for h in hypotheses(Network.load(DRUM))}
     told = {
         name: is_admissible(kinds[name], {kinds[name].where: travel}) for name in kinds

@@ -127,10 +127,6 @@ def command(
     max_seconds: TimeLimitOption = None,
     max_lag: LagOption = 0.5,
     jobs: ThreadsOption = 2,
-    seed: Annotated[
-        int,
-        option("--seed", "Seed of the bootstrap that gives the probabilities.", min=0),
-    ] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Find where a model and measurements disagree, and which physical effect is missing.
@@ -179,12 +175,11 @@ def command(
             validate=held,
             accept=accept,
             progress=say,
-            seed=seed,
             cut=cut,
             settings=settings,
         )
         say("writing the report")
-        page = write_result(result, out, about | {"Seed": str(seed)})
+        page = write_result(result, out, about)
     print_diagnosis(result, json_file, page)
 
 

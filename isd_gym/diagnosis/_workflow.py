@@ -56,7 +56,6 @@ def diagnose(
     validate: Sequence[Table | Recording | str | Path] = (),
     accept: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
-    seed: int = 0,
     settings: SearchSettings | None = None,
     criteria: Criteria = CRITERIA,
     cut: str | None = None,
@@ -70,7 +69,6 @@ def diagnose(
             rest. By default whole records of `data`, or the later part of a single record, are held out.
         accept: Names of data checks that only warn, or 'all'.
         progress: Function that receives a line per stage.
-        seed: Seed of the Bayesian bootstrap.
         settings: Settings of the search; returned with the result.
         criteria: Limits of the decision; returned with the result.
         cut: A node whose motion an output measures. That motion drives the model on this side of the node; the model behind the node
@@ -130,7 +128,6 @@ def diagnose(
             *_split(whole, notes),
             notes,
             say,
-            seed,
             steps,
             criteria,
             feedback,
@@ -273,7 +270,6 @@ class Workflow:
     held_from: tuple[float, ...]
     notes: list[str]
     say: Callable[[str], None]
-    seed: int
     settings: SearchSettings
     criteria: Criteria
     #: inputs that follow from outputs

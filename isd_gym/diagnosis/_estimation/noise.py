@@ -37,12 +37,6 @@ class Weights:
         scale = np.sqrt(self.share) / np.maximum(self.level, 1e-300)
         return np.asarray(residual * scale.reshape(-1, *[1] * (residual.ndim - 2)))
 
-    def mean_square(self, deviation: Array) -> Array:
-        """Return the mean square of weighted noise of a deviation (channels,)."""
-        return np.asarray(
-            self.share * (deviation / np.maximum(self.level, 1e-300)) ** 2
-        )
-
 
 def white_weights(level: Array) -> Weights:
     """Return weights for noise of a known level (channels,)."""

@@ -16,7 +16,6 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics import elements as el
 from ...physics.network import linearise
-from .._hypotheses.pair_forces import typical_advance
 from .._simulation.problem import bare
 
 if TYPE_CHECKING:
@@ -43,10 +42,6 @@ class Travel:
     is_observed: bool
     #: mean number of passes through each travel within a record
     passes: float
-    #: range of the distance over all records [m]
-    span: float
-    #: typical change of the distance between samples [m]
-    advance: float
     #: whether an input drives the motion
     is_driven: bool = True
 
@@ -92,8 +87,6 @@ def _travel(network: Network, pair: Pair, parts: list[Array]) -> Travel:
     return Travel(
         is_observed=is_observed(network, pair),
         passes=sum(ways) / max(sum(spans), 1e-300),
-        span=max(spans),
-        advance=typical_advance(parts),
         is_driven=bool(network.inputs),
     )
 
