@@ -161,6 +161,11 @@ def command(
         card = cards.load(against)
         place = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]
     ceilings = bounds.known_ceilings(plant, ground, speed, duration)
+
+    def least_change(preview: float) -> float | None:
+        found = ceilings(preview)
+        return None if found is None else found.change
+
     known = bounds.reachable(plant, ground, speed, episodes, seed, duration)
     with progress() as update:
         warm_up(update)
@@ -170,7 +175,7 @@ def command(
             reference=passive(plant),
             point=point,
             clairvoyant=None if known is None else known["value"],
-            ceiling=ceilings,
+            ceiling=least_change,
             progress=update,
             **drives,
         )

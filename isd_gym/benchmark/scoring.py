@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..physics.road import Road
-    from .ceilings import Ceiling
 
 __all__ = [
     "LIMITS",
@@ -502,7 +501,7 @@ def _policy_row(
     own: dict[str, tuple[np.ndarray, str]],
     reference: dict[str, tuple[np.ndarray, str]],
     clairvoyant: np.ndarray | None,
-    ceiling: Callable[[float], Ceiling | None] | None,
+    ceiling: Callable[[float], float | None] | None,
 ) -> dict[str, Any]:
     """Return the row of a policy in a score, from its `measures` and those of the reference."""
     row: dict[str, Any] = {"policy": name}
@@ -524,9 +523,7 @@ def _policy_row(
         },
         "share_of_reachable_gain": reachable,
         "preview": {"value": run.preview, "unit": "s"},
-        "share_of_causal_gain": row["cost"]["change"] / bound.change + 0.0
-        if bound
-        else None,
+        "share_of_causal_gain": row["cost"]["change"] / bound + 0.0 if bound else None,
     }
 
 
@@ -685,7 +682,7 @@ def score(
     sensors: Sensors | None = None,
     point: str | None = None,
     clairvoyant: np.ndarray | None = None,
-    ceiling: Callable[[float], Ceiling | None] | None = None,
+    ceiling: Callable[[float], float | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Score:
     """Score policies against a reference on the same roads.
@@ -706,8 +703,8 @@ def score(
         sensors: Imperfections of the sensors.
         point: Point of the body of the evaluation by ISO 2631-1; None for `comfort_point`.
         clairvoyant: Least known cost of each episode (episodes,), for the share of the reachable gain.
-        ceiling: Returns the `Ceiling` of controllers with a given preview [s], or None, for the share of
-            the causal gain, which is omitted for small samples (`comparability`).
+        ceiling: Returns the change of J at the ceiling of controllers with a given preview [s], or None; for the
+            share of the causal gain, which is omitted for small samples (`comparability`).
         progress: Called now and then with the name of a policy and its finished share.
 
     Raises:
