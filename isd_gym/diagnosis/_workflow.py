@@ -34,7 +34,7 @@ from ._selection.held_out import HeldOutEvaluator
 from ._selection.held_out_table import row_of
 from ._selection.law_sets import Search
 from ._selection.settings import SearchSettings
-from ._simulation.problem import BROKEN, Problem, Record, Role, bare
+from ._simulation.problem import BROKEN, Problem, Record, Role
 from ._simulation.time_limit import EVIDENCE, SEARCH, TimeLimit, TimeUp, running
 from ._verdict.closed_loop import decide_under_feedback
 from ._verdict.evidence import Measurements, collect_evidence
@@ -178,7 +178,7 @@ def _split(
     are split is added to the notes."""
     training = len(whole.estimation)
     # where the whole motion is prescribed, only the memory of laws needs a lead-in
-    lead = 0.0 if assemble(bare(whole.network)).size[0] else LEAD_IN * whole.time
+    lead = 0.0 if assemble(whole.network.mechanical).size[0] else LEAD_IN * whole.time
     records, roles = split_records(
         whole.records[:training], whole.records[training:], notes, whole.time, lead
     )
@@ -323,7 +323,9 @@ class Workflow:
     # -- segments -----------------------------------------------------------------------------------------
     def has_free_motion(self) -> bool:
         """Return whether an input ties the motion to the record, and a motion can start anew."""
-        return bool(self.network.inputs) and assemble(bare(self.network)).size[0] > 0
+        return (
+            bool(self.network.inputs) and assemble(self.network.mechanical).size[0] > 0
+        )
 
     @cached_property
     def refitted(self) -> Fit:

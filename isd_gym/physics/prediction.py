@@ -177,13 +177,8 @@ def equations(
     network: Network, channels: Sequence[Channel], damping: Mapping[str, float]
 ) -> Equations:
     """Return the linear equations of a car; linear `damping` [N s/m] by name of a law replaces the law."""
-    bare = replace(
-        network,
-        elements=tuple(e for e in network.elements if e.place == "between"),
-        outputs=(),
-        uncertainty={},
-    )
-    asm = assemble(bare, channels)
+    bare = replace(network, outputs=(), uncertainty={})
+    asm = assemble(bare.mechanical, channels)
     cols = {part: asm.columns(part) for part in ("x", "r", "v", "I", "f")}
     kept = [
         j

@@ -27,7 +27,7 @@ from ..._common.units import convert
 from ...physics.network import GROUND, Channel, assemble, natural_frequencies, transfer
 from .._records.feedback import find_feedback
 from .._records.filtering import find_computed_forces
-from .._simulation.problem import BROKEN, Problem, bare
+from .._simulation.problem import BROKEN, Problem
 from .gauss_newton import Fitter, residuals
 from .noise import floors_of, propagate_input_noise, white_weights
 from .structure import base_structure
@@ -205,7 +205,7 @@ def invert(network: Network) -> InverseProblem | None:
             np.real(transfer(network, at)[0, 0, 0] / transfer(pushed, at)[0, 0, 0])
         )
         inverse = swap_roles(pushed, force, position)
-        if assemble(bare(inverse)).size[0]:
+        if assemble(inverse.mechanical).size[0]:
             return None
     except BROKEN:
         return None

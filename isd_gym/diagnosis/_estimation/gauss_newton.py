@@ -16,7 +16,7 @@ import numpy as np
 
 from ..._common.errors import InputError
 from ...physics.network import Network, assemble
-from .._simulation.problem import BROKEN, Problem, bare
+from .._simulation.problem import BROKEN, Problem
 from .initial_states import guess, motion_rows, next_states
 from .least_squares import bounded_step, damped_step
 from .noise import white_weights
@@ -34,8 +34,10 @@ if TYPE_CHECKING:
     from .structure import Hypothesis, Structure
 
 
-#: further steps with the same derivatives
-CHORDS = 2
+#: further steps with the same derivatives, while their full steps reduce the cost; dampings that a step tries
+CHORDS, TRIES = 2, 6
+#: damping of the first step; dampings of a step of initial states alone
+DAMPING, EASED = 1e-4, (0.0, 0.1, 3.0, 100.0)
 #: ratio of the cost per sample above which a record is restarted from the final state of the preceding record; largest number of rounds;
 #: largest cost of such a start, as a multiple of the cost of the fit
 UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
@@ -44,9 +46,6 @@ UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
 LOST, HEAD_NOISE, HEAD_STEPS = 0.5, 0.01, 8
 #: deviation below which a channel stands still
 STILL = 1e-100
-#: ratio of the cost per sample above which a record is restarted near its initial state; smallest number of records; distances of these
-#: starts, as multiples of the deviation over records
-ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
 
 
 @dataclass
@@ -166,14 +165,25 @@ class Fitter:
 
     def seen(self, structure: Structure, at: Point, records: Sequence[int]) -> Point:
         """Simulate the records."""
-        net = structure.at(at.x)
+        return self.seen_all(structure, [at], records)[0]
+
+    def seen_all(
+        self, structure: Structure, points: Sequence[Point], records: Sequence[int]
+    ) -> list[Point]:
+        """Simulate the records at several points, side by side."""
+        networks = [structure.at(at.x) for at in points]
+        begun = {i: np.stack([at.initial[i] for at in points], axis=1) for i in records}
         try:
-            begun = {i: at.initial[i][:, None] for i in records}
-            found = self.problem.simulate_all([net], records, begun)
+            found = self.problem.simulate_all(networks, records, begun)
         except BROKEN:
-            at.costs = dict.fromkeys(records, math.inf)
-            return at
-        return self.price(structure, at, {i: y[:, :, 0] for i, y in found.items()})
+            if len(points) > 1:
+                return [self.seen(structure, at, records) for at in points]
+            points[0].costs = dict.fromkeys(records, math.inf)
+            return list(points)
+        return [
+            self.price(structure, at, {i: y[:, :, lane] for i, y in found.items()})
+            for lane, at in enumerate(points)
+        ]
 
     # -- slopes -----------------------------------------------------------------------------------------
     def slopes(
@@ -262,7 +272,7 @@ class Fitter:
         records: Sequence[int],
     ) -> Point:
         net = structure.at(x)
-        n0 = assemble(bare(net)).size[0]
+        n0 = assemble(net.mechanical).size[0]
         given, known, problem = initial or {}, offset or {}, self.problem
         shared = structure.offsets
         if known and problem.shared_offset.any():
@@ -289,21 +299,13 @@ class Fitter:
         records: Sequence[int] | None = None,
         initial: Mapping[int, Array] | None = None,
     ) -> Structure:
-        """Return the structure with the sensor offsets that records share, at fixed parameters: means over records, by default those to
-        fit by, weighted by information."""
-        problem = self.problem
-        own = np.flatnonzero(problem.shared_offset)
-        if not len(own):
+        """Return the structure with the sensor offsets that records share, at fixed parameters, by default of those to fit by."""
+        if not self.problem.shared_offset.any():
             return structure
-        records = problem.estimation if records is None else records
-        alone = Fitter(problem.loose, self.weights)
-        f = alone.follow(structure, x, records, dict(initial or {}))
-        slopes = alone.slopes(structure, Point(x, f.initial, f.offset), records, False)
-        if slopes is None:
-            raise InputError("the simulation breaks down at the start values")
-        offsets = np.zeros(len(problem.channels))
-        offsets[own] = _weighted_mean(problem.loose, own, f.offset, slopes)
-        return replace(structure, offsets=tuple(offsets.tolist()))
+        known = replace(structure, network=structure.at(x), free=())
+        begun = dict(initial or {})
+        fit = self.fit(known, np.zeros(0), begun, records=records)
+        return replace(structure, offsets=fit.structure.offsets)
 
     def fit(
         self,
@@ -313,7 +315,7 @@ class Fitter:
         offset: Mapping[int, Array] | None = None,
         *,
         iterations: int = 8,
-        records: list[int] | None = None,
+        records: Sequence[int] | None = None,
         tolerance: float = 1e-4,
         frozen: bool = False,
     ) -> Fit:
@@ -333,7 +335,7 @@ class Fitter:
         if slopes is None:
             raise InputError("the simulation breaks down at the start values")
         at.prior = float(np.sum(((at.x - mean) / sigma) ** 2))
-        hessian, damping = self._hessian(slopes), 1e-4
+        hessian, damping = self._hessian(slopes), DAMPING
         for turn in range(iterations):
             fresh = slopes if turn == 0 else self.slopes(structure, at, records, True)
             if fresh is None:
@@ -341,15 +343,16 @@ class Fitter:
             slopes, hessian = fresh, self._hessian(fresh)
             before, there = at.total, False
             for again in range(1 + CHORDS):
+                last = damping
                 then, damping = self._step(
-                    structure, at, slopes, hessian, records, damping, again > 0
+                    structure, at, slopes, records, damping, again > 0
                 )
                 if then is None:
                     break
                 gain, at = 1.0 - then.total / at.total, then
                 # the slope is outdated after a large decrease of the cost
                 there = gain < 0.1 * tolerance and at.total > 0.8 * before
-                if gain < tolerance:
+                if gain < tolerance or damping > last:
                     break
             if there or at.total > (1.0 - tolerance) * before:
                 break
@@ -371,7 +374,6 @@ class Fitter:
         structure: Structure,
         at: Point,
         slopes: Mapping[int, Slope],
-        hessian: Array,
         records: Sequence[int],
         damping: float,
         chord: bool,
@@ -381,42 +383,37 @@ class Fitter:
         free = structure.free
         p, q = len(free), int(self.problem.shared_offset.sum())
         mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
-        low, high = (
-            np.append([f.low for f in free], -none),
-            np.append([f.high for f in free], none),
-        )
+        low = np.append([f.low for f in free], -none)
+        high = np.append([f.high for f in free], none)
         stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in free])
-        wide = np.where(
-            np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(at.x), sigma)
-        )
-        wide, here = np.append(wide, none), np.append(at.x, np.zeros(q))
+        reach = 3.0 * np.maximum(np.abs(at.x), sigma)
+        wide = np.append(np.where(np.isfinite(stride), stride, reach), none)
+        here = np.append(at.x, np.zeros(q))
+        pull = np.append((mean - at.x) / sigma**2, np.zeros(q))
+        prior = np.diag(np.append(1.0 / sigma**2, np.zeros(q)))
         down = {i: self._downhill(at, i, s) for i, s in slopes.items()}
-        g = np.append((mean - at.x) / sigma**2, np.zeros(q))
-        for i, s in slopes.items():
-            g = g + down[i][: p + q]
-            if len(s.own):
-                g = g - s.gram[: p + q, p + q :] @ np.linalg.solve(
-                    s.own, down[i][p + q :]
-                )
-        H = hessian + np.diag(np.append(1.0 / sigma**2, np.zeros(q)))
 
-        def take(damping: float) -> tuple[Point, float]:
-            step = (
-                bounded_step(H, g, here, low, high, wide, damping)
-                if p + q
-                else np.zeros(0)
-            )
-            moves = {}
+        def moved(damping: float) -> Point:
+            g, H = pull, prior
+            solved = {}
             for i, s in slopes.items():
-                moves[i] = np.linalg.solve(
-                    s.own, down[i][p + q :] - s.gram[p + q :, : p + q] @ step
-                )
+                first, cross = down[i][: p + q], s.gram[: p + q, p + q :]
+                own = s.own + damping * np.diag(np.diag(s.own))
+                both = np.column_stack([cross.T, down[i][p + q :]])
+                solved[i] = inner = np.linalg.solve(own, both)
+                H = H + s.gram[: p + q, : p + q] - cross @ inner[:, :-1]
+                g = g + first - cross @ inner[:, -1]
+            step = bounded_step(H, g, here, low, high, wide, damping)
+            moves = {i: s[:, -1] - s[:, :-1] @ step for i, s in solved.items()}
             then = self._moved(at, at.x + step[:p], moves, step[p:])
             then.prior = float(np.sum(((then.x - mean) / sigma) ** 2))
-            return then, self.seen(structure, then, records).total
+            return then
 
-        then, _, damping = damped_step(take, at.total, damping, tries=1 if chord else 6)
-        return then, damping
+        def take(dampings: Sequence[float]) -> list[tuple[Point, float]]:
+            points = self.seen_all(structure, [moved(d) for d in dampings], records)
+            return [(then, then.total) for then in points]
+
+        return damped_step(take, at.total, damping, tries=1 if chord else TRIES)
 
     def _states(
         self,
@@ -432,51 +429,35 @@ class Fitter:
             slopes = self.slopes(structure, at, left, False)
             if slopes is None and turn == 0:
                 raise InputError("the simulation breaks down at the start values")
-            if (
-                slopes is None
-                or not iterations
-                or not any(len(s.own) for s in slopes.values())
-            ):
+            if slopes is None or not iterations:
                 break
-            before, there = dict(at.costs), dict.fromkeys(left, False)
-            going, share = left, dict.fromkeys(left, 1.0)
-            for _ in range(1 + CHORDS):
-                down = {i: self._downhill(at, i, slopes[i]) for i in going}
-                moves = {
-                    i: share[i] * np.linalg.solve(slopes[i].own, down[i]) for i in going
-                }
-                promised = {
-                    i: float(down[i] @ moves[i]) / max(at.costs[i], 1e-300)
-                    for i in going
-                }
-                then = self.seen(structure, self._moved(at, at.x, moves), going)
-                gains = {
-                    i: 1.0 - then.costs[i] / max(at.costs[i], 1e-300) for i in going
-                }
-                for i in going:
-                    if gains[i] > 0:
-                        at.take(then, i)
-                        there[i] = gains[i] < 0.1 * tolerance
-                    elif (
-                        at.costs[i] == before[i]
-                    ):  # the full step increases the cost of this record
-                        share[i] *= 0.3
-                going = [
-                    i
-                    for i in going
-                    if gains[i] > tolerance
-                    or (at.costs[i] == before[i] and promised[i] > tolerance)
-                ]
-                if not going:
-                    break
-            left = [
-                i
-                for i in left
-                if not there[i] and at.costs[i] < (1.0 - tolerance) * before[i]
-            ]
+            left = [i for i in left if len(slopes[i].own)]
             if not left:
                 break
+            tried = [self._eased(at, slopes, left, damping) for damping in EASED]
+            points = self.seen_all(structure, tried, left)
+            gains = {}
+            for i in left:
+                best = min(points, key=lambda then: then.costs[i])
+                gains[i] = 1.0 - best.costs[i] / max(at.costs[i], 1e-300)
+                if gains[i] > 0.0:
+                    at.take(best, i)
+            left = [i for i in left if gains[i] > tolerance]
         return at
+
+    def _eased(
+        self,
+        at: Point,
+        slopes: Mapping[int, Slope],
+        records: Sequence[int],
+        damping: float,
+    ) -> Point:
+        """Return the point with the initial states and offsets of a damped step."""
+        moves = {}
+        for i in records:
+            own = slopes[i].own + damping * np.diag(np.diag(slopes[i].own))
+            moves[i] = np.linalg.solve(own, self._downhill(at, i, slopes[i]))
+        return self._moved(at, at.x, moves)
 
     def _result(
         self, structure: Structure, at: Point, hessian: Array | None = None
@@ -520,7 +501,7 @@ class Fitter:
         """Fit initial states and offsets of records from the cheapest of `initial` (or a guess), `about`, and without `initial` the final
         state of the preceding record; the parameters stay."""
         problem, net = self.problem, structure.at(x)
-        n0 = assemble(bare(net)).size[0]
+        n0 = assemble(net.mechanical).size[0]
         if structure.offsets is None and problem.shared_offset.any():
             structure = self.with_offsets(structure, x, problem.estimation or records)
         shared = structure.offsets
@@ -570,7 +551,6 @@ class Fitter:
             if not before:
                 break
         self._follow_heads(structure, at, iterations)
-        self._recover(structure, at, iterations)
         return self._result(structure, at)
 
     def _follow_heads(self, structure: Structure, at: Point, iterations: int) -> None:
@@ -608,29 +588,6 @@ class Fitter:
             return 0.0
         return math.sqrt(
             _mean_power((record.measured - at.outputs[i])[:, moves], deviation[moves])
-        )
-
-    def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
-        """Restart the records with far larger errors than the others near their initial states: with play or sticking friction, a few of
-        many starts end in a local optimum."""
-        each = {i: cost / len(self.problem.records[i]) for i, cost in at.costs.items()}
-        if len(each) < FEW:
-            return
-        usual = float(np.median(list(each.values())))
-        astray = [i for i, cost in each.items() if not cost < ASTRAY * usual]
-        about = np.std([at.initial[i] for i in each], axis=0)
-        if not astray or len(astray) > len(each) / 2 or not about.any():
-            return
-        steps = [
-            s * a * e
-            for e, a in zip(np.eye(len(about)), about, strict=True)
-            for s in ABOUT
-        ]
-        self._again(
-            structure,
-            at,
-            {i: [at.initial[i] + step for step in steps] for i in astray},
-            iterations,
         )
 
     def _again(
@@ -723,29 +680,6 @@ class Fitter:
             for i, (a, c) in parts.items()
         }
         return shift[: len(fit.x)], left
-
-
-def _weighted_mean(
-    problem: Problem,
-    channels: NDArray[np.intp],
-    offset: Mapping[int, Array],
-    slopes: Mapping[int, Slope],
-) -> Array:
-    """Return the mean over records of the offsets per record (offsets,) of some channels, weighted by information."""
-    total, weighted = np.zeros((len(channels), len(channels))), np.zeros(len(channels))
-    free = np.flatnonzero(problem.record_offset)
-    for i, s in slopes.items():
-        place = len(s.known) + np.searchsorted(free, channels)
-        rest = np.setdiff1d(np.arange(len(s.own)), place)
-        information = s.own[np.ix_(place, place)]
-        if len(rest):
-            cross = s.own[np.ix_(rest, place)]
-            information = information - cross.T @ np.linalg.solve(
-                s.own[np.ix_(rest, rest)], cross
-            )
-        total += information
-        weighted += information @ offset[i][channels]
-    return np.asarray(np.linalg.solve(total, weighted), dtype=np.float64)
 
 
 def residuals(problem: Problem, fit: Fit) -> list[Array]:

@@ -10,7 +10,6 @@ import numpy as np
 from ...physics.network import GROUND, Channel, Network, assemble
 from ...physics.network.frames import frames
 from .._simulation.node_motion import motion_rows_of
-from .._simulation.problem import Problem, Record, bare
 from .structure import Structure, offsets_of, twin
 
 if TYPE_CHECKING:
@@ -18,11 +17,12 @@ if TYPE_CHECKING:
 
     from ..._common.arrays import Array
     from ...physics.network import Assembly
+    from .._simulation.problem import Problem, Record
 
 
 def motion_rows(problem: Problem, network: Network) -> Array:
     """Return the rows from states to displacements, and to velocities times the time scale."""
-    return motion_rows_of(assemble(bare(network)), problem.time)
+    return motion_rows_of(assemble(network.mechanical), problem.time)
 
 
 def led(network: Network, record: Record) -> tuple[Array, Array]:
@@ -56,7 +56,7 @@ def guess(
     """Return an initial state from the first samples: displacements and slopes as measured beside known offsets (channels,), the rest
     small, or near the state `about`."""
     record = problem.records[index]
-    pure = bare(network)
+    pure = network.mechanical
     asm = assemble(pure)
     n0 = asm.size[0]
     if not n0:
@@ -123,7 +123,7 @@ def states_along(
     """Return the states (states,) of each record's simulation at compared samples (negative: from the end), from the motion of the
     nodes."""
     net, time = structure.at(x), problem.time
-    pure = bare(net)
+    pure = net.mechanical
     nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
     watched = replace(pure, outputs=tuple(_seen(pure, n) for n in nodes))
     probe = problem.watching(watched)
@@ -187,7 +187,10 @@ def transfer_states(
     problem: Problem, network: Network, initial: dict[int, Array], structure: Structure
 ) -> dict[int, Array]:
     """Return initial states in the coordinates of another structure: nodes keep their motion, a split node moves like its origin."""
-    source, target = assemble(bare(network)), assemble(bare(structure.network))
+    source, target = (
+        assemble(network.mechanical),
+        assemble(structure.network.mechanical),
+    )
     before, net, time = source.network, target.network, problem.time
     free = [n for n in net.nodes if n not in net.moved_nodes]
     own = [n for n in before.nodes if n not in before.moved_nodes]

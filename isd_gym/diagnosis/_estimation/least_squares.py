@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from ..._common.arrays import Array
 
@@ -16,21 +16,23 @@ Point = TypeVar("Point")
 
 
 def damped_step(
-    take: Callable[[float], tuple[Point, float]],
+    take: Callable[[Sequence[float]], list[tuple[Point, float]]],
     cost: float,
     damping: float,
     *,
     tries: int,
-) -> tuple[Point | None, float, float]:
-    """Return a point with a lower cost, or None, its cost, and the next damping: tenfold after each failure but a single one. `take`
-    returns a point and its cost, infinite if the simulation fails."""
-    for _ in range(tries):
-        found, lower = take(damping)
-        if math.isfinite(lower) and lower < cost:
-            return found, lower, max(damping * 0.2, 1e-6)
-        if tries > 1:
-            damping = max(damping * 10, 1e-3 if math.isfinite(lower) else 1.0)
-    return None, cost, damping
+) -> tuple[Point | None, float]:
+    """Return a point with a lower cost, or None, and the next damping: less after a success. Where the first try fails, the best of
+    several dampings, tenfold each, is taken. `take` returns the points of dampings and their costs, infinite if a simulation fails.
+    """
+    found, lower = take([damping])[0]
+    if not lower < cost and tries > 1:
+        least = max(10 * damping, 1e-3 if math.isfinite(lower) else 1.0)
+        dampings = [least * 10**k for k in range(tries - 1)]
+        points = take(dampings)
+        k = int(np.argmin([each for _, each in points]))
+        (found, lower), damping = points[k], dampings[k]
+    return (found, max(0.2 * damping, 1e-6)) if lower < cost else (None, damping)
 
 
 def bounded_step(

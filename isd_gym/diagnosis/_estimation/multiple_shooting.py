@@ -14,7 +14,7 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics.network import Network, linearise
 from .._records.splitting import cut_segments
-from .._simulation.problem import BROKEN, Problem, bare
+from .._simulation.problem import BROKEN, Problem
 from .gauss_newton import Fitter
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ GROWTH = 1.6  # of the length of segments, from one fit to the next
 
 def is_lightly_damped(network: Network) -> bool:
     """Return whether a mode of the network, about rest, lasts for many periods."""
-    still = bare(network)
+    still = network.mechanical
     try:
         poles = np.linalg.eigvals(linearise(still).A)
     except InputError:  # a law without a slope: the linear part

@@ -16,7 +16,7 @@ from ...physics.network import assemble
 from .._estimation.multiple_shooting import is_lightly_damped
 from .._estimation.sensitivities import tangents
 from .._estimation.structure import Hypothesis, Structure, add
-from .._simulation.problem import BROKEN, Problem, bare
+from .._simulation.problem import BROKEN, Problem
 from .forces import DISSIPATIVE, lossy_share, place_forces
 from .library import hypotheses
 from .motion import loads_of, motions, setting, simulate_variants, tell_gain
@@ -37,58 +37,54 @@ DEPENDENT = 1e-7
 
 @dataclass(frozen=True)
 class Residual:
-    """Whitened residual of a fit, and what the fit absorbs of any residual to first order."""
+    """Whitened residual of a fit after the projection orthogonal to the derivatives (`left`, (rows,)), with the rows of each record, and
+    orthonormal bases of the nuisances of each record and of the parameters."""
 
-    #: residual orthogonal to the derivatives (rows,)
     left: Array
-    #: first and last row, and outputs of each record
-    spans: dict[int, tuple[int, int, Array]]
-    #: orthonormal basis of the initial state and the offsets of each record
+    rows: dict[int, slice]
     nuisances: dict[int, Array]
-    #: orthonormal basis of the parameters, and of the offsets that records share
     basis: Array
 
     def without(self, columns: Array) -> Array:
-        """Return columns (rows, n) without what the fit absorbs."""
+        """Return columns (rows, columns) without what parameters and nuisances absorb to first order."""
         out = columns - self.basis @ (self.basis.T @ columns)
         for i, Q in self.nuisances.items():
-            first, last, _ = self.spans[i]
-            out[first:last] -= Q @ (Q.T @ columns[first:last])
+            out[self.rows[i]] -= Q @ (Q.T @ columns[self.rows[i]])
         return np.asarray(out, dtype=np.float64, order="F")
 
 
 def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
-    """Return the residual of a fit; its last rows are those of the stated uncertainty."""
+    """Return the residual of a fit on the training records."""
     structure, own = fit.structure, len(fit.x)
-    parts, spans, nuisances, at = [], {}, {}, 0
+    # parameters, and offsets that all records share
+    p = own + int(problem.shared_offset.sum())
+    parts, rows, nuisances, at = [], {}, {}, 0
     begun = {i: fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, fit.x, begun).items():
-        said = problem.shifted(i, t.outputs, fit.offset[i])
-        left = (problem.records[i].measured - said)[:, :, None]
-        common = problem.common(t.outputs)
+        seen = problem.shifted(i, t.outputs, fit.offset[i])
+        r = (problem.records[i].measured - seen)[:, :, None]
         free = problem.nuisances(i, t.outputs)
-        kept = 1 + own + common.shape[2]
-        stack = [left, t.by_parameter, common, t.by_state, free]
-        W = fitter.weights(np.concatenate(stack, axis=2))
-        W = W.reshape(-1, W.shape[2])
-        nuisances[i] = _orthogonal(W[:, kept:])
-        parts.append(W[:, :kept])
-        spans[i] = (at, at + len(W), t.outputs)
+        common = problem.common(t.outputs)
+        stack = np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2)
+        W = fitter.weights(stack).reshape(-1, stack.shape[2])
+        nuisances[i] = _orthogonal(W[:, 1 + p :])
+        parts.append(W[:, : 1 + p])
+        rows[i] = slice(at, at + len(W))
         at += len(W)
-    J = np.zeros((at + own, kept))
+    J = np.zeros((at + own, 1 + p))
     J[:at] = np.concatenate(parts)
     J[at:, 0] = (structure.mean - fit.x) / structure.sigma
-    J[at:, 1 : 1 + own] = np.diag(1 / structure.sigma)
-    norm = np.linalg.norm(J, axis=0)
-    for i, (first, last, _) in spans.items():
-        J[first:last] -= nuisances[i] @ (nuisances[i].T @ J[first:last])
-    basis = _orthogonal(J[:, 1:], norm[1:])
+    J[at:, 1 : 1 + own] = np.diag(1 / structure.sigma)  # the stated uncertainty
+    norm = np.linalg.norm(J[:, 1:], axis=0)
+    for i, Q in nuisances.items():
+        J[rows[i]] -= Q @ (Q.T @ J[rows[i]])
+    basis = _orthogonal(J[:, 1:], norm)
     left = J[:, 0] - basis @ (basis.T @ J[:, 0])
-    return Residual(left, spans, nuisances, basis)
+    return Residual(left, rows, nuisances, basis)
 
 
 def _orthogonal(columns: Array, norm: Array | None = None) -> Array:
-    """Return an orthonormal basis of columns (rows, columns), without those that are small beside `norm`, their own norms by default."""
+    """Return an orthonormal basis of columns (rows, columns); dependence is relative to `norm`, their own norms by default."""
     norm = np.linalg.norm(columns, axis=0) if norm is None else norm
     Q, R = np.linalg.qr(columns / np.where(norm > 0, norm, 1))
     return np.asarray(Q[:, np.abs(np.diag(R)) > DEPENDENT])
@@ -134,7 +130,7 @@ def built_ways(fit: Fit, h: Hypothesis, start: Start) -> list[Structure]:
             for way in start.ways
         ]
         for b in built:
-            assemble(bare(b.network))
+            assemble(b.network.mechanical)
     except BROKEN:
         return []
     return built

@@ -10,10 +10,10 @@ from scipy.integrate import cumulative_trapezoid
 
 from ..._common.arrays import rms
 from ...physics.elements import Motion, Setting
-from ...physics.network import MOTIONS, Channel, Network, assemble
+from ...physics.network import MOTIONS, Channel, Network, assemble, assemble_all
 from ...physics.network.frames import order_told
 from ...physics.simulate import pace, side_by_side
-from .._simulation.problem import BROKEN, Problem, bare
+from .._simulation.problem import BROKEN, Problem
 from .library import pairs
 
 if TYPE_CHECKING:
@@ -133,17 +133,26 @@ def setting(
     )
 
 
+def _assembled(networks: Sequence[Network], which: Sequence[int]) -> list[int]:
+    """Return those of some networks that have equations of motion, which are made side by side."""
+    try:
+        assemble_all([networks[k].mechanical for k in which])
+    except BROKEN:
+        half = len(which) // 2  # isolate the network without
+        parts = (which[:half], which[half:]) if half else ()
+        return [k for part in parts for k in _assembled(networks, part)]
+    return list(which)
+
+
 def simulate_variants(
     problem: Problem, fit: Fit, networks: Sequence[Network]
 ) -> Iterator[tuple[list[int], dict[int, Array]]]:
     """Yield the outputs of many networks over the training records, with the states of a fit: indices, and outputs (samples, channels,
     lanes) by record; what breaks down is left out."""
     groups: dict[tuple[object, ...], list[int]] = {}
-    for k, net in enumerate(networks):
-        try:
-            alike = side_by_side(assemble(bare(net)))
-        except BROKEN:
-            continue
+    for k in _assembled(networks, range(len(networks))):
+        net = networks[k]
+        alike = side_by_side(assemble(net.mechanical))
         outside = tuple(type(e).__name__ for e in net.elements if e.place != "between")
         groups.setdefault((outside, *alike), []).append(k)
     chunks = [

@@ -15,7 +15,7 @@ from ...records.data import Table
 from .._estimation.gauss_newton import Fitter
 from .._estimation.noise import white_weights
 from .._selection.criteria import LEAST_NOISE
-from .._simulation.problem import BROKEN, Problem, Record, bare
+from .._simulation.problem import BROKEN, Problem, Record
 from .excitation import infer_rig, list_excitations, make_record
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def separate(
     fitter = Fitter(problem, white_weights(np.where(level > 0, level, 1.0)))
     found = Separation(math.inf, ("", ""), "")
     for rival, own in zip(rivals, outputs, strict=True):
-        rest = np.zeros(assemble(bare(rival.structure.network)).size[0])
+        rest = np.zeros(assemble(rival.structure.network.mechanical).size[0])
         fit = fitter.fit(rival.structure, rival.x, {0: rest}, iterations=0)
         for truth, other in zip(rivals, outputs, strict=True):
             if truth is rival:

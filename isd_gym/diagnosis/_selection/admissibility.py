@@ -16,7 +16,6 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics import elements as el
 from ...physics.network import linearise
-from .._simulation.problem import bare
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,7 +56,7 @@ def is_observed(network: Network, pair: Pair) -> bool:
     try:
         probe = network.probe(network.free_name("travel"), "displacement", between=pair)
         space = linearise(
-            bare(replace(network, outputs=(*told, probe), uncertainty={}))
+            replace(network, outputs=(*told, probe), uncertainty={}).mechanical
         )
     except (InputError, ArithmeticError, np.linalg.LinAlgError):
         return True

@@ -154,7 +154,7 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
         if row.error - chosen.error < width or table.is_alike(row, chosen)
     ]
     fewest = min(near, key=lambda row: (row.parameters, row.error))
-    simplest = simplest_law(same, fewest, refit, c)
+    simplest = simplest_law(same, fewest, c)
     others = [
         row
         for row in near
@@ -212,13 +212,9 @@ def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
     return chosen
 
 
-def simplest_law(rows: Sequence[Row], best: Row, refit: Row, c: Criteria) -> Row:
-    """Return the set with fewest parameters among those of the same kinds that remove nearly as much."""
-    removed = refit.error**2 - best.error**2
-    alike = [
-        row
-        for row in rows
-        if row.kinds == best.kinds
-        and refit.error**2 - row.error**2 >= c.within_kind * removed
-    ]
+def simplest_law(rows: Sequence[Row], best: Row, c: Criteria) -> Row:
+    """Return the set with fewest parameters among those of the same kinds, unless the best one removes a share of what it leaves, as a
+    further law must."""
+    most = excess(best, 0.0, c) / c.one_more_leaves
+    alike = [r for r in rows if r.kinds == best.kinds and excess(r, 0.0, c) <= most]
     return min([*alike, best], key=lambda row: (row.parameters, row.error))

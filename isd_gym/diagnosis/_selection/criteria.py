@@ -48,12 +48,6 @@ class Criteria:
         "the band of the best set widens with what the set leaves, up to `material`",
         "simulated and measured rigs together",
     )
-    within_kind: float = limit(
-        0.95,
-        "share of the removed squared error",
-        "the simplest law of a kind that removes so much of what the best law of the kind removes is the law",
-        "as above",
-    )
     one_more_leaves: float = limit(
         0.4,
         "share of the squared error beyond noise",

@@ -23,7 +23,7 @@ from .._estimation.structure import Free, Structure, cells_beside
 from .._hypotheses.forces import PlaceForces, place_forces
 from .._hypotheses.library import pairs
 from .._hypotheses.motion import motions
-from .._simulation.problem import BROKEN, Problem, bare
+from .._simulation.problem import BROKEN, Problem
 from ..result import BestTable, Over, Tabulated
 from .admissibility import travels
 from .answer import removed_share
@@ -124,7 +124,7 @@ def table(
     ]
     outputs = cells_beside(network, element)
     built = replace(network, elements=(*network.elements, element), outputs=outputs)
-    assemble(bare(built))
+    assemble(built.mechanical)
     free = (*base.free, *new)
     return Table(
         built, free, offsets=base.offsets, element=name, over=over, basis=basis

@@ -15,7 +15,7 @@ from .._simulation.problem import BROKEN
 from .._simulation.time_limit import SEARCH, TimeLimit, TimeUp
 from .answer import answer_of, simplest_law
 from .held_out_table import row_of
-from .plain_fits import FAILS, Stage, freed, try_fit
+from .plain_fits import FAILS, Stage, freed, go_on, try_fit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -111,7 +111,7 @@ class Search:
                 break
             if best.error**2 - noise**2 < s.good_enough**2:
                 break
-            front = [row.fit for row in self._front(sound, rows[0])]
+            front = [row.fit for row in self._front(sound)]
 
     def _with_fewer(self, fitter: Fitter, fit: Fit) -> list[Fit]:
         """Return fits with one law less, from the values of a fit: alone, a law may have ended in another optimum."""
@@ -138,12 +138,12 @@ class Search:
             out += [fewer] if fewer is not None else []
         return out
 
-    def _front(self, rows: Sequence[Row], refit: Row) -> list[Row]:
+    def _front(self, rows: Sequence[Row]) -> list[Row]:
         """Return the best sets of distinct kinds, each with the simplest law of its kinds."""
         out: dict[object, Row] = {}
         for row in sorted(rows, key=lambda row: row.error):
             if row.kinds not in out and len(out) < self.settings.beam:
-                out[row.kinds] = simplest_law(rows, row, refit, self.criteria)
+                out[row.kinds] = simplest_law(rows, row, self.criteria)
         return list(out.values())
 
     def score(self, fits: Sequence[Fit]) -> list[Row]:
@@ -164,9 +164,7 @@ class Search:
         """Return a fit with the channels balanced by its own residual."""
         left = residuals(self.problem, fit)
         fitter = Fitter(self.problem, balanced_weights(left, self.least_noise))
-        steps = self.settings.last_steps
-        more = try_fit(fitter, fit.structure, fit.x, fit.initial, fit.offset, steps)
-        return fit if more is None else more
+        return go_on(fitter, fit, self.settings.last_steps) or fit
 
     def _row(self, fit: Fit, near: Fit | None = None) -> Row | None:
         """Return the row of a fit; None where a record cannot be simulated."""

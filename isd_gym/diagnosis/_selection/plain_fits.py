@@ -18,7 +18,6 @@ import numpy as np
 
 from ..._common.errors import InputError
 from ...physics.elements import beside
-from ...physics.network import assemble
 from .._estimation.gauss_newton import Fit, Fitter, gap
 from .._estimation.initial_states import transfer_states
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
@@ -26,7 +25,7 @@ from .._estimation.structure import FAR, WIDE, add, parameter_values
 from .._hypotheses.law_matching import residual_of, starts_of
 from .._hypotheses.library import hypotheses
 from .._hypotheses.motion import motions, simulate_variants
-from .._simulation.problem import BROKEN, bare
+from .._simulation.problem import BROKEN
 from .._simulation.time_limit import adopt, running
 from .admissibility import is_admissible, travels
 
@@ -90,6 +89,11 @@ def try_fit(
     return fit if math.isfinite(fit.cost) else None
 
 
+def go_on(fitter: Fitter, fit: Fit, steps: int) -> Fit | None:
+    """Return a further fit from the values and states of a fit; None where the simulation breaks down."""
+    return try_fit(fitter, fit.structure, fit.x, fit.initial, fit.offset, steps)
+
+
 class Stage:
     """Plain fits of all laws beside a fitted set."""
 
@@ -125,12 +129,9 @@ class Stage:
                 own[starts[k].law].append(starts[k])
         by_law = {law: found for law, found in own.items() if found}
         laws = self.with_special_cases(list(by_law)[:shortlist], by_law)
-        begun = [
-            fit
-            for found in self.each(self.first_fits, [by_law[law] for law in laws])
-            for fit in found
-        ]
-        return self.finish(sorted(begun, key=lambda fit: fit.cost), kept)
+        begun = self.each(self.first_fit, [by_law[law] for law in laws])
+        found = [fit for fit in begun if fit is not None]
+        return self.finish(sorted(found, key=lambda fit: fit.cost), kept)
 
     def each(self, work: Callable[[I], O], items: Sequence[I]) -> list[O]:
         """Return what a function makes of each item, in threads: the kernel does not hold the interpreter."""
@@ -211,7 +212,6 @@ class Stage:
         try:
             built = add(freed(self.base.structure, law), law, values)
             x = built.start_from(known)
-            assemble(bare(built.network))
         except FAILS:
             return None
         return Start(law, built, x)
@@ -254,13 +254,11 @@ class Stage:
         for chunk, seen in simulate_variants(p, now, networks):
             rows = np.zeros((len(residual.left), len(chunk)))
             for i, y in seen.items():
-                first, last, _ = residual.spans[i]
                 offset = np.repeat(now.offset[i][:, None], y.shape[2], axis=1)[:columns]
                 with np.errstate(over="ignore", invalid="ignore"):
                     left = p.records[i].measured[:, :, None] - y - offset[None]
-                    rows[first:last] = self.coarse.weights(left).reshape(
-                        last - first, -1
-                    )
+                    weighted = self.coarse.weights(left)
+                rows[residual.rows[i]] = weighted.reshape(-1, len(chunk))
             is_finite = np.asarray((np.abs(rows) < 1e100).all(axis=0))
             rows[:, ~is_finite] = 0.0
             own = len(now.x)
@@ -284,31 +282,30 @@ class Stage:
         return beside, alone, self.sized(residual.left, probes)
 
     # -- fits ---------------------------------------------------------------------------------------------
-    def first_fits(self, starts: Sequence[Start]) -> list[Fit]:
-        """Return brief fits of a law from its best starts, each from the states of the set and from those that the first samples tell."""
-        rules, out = self.rules, []
-        for start in starts[: rules.fitted]:
-            for states in self.states(start):
-                offset = None if states is None else self.now.offset
-                fit = try_fit(
-                    self.coarse,
-                    start.structure,
-                    start.x,
-                    states,
-                    offset,
-                    rules.first_steps,
-                )
-                out += [fit] if fit is not None else []
-        best = starts[0]
-        x = (
-            fit_segments(self.problem, best.structure, best.x, self.coarse)
-            if self.is_lost
-            else None
+    def first_fit(self, starts: Sequence[Start]) -> Fit | None:
+        """Return the best brief fit of a law from its best starts, with the states of the set and with those that the first samples tell; None
+        where all simulations break down."""
+        begun = [
+            self.brief(start, start.x, states)
+            for start in starts[: self.rules.fitted]
+            for states in self.states(start)
+        ]
+        if self.is_lost:
+            first = starts[0]
+            x = fit_segments(self.problem, first.structure, first.x, self.coarse)
+            if x is not None:
+                begun.append(self.brief(first, x, None))
+        found = [fit for fit in begun if fit is not None]
+        return min(found, key=lambda fit: fit.cost, default=None)
+
+    def brief(
+        self, start: Start, x: Array, states: dict[int, Array] | None
+    ) -> Fit | None:
+        """Return a fit of a few steps from parameters `x` and states; the offsets are those of the set where the states are."""
+        offset = None if states is None else self.now.offset
+        return try_fit(
+            self.coarse, start.structure, x, states, offset, self.rules.first_steps
         )
-        if x is not None:
-            fit = try_fit(self.coarse, best.structure, x, None, None, rules.first_steps)
-            out += [fit] if fit is not None else []
-        return out
 
     @cached_property
     def is_lost(self) -> bool:
@@ -345,10 +342,9 @@ class Stage:
             return math.inf
 
     def finish(self, begun: Sequence[Fit], kept: int) -> list[Fit]:
-        """Fit the laws to the end, each from its best first fit, and the best ones with all samples."""
-        chosen: dict[Hypothesis, Fit] = {}
+        """Fit the laws to the end from their first fits, and the best ones with all samples."""
+        chosen: list[Fit] = []
         for fit in begun:
-            law = fit.structure.hypotheses[-1]
             is_small = len(fit.x) <= len(self.base.x) + 1
             is_hopeless = fit.cost > self.rules.hopeless * begun[0].cost
             # few steps say little about a law with one parameter while the set still misses much
@@ -357,11 +353,9 @@ class Stage:
                 if is_small
                 else True
             )
-            if law not in chosen and not (len(chosen) >= kept and is_left):
-                chosen[law] = fit
-        out = self.continued(
-            self.coarse, list(chosen.values()), self.rules.further_steps
-        )
+            if not (len(chosen) >= kept and is_left):
+                chosen.append(fit)
+        out = self.continued(self.coarse, chosen, self.rules.further_steps)
         out += self.special_cases(out)
         out.sort(key=lambda f: f.cost)
         if self.problem is self.whole:
@@ -373,11 +367,8 @@ class Stage:
 
     def continued(self, fitter: Fitter, fits: Sequence[Fit], steps: int) -> list[Fit]:
         """Return further fits from the values and states of fits."""
-
-        def go_on(f: Fit) -> Fit | None:
-            return try_fit(fitter, f.structure, f.x, f.initial, f.offset, steps)
-
-        return [fit for fit in self.each(go_on, fits) if fit is not None]
+        found = self.each(lambda fit: go_on(fitter, fit, steps), fits)
+        return [fit for fit in found if fit is not None]
 
     def special_cases(self, fits: Sequence[Fit]) -> list[Fit]:
         """Return fits of special cases of the last law from the values of the law, where the law costs less than the special case: the

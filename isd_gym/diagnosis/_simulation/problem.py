@@ -216,16 +216,6 @@ def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array
     return np.maximum(np.sqrt(np.asarray(square, dtype=np.float64)), 1e-300)
 
 
-def bare(network: Network) -> Network:
-    """Return the network without motor and sensor effects, which act outside the kernel."""
-    kept = tuple(e for e in network.elements if e.place == "between")
-    return (
-        network
-        if len(kept) == len(network.elements)
-        else replace(network, elements=kept)
-    )
-
-
 #: exceptions of a simulation or a fit that breaks down
 BROKEN = (InputError, np.linalg.LinAlgError)
 
@@ -393,16 +383,6 @@ class Problem:
     def _unread(self) -> list[Record]:
         return [r.unread() for r in self.records]
 
-    @cached_property
-    def loose(self) -> Problem:
-        """Return the problem with one offset per record in place of one offset for all records."""
-        outputs = tuple(
-            replace(c, offset="record" if c.offset else None)
-            for c in self.network.outputs
-        )
-        network = replace(self.network, outputs=outputs)
-        return Problem(network, self.records, self.roles, self.step, self.time)
-
     def deviation(self, records: Sequence[int] | None = None) -> Array:
         """Return the deviation (channels,) within measured records, of which segments with one name are one, by default those to fit by;
         at least 1e-300."""
@@ -503,12 +483,8 @@ class Problem:
         records = [self.records[i] for i in members]
         record, wide = records[0], len(networks)
         every = self.every(record)
-        pure = {
-            id(n): bare(n) for n in networks
-        }  # lanes with different initial states share a network
-        plant = Plant(
-            [pure[id(n)] for n in networks] * len(records), record.step / every
-        )
+        lanes = [n.mechanical for n in networks] * len(records)
+        plant = Plant(lanes, record.step / every)
         inputs, slopes = self._inputs_of_lanes(plant, networks, records)
         start = None
         if plant.n:
@@ -614,7 +590,7 @@ class Problem:
         lanes = len(plant.networks)
         if initial is None:
             return np.zeros((plant.n, lanes))
-        source = plant.assemblies[0] if like is None else assemble(bare(like))
+        source = plant.assemblies[0] if like is None else assemble(like.mechanical)
         # most lanes differ in parameters that the motion of the nodes does not depend on
         keys = [
             asm.position.tobytes() + asm.velocity.tobytes() for asm in plant.assemblies

@@ -18,7 +18,7 @@ from .._estimation.noise import floors_of, white_weights
 from .._estimation.structure import base_structure
 from .._records.reading import read_record
 from .._simulation.node_motion import transfer_matrix
-from .._simulation.problem import Problem, bare
+from .._simulation.problem import Problem
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -91,7 +91,7 @@ def initial_state(
             f"initial state: model '{network.name}' breaks down over {record.name}"
         )
     over = transfer_matrix(
-        assemble(bare(network)), assemble(Network.load(model)), problem.time
+        assemble(network.mechanical), assemble(Network.load(model)), problem.time
     )
     time = np.asarray(
         record.start + record.step * np.arange(record.samples), dtype=np.float64

@@ -97,17 +97,19 @@ class StribeckFriction(Element):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         level = known_level(at)
+        rises = (at.small, level) if level else (at.small,)
         return [
             Start(
                 {
                     "level": level + 0.3 * at.small,
-                    "static_level": level + 1.3 * at.small,
+                    "static_level": level + 0.3 * at.small + rise,
                     "stribeck_velocity": share * rms(at.moves.v),
                 },
                 grows=("level", "static_level") if not level else (),
                 signed=bool(level),
             )
-            for share in (0.3, 1.0)
+            for share in (0.1, 0.3, 1.0)
+            for rise in rises
         ]
 
     @classmethod

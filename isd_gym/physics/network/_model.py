@@ -618,6 +618,12 @@ class Network:
         return frozenset(n for n, part in self.tied.items() if part in parts)
 
     @cached_property
+    def mechanical(self) -> Network:
+        """The network without the effects of motors and sensors, which act outside the equations of motion."""
+        kept = tuple(e for e in self.elements if e.place == "between")
+        return self if len(kept) == len(self.elements) else replace(self, elements=kept)
+
+    @cached_property
     def _assembly(self) -> Assembly:
         from ._assembly import _assemble
 
@@ -818,7 +824,7 @@ class Network:
     def _with_values(self, **parts: Any) -> Network:
         """Return a copy with other values, which do not change the checked structure."""
         out = copy(self)
-        for name in ("parameters", "_assembly"):
+        for name in ("parameters", "mechanical", "_assembly"):
             out.__dict__.pop(name, None)
         out.__dict__.update(parts)
         return out
