@@ -85,7 +85,7 @@ def test_each_of_several_laws_must_remove_its_share():
     assert not answer(
         row(0.26), row(0.22, COULOMB), row(0.17, COULOMB, CUBIC, DRAG)
     ).band
-    three = answer(row(0.26), row(0.22, COULOMB), row(0.06, COULOMB, CUBIC, DRAG))
+    three = answer(row(0.26), row(0.22, COULOMB), row(0.05, COULOMB, CUBIC, DRAG))
     assert len(effects(three)) == 3
 
 

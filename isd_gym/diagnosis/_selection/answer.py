@@ -75,9 +75,9 @@ def beyond_noise(row: Row, noise: float) -> float:
     return float(max(row.error**2 - noise**2, 0.0) ** 0.5)
 
 
-def excess(row: Row, noise: float, c: Criteria) -> float:
-    """Return the squared error of a set beyond noise, at least that of the least width: less is no difference."""
-    return max(row.error**2 - noise**2, c.least_width**2)
+def excess(error: float, noise: float, c: Criteria) -> float:
+    """Return a squared error beyond noise, at least that of the least width: less is no difference."""
+    return max(error**2 - noise**2, c.least_width**2)
 
 
 class Table:
@@ -104,8 +104,16 @@ class Table:
         return row.parameters <= simplest.parameters or self.is_better(row, simplest)
 
     def leaves(self, row: Row, other: Row) -> float:
-        """Return the squared error beyond noise that a set leaves, as a share of what the other leaves."""
-        return excess(row, self.noise, self.c) / excess(other, self.noise, self.c)
+        """Return the squared error beyond noise that a set leaves, as a share of what the other leaves: geometric mean over validation and
+        training records."""
+        held, fitted = (
+            excess(one, self.noise, self.c) / excess(two, self.noise, self.c)
+            for one, two in (
+                (row.error, other.error),
+                (row.training_error, other.training_error),
+            )
+        )
+        return (held * fitted) ** 0.5
 
     def is_alike(self, row: Row, best: Row) -> bool:
         """Return whether chance makes the difference to the best set: the best set predicts no better, and leaves a similar error."""
@@ -116,7 +124,7 @@ class Table:
 
     def width(self, best: Row) -> float:
         """Return the difference of errors that is no difference beside a set: it grows with what the set leaves."""
-        grown = self.c.width_growth * excess(best, self.noise, self.c) ** 0.5
+        grown = self.c.width_growth * excess(best.error, self.noise, self.c) ** 0.5
         return min(max(grown, self.c.least_width), self.c.material)
 
 
@@ -184,7 +192,9 @@ def _forces_first(rows: Sequence[Row], noise: Array, c: Criteria) -> list[Row]:
         return forces or list(rows)
     level = float(np.sqrt(np.mean(np.minimum(noise, best.validation) ** 2)))
     rival = min(forces, key=lambda row: row.error)
-    is_near = excess(rival, level, c) < c.forces_first * excess(best, level, c)
+    is_near = excess(rival.error, level, c) < c.forces_first * excess(
+        best.error, level, c
+    )
     return forces if is_near else list(rows)
 
 
@@ -215,6 +225,8 @@ def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
 def simplest_law(rows: Sequence[Row], best: Row, c: Criteria) -> Row:
     """Return the set with fewest parameters among those of the same kinds, unless the best one removes a share of what it leaves, as a
     further law must."""
-    most = excess(best, 0.0, c) / c.one_more_leaves
-    alike = [r for r in rows if r.kinds == best.kinds and excess(r, 0.0, c) <= most]
+    most = excess(best.error, 0.0, c) / c.one_more_leaves
+    alike = [
+        r for r in rows if r.kinds == best.kinds and excess(r.error, 0.0, c) <= most
+    ]
     return min([*alike, best], key=lambda row: (row.parameters, row.error))

@@ -104,9 +104,14 @@ class Row:
         return float(np.sqrt(np.mean(self.validation**2)))
 
     @property
+    def training_error(self) -> float:
+        """Error on the training records, likewise."""
+        return float(np.sqrt(np.mean(self.training**2)))
+
+    @property
     def is_lost(self) -> bool:
         """Whether the error on validation records is so much larger than on training records that their initial states may be wrong."""
-        return self.error > LOST * float(np.sqrt(np.mean(self.training**2)))
+        return self.error > LOST * self.training_error
 
     @property
     def kinds(self) -> frozenset[tuple[str, tuple[str, ...]]]:
