@@ -23,8 +23,8 @@ class SearchSettings:
     shortlist_further: int = 12
     #: Gauss-Newton steps of the first fit of a law, of the fit to the end, and of the fit with all samples
     first_steps: int = 3
-    further_steps: int = 10
-    last_steps: int = 4
+    further_steps: int = 20
+    last_steps: int = 8
     #: cost over that of the best law, above which a law is not fitted to the end
     hopeless: float = 3.0
     #: laws with several parameters that are fitted to the end, as first law and as further law of a set
