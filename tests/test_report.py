@@ -668,9 +668,10 @@ def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(
         "The model lacks coulomb friction" in done.stdout
         and "noise floor" in done.stdout
     )
-    assert done.stderr.splitlines() == [
+    # a slow machine tells its progress before
+    assert done.stderr.splitlines()[-1] == (
         "isd-gym: the report could not be drawn (NameError: name 'Effect' is not defined); the results are in 'found'"
-    ]
+    )
     for file in ("x.json", "found/diagnosis.json"):
         assert json.loads(Path(file).read_text())["verdict"] == "missing_effect"
     assert Network.load("found/model.json").element("seal").level == LEVEL

@@ -80,6 +80,16 @@ def excess(error: float, noise: float, c: Criteria) -> float:
     return max(error**2 - noise**2, c.least_width**2)
 
 
+def share_left(row: Row, other: Row, noise: float, c: Criteria) -> float:
+    """Return the squared error beyond noise that a set leaves, as a share of what another leaves: geometric mean over validation and
+    training records."""
+    held = excess(row.error, noise, c) / excess(other.error, noise, c)
+    fitted = excess(row.training_error, noise, c) / excess(
+        other.training_error, noise, c
+    )
+    return float((held * fitted) ** 0.5)
+
+
 class Table:
     """Rows with the noise level of the best of them."""
 
@@ -104,16 +114,8 @@ class Table:
         return row.parameters <= simplest.parameters or self.is_better(row, simplest)
 
     def leaves(self, row: Row, other: Row) -> float:
-        """Return the squared error beyond noise that a set leaves, as a share of what the other leaves: geometric mean over validation and
-        training records."""
-        held, fitted = (
-            excess(one, self.noise, self.c) / excess(two, self.noise, self.c)
-            for one, two in (
-                (row.error, other.error),
-                (row.training_error, other.training_error),
-            )
-        )
-        return (held * fitted) ** 0.5
+        """Return the squared error beyond noise that a set leaves, as a share of what the other leaves."""
+        return share_left(row, other, self.noise, self.c)
 
     def is_alike(self, row: Row, best: Row) -> bool:
         """Return whether chance makes the difference to the best set: the best set predicts no better, and leaves a similar error."""
@@ -162,7 +164,7 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
         if row.error - chosen.error < width or table.is_alike(row, chosen)
     ]
     fewest = min(near, key=lambda row: (row.parameters, row.error))
-    simplest = simplest_law(same, fewest, c)
+    simplest = simplest_law(same, fewest, table.noise, c)
     others = [
         row
         for row in near
@@ -222,11 +224,13 @@ def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
     return chosen
 
 
-def simplest_law(rows: Sequence[Row], best: Row, c: Criteria) -> Row:
+def simplest_law(rows: Sequence[Row], best: Row, noise: float, c: Criteria) -> Row:
     """Return the set with fewest parameters among those of the same kinds, unless the best one removes a share of what it leaves, as a
     further law must."""
-    most = excess(best.error, 0.0, c) / c.one_more_leaves
     alike = [
-        r for r in rows if r.kinds == best.kinds and excess(r.error, 0.0, c) <= most
+        row
+        for row in rows
+        if row.kinds == best.kinds
+        and share_left(best, row, noise, c) >= c.one_more_leaves
     ]
     return min([*alike, best], key=lambda row: (row.parameters, row.error))

@@ -143,7 +143,7 @@ class Search:
         out: dict[object, Row] = {}
         for row in sorted(rows, key=lambda row: row.error):
             if row.kinds not in out and len(out) < self.settings.beam:
-                out[row.kinds] = simplest_law(rows, row, self.criteria)
+                out[row.kinds] = simplest_law(rows, row, 0.0, self.criteria)
         return list(out.values())
 
     def score(self, fits: Sequence[Fit]) -> list[Row]:
