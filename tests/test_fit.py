@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import (
+    damper,
     element,
     fitted,
     friction,
@@ -103,6 +104,32 @@ def test_a_fit_finds_the_values_that_made_the_record():
     # the slope there is level: a fresh one leads no further
     again = fitter.fit(structure, fit.x, fit.initial, fit.offset)
     assert again.cost + again.prior == pytest.approx(fit.cost + fit.prior, rel=3e-4)
+
+
+def drive(loss):
+    parts = [
+        spring("motor", "load", 36.0),
+        damper("motor", "load", 0.012, "shaft"),
+        damper("motor", "ground", loss, "bearing"),
+        friction("load", "ground", 0.15),
+    ]
+    inertias = {"motor": 0.0021, "load": 0.004}
+    outputs = ["angle angle motor", "speed angular_velocity load"]
+    known = {"bearing.damping": 1.0, "spring.stiffness": 0.1, "motor.inertia": 0.1}
+    given = {"inertias": inertias, "uncertainty": known}
+    return network("drive", parts, ["torque torque motor"], outputs, **given)
+
+
+@pytest.mark.parametrize("loss", [0.013, 0.02])
+def test_a_drive_that_friction_stops_is_fitted_from_far(loss):
+    """The slopes promise initial states that lose the motion: they need the damping of the parameters, too."""
+    rng = np.random.default_rng(0)
+    torque = np.repeat(rng.uniform(-0.6, 0.6, 20), 100)
+    made = recorded(drive(0.004), STEP, {"torque": torque})
+    noise = np.array([1e-3, 0.05]) * rng.standard_normal(made.measured.shape)
+    problem = Problem(drive(loss), [replace(made, measured=made.measured + noise)])
+    fit = fitted(problem, 0.01, 0.1, iterations=12)
+    assert fit.network.parameters["bearing.damping"] == pytest.approx(0.004, rel=0.03)
 
 
 def test_of_many_records_each_finds_its_own_beginning():
