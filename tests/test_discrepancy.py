@@ -55,6 +55,8 @@ RIGS = [
     ("resonator.cubic", 315, {("cubic_stiffness", "mass", "ground")}, {}),  # a wave of less than a period came nearer, and cannot be named
     ("shaken.play", 315, {("backlash", "mass", "base")}, {}),  # three of forty stretches had lost their way, and a damper in the play's joint was named for them
     ("shaken.play", 305, {("backlash", "mass", "base")}, {"gap": approx(0.0542, rel=0.02)}),  # play in the spring alone, beside a damper
+    # plain friction leaves 2 % of the deviation; the fit of the falling curve takes more than ten steps
+    ("shaken.stribeck", 305, {("stribeck_friction", "mass", "base")}, {"static_level": approx(88.8, rel=0.1)}),
     ("decay2.none", 315, set(), {}),  # a clean one: the fit of the owner's model had stuck
     # fits of segments hand their state to the whole decay, whose frequency the refit had taken up
     ("coast.cubic_shaft", 1801, {("cubic_stiffness", "rim", "hub")}, {"stiffness": approx(9.454e8, rel=0.02)}),
