@@ -115,7 +115,7 @@ def command(
     """
     from ..benchmark import ceilings as bounds
     from ..benchmark.policies import find_all, passive
-    from ..benchmark.scoring import check_size, unscored
+    from ..benchmark.scoring import IDLE, LEARN, check_size, idle_policies, unscored
     from ..benchmark.scoring import score as run
     from ..env import Sensors
     from ..physics.network import Network
@@ -189,5 +189,10 @@ def command(
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)
     print_score(result, full=full)
+    for name in idle_policies(result, **drives):
+        typer.echo(
+            f"'{name}' costs what zero current costs, within {100 * IDLE:g} %. {LEARN}",
+            err=True,
+        )
     if card is not None and place is not None:
         print_track(card, place, [made])

@@ -668,6 +668,40 @@ IDLE = 0.005
 LEARN = "A trained policy with this cost learned nothing: train longer, on ISDSuspensionLearning-v0, see docs/tutorials/train.md."
 
 
+def idle_policies(result: Score, **drives: Any) -> list[str]:
+    """Return the policies of a score whose cost J is that of zero current, within `IDLE`.
+
+    Args:
+        result: The score.
+        drives: Road, speed and further arguments of `drive` of that score.
+
+    Returns:
+        Names; none for a network without motors.
+    """
+    network = result.plant
+    acting = [
+        row
+        for row in result.policies
+        if row["policy"] not in ("passive", "isd-passive")
+    ]
+    if (
+        network is None
+        or not acting
+        or all(corner.motor is None for corner in vehicle(network).corners)
+    ):
+        return []
+    still = drive(
+        Entry("isd-passive", lambda: Idle("isd-passive", network)),
+        network,
+        timed=0,
+        **drives,
+    )
+    cost = float(still.cost(result.cost).mean())
+    return [
+        row["policy"] for row in acting if abs(row["cost"]["value"] / cost - 1.0) < IDLE
+    ]
+
+
 def score(
     policies: str | Entry | Sequence[str | Entry],
     network: Network | str = "quarter-car-isd",

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 #: further steps with the same derivatives, while their full steps reduce the cost; dampings that a step tries
 CHORDS, TRIES = 2, 6
 #: damping of the first step; dampings of a step of initial states alone
-DAMPING, EASED = 1e-4, (0.0, 0.1, 3.0, 100.0)
+DAMPING, EASED = 1e-4, (0.0, 0.03, 0.3, 3.0, 100.0)
 #: ratio of the cost per sample above which a record is restarted from the final state of the preceding record; largest number of rounds;
 #: largest cost of such a start, as a multiple of the cost of the fit
 UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
@@ -496,7 +496,7 @@ class Fitter:
         initial: dict[int, Array] | None = None,
         about: Sequence[Mapping[int, Array]] = (),
         *,
-        iterations: int = 4,
+        iterations: int = 8,
     ) -> Fit:
         """Fit initial states and offsets of records from the cheapest of `initial` (or a guess), `about`, and without `initial` the final
         state of the preceding record; the parameters stay."""
