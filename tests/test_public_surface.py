@@ -59,7 +59,8 @@ isd_gym.benchmark.policies
 isd_gym.benchmark.scoring
     Controller Entry Idle LIMITS PAPER Run SCHEMA Score comfort_point drive frequency_weighting score
     weighted_rms
-    also IDLE LEARN MEASURES PRINTED check_size compare corner_measures fingerprints measures units unscored
+    also IDLE LEARN MEASURES PRINTED check_size compare corner_measures fingerprints idle_policies measures
+    units unscored
 isd_gym.benchmark.show
     also FPS SIZE WIDE film live snapshots
 isd_gym.benchmark.sweep
