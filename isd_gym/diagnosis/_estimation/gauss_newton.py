@@ -18,7 +18,7 @@ from ..._common.errors import InputError
 from ...physics.network import Network, assemble
 from .._simulation.problem import BROKEN, Problem
 from .initial_states import guess, motion_rows, next_states
-from .least_squares import bounded_step, damped_step
+from .least_squares import bounded_step, damped, damped_step
 from .noise import white_weights
 from .sensitivities import tangents
 
@@ -398,7 +398,7 @@ class Fitter:
             solved = {}
             for i, s in slopes.items():
                 first, cross = down[i][: p + q], s.gram[: p + q, p + q :]
-                own = s.own + damping * np.diag(np.diag(s.own))
+                own = damped(s.own, damping)
                 both = np.column_stack([cross.T, down[i][p + q :]])
                 solved[i] = inner = np.linalg.solve(own, both)
                 H = H + s.gram[: p + q, : p + q] - cross @ inner[:, :-1]
@@ -434,7 +434,12 @@ class Fitter:
             left = [i for i in left if len(slopes[i].own)]
             if not left:
                 break
-            tried = [self._eased(at, slopes, left, damping) for damping in EASED]
+            down = {i: self._downhill(at, i, slopes[i]) for i in left}
+            tried = []
+            for damping in EASED:
+                own = {i: damped(slopes[i].own, damping) for i in left}
+                moves = {i: np.linalg.solve(own[i], down[i]) for i in left}
+                tried.append(self._moved(at, at.x, moves))
             points = self.seen_all(structure, tried, left)
             gains = {}
             for i in left:
@@ -444,20 +449,6 @@ class Fitter:
                     at.take(best, i)
             left = [i for i in left if gains[i] > tolerance]
         return at
-
-    def _eased(
-        self,
-        at: Point,
-        slopes: Mapping[int, Slope],
-        records: Sequence[int],
-        damping: float,
-    ) -> Point:
-        """Return the point with the initial states and offsets of a damped step."""
-        moves = {}
-        for i in records:
-            own = slopes[i].own + damping * np.diag(np.diag(slopes[i].own))
-            moves[i] = np.linalg.solve(own, self._downhill(at, i, slopes[i]))
-        return self._moved(at, at.x, moves)
 
     def _result(
         self, structure: Structure, at: Point, hessian: Array | None = None

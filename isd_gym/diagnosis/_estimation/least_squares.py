@@ -35,6 +35,11 @@ def damped_step(
     return (found, max(0.2 * damping, 1e-6)) if lower < cost else (None, damping)
 
 
+def damped(matrix: Array, damping: float) -> Array:
+    """Return a matrix (n, n) with its diagonal grown by a share."""
+    return np.asarray(matrix + damping * np.diag(np.diag(matrix)))
+
+
 def bounded_step(
     hessian: Array,
     slope: Array,
@@ -47,14 +52,14 @@ def bounded_step(
     """Return the minimum of the damped quadratic model of the cost within limits and strides (p,), from half its Hessian (p, p) and
     descent direction (p,); coordinates that would leave the limits stay."""
     p = len(x)
-    damped = hessian + np.diag(damping * np.diag(hessian))
+    curvature = damped(hessian, damping)
     free = np.ones(p, bool)
     step = np.zeros(p)
     for _ in range(p + 1):
         index = np.flatnonzero(free)
         step = np.zeros(p)
         if len(index):
-            step[index] = np.linalg.solve(damped[np.ix_(index, index)], slope[index])
+            step[index] = np.linalg.solve(curvature[np.ix_(index, index)], slope[index])
         leaves = ((step < 0) & (x <= low + 1e-9)) | ((step > 0) & (x >= high - 1e-9))
         if not np.any(leaves & free):
             break

@@ -90,7 +90,7 @@ class Deconvolution:
         motor = el.Motor(name, pair, thrust_constant=1.0, ratio=1.0)  # type: ignore[call-arg]
         probe = replace(
             network,
-            elements=(*(e for e in network.elements if e.place == "between"), motor),
+            elements=(*network.mechanical.elements, motor),
             inputs=(
                 *(c for c in network.inputs if c.quantity != "current"),
                 Channel(name, "current", "A", element=name),

@@ -90,10 +90,9 @@ class Search:
                 f"looking for {ORDINALS[min(depth, len(ORDINALS) - 1)]} effect (beside the {label})"
             )
             found: dict[frozenset[object], Fit] = {}
-            left = residuals(self.problem, front[0])
-            fitter = Fitter(self.problem, balanced_weights(left, self.least_noise))
+            fitter = self._balanced(front[0])
             for fit in front:
-                for more in Stage(fitter, fit, self.least_noise, s).run():
+                for more in Stage(fitter, fit, s).run():
                     key = frozenset(more.structure.hypotheses)
                     if key not in found or more.cost < found[key].cost:
                         found[key] = more
@@ -162,9 +161,12 @@ class Search:
 
     def _polished(self, fit: Fit) -> Fit:
         """Return a fit with the channels balanced by its own residual."""
+        return go_on(self._balanced(fit), fit, self.settings.last_steps) or fit
+
+    def _balanced(self, fit: Fit) -> Fitter:
+        """Return the fitter with the channels balanced by the residual of a fit."""
         left = residuals(self.problem, fit)
-        fitter = Fitter(self.problem, balanced_weights(left, self.least_noise))
-        return go_on(fitter, fit, self.settings.last_steps) or fit
+        return Fitter(self.problem, balanced_weights(left, self.least_noise))
 
     def _row(self, fit: Fit, near: Fit | None = None) -> Row | None:
         """Return the row of a fit; None where a record cannot be simulated."""

@@ -97,8 +97,8 @@ def go_on(fitter: Fitter, fit: Fit, steps: int) -> Fit | None:
 class Stage:
     """Plain fits of all laws beside a fitted set."""
 
-    def __init__(self, full: Fitter, base: Fit, least: Array, rules: SearchSettings):
-        self.full, self.least, self.rules = full, least, rules
+    def __init__(self, full: Fitter, base: Fit, rules: SearchSettings):
+        self.full, self.rules = full, rules
         self.whole = full.problem
         self.problem = self.whole.rough
         self.coarse = Fitter(self.problem, full.weights)
