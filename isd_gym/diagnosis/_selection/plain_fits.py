@@ -317,8 +317,8 @@ class Stage:
         return is_free and gap(self.problem, self.now) > self.rules.lost**2
 
     def states(self, start: Start) -> list[dict[int, Array] | None]:
-        """Return the initial states from which a start is fitted: those of the set, and None for those that the first samples tell; the
-        cheaper ones alone where both cost nearly the same."""
+        """Return the initial states of a start: the states of the set, and None for a guess from the first samples; the cheaper choice alone
+        where both cost nearly the same."""
         p, now = self.problem, self.now
         fresh = self.cost(start, None)
         try:

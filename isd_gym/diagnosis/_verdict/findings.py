@@ -155,7 +155,7 @@ class Finder:
         )
 
     def _values(self, statement: Statement) -> dict[str, Quantity]:
-        """Return the values of a law in the likeliest set with the statement; with intervals where they are those of the foremost."""
+        """Return the values of a law in the likeliest set with the statement; the foremost set has intervals."""
         fit = next(s.fit for s in self.sets if statement in s.statements)
         for h, element in zip(fit.hypotheses, fit.elements, strict=True):
             if h.effect != statement.law:
