@@ -134,7 +134,7 @@ def evidence_of(gap, explained):
     rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
     return Evidence(
         channels, **rows, noise=tuple(gap["noise_floor"].values()), noise_known=(True,) * len(channels),
-        envelope=(0.05,) * len(channels), training_refit=rows["refit"], explained=explained,
+        training_refit=rows["refit"], explained=explained,
     )  # fmt: skip
 
 

@@ -251,8 +251,7 @@ def test_the_title_is_the_finding():
     ("change", "reason", "words"),
     [
         ({"refit": (0.021,)}, "immaterial", "the error in travel beyond noise is 0.6 %, at most 3 %"),
-        ({"refit": (0.05,), "envelope": (0.06,)}, "small_effects", "leave up to 6.0 %"),
-        ({"refit": (0.06,), "noise": (0.05,), "envelope": (0.01,)}, "noise", "the error in travel beyond noise is 3.3 %, less than the noise (5.0 %)"),
+        ({"refit": (0.06,), "noise": (0.05,)}, "noise", "the error in travel beyond noise is 3.3 %, less than the noise (5.0 %)"),
     ],
 )  # fmt: skip
 def test_why_nothing_is_missing_is_told_with_its_figures(change, reason, words):

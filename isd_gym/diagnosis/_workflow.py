@@ -306,13 +306,13 @@ class Workflow:
         evaluator, c = self.search.evaluator, self.criteria
         try:
             with self.clock.until(EVIDENCE):
-                measured = collect_evidence(evaluator, answer, c)
+                measured = collect_evidence(evaluator, answer)
         except (TimeUp, *BROKEN) as error:
             if isinstance(error, TimeUp):
                 self.clock.leave_out(f"the tests of {answer.foremost.fit.label}")
             answer = replace(answer, band=(), weights=(), best=answer.refit)
             with self.clock.until(1.0):
-                measured = collect_evidence(evaluator, answer, c)
+                measured = collect_evidence(evaluator, answer)
         decision = decide(answer, measured.evidence, c)
         fit = answer.foremost.fit
         decision = decide_under_feedback(

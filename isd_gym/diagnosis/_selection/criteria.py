@@ -54,12 +54,6 @@ class Criteria:
         "each further law must leave less of what the smaller set leaves",
         "as above; 0.3 to 0.36 give the same answers but one",
     )
-    small_effect: float = limit(
-        0.02,
-        "share of the typical force",
-        "the size of effects that no model holds, for what they make of the outputs",
-        "every rig has some of a few per cent",
-    )
     wide_gap: float = limit(
         0.10,
         "share of the deviation, mean over channels",

@@ -1,4 +1,4 @@
-"""Held-out records: errors of fits, noise, and what effects that no model contains do to the outputs."""
+"""Held-out records: errors of fits, and noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from .._estimation.noise import (
     white_weights,
 )
 from .._estimation.structure import base_structure
-from .._hypotheses.law_matching import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
 from .criteria import LEAST_NOISE
 
@@ -32,9 +31,6 @@ if TYPE_CHECKING:
     from .._estimation.noise import Weights
     from .._estimation.structure import Structure
     from .._simulation.problem import Problem
-
-#: force of each unmodelled effect (one sigma), as a share of the typical force
-SMALL = 0.005
 
 
 class HeldOutEvaluator:
@@ -53,10 +49,6 @@ class HeldOutEvaluator:
         )
         self.validation_deviation = problem.deviation(problem.choosing)
         self.test_deviation = problem.deviation(problem.reporting)
-        self._envelopes: dict[Fit, Array] = {}
-        self._responses: tuple[Fit, dict[int, Array]] | None = (
-            None  # they are large: only the last
-        )
 
     @cached_property
     def plain_fitter(self) -> Fitter:
@@ -207,29 +199,3 @@ class HeldOutEvaluator:
     def test_noise(self, noise: Array) -> Array:
         """Return the noise as a share of the deviation on the test records, from that on the validation records (channels,)."""
         return np.asarray(noise * self.validation_deviation / self.test_deviation)
-
-    # -- effects that no model contains -------------------------------------------------------------------
-    def unmodelled_responses(self, fit: Fit) -> dict[int, Array]:
-        """Return the responses (samples, channels, effects) of the training records to unmodelled effects of `SMALL` of the typical force
-        each."""
-        if self._responses is None or self._responses[0] is not fit:
-            self._responses = fit, simulate_unmodelled_effects(self.problem, fit, SMALL)
-        return self._responses[1]
-
-    def unmodelled_envelope(self, fit: Fit, size: float, least: float) -> Array:
-        """Return the excess error (channels,), as a share of the deviation, that unmodelled effects of a share `size` of the typical
-        force leave beside a fitted model."""
-        if fit not in self._envelopes:
-            change = {
-                i: y * (size / SMALL) for i, y in self.unmodelled_responses(fit).items()
-            }
-            envelope = np.full(len(self.problem.channels), least)
-            if next(iter(change.values())).shape[2]:
-                _, left = self.plain_fitter.refit(fit, change)
-                r = np.concatenate([*left.values()]) * self.least_noise[:, None]
-                shares = (
-                    np.sqrt(np.mean(r**2, axis=0)) / self.training_deviation[:, None]
-                )
-                envelope = np.maximum(least, np.quantile(shares, 0.95, axis=1))
-            self._envelopes[fit] = envelope
-        return self._envelopes[fit]

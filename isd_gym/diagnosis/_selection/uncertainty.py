@@ -14,6 +14,7 @@ from ..._common.arrays import Z95
 from ...physics import elements as el
 from .._estimation.gauss_newton import Fitter
 from .._estimation.sensitivities import deviations
+from .._hypotheses.law_matching import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
 from ..result import Quantity
 from .held_out_table import block_edges
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from .._estimation.structure import Structure
     from .held_out import HeldOutEvaluator
 
+#: force of each effect that no model contains (one sigma), as a share of the typical force
+SMALL = 0.005
 #: largest relative standard deviation that a model states
 MOST_UNCERTAIN = 100.0
 #: largest shift of a parameter by an unmodelled effect (transformed units): keeps squares finite
@@ -42,7 +45,7 @@ def covariance(evaluator: HeldOutEvaluator, fit: Fit) -> Array | None:
 
     - Noise: the inverse curvature of the cost. Where the scores of blocks of the record scatter more than white noise would, the sandwich
       estimate replaces the deviation of a parameter (Huber 1967): the residual has a colour that the filters do not remove.
-    - Small effects that no model contains: each has a prior size (`unmodelled_responses`), and the residual reduces its uncertainty.
+    - Small effects that no model contains: each has a prior size (`SMALL`), and the residual reduces its uncertainty.
       For an added effect the residual only bounds their power together: the same residual chose the effect.
     - Bias: the shift of the parameters by the sizes that the residual shows.
     - Distance from the optimum: one more step of the fit, with better derivatives. Along a direction in which the outputs hardly change, a fit
@@ -56,7 +59,7 @@ def covariance(evaluator: HeldOutEvaluator, fit: Fit) -> Array | None:
     if not len(fit.x):
         return None
     fitter = Fitter(problem, evaluator.weights(fit))
-    effects = dict(evaluator.unmodelled_responses(fit))
+    effects = simulate_unmodelled_effects(problem, fit, SMALL)
     responses = {
         i: np.concatenate(
             [(problem.records[i].measured - fit.outputs[i])[:, :, None], y], axis=2

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from ..._common.arrays import Array
     from .._selection.answer import Answer
-    from .._selection.criteria import Criteria
     from .._selection.held_out import HeldOutEvaluator
     from .._selection.held_out_table import Row
     from ..result import Quantity
@@ -47,8 +46,6 @@ class Evidence:
     noise: tuple[float, ...]
     #: whether the owner or the signal tells the noise; otherwise the noise is only bounded
     noise_known: tuple[bool, ...]
-    #: excess error of unmodelled effects beside the refitted model
-    envelope: tuple[float, ...]
     #: error of the refitted model on the training records
     training_refit: tuple[float, ...]
     #: log predictive density minus that of the refitted model [nats]
@@ -77,13 +74,6 @@ class Evidence:
         """Return errors beyond noise, mean over channels."""
         return sum(self.excess(errors)) / len(self.channels)
 
-    @property
-    def agrees_before(self) -> bool:
-        """Whether the nominal model errs by no more than unmodelled effects make."""
-        return all(
-            x < w for x, w in zip(self.excess(self.before), self.envelope, strict=True)
-        )
-
     def has_credible_noise(self, misses: float) -> bool:
         """Return whether a noise that is only bounded covers a small error only."""
         return all(
@@ -104,9 +94,7 @@ class Measurements:
     sums: dict[str, Quantity] = field(default_factory=dict)
 
 
-def collect_evidence(
-    evaluator: HeldOutEvaluator, answer: Answer, c: Criteria
-) -> Measurements:
+def collect_evidence(evaluator: HeldOutEvaluator, answer: Answer) -> Measurements:
     """Measure the foremost set."""
     refit, best = answer.refit, answer.foremost
     noise = evaluator.noise_share(answer.best.held)
@@ -119,9 +107,6 @@ def collect_evidence(
         after=_numbers(best.validation),
         noise=_numbers(noise),
         noise_known=tuple(f.known for f in evaluator.noise_estimates),
-        envelope=_numbers(
-            evaluator.unmodelled_envelope(refit.fit, c.small_effect, c.material)
-        ),
         training_refit=_numbers(refit.training),
         elpd_diff=answer.gain.elpd_diff,
         elpd_dse=answer.gain.dse,

@@ -20,8 +20,7 @@ Verdict = Literal[
 #: - gates: a gate failed, or all passed.
 #: - immaterial: the refitted model errs by less than `Criteria.material` beyond noise.
 #: - noise: the refitted model errs by less than the noise.
-#: - small_effects: the refitted model errs by no more than unmodelled effects make.
-Reason = Literal["gates", "immaterial", "noise", "small_effects"]
+Reason = Literal["gates", "immaterial", "noise"]
 #: kinds that say nothing about the law
 NAMELESS = ("other",)
 
@@ -59,12 +58,13 @@ def gates_of(answer: Answer, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
 
 def decide(answer: Answer, e: Evidence, c: Criteria = CRITERIA) -> Decision:
     """Return the verdict: a name where a law of the simplest set has its kind and place in every set of the band; where no law is needed,
-    agreement if the refitted model leaves no more than noise and small effects do."""
+    agreement if the refitted model leaves no material error or less than the noise."""
     gates = gates_of(answer, c)
     if answer.band:
         return Decision("missing_effect" if any(answer.certain) else "ambiguous", gates)
     excess = e.excess(e.refit)
-    agreed: Verdict = "no_discrepancy" if e.agrees_before else "parameters_only"
+    agrees_before = all(x < c.material for x in e.excess(e.before))
+    agreed: Verdict = "no_discrepancy" if agrees_before else "parameters_only"
     # a wide gap is no agreement, and neither is a noise that only the gap itself bounds
     widest = max(e.width(e.refit), e.width(e.training_refit))
     if widest >= c.wide_gap or not e.has_credible_noise(c.wide_gap):
@@ -73,6 +73,4 @@ def decide(answer: Answer, e: Evidence, c: Criteria = CRITERIA) -> Decision:
         return Decision(agreed, gates, "immaterial")
     if all(x < f for x, f in zip(excess, e.noise, strict=True)):
         return Decision(agreed, gates, "noise")
-    if all(x < w for x, w in zip(excess, e.envelope, strict=True)):
-        return Decision(agreed, gates, "small_effects")
     return Decision("unknown_effect", gates)

@@ -311,18 +311,17 @@ class Facts:
 
     @property
     def excess(self) -> dict[str, Any]:
-        """Largest error of the refitted model beyond noise, with its channel, noise, and error that unmodelled effects leave."""
+        """Largest error of the refitted model beyond noise, with its channel and noise."""
         e = self.d["evidence"]
-        names = ("channels", "refit", "noise", "envelope")
+        names = ("channels", "refit", "noise")
         rows = [
             {
                 "channel": c,
                 "excess": max(r**2 - f**2, 0.0) ** 0.5,
                 "noise": f,
-                "envelope": w,
             }
-            for c, r, f, w in zip(*(e[k] for k in names), strict=True)
-            if None not in (r, f, w)
+            for c, r, f in zip(*(e[k] for k in names), strict=True)
+            if None not in (r, f)
         ]
         return max(rows, key=lambda row: row["excess"], default={})
 
