@@ -1,7 +1,7 @@
 """What learns here: Stable-Baselines3 with default hyperparameters on the environments for learning.
 
     python benchmarks/learning.py [--only NAME ...] [--seeds 5]    # one core; goes on where it stopped
-    python benchmarks/learning.py --table
+    python docs/results.py    # the table of the study, from the file
 
 Every seed is trained, scored on the 32 scoring roads, and added to benchmarks/learning.json.
 """
@@ -14,9 +14,6 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from scipy.stats import trim_mean
 
 from isd_gym._commands.train import arguments, read_recipe
 
@@ -163,28 +160,6 @@ def study(names: list[str], seeds: int) -> None:
             RESULT.write_text(json.dumps(results) + "\n", encoding="utf-8")
 
 
-def table() -> str:
-    """Return the results as a table in Markdown; the best and the worst seed are those of J."""
-    lines = [
-        "| algorithm and setting | decisions | seeds | processor time | J, interquartile mean | best | worst |",
-        "|---|---:|---:|---:|---:|---:|---:|",
-    ]
-    for name, by_seed in read().items():
-        runs = list(by_seed.values())
-        changes = np.array([run["change"] for run in runs])
-        seconds = np.mean([run["seconds"] for run in runs])
-        cells = [
-            name,
-            f"{SETTINGS[name].decisions:,}",
-            str(len(runs)),
-            f"{seconds:.0f} s",
-        ]
-        for value in (trim_mean(changes, 0.25), changes.min(), changes.max()):
-            cells.append(f"{value:+.1f} %".replace("-", "−"))
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -197,12 +172,8 @@ def main() -> None:
         metavar="NAME",
     )
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--table", action="store_true", help="print the results")
     given = parser.parse_args()
-    if given.table:
-        print(table())
-    else:
-        study(given.only, given.seeds)
+    study(given.only, given.seeds)
 
 
 if __name__ == "__main__":

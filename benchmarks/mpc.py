@@ -1,7 +1,7 @@
 """What a step of the predictive controllers costs, and their quadratic program by three solvers (two minutes).
 
     python benchmarks/mpc.py --json benchmarks/mpc.json
-    python docs/controllers.py          # the tables of the page, from the files
+    python docs/results.py              # the tables of the page, from the files
 
 Step times: a controller drives one road, its observations are kept, and a fresh one answers the same observations
 `REPLAYS` times. Three readings of the same steps: `wall`, what passed on the clock, with whatever else the machine was

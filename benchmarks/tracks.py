@@ -131,8 +131,7 @@ def main() -> None:
                 spent = make_card(name, Path(place))
         times[name] = {"date": time.strftime("%Y-%m-%d"), "processor_seconds": spent}
         TIMES.write_text(json.dumps(times, indent=1) + "\n", encoding="utf-8")
-    for script in ("table.py", "results.py"):
-        subprocess.run([sys.executable, str(ROOT / "docs" / script)], check=True)
+    subprocess.run([sys.executable, str(ROOT / "docs" / "results.py")], check=True)
     thresholds = {
         name: reward_threshold(cards.load(name)) for name in REWARD_THRESHOLDS
     }

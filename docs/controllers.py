@@ -1,24 +1,10 @@
-"""Write the tables of the controllers' page from the benchmarks' files: ``python docs/controllers.py``."""
+"""Tables of the controllers' page: times, solvers and robustness, from the benchmarks' files."""
 
 from __future__ import annotations
 
-import json
-import re
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs" / "explanation" / "baselines.md"
-SOURCES = {"times": "mpc.json", "solvers": "mpc.json", "robustness": "robustness.json"}
-
-
-def _table(heads: list[str], rows: list[list[str]]) -> str:
-    lines = ["| " + " | ".join(heads) + " |", "|---" + "|---:" * (len(heads) - 1) + "|"]
-    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
-
-
-def _signed(share: float) -> str:
-    return f"{100 * share:+.1f}".replace("-", "−")
+from table import markdown, signed
 
 
 def _power(value: float) -> str:
@@ -26,103 +12,68 @@ def _power(value: float) -> str:
 
 
 def times(found: dict[str, Any]) -> str:
-    heads = [
-        "controller",
-        "road",
-        "own: median",
-        "99.9 %",
-        "cpu: median",
-        "99.9 %",
-        "wall: median",
-        "99.9 %",
-    ]
+    """Time per step of every controller on every road."""
     rows = []
     for label, row in found["steps"].items():
-        name, road = label.rsplit(", road ", 1)
+        drive, road = label.rsplit(", road ", 1)
+        name, comma, rest = drive.partition(",")
         cells = [
-            f"{row[k][q]:.3f}"
-            for k in ("own", "cpu", "wall")
+            f"{row[clock][q]:.3f}"
+            for clock in ("own", "cpu", "wall")
             for q in ("median", "p99_9")
         ]
-        rows.append(
-            [f"`{name.split(',')[0]}`{name[len(name.split(',')[0]) :]}", road, *cells]
-        )
-    what = (
-        f"Milliseconds per step, {next(iter(found['steps'].values()))['steps']} steps of seed {found['seed']}, {found['replays']} replays; "
-        f"{found['machine']}, a machine that was busy with other work."
-    )
-    return what + "\n\n" + _table(heads, rows)
+        rows.append([f"`{name}`{comma}{rest}", road, *cells])
+    heads = "controller | road | own: median | 99.9 % | cpu: median | 99.9 % | wall: median | 99.9 %"
+    steps = next(iter(found["steps"].values()))["steps"]
+    what = f"Milliseconds per step, {steps} steps of seed {found['seed']}, {found['replays']} replays; "
+    what += f"{found['machine']}, a machine that was busy with other work."
+    return f"{what}\n\n{markdown(heads, rows, 'lrrrrrrr')}"
 
 
 def solvers(found: dict[str, Any]) -> str:
-    heads = ["programs", "solver", "µs, median", "99.9 %", "error of the objective", "of the first move [A]", "limits passed by", "failures"]  # fmt: skip
+    """Time and errors of every solver on the recorded programs."""
     rows = []
     for label, case in found["programs"].items():
-        for name, s in case["solvers"].items():
+        what = f"{label}: {case['problems']} of {case['variables']} variables"
+        for name, solver in case["solvers"].items():
             rows.append(
                 [
-                    f"{label}: {case['problems']} of {case['variables']} variables"
-                    if name == "osqp"
-                    else "",
+                    what if name == "osqp" else "",
                     name,
-                    *(f"{1e3 * s['own'][q]:.0f}" for q in ("median", "p99_9")),
-                    _power(s["objective_error"]),
-                    _power(s["first_move_error"]["max"]),
-                    _power(s["limit_passed"]),
-                    str(s["failures"]),
+                    *(f"{1e3 * solver['own'][q]:.0f}" for q in ("median", "p99_9")),
+                    _power(solver["objective_error"]),
+                    _power(solver["first_move_error"]["max"]),
+                    _power(solver["limit_passed"]),
+                    str(solver["failures"]),
                 ]
             )
+    heads = "programs | solver | µs, median | 99.9 % | error of the objective | of the first move [A] | limits passed by | failures"
     loop = found["closed_loop"]
     versions = ", ".join(f"{k} {v}" for k, v in found["versions"].items())
     costs = ", ".join(f"{k} {v['cost']:.4f}" for k, v in loop["solvers"].items())
-    return (
-        f"The programs of the drives above, in their order; least time of {found['replays']} replays, greatest errors; {versions}.\n\n"
-        + _table(heads, rows)
-        + f"\n\nCost J of `mpc` in closed loop, {loop['episodes']} roads of {loop['duration']:g} s: {costs}."
-    )
+    what = f"The programs of the drives above, in their order; least time of {found['replays']} replays, greatest errors; {versions}."
+    closed = f"Cost J of `mpc` in closed loop, {loop['episodes']} roads of {loop['duration']:g} s: {costs}."
+    return "\n\n".join([what, markdown(heads, rows, "lrrrrrrr"), closed])
 
 
 def robustness(found: dict[str, Any]) -> str:
+    """Change of J of every controller in every condition."""
     names = [row["policy"] for row in found["conditions"][0]["policies"]]
     rows, wrong, commands, fallbacks = [], 0, 0, 0
     for condition in found["conditions"]:
         by = {row["policy"]: row for row in condition["policies"]}
-        rows.append(
-            [condition["name"], *(_signed(by[n]["cost"]["change"]) for n in names)]
-        )
+        changes = (signed(by[name]["cost"]["change"]) for name in names)
+        rows.append([condition["name"], *changes])
         for row in by.values():
             counts = dict(row["commands"])
             commands += counts.pop("given")
             wrong += sum(counts.values())
             fallbacks += row["fallbacks"]
-    return (
-        f"Change of J against the conventional passive car [%]; {found['episodes']} roads of {found['duration']['value']:g} s, seeds "
-        f"{found['seed']} to {found['seed'] + found['episodes'] - 1} (bump and pothole: one).\n\n"
-        + _table(["", *(f"`{n}`" for n in names)], rows)
-        + f"\n\nOf {commands / 1e6:.1f} million commands, {wrong} were not finite, above 5 A or more than 0.5 A from the present current; "
-        f"{fallbacks} fallbacks."
-    )
-
-
-def fill(page: str, folder: Path = ROOT / "benchmarks") -> str:
-    """The page with every table between its marks."""
-    for name, source in SOURCES.items():
-        found = json.loads((folder / source).read_text(encoding="utf-8"))
-        start, end = (
-            f"<!-- {name}: python docs/controllers.py -->",
-            f"<!-- end of {name} -->",
-        )
-        text = f"{start}\n\n{globals()[name](found)}\n\n{end}"
-        page, count = re.subn(
-            f"{re.escape(start)}.*?{re.escape(end)}",
-            lambda _, t=text: t,
-            page,
-            flags=re.DOTALL,
-        )
-        if count != 1:
-            raise SystemExit(f"{PAGE.name}: no place for {name}")
-    return page
-
-
-if __name__ == "__main__":
-    PAGE.write_text(fill(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    heads = " | ".join(["", *(f"`{name}`" for name in names)])
+    roads, seed = found["episodes"], found["seed"]
+    what = f"Change of J against the conventional passive car [%]; {roads} roads of {found['duration']['value']:g} s, "
+    what += f"seeds {seed} to {seed + roads - 1} (bump and pothole: one)."
+    sums = f"Of {commands / 1e6:.1f} million commands, {wrong} were not finite, above 5 A or more than 0.5 A from the present current; "
+    sums += f"{fallbacks} fallbacks."
+    table = markdown(heads, rows, "l" + "r" * len(names))
+    return "\n\n".join([what, table, sums])

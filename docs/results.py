@@ -17,6 +17,7 @@ import inspect
 import json
 import re
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +26,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
+import controllers
 import grading
 import learning
 import tracks as tracks_of
-from table import table
+from scipy.stats import trim_mean
+from table import card_table, change_of, markdown, percent
 
 from isd_gym.benchmark import cards, lq_bounds
 from isd_gym.benchmark.ceilings import ceiling
@@ -41,7 +44,7 @@ from isd_gym.physics.cost import StageCost
 from isd_gym.physics.elements import TYPES, parameter_fields
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from isd_gym.benchmark.tracks import Track
 
@@ -68,23 +71,6 @@ def stored(name: str) -> Any:
     return read(BENCHMARKS / name)
 
 
-def percent(share: float, digits: int = 1) -> str:
-    """A share as a signed percentage."""
-    return f"{100 * share:+.{digits}f} %".replace("-", "−")
-
-
-def interval(low: float, high: float, digits: int = 1) -> str:
-    """A 95 % interval of a share, in per cent."""
-    return f"[{100 * low:+.{digits}f}, {100 * high:+.{digits}f}]".replace("-", "−")
-
-
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], align: str) -> str:
-    """A Markdown table; `align` has one letter for each column, l or r."""
-    rule = ["---:" if letter == "r" else "---" for letter in align]
-    lines = [f"| {' | '.join(heads)} |", f"|{'|'.join(rule)}|"]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
-
-
 # ------------------------------------------------------------------------------------------------ controllers
 
 
@@ -94,13 +80,6 @@ def card_rows(track: str = "standard") -> dict[str, dict[str, Any]]:
         row["policy"]: row
         for row in cards.ranking(cards.load("ISDSuspension-v0"), track)
     }
-
-
-def change_of(quantity: dict[str, Any]) -> str:
-    """The change against the passive car with its interval."""
-    return (
-        f"{percent(quantity['change'])} {interval(quantity['low'], quantity['high'])}"
-    )
 
 
 def headline() -> str:
@@ -118,13 +97,7 @@ def headline() -> str:
                 f"{1e3 * row['suspension_travel_rms']['value']:.2f} mm",
             ]
         )
-    heads = [
-        "controller",
-        "J",
-        "change against `passive` [95 % interval]",
-        "acceleration",
-        "travel",
-    ]
+    heads = "controller | J | change against `passive` [95 % interval] | acceleration | travel"
     return markdown(heads, body, "lrrrr")
 
 
@@ -142,9 +115,7 @@ def scores() -> str:
                 *(percent(row[n]["change"]) for n in names),
             ]
         )
-    return markdown(
-        ["policy", "J", "acceleration", "travel", "tyre load"], body, "lrrrr"
-    )
+    return markdown("policy | J | acceleration | travel | tyre load", body, "lrrrr")
 
 
 def ceilings() -> str:
@@ -161,12 +132,7 @@ def ceilings() -> str:
                 f"{percent(found.proven_change)} ± {100 * found.proven_standard_error:.1f} %",
             ]
         )
-    heads = [
-        "road ahead",
-        "roads",
-        "ceiling (searched)",
-        "proven bound, without end stops",
-    ]
+    heads = "road ahead | roads | ceiling (searched) | proven bound, without end stops"
     return markdown(heads, body, "lrrr")
 
 
@@ -188,7 +154,7 @@ def steps() -> str:
         ]
         body.append([f"`{name}`{comma}{rest}", *times])
     return markdown(
-        ["controller", "own: median", "99.9 %", "processor: median", "99.9 %"],
+        "controller | own: median | 99.9 % | processor: median | 99.9 %",
         body,
         "lrrrr",
     )
@@ -213,14 +179,7 @@ def half_car() -> str:
                     *(percent(row[n]["change"]) for n in names),
                 ]
             )
-    heads = [
-        "policy",
-        "J",
-        "vertical acceleration",
-        "pitch acceleration",
-        "travel front",
-        "travel rear",
-    ]
+    heads = "policy | J | vertical acceleration | pitch acceleration | travel front | travel rear"
     return markdown(heads, body, "lrrrrr")
 
 
@@ -242,7 +201,7 @@ def wheelbase() -> str:
                 percent(bound["change"]),
             ]
         )
-    heads = ["speed", "preview", "`mpc-friction`", "`lqg-wheelbase`", "`mpc-wheelbase`", "`mpc-wheelbase` against `mpc-friction`", "LQ bound without the rear road", "with it"]  # fmt: skip
+    heads = "speed | preview | `mpc-friction` | `lqg-wheelbase` | `mpc-wheelbase` | `mpc-wheelbase` against `mpc-friction` | LQ bound without the rear road | with it"  # fmt: skip
     return markdown(heads, body, "lrrrrrrr")
 
 
@@ -267,7 +226,7 @@ def pulling() -> str:
                 [f"`{name}`", road, *(f"{100 * share[speed]:.2f}" for speed in speeds)]
             )
     return markdown(
-        ["car", "class", *(f"{v:g} m/s" for v in speeds)],
+        " | ".join(["car", "class", *(f"{v:g} m/s" for v in speeds)]),
         body,
         "ll" + "r" * len(speeds),
     )
@@ -293,9 +252,7 @@ def lift_off() -> str:
                 ),
             ]
         )
-    return markdown(
-        ["car", "road, 20 m/s", "J", "acceleration", "tyre load"], body, "llrrr"
-    )
+    return markdown("car | road, 20 m/s | J | acceleration | tyre load", body, "llrrr")
 
 
 # ----------------------------------------------------------------------------------------------------- tracks
@@ -376,17 +333,7 @@ def each_road(card_name: str) -> str:
     lines.append(["least for any force", "", "", *least, "", "", ""])
     speeds = [f"J, {track.road}, {track.speed:g} m/s" for track in on.values()]
     heads = ["policy", "travel beyond 80 mm, worst road [% of time]", "wheel lifts, worst road [% of time]", *speeds, "acceleration, C", "travel, C", "tyre load, C"]  # fmt: skip
-    return markdown(heads, lines, "l" + "r" * (len(heads) - 1))
-
-
-def active_roads() -> str:
-    """The active quarter car on every road."""
-    return each_road("quarter-car-active")
-
-
-def semiactive_roads() -> str:
-    """The semi-active quarter car on every road."""
-    return each_road("quarter-car-semiactive")
+    return markdown(" | ".join(heads), lines, "l" + "r" * (len(heads) - 1))
 
 
 def budget_of(policy: str) -> str:
@@ -433,7 +380,7 @@ def tracks() -> str:
     lines = []
     for spread, name, *cells in sorted(body, reverse=True):
         lines.append([name, DISCRIMINATES[name], f"{100 * spread:.1f}", *cells])
-    heads = ["track", "what separates policies", "from `skyhook` to the best [points of J]", "`skyhook`", "best learned", "best classical", "ceiling or bound", "training of the best learned", "card"]  # fmt: skip
+    heads = "track | what separates policies | from `skyhook` to the best [points of J] | `skyhook` | best learned | best classical | ceiling or bound | training of the best learned | card"  # fmt: skip
     return markdown(heads, lines, "llrrrrlll")
 
 
@@ -446,10 +393,7 @@ def robust_row() -> tuple[float, *tuple[str, ...]]:
     for learned in (True, False):
         row = tracks_of.best(rows, learned=learned)
         assert row is not None
-        change = row["change"]
-        cells.append(
-            f"`{row['policy']}` {percent(change['value'])} {interval(change['low'], change['high'])}"
-        )
+        cells.append(f"`{row['policy']}` {change_of(row['change'], 'value')}")
     spread = by["skyhook"] - rows[0]["change"]["value"]
     sweep = f"`isd-gym sweep robust`, {found['conditions']} conditions"
     return (
@@ -463,28 +407,13 @@ def robust_row() -> tuple[float, *tuple[str, ...]]:
     )
 
 
-def card_table(environment: str) -> str:
-    """Track `standard` of an environment."""
-    return table(cards.load(environment), "standard")
-
-
-def half_car_card() -> str:
-    """Track of the half car."""
-    return card_table("ISDHalfCar-v0")
-
-
-def full_car_card() -> str:
-    """Track of the full car."""
-    return card_table("ISDFullCar-v0")
-
-
 def regeneration() -> str:
     """Processor time of each card."""
     body = []
     for name, found in read(tracks_of.TIMES).items():
         for track, seconds in found["processor_seconds"].items():
             body.append([name, track, f"{seconds:.0f} s"])
-    return markdown(["card", "track", "processor time"], body, "llr")
+    return markdown("card | track | processor time", body, "llr")
 
 
 # ------------------------------------------------------------------------------------------------ environment
@@ -500,17 +429,17 @@ def environment() -> str:
     names = ", ".join(f"`{name}`" for name in (*ENVIRONMENTS, *LEARNING))
     parts = [
         f"## One car\n\n`gymnasium.make(name, **options)` with one of the names {names}.",
-        told(ISDSuspensionEnv, 3),
+        told(ISDSuspensionEnv),
     ]
-    parts += ["## Options", told(Options, 3), options(Options)]
-    parts += ["## Many cars", told(ISDSuspensionVectorEnv, 3)]
+    parts += ["## Options", told(Options), options(Options)]
+    parts += ["## Many cars", told(ISDSuspensionVectorEnv)]
     return "\n\n".join(parts)
 
 
-def told(of: type, level: int) -> str:
-    """A docstring as Markdown: headings from `level` on, sections as tables."""
+def told(of: type) -> str:
+    """A docstring as Markdown: headings of the third level, sections as tables."""
     text = inspect.cleandoc(of.__doc__ or "") + "\n"
-    text = re.sub(r"^## ", "#" * level + " ", text, flags=re.MULTILINE)
+    text = re.sub(r"^## ", "### ", text, flags=re.MULTILINE)
 
     def table_of(section: re.Match[str]) -> str:
         title, body = section.groups()
@@ -518,7 +447,7 @@ def told(of: type, level: int) -> str:
             [f"`{name}`", " ".join(words.split())]
             for name, words in FIELD.findall(body)
         ]
-        head = {"Args": ["argument", "meaning"], "Raises": ["error", "reason"]}[title]
+        head = {"Args": "argument | meaning", "Raises": "error | reason"}[title]
         return f"{markdown(head, rows, 'll')}\n\n"
 
     return SECTION.sub(table_of, text).strip()
@@ -537,18 +466,30 @@ def options(of: type) -> str:
             rows.append([f"`{name}`", f"`{defaults.pop(name)!r}`", " ".join(comment)])
         comment = []
     assert not defaults, f"options without a comment: {', '.join(defaults)}"
-    return markdown(["option", "default", "meaning"], rows, "lll")
+    return markdown("option | default | meaning", rows, "lll")
 
 
 # --------------------------------------------------------------------------------------------------- learning
 
 
 def learning_study() -> str:
-    """Algorithms and settings on the environments for learning, over training seeds."""
-    return learning.table()
-
-
-# ---------------------------------------------------------------------------------------- public measurements
+    """Algorithms and settings over training seeds; the best and the worst seed are those of J."""
+    body = []
+    for name, by_seed in learning.read().items():
+        changes = np.array([run["change"] for run in by_seed.values()])
+        seconds = np.mean([run["seconds"] for run in by_seed.values()])
+        figures = (trim_mean(changes, 0.25), changes.min(), changes.max())
+        body.append(
+            [
+                name,
+                f"{learning.SETTINGS[name].decisions:,}",
+                str(len(changes)),
+                f"{seconds:.0f} s",
+                *(percent(value / 100) for value in figures),
+            ]
+        )
+    heads = "algorithm and setting | decisions | seeds | processor time | J, interquartile mean | best | worst"
+    return markdown(heads, body, "lrrrrrr")
 
 
 # -------------------------------------------------------------------------------------------------- diagnosis
@@ -576,15 +517,7 @@ def suites() -> str:
                 f"{f['date']}, {f['version']}",
             ]
         )
-    heads = [
-        "suite, seed",
-        "rigs",
-        "right",
-        "place and kind right",
-        "wrong name",
-        "clean left alone",
-    ]
-    heads += ["unknown recognised", "processor time: median / longest", "date, version"]
+    heads = "suite, seed | rigs | right | place and kind right | wrong name | clean left alone | unknown recognised | processor time: median / longest | date, version"
     return markdown(heads, body, "lrrrrrrrl")
 
 
@@ -609,7 +542,7 @@ def calibration() -> str:
                             f"{b['least']:.2f} to {b['most']:.2f}",
                         ]
                     )
-    heads = ["suite, seed", "level", "stated", "statements", "true", "95 % interval"]
+    heads = "suite, seed | level | stated | statements | true | 95 % interval"
     return markdown(heads, body, "llrrrr")
 
 
@@ -619,13 +552,13 @@ def limits() -> str:
     for row in criteria.table():
         words = (str(row[k]) for k in ("unit", "why", "source"))
         body.append([f"`{row['id']}`", f"{row['limit']:.3g}", *words])
-    return markdown(["limit", "value", "unit", "reason", "source"], body, "lrlll")
+    return markdown("limit | value | unit | reason | source", body, "lrlll")
 
 
 def mistaken() -> str:
     """Shares of statements that are wrong although no resampling shows it."""
     return markdown(
-        ["statement", "mistaken"],
+        "statement | mistaken",
         [[f"`{k}`", f"{v:.2f}"] for k, v in grades.MISTAKEN.items()],
         "lr",
     )
@@ -656,7 +589,7 @@ def measurements() -> str:
             ]
         )
     return markdown(
-        ["rig", "what is known", "answer of the diagnosis", "right?"], body, "llll"
+        "rig | what is known | answer of the diagnosis | right?", body, "llll"
     )
 
 
@@ -684,17 +617,9 @@ def first_looks() -> str:
                 *(right(said[level]) for level in ("law", "kind", "place")),
             ]
         )
-    heads = [
-        "date, version",
-        "rigs",
-        "law right or rightly silent",
-        "place and kind right",
-        "wrong name",
-    ]
-    heads += [
-        f"{level} stated at 0.9 or more that is right"
-        for level in ("name", "kind", "place")
-    ]
+    heads = "date, version | rigs | law right or rightly silent | place and kind right | wrong name"
+    for level in ("name", "kind", "place"):
+        heads += f" | {level} stated at 0.9 or more that is right"
     return markdown(heads, body, "lrrrrrrr")
 
 
@@ -709,7 +634,7 @@ def first_looks_by_rig() -> str:
         if r["name"] not in listed
     ]  # fmt: skip
     return markdown(
-        ["rig", "what is known", "first answer", "right?", "place and kind"],
+        "rig | what is known | first answer | right? | place and kind",
         body,
         "lllll",
     )
@@ -727,9 +652,7 @@ def sources() -> str:
         ]
         for name, entry in read(MEASURED).items()
     ]
-    return markdown(
-        ["name", "source", "licence", "records", "nominal model"], body, "lllll"
-    )
+    return markdown("name | source | licence | records | nominal model", body, "lllll")
 
 
 def answer_of(diagnosis: dict[str, Any]) -> str:
@@ -805,7 +728,7 @@ def yardsticks() -> str:
         f"**{found['emps']['figures']['test']:.2f}**",
     ]
     return markdown(
-        ["method", "Silverbox [mV]", "EMPS [mm]"], [ours, *map(list, PUBLISHED)], "lrr"
+        "method | Silverbox [mV] | EMPS [mm]", [ours, *map(list, PUBLISHED)], "lrr"
     )
 
 
@@ -825,20 +748,11 @@ def yardstick_models() -> str:
         body.append(
             [f"`{name}`", effects, str(len(f["parameters"])), values, figures, time]
         )
-    heads = [
-        "benchmark",
-        "effects named",
-        "parameters",
-        "values in `model.json`",
-        "test figures",
-        "time",
-    ]
+    heads = "benchmark | effects named | parameters | values in `model.json` | test figures | time"
     return markdown(heads, body, "llrllr")
 
 
 # ------------------------------------------------------------------------------------------------------ pages
-
-#: page -> its tables
 
 
 def elements() -> str:
@@ -855,53 +769,68 @@ def elements() -> str:
             if cls.place != place:
                 continue
             parts += [f"### `{kind}`\n", f"`{cls.equation}`\n"]
-            rows = ["| parameter | unit | usual | default |", "|---|---|---|---|"]
+            rows = []
             for f in parameter_fields(cls):
                 low, high = f.metadata["range"]
                 usual = f"{low:g} to {high:g}" if abs(high) < float("inf") else "any"
                 default = (
                     f"{f.default:g}" if isinstance(f.default, int | float) else "needed"
                 )
-                rows.append(
-                    f"| `{f.name}` | {f.metadata['unit']} | {usual} | {default} |"
-                )
+                rows.append([f"`{f.name}`", f.metadata["unit"], usual, default])
             for key, allowed in cls.choices.items():
                 default = cls.__dataclass_fields__[key].default
-                rows.append(f"| `{key}` | | {', '.join(allowed)} | {default} |")
+                rows.append([f"`{key}`", "", ", ".join(allowed), default])
             parts += [
-                "\n".join(rows) + "\n",
+                markdown("parameter | unit | usual | default", rows, "llll") + "\n",
                 f"Recognised by: {cls.signature}. Source: {cls.source}.\n",
             ]
     return "\n".join(parts).strip()
 
 
-PAGES: dict[str, tuple[Callable[[], str], ...]] = {
-    "README.md": (headline,),
-    "docs/tutorials/half-car.md": (half_car,),
-    "docs/explanation/baselines.md": (wheelbase,),
-    "docs/explanation/ceiling.md": (ceilings,),
-    "docs/explanation/road.md": (pulling, lift_off),
-    "docs/reference/elements.md": (elements,),
-    "docs/explanation/study.md": (learning_study,),
-    "docs/validation/controllers.md": (scores, ceilings, steps),
-    "docs/validation/diagnosis.md": (suites, calibration),
-    "docs/validation/public-measurements.md": (
-        measurements,
-        first_looks,
-        first_looks_by_rig,
-        sources,
+def named(*makers: Callable[[], str]) -> dict[str, Callable[[], str]]:
+    """Tables by the names of the functions that make them."""
+    return {make.__name__: make for make in makers}
+
+
+def of_controllers(name: str, file: str) -> str:
+    """A table of the controllers' page from the file of a benchmark."""
+    return getattr(controllers, name)(stored(file))
+
+
+#: page -> its tables by name
+PAGES: dict[str, dict[str, Callable[[], str]]] = {
+    "README.md": named(headline),
+    "docs/tutorials/half-car.md": named(half_car),
+    "docs/explanation/baselines.md": {
+        "wheelbase": wheelbase,
+        "times": partial(of_controllers, "times", "mpc.json"),
+        "solvers": partial(of_controllers, "solvers", "mpc.json"),
+        "robustness": partial(of_controllers, "robustness", "robustness.json"),
+    },
+    "docs/explanation/ceiling.md": named(ceilings),
+    "docs/explanation/road.md": named(pulling, lift_off),
+    "docs/reference/elements.md": named(elements),
+    "docs/explanation/study.md": named(learning_study),
+    "docs/validation/controllers.md": named(scores, ceilings, steps),
+    "docs/validation/diagnosis.md": named(suites, calibration),
+    "docs/validation/public-measurements.md": named(
+        measurements, first_looks, first_looks_by_rig, sources
     ),
-    "docs/validation/yardsticks.md": (yardsticks, yardstick_models),
-    "docs/reference/environment.md": (environment,),
-    "docs/reference/tracks.md": (
-        tracks,
-        active_roads,
-        semiactive_roads,
-        half_car_card,
-        full_car_card,
-        regeneration,
-    ),
-    "docs/reference/limits.md": (limits, mistaken),
+    "docs/validation/yardsticks.md": named(yardsticks, yardstick_models),
+    "docs/reference/benchmark.md": {
+        track: partial(card_table, "ISDSuspension-v0", track)
+        for track in ("standard", "preview-0.1", "preview-0.2")
+    },
+    "docs/reference/environment.md": named(environment),
+    "docs/reference/tracks.md": {
+        "tracks": tracks,
+        "active_roads": partial(each_road, "quarter-car-active"),
+        "semiactive_roads": partial(each_road, "quarter-car-semiactive"),
+        "half_car_card": partial(card_table, "ISDHalfCar-v0"),
+        "full_car_card": partial(card_table, "ISDFullCar-v0"),
+        "regeneration": regeneration,
+    },
+    "docs/reference/limits.md": named(limits, mistaken),
 }
 
 
@@ -915,8 +844,7 @@ def fill(page: str) -> str:
         The whole page.
     """
     text = (ROOT / page).read_text(encoding="utf-8")
-    for make in PAGES[page]:
-        name = make.__name__
+    for name, make in PAGES[page].items():
         start, end = (
             f"<!-- {name}: python docs/results.py -->",
             f"<!-- end of {name} -->",

@@ -1,7 +1,6 @@
 """Files of strangers: whatever is in them, the answer is a result or one line, and nothing outside is touched."""
 
 import contextlib
-import html
 import io
 import itertools
 import json
@@ -37,7 +36,6 @@ from program import assert_one_line, python, refused, run
 
 from isd_gym._common.errors import InputError, plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
-from isd_gym._common.markdown import markdown
 from isd_gym.benchmark.policies import find
 from isd_gym.benchmark.sweep.conditions import Grid, sweep
 from isd_gym.benchmark.sweep.grid import belongings
@@ -69,26 +67,6 @@ def test_a_huge_number_on_the_command_line_is_one_line(words, says, tmp_path):
     done = run(*words.format(tmp=tmp_path / "out").split())
     assert_one_line(done, says)
     assert not done.stdout
-
-
-HOSTILE = "<script>alert(1)</script>|`** [x](javascript:alert(1)) # h"
-
-
-def test_a_name_in_markdown_is_text_in_one_cell():
-    """Neither HTML nor Markdown sees markup; the entities decode to the name."""
-    for code in (False, True):
-        text = markdown(HOSTILE, code=code)
-        assert (
-            not set("<>|`*[]#") & set(text.replace("&#", ""))
-            and html.unescape(text) == HOSTILE
-        )
-    assert (
-        markdown("mpc-friction_2", code=True) == "`mpc-friction_2`"
-        and markdown("speed 10") == "speed 10"
-    )
-    assert html.unescape(markdown("_a_ b_c")) == "_a_ b_c" and "_a" not in markdown(
-        "_a_ b_c"
-    )
 
 
 def test_names_are_shown_in_one_line_that_steers_nothing():
