@@ -33,6 +33,19 @@ def near(
     return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=2)
 
 
+def listen(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return a list that gets the words of later pictures, in the order in which they are set."""
+    said: list[str] = []
+    typeset = Canvas._typeset
+
+    def hear(canvas: Canvas, words: str, *style: Any) -> Any:
+        said.append(words)
+        return typeset(canvas, words, *style)
+
+    monkeypatch.setattr(Canvas, "_typeset", hear)
+    return said
+
+
 def read_mp4(path: Path, size: tuple[int, int]) -> np.ndarray:
     """Return the frames of a film of this width and height."""
     import imageio_ffmpeg

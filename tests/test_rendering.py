@@ -9,7 +9,8 @@ import picture_checks
 import pytest
 from program import refused
 
-from isd_gym._common.errors import InputError, how_to_install
+from isd_gym import InputError
+from isd_gym._common.errors import how_to_install
 from isd_gym.view import rendering
 from isd_gym.view.rendering import (
     CarSnapshot,
@@ -18,7 +19,6 @@ from isd_gym.view.rendering import (
     backend,
     write_video,
 )
-from isd_gym.view.rendering.canvas import Canvas
 
 pygame = backend.pygame()
 LIMIT = 0.02465  # [m], Table 1's deputy stroke at the terminals
@@ -104,14 +104,7 @@ def test_thrust_arrows_show_direction_and_size():
 
 
 def test_the_words_state_the_scales(monkeypatch):
-    said = []
-    text = Canvas.text
-
-    def listen(canvas, words, *place, **style):
-        said.append(words)
-        return text(canvas, words, *place, **style)
-
-    monkeypatch.setattr(Canvas, "text", listen)
+    said = picture_checks.listen(monkeypatch)
     frame(snapshot(suspension_travel=0.029, body_acceleration=-2.9))
     assert {"−2", "+2", "−20", "+20", "10 mm, vertical ×10"} <= set(said)
     said.clear()

@@ -8,10 +8,9 @@ import picture_checks
 import pytest
 from program import printed, refused
 
-from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.view import rendering
 from isd_gym.view.rendering import CarSnapshot, CornerSnapshot, renderer
-from isd_gym.view.rendering.canvas import Canvas
 from isd_gym.view.rendering.car import CarScene
 from isd_gym.view.rendering.wheel import RUBBER
 
@@ -66,15 +65,7 @@ def scenes(monkeypatch):
 
 @pytest.fixture
 def said(monkeypatch):
-    words = []
-    text = Canvas.text
-
-    def listen(canvas, sentence, *place, **style):
-        words.append(sentence)
-        return text(canvas, sentence, *place, **style)
-
-    monkeypatch.setattr(Canvas, "text", listen)
-    return words
+    return picture_checks.listen(monkeypatch)
 
 
 def factor(said):
@@ -95,6 +86,11 @@ def slope(picture, columns):
     )
     x = np.flatnonzero(rows >= 0)[8:-8]
     return float(np.polyfit(x, rows[x], 1)[0])
+
+
+def test_the_name_of_a_policy_is_whole(said):
+    frame(car(PLACES, label="mpc-wheelbase"))
+    assert "mpc-wheel…" not in said
 
 
 @pytest.mark.parametrize("pitch", [-0.012, 0.0, 0.004, 0.012])

@@ -175,9 +175,10 @@ class Canvas:
         width [px]."""
         surface = self._typeset(words, size, colour, face)
         if room is not None:
-            if surface.get_width() > room:
-                size *= 0.85
-                surface = self._typeset(words, size, colour, face)
+            for smaller in (0.85 * size, 0.7 * size):
+                if surface.get_width() > room:
+                    size = smaller
+                    surface = self._typeset(words, size, colour, face)
             while surface.get_width() > room and len(words) > 1:
                 words = words.rstrip("…")[:-1].rstrip(" ,;:-") + "…"
                 surface = self._typeset(words, size, colour, face)
