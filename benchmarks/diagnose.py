@@ -44,7 +44,7 @@ os.environ.update(
 import grading
 from grading import Row
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError
 from isd_gym.benchmark.sweep import items as engine
 
 if TYPE_CHECKING:
@@ -164,8 +164,8 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
         )
     from rigs import families, hidden
 
-    from isd_gym.physics.network import Network
-    from isd_gym.records.data import Table, write_table
+    from isd_gym import Network, Table
+    from isd_gym.records.data import write_table
 
     case = (hidden if job.suite == "home" else families).make_case(job.kind, job.seed)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis import CRITERIA
 from isd_gym.physics.elements import TYPES
 
 Row = dict[str, Any]

@@ -44,8 +44,7 @@ def make_rig(
     from rigs.families.case import Noise, nuisances, sized, spreads
     from rigs.families.effects import coulomb
 
-    from isd_gym.physics.network import Network
-    from isd_gym.records.data import Table
+    from isd_gym import Network, Table
 
     for attempt in range(100):
         rng = np.random.default_rng(
@@ -112,7 +111,8 @@ def _moved(
 
 def case(family: str, population: str, seed: int) -> dict[str, Any]:
     """Return truth, estimate, interval and prior of each parameter of a rig."""
-    from isd_gym.diagnosis import SearchSettings, diagnose
+    from isd_gym import diagnose
+    from isd_gym.diagnosis import SearchSettings
 
     model, truth, tables = make_rig(family, population, seed)
     begun = time.perf_counter()
@@ -169,7 +169,7 @@ def _width(p: dict[str, Any]) -> float:
 def main() -> None:
     from rigs.families import FAMILIES
 
-    from isd_gym._common.errors import InputError
+    from isd_gym import InputError
 
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

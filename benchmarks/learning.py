@@ -124,7 +124,7 @@ def train(setting: Setting, seed: int, model_file: Path) -> dict[str, Any]:
 
 def score_of(model_file: Path, network: str) -> float:
     """Return the change of J against the passive car on the scoring roads [%]."""
-    from isd_gym.benchmark.scoring import score
+    from isd_gym import score
 
     rows = score([str(model_file)], network).policies
     return round(100.0 * rows[-1]["cost"]["change"], 2)

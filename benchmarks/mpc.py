@@ -28,11 +28,9 @@ import numpy as np
 from isd_gym.baselines._qp import Osqp, Outcome, Program
 from scipy.optimize import nnls
 
-from isd_gym import baselines
+from isd_gym import Network, StageCost, baselines
 from isd_gym._common.files import write_text
 from isd_gym.benchmark.scoring import Entry, drive
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Network
 
 
 class Daqp:

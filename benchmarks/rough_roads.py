@@ -18,9 +18,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from isd_gym._common.errors import TyreContactWarning
+from isd_gym import Network, TyreContactWarning
 from isd_gym.physics._tyre_contact import pulling_share
-from isd_gym.physics.network import Network
 from isd_gym.physics.road import road as find_road
 from isd_gym.physics.vehicle import vehicle
 

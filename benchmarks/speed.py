@@ -25,7 +25,7 @@ from unittest import mock
 import gymnasium as gym
 import numpy as np
 
-from isd_gym.physics.network import Network
+from isd_gym import Network
 from isd_gym.physics.road import paper_road
 from isd_gym.physics.simulate import Plant
 

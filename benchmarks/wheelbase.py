@@ -16,12 +16,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from isd_gym import baselines
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network, baselines, score
 from isd_gym.benchmark.lq_bounds import wheelbase_bound
 from isd_gym.benchmark.policies import find
-from isd_gym.benchmark.scoring import Entry, compare, measures, score
-from isd_gym.physics.network import Network
+from isd_gym.benchmark.scoring import Entry, compare, measures
 from isd_gym.physics.prediction import ROAD_INTENSITY
 from isd_gym.physics.vehicle import vehicle
 

@@ -29,15 +29,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from isd_gym import Network, Table, read_table, simulate
 from isd_gym._common.arrays import rms
 from isd_gym.diagnosis._records.filtering import differentiate_inputs
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.interpolation import differences
 from isd_gym.diagnosis._simulation.problem import Problem, low_pass
 from isd_gym.diagnosis.simulation import initial_state
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.records.data import write_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

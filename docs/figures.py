@@ -21,10 +21,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
+from isd_gym import Network, linearise, simulate
 from isd_gym.benchmark.policies import conventional, find
-from isd_gym.physics.network import Channel, Network, linearise
+from isd_gym.physics.network import Channel
 from isd_gym.physics.road import iso_road, paper_road, road
-from isd_gym.physics.simulate import simulate
 from isd_gym.view.report.schematic import draw
 
 HERE = Path(__file__).parent / "figures"
@@ -82,9 +82,8 @@ def law() -> None:
 
 def reports() -> None:
     """What a score's and a diagnosis' page draw: 32 episodes, and the records of the tutorial on diagnoses."""
+    from isd_gym import diagnose, score
     from isd_gym.benchmark.policies import passive
-    from isd_gym.benchmark.scoring import score
-    from isd_gym.diagnosis import diagnose
     from isd_gym.view import score_report, write_report
 
     with tempfile.TemporaryDirectory() as folder:
@@ -398,9 +397,9 @@ def films() -> None:
 
 def preview() -> None:
     """Change of J over the seconds of road ahead, of the references of the benchmark's card, and the ceilings."""
+    from isd_gym import Network
     from isd_gym.benchmark import cards
     from isd_gym.benchmark.ceilings import ceiling
-    from isd_gym.physics.network import Network
     from isd_gym.physics.road import road
 
     card = cards.load("ISDSuspension-v0")

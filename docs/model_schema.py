@@ -124,7 +124,8 @@ def model_schema() -> dict[str, Any]:
 
 def _body() -> dict[str, Any]:
     """Return the schema of a rigid body."""
-    from isd_gym.physics.network._bodies import AXES, FARTHEST, MASSES
+    from isd_gym.physics.network import AXES
+    from isd_gym.physics.network._bodies import FARTHEST, MASSES
 
     inertia = {
         "type": "number",
@@ -192,7 +193,7 @@ def _lever() -> dict[str, Any]:
 
 def _about(quantities: tuple[str, ...], more: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of a channel about an axis of a body."""
-    from isd_gym.physics.network._bodies import AXES
+    from isd_gym.physics.network import AXES
 
     return _channel(
         {"body": {"$ref": "#/$defs/name"}, "axis": {"enum": list(AXES)}},

@@ -33,14 +33,14 @@ import tracks as tracks_of
 from scipy.stats import trim_mean
 from table import card_table, change_of, markdown, percent
 
+from isd_gym import StageCost
 from isd_gym.benchmark import cards, lq_bounds
 from isd_gym.benchmark.ceilings import ceiling
 from isd_gym.benchmark.tracks import TRACKS
 from isd_gym.diagnosis._selection import criteria
 from isd_gym.diagnosis._verdict import grades
+from isd_gym.env import Options
 from isd_gym.env.registration import ENVIRONMENTS, LEARNING
-from isd_gym.env.task import Options
-from isd_gym.physics.cost import StageCost
 from isd_gym.physics.elements import TYPES, parameter_fields
 
 if TYPE_CHECKING:
@@ -424,7 +424,7 @@ FIELD = re.compile(r"^    (\w+): ((?:.|\n {5,})*)", re.MULTILINE)
 
 def environment() -> str:
     """Docstring of the environments as Markdown, with tables of the arguments and of the options."""
-    from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+    from isd_gym import ISDSuspensionEnv, ISDSuspensionVectorEnv
 
     names = ", ".join(f"`{name}`" for name in (*ENVIRONMENTS, *LEARNING))
     parts = [

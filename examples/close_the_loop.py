@@ -16,14 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from isd_gym import baselines
+from isd_gym import (
+    Diagnosis,
+    Network,
+    Score,
+    Table,
+    baselines,
+    diagnose,
+    score,
+    simulate,
+)
 from isd_gym.benchmark.policies import passive
-from isd_gym.benchmark.scoring import Entry, Score, score
-from isd_gym.diagnosis import Diagnosis, diagnose
-from isd_gym.physics.network import Network
+from isd_gym.benchmark.scoring import Entry
 from isd_gym.physics.road import road
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table
 from isd_gym.view import write_report
 
 CAR = Network.load("quarter-car-isd").with_parameters(

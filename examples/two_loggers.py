@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from isd_gym.physics.network import Network
+from isd_gym import Network, Table, simulate
 from isd_gym.physics.road import road
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, write_table
+from isd_gym.records.data import write_table
 
 LATE = 0.017  # s
 

@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table
+from isd_gym import Network, Table, simulate
 
 #: unit of a channel unless another one is given
 UNITS = {

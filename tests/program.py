@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,8 +14,8 @@ from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.baselines import make
 from program import refused, run
 
+from isd_gym import Network
 from isd_gym.benchmark.policies import conventional
-from isd_gym.physics.network import Network
 from isd_gym.physics.vehicle import vehicle
 
 MEMORY = Memory.of(vehicle(Network.load("quarter-car-isd")))

@@ -6,14 +6,11 @@ import pytest
 from builders import channel, damper, friction, spring
 from program import refused
 
+from isd_gym import Network, Table, diagnose, simulate
 from isd_gym.diagnosis import _workflow as workflow
-from isd_gym.diagnosis import diagnose
 from isd_gym.diagnosis._records.agreement import find_misreading
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table
 from isd_gym.records.data._quality import known_check
 
 STRUT = [spring("body", "wheel", 22e3), damper("body", "wheel", 1500.0)]

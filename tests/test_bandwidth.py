@@ -6,13 +6,12 @@ import pytest
 from builders import channel, damper, friction
 from scipy.signal import butter, sosfiltfilt, welch
 
-from isd_gym import simulate
+from isd_gym import Network, simulate
 from isd_gym.diagnosis._records.filtering import (
     count_derivatives,
     differentiate_inputs,
 )
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.network import Network
 
 SAMPLES = 12_000
 OUTPUT_NOISE = 0.01  # RMS of a sensor's noise, relative to the deviation of its signal

@@ -24,11 +24,15 @@ from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.baselines.mpc import Mpc, MpcSettings
 from program import refused
 
-from isd_gym import baselines
-from isd_gym.benchmark.scoring import Entry, score
-from isd_gym.env._environment import ISDSuspensionVectorEnv
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Network, linearise
+from isd_gym import (
+    ISDSuspensionVectorEnv,
+    Network,
+    StageCost,
+    baselines,
+    linearise,
+    score,
+)
+from isd_gym.benchmark.scoring import Entry
 from isd_gym.physics.prediction import (
     Sensors,
     Weights,

@@ -8,11 +8,10 @@ from builders import QUARTER_CAR as CAR
 from builders import STRUT, drive_quarter_car, friction, spring
 from program import assert_one_line, run
 
+from isd_gym import Network, Table, read_table, simulate
 from isd_gym.diagnosis.simulation import initial_state, state_of
 from isd_gym.diagnosis.simulation._motions import motions_at
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.records.data import write_table
 from isd_gym.records.loggers import Recording, Signal
 
 NETWORK = Network.load(CAR)

@@ -12,15 +12,9 @@ from program import refused
 from rigs import reference
 
 import isd_gym.physics.simulate
-from isd_gym import simulate
+from isd_gym import Network, simulate
 from isd_gym.physics._kernel.layout import GENERAL
-from isd_gym.physics.network import (
-    Network,
-    assemble,
-    builtin_networks,
-    cut,
-    rejoin,
-)
+from isd_gym.physics.network import assemble, builtin_networks, cut, rejoin
 
 SIGNALS = ("suspension_travel", "tyre_force", "device_travel", "body_acceleration")
 

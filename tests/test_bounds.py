@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from program import refused
 
+from isd_gym import Network, StageCost
 from isd_gym.benchmark import ceilings as module
 from isd_gym.benchmark import lq_bounds as bounds
 from isd_gym.benchmark.ceilings import ceiling, passive_cost, reachable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Network
 from isd_gym.physics.prediction import (
     Weights,
     prediction_model,

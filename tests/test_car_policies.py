@@ -10,9 +10,7 @@ from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import Head, Policy
 from program import refused
 
-from isd_gym.env._environment import ISDSuspensionVectorEnv
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Network
+from isd_gym import ISDSuspensionVectorEnv, Network, StageCost
 from isd_gym.physics.vehicle import vehicle
 
 CARS = {"half-car-isd": "ISDHalfCar-v0", "full-car-isd": "ISDFullCar-v0"}

@@ -7,8 +7,9 @@ import pytest
 import tracks
 from program import assert_one_line, refused, run
 
+from isd_gym import score
 from isd_gym.benchmark import cards
-from isd_gym.benchmark.scoring import fingerprints, score
+from isd_gym.benchmark.scoring import fingerprints
 from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
 ON = {"episodes": 4, "duration": 0.5}

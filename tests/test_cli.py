@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from program import assert_one_line, python, run
 
+from isd_gym import Network, score
 from isd_gym._commands._score_table import print_score
 from isd_gym.benchmark.policies import available, find
-from isd_gym.benchmark.scoring import score
 from isd_gym.physics.elements import TYPES
-from isd_gym.physics.network import Network
 
 
 def test_the_module_is_the_program_and_tells_its_version():

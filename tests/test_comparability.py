@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from isd_gym import Network, score
 from isd_gym.benchmark import ceilings as beside
 from isd_gym.benchmark.comparability import Comparable, comparable
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import score
-from isd_gym.physics.network import Network
 from isd_gym.view.report import score as page
 
 CAR = Network.load("quarter-car-isd")

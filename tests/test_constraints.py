@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from builders import channel
 
-from isd_gym.physics.network import Network, transfer
+from isd_gym import Network
+from isd_gym.physics.network import transfer
 
 FREQUENCY = np.geomspace(0.2, 30.0, 12)
 LINEAR = {

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from test_law_sets import COULOMB, CUBIC, DRAG, answer, row
 
+from isd_gym.diagnosis import CRITERIA, Criteria, Evidence
 from isd_gym.diagnosis._result_builder import ResultBuilder, closed
 from isd_gym.diagnosis._selection.answer import removed_share
 from isd_gym.diagnosis._selection.conditions import table_gates
 from isd_gym.diagnosis._selection.contradictions import repeats
-from isd_gym.diagnosis._selection.criteria import CRITERIA, Criteria, table
+from isd_gym.diagnosis._selection.criteria import table
 from isd_gym.diagnosis._selection.free_force import FreeForce
-from isd_gym.diagnosis._verdict.evidence import Evidence
 from isd_gym.diagnosis._verdict.gates import decide
 from isd_gym.diagnosis._verdict.grades import share_mistaken
 from isd_gym.physics.elements import TYPES, Motion

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from program import refused
 from scipy import io, signal
 
-from isd_gym.records.data import Table, check, read_table, write_table
+from isd_gym import Table, read_table
+from isd_gym.records.data import check, write_table
 from isd_gym.records.data._quality import held_samples
 from isd_gym.records.data._signals import unwrapped
 from isd_gym.records.data._table import read_columns

@@ -12,20 +12,17 @@ from builders import QUARTER_CAR, drive_quarter_car, friction, oscillator
 from html_page import Page
 from typer.testing import CliRunner
 
+from isd_gym import InputError, Network, Table, diagnose, read_table, simulate
 from isd_gym import _commands as cli
-from isd_gym import simulate
-from isd_gym._common.errors import InputError
-from isd_gym.diagnosis import SearchSettings, diagnose
+from isd_gym.diagnosis import Hypothesis, SearchSettings
 from isd_gym.diagnosis import _workflow as workflow
-from isd_gym.diagnosis._estimation.structure import Hypothesis
 from isd_gym.diagnosis._records.reading import thin_long_record
 from isd_gym.diagnosis._selection.plain_fits import Stage
 from isd_gym.diagnosis._simulation.problem import Record
 from isd_gym.diagnosis._simulation.time_limit import TimeLimit
 from isd_gym.diagnosis._verdict.wording import summary_of
-from isd_gym.physics.network import Network
 from isd_gym.records import schemas
-from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.records.data import write_table
 
 jsonschema = pytest.importorskip("jsonschema")
 

@@ -13,13 +13,14 @@ from rigs.hidden import make_case
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
-from isd_gym.diagnosis import diagnose
+from isd_gym import Network, Table, diagnose, simulate
+from isd_gym.diagnosis import Hypothesis, hypotheses
 from isd_gym.diagnosis._estimation import multiple_shooting as shooting
 from isd_gym.diagnosis._estimation import noise as weighting
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import states_along
-from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
-from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
+from isd_gym.diagnosis._estimation.structure import add, base_structure
+from isd_gym.diagnosis._hypotheses.library import pairs
 from isd_gym.diagnosis._planning.excitation import Excitation, Rig, make_record
 from isd_gym.diagnosis._records.splitting import LEAD_IN, split_records
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
@@ -28,9 +29,7 @@ from isd_gym.diagnosis._simulation.interpolation import splined_input
 from isd_gym.diagnosis._simulation.problem import Problem, Record, low_pass, thinned
 from isd_gym.diagnosis._workflow import held_from
 from isd_gym.physics.elements import TYPES
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, check
+from isd_gym.records.data import check
 
 approx = pytest.approx
 

@@ -8,21 +8,14 @@ import pytest
 from builders import cart, channel, damper, element, network
 from program import refused
 
-from isd_gym._common.errors import InputError
-from isd_gym.diagnosis._estimation.structure import (
-    Hypothesis,
-    add,
-    base_structure,
-    free_of,
-)
+from isd_gym import InputError, ISDSuspensionEnv, Network, Table, linearise, simulate
+from isd_gym.diagnosis import Hypothesis
+from isd_gym.diagnosis._estimation.structure import add, base_structure, free_of
 from isd_gym.diagnosis._planning.excitation import infer_rig
 from isd_gym.diagnosis._records.reading import read_record
-from isd_gym.env._environment import ISDSuspensionEnv
 from isd_gym.physics import elements as el
 from isd_gym.physics.fmu import Running
-from isd_gym.physics.network import Network, linearise
-from isd_gym.physics.simulate import effective_current, simulate
-from isd_gym.records.data import Table
+from isd_gym.physics.simulate import effective_current
 
 
 def library():

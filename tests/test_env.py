@@ -11,8 +11,7 @@ from builders import element, friction
 from gymnasium.utils.env_checker import check_env
 from program import python, refused
 
-from isd_gym.env._environment import ISDSuspensionEnv
-from isd_gym.physics.network import Network
+from isd_gym import ISDSuspensionEnv, Network
 
 
 def misspelt(node, name):

@@ -8,13 +8,11 @@ import pytest
 from builders import channel, damper, element
 from scipy.signal import cont2discrete, lfilter
 
-from isd_gym.diagnosis import diagnose
+from isd_gym import Network, Table, diagnose
+from isd_gym.diagnosis import CRITERIA
 from isd_gym.diagnosis._records.feedback import find_feedback
-from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.diagnosis._verdict.closed_loop import imitated_share
-from isd_gym.physics.network import Network
-from isd_gym.records.data import Table
 
 STEP, SAMPLES = 0.01, 4000
 

@@ -10,7 +10,7 @@ import pytest
 from test_criteria import GOOD
 from test_words import NONE, document
 
-from isd_gym.diagnosis._selection.criteria import CRITERIA
+from isd_gym.diagnosis import CRITERIA
 from isd_gym.diagnosis._selection.weights import FREE_FORCE, Statement, WeightedSet
 from isd_gym.diagnosis._verdict.findings import Finder
 from isd_gym.diagnosis._verdict.grades import MISTAKEN, OBSERVED, grade, observed

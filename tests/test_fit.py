@@ -17,17 +17,15 @@ from builders import (
 )
 from scipy.optimize import lsq_linear
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network, simulate
+from isd_gym.diagnosis import hypotheses
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.least_squares import bounded_step
 from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import built_ways, starts_of
-from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._hypotheses.motion import motions, simulate_variants
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
 
 STEP = 2e-3
 

@@ -11,11 +11,10 @@ from builders import oscillator
 from program import python, refused
 from typer.testing import CliRunner
 
+from isd_gym import Network, simulate
 from isd_gym._commands.export import command
 from isd_gym.physics.elements import ActuatorLag, SensorGain
 from isd_gym.physics.fmu import Running, export_fmu
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
 
 STEP = 5e-3
 T = STEP * np.arange(120)

@@ -5,9 +5,10 @@ import pytest
 from builders import damper, fitted, network, recorded, spring
 
 from isd_gym._common.arrays import rms
+from isd_gym.diagnosis import Hypothesis
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_weights
-from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._estimation.structure import add, base_structure
 from isd_gym.diagnosis._hypotheses.forces import (
     PlaceForces,
     lossy_share,

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from program import refused
 
-from isd_gym._common.errors import InputError
-from isd_gym.physics.network import Network
-from isd_gym.records.data import Table, read_table
+from isd_gym import InputError, Network, Table, read_table
 from isd_gym.records.data._table import read_rasters
 from isd_gym.records.loggers.record_reading import records_of
 

@@ -9,12 +9,11 @@ from builders import channel, damper, element, fitted, named, spring
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from isd_gym.diagnosis import diagnose
+from isd_gym import Table, diagnose
 from isd_gym.diagnosis._hypotheses.motion import motions
 from isd_gym.diagnosis._hypotheses.pair_forces import spectral_pitches
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.diagnosis._simulation.problem import Problem
-from isd_gym.records.data import Table
 
 
 def values(found):

@@ -9,18 +9,15 @@ from builders import channel, element, oscillator
 from program import refused
 from typer.testing import CliRunner
 
-from isd_gym import simulate
+from isd_gym import InputError, ISDSuspensionEnv, Network, Table, simulate
 from isd_gym._commands import app
-from isd_gym._common.errors import InputError
 from isd_gym.diagnosis import Quantity
 from isd_gym.diagnosis._selection.uncertainty import with_posterior
 from isd_gym.diagnosis.simulation._prediction_errors import (
     prediction_errors,
 )
-from isd_gym.env._environment import ISDSuspensionEnv
 from isd_gym.physics._batch import posterior_ranges, ranges
-from isd_gym.physics.network import Network
-from isd_gym.records.data import Table, write_table
+from isd_gym.records.data import write_table
 
 RIG = oscillator(
     channel("travel", "displacement", "mass", unit="mm", offset="record"), name="rig"

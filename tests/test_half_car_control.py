@@ -5,13 +5,10 @@ import pytest
 from builders import decoupled_half_car
 from program import refused
 
-from isd_gym import baselines
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, ISDSuspensionVectorEnv, Network, baselines, score
 from isd_gym.benchmark.driving import Crew, travel
 from isd_gym.benchmark.policies import conventional, find, passive
-from isd_gym.benchmark.scoring import drive, score
-from isd_gym.env._environment import ISDSuspensionVectorEnv
-from isd_gym.physics.network import Network
+from isd_gym.benchmark.scoring import drive
 from isd_gym.physics.vehicle import vehicle
 
 HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")

@@ -10,13 +10,11 @@ from rigs.families.bench import outputs
 from rigs.families.half_car import FRONT, REAR, half_car
 from rigs.families.plant import Signal, integrate
 
-from isd_gym import simulate
-from isd_gym.diagnosis import diagnose
+from isd_gym import Network, diagnose, simulate
 from isd_gym.diagnosis._hypotheses.forces import _measured_force
 from isd_gym.diagnosis._hypotheses.library import pairs
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics.elements._base import held_still
-from isd_gym.physics.network import Network
 
 
 def waves(time, late=0.0):

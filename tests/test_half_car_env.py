@@ -12,9 +12,8 @@ from program import refused
 from scipy.integrate import trapezoid
 from scipy.special import k1
 
-from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym import ISDSuspensionEnv, ISDSuspensionVectorEnv, Network, linearise
 from isd_gym.physics.cost import FULL_CAR, HALF_CAR
-from isd_gym.physics.network import Network, linearise
 from isd_gym.physics.road import Road, paper_road
 from isd_gym.physics.vehicle import vehicle
 

@@ -34,19 +34,18 @@ from isd_gym.agents.policy import (
 )
 from program import assert_one_line, python, refused, run
 
-from isd_gym._common.errors import InputError, plain, shown
+from isd_gym import InputError, Network, Table, linearise, read_table, simulate
+from isd_gym._common.errors import plain, shown
 from isd_gym._common.files import claim_folder, whole, whole_folder
 from isd_gym.benchmark.policies import find
 from isd_gym.benchmark.sweep.conditions import Grid, sweep
 from isd_gym.benchmark.sweep.grid import belongings
 from isd_gym.benchmark.sweep.items import stored
 from isd_gym.physics import elements as el
-from isd_gym.physics.elements._base import register_file
-from isd_gym.physics.network import Network, linearise
+from isd_gym.physics.elements import register_file
 from isd_gym.physics.road import road
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, read_table, write_table
 from isd_gym.records.data import _isolated as isolated
+from isd_gym.records.data import write_table
 
 
 @pytest.mark.parametrize(

@@ -8,15 +8,13 @@ import pytest
 from builders import channel, damper, model
 from scipy.integrate import solve_ivp
 
-from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym import Network, Table, diagnose
+from isd_gym.diagnosis import hypotheses
 from isd_gym.diagnosis._selection.admissibility import (
     Travel,
     is_admissible,
     is_observed,
 )
-from isd_gym.physics.network import Network
-from isd_gym.records.data import Table
 
 
 def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure():

@@ -5,16 +5,15 @@ import numpy as np
 import pytest
 from builders import channel, damper, element, spring
 
-from isd_gym.diagnosis import diagnose
+from isd_gym import Table, diagnose
+from isd_gym.diagnosis import SearchSettings
 from isd_gym.diagnosis._estimation.exchanged_roles import (
     prefer_direct_problem,
     swap_roles,
 )
 from isd_gym.diagnosis._estimation.noise import floors_of, propagate_input_noise
 from isd_gym.diagnosis._records.filtering import estimate_white_noise, find_noise_band
-from isd_gym.diagnosis._selection.settings import SearchSettings
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.records.data import Table
 
 STEP, SAMPLES = 0.01, 3000
 MASS, DAMPING, STIFFNESS = 3.0, 4.0, 120.0

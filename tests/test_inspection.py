@@ -10,12 +10,10 @@ from builders import channel, damper, drive_quarter_car, model, spring
 from program import refused
 from typer.testing import CliRunner
 
+from isd_gym import InputError, Network, Table, simulate
 from isd_gym._commands import app
-from isd_gym._common.errors import InputError
 from isd_gym.diagnosis._records.reading import read_record
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, write_table
+from isd_gym.records.data import write_table
 from isd_gym.records.inspection import inspect, lines
 from isd_gym.records.inspection.map_file import save_map
 from isd_gym.records.loggers import ChannelMap, Raster, mended, runs

@@ -8,15 +8,15 @@ from builders import friction, oscillator
 from rigs.reference import simulate
 from scipy.signal import lsim, lti
 
-from isd_gym.diagnosis import SearchSettings, diagnose
+from isd_gym import Table, diagnose
+from isd_gym.diagnosis import Hypothesis, SearchSettings
 from isd_gym.diagnosis._estimation.sensitivities import deviations
-from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis._estimation.structure import add, base_structure
 from isd_gym.diagnosis._selection.uncertainty import (
     intervals,
     sizes_within,
     sums_with_dampers,
 )
-from isd_gym.records.data import Table
 
 
 @pytest.mark.parametrize("stiffness", [2.5e6, -2.5e6, -2.5])

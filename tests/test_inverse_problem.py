@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from builders import channel, damper, element, spring
 
-from isd_gym.diagnosis import SearchSettings, diagnose
+from isd_gym import Network, Table, diagnose, simulate
+from isd_gym.diagnosis import SearchSettings
 from isd_gym.diagnosis._estimation.exchanged_roles import invert
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table
 
 MASS, DAMPING, THRUST = 4.0, 12.0, 25.0  # [kg], [N s/m], [N/A]
 COGGING, PITCH = 5.0, 0.02  # [N], [m]

@@ -7,11 +7,10 @@ from program import refused
 from rigs import reference
 from scipy.signal import lsim, sawtooth
 
+from isd_gym import Network, linearise, simulate
 from isd_gym.benchmark.policies import Idle
 from isd_gym.benchmark.scoring import Entry, drive
-from isd_gym.physics.network import Network, linearise
 from isd_gym.physics.road import paper_road
-from isd_gym.physics.simulate import simulate
 
 STEP = 1e-3
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from builders import channel, damper, element, friction, network, spring
 
-from isd_gym.physics.network import Network
+from isd_gym import Network
 from isd_gym.physics.simulate import Plant
 
 STEP = 1e-3

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from builders import fitted, oscillator, sines
 
-from isd_gym.diagnosis._estimation.structure import Hypothesis
+from isd_gym import simulate
+from isd_gym.diagnosis import Hypothesis
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 from isd_gym.physics import elements as el
-from isd_gym.physics.simulate import simulate
 from isd_gym.view.report.steps import law_force
 
 STEP, NOISE, PLACE = 2e-3, 2e-6, ("mass", "base")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from isd_gym.diagnosis import CRITERIA
 from isd_gym.diagnosis._selection.answer import answer_of
-from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._selection.held_out_table import Blocks, Member, Row
 
 PLACE = ("ground", "mass")

@@ -9,11 +9,10 @@ import pytest
 from gymnasium.utils import seeding
 from program import refused
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym._common.seeds import generators, scoring_generator
-from isd_gym.env._environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.env import RELATIVE_SCALE
 from isd_gym.env.history import LEADS, SCALES
-from isd_gym.env.task import RELATIVE_SCALE
 from isd_gym.physics.road import Road
 
 

@@ -9,8 +9,8 @@ from builders import channel, friction, spring
 from program import refused
 from rigs import reference
 
-from isd_gym import simulate
-from isd_gym.physics.network import Network, assemble, transfer
+from isd_gym import Network, simulate
+from isd_gym.physics.network import assemble, transfer
 from isd_gym.view.report.schematic import draw
 
 FREQUENCY = np.geomspace(0.05, 60.0, 60)

@@ -6,12 +6,9 @@ import pytest
 from builders import channel, damper, element
 from program import refused
 
-from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis._selection.settings import SearchSettings
+from isd_gym import Network, Table, diagnose, simulate
+from isd_gym.diagnosis import SearchSettings
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table
 
 LEVEL, GAIN = 2.0, 0.15
 

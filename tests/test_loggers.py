@@ -8,13 +8,11 @@ from builders import QUARTER_CAR as CAR
 from builders import channel, drive_quarter_car
 from program import refused
 
-from isd_gym.diagnosis import diagnose
+from isd_gym import Network, Table, diagnose, simulate
 from isd_gym.diagnosis._estimation.clock_lag import align_clocks
 from isd_gym.diagnosis._records.multirate import build_record
 from isd_gym.diagnosis._simulation.problem import Problem
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, write_table
+from isd_gym.records.data import write_table
 from isd_gym.records.loggers import ChannelMap, Recording, Signal, runs
 
 NETWORK = Network.load(CAR)

@@ -10,12 +10,10 @@ from builders import damper, element, spring
 from scipy.signal import butter, sosfiltfilt
 from threadpoolctl import threadpool_info
 
-from isd_gym.diagnosis import SearchSettings, diagnose
+from isd_gym import Network, Table, diagnose, simulate
+from isd_gym.diagnosis import SearchSettings
 from isd_gym.diagnosis._hypotheses import library
 from isd_gym.diagnosis._selection import plain_fits
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table
 
 STEP, SAMPLES = 1e-2, 600
 

@@ -8,10 +8,10 @@ import pytest
 from builders import channel, damper, friction, spring
 from program import refused
 
-from isd_gym import simulate
-from isd_gym._common.errors import InputError
-from isd_gym.diagnosis._hypotheses.library import hypotheses, pairs
-from isd_gym.physics.network import Network, cut, rejoin
+from isd_gym import InputError, Network, simulate
+from isd_gym.diagnosis import hypotheses
+from isd_gym.diagnosis._hypotheses.library import pairs
+from isd_gym.physics.network import cut, rejoin
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98
 STRUT = [spring("m", "table", K, "k"), damper("m", "table", C, "c")]

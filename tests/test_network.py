@@ -7,7 +7,8 @@ import pytest
 from builders import channel, element
 from program import refused
 
-from isd_gym.physics.network import Network, assemble, assemble_all, linearise
+from isd_gym import Network, linearise
+from isd_gym.physics.network import assemble, assemble_all
 
 
 def car(name="quarter-car-isd"):

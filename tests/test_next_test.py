@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from builders import channel, damper, spring
 
-from isd_gym.diagnosis._estimation.structure import Hypothesis, add, base_structure
+from isd_gym import Network
+from isd_gym.diagnosis import Hypothesis
+from isd_gym.diagnosis._estimation.structure import add, base_structure
 from isd_gym.diagnosis._planning.design import design_test
 from isd_gym.diagnosis._planning.excitation import (
     KINDS,
@@ -17,7 +19,6 @@ from isd_gym.diagnosis._planning.excitation import (
     list_excitations,
     make_record,
 )
-from isd_gym.physics.network import Network
 
 MASS = Network.load(
     builders.model(

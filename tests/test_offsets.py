@@ -8,6 +8,7 @@ from builders import channel, fitted, oscillator, recorded, sines
 from program import refused
 from scipy.optimize import least_squares
 
+from isd_gym import Network
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.initial_states import motion_rows
 from isd_gym.diagnosis._estimation.noise import white_weights
@@ -15,7 +16,6 @@ from isd_gym.diagnosis._estimation.structure import base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import residual_of
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.network import Network
 
 STEP, SAMPLES = 2e-3, 1500
 OFFSET, NOISE = 0.013, 2e-5  # [m]

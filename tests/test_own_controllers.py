@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from program import assert_one_line, refused, run
 
-from isd_gym.benchmark.scoring import Entry, score
+from isd_gym import score
+from isd_gym.benchmark.scoring import Entry
 
 PAGE = Path(__file__).parents[1] / "docs" / "tutorials" / "controller.md"
 #: the class of the tutorial, the same class for many cars at once, and the same without all that is optional

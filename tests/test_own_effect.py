@@ -8,10 +8,9 @@ from builders import oscillator
 from program import refused
 from scipy.integrate import solve_ivp
 
-from isd_gym.diagnosis import diagnose
-from isd_gym.diagnosis._hypotheses.library import hypotheses
+from isd_gym import Table, diagnose
+from isd_gym.diagnosis import hypotheses
 from isd_gym.physics import elements as el
-from isd_gym.records.data import Table
 
 KNOWN = {"spring.stiffness": 0.05, "damper.damping": 0.1}
 PARTS = {"mass": 2.0, "stiffness": 800.0, "damping": 8.0}

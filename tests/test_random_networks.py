@@ -7,10 +7,10 @@ from builders import damper, element, friction, spring
 from program import refused
 from rigs import random_networks
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network, simulate
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Channel, Network
-from isd_gym.physics.simulate import Plant, simulate
+from isd_gym.physics.network import Channel
+from isd_gym.physics.simulate import Plant
 
 STEP = 2.5e-5  # a Stribeck bound is that at the start of a step: energy closes with the first power of it
 LOSSY = ("linear_damping", "quadratic_damping", "asymmetric_damping")

@@ -9,12 +9,9 @@ from builders import channel, damper, network, spring
 from program import refused, run
 from scipy.io import savemat
 
+from isd_gym import InputError, Table, diagnose, read_table, simulate
 from isd_gym._commands.simulate import command
-from isd_gym._common.errors import InputError
 from isd_gym._common.units import convert
-from isd_gym.diagnosis import diagnose
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, read_table
 from isd_gym.records.data._table import read_rasters
 from isd_gym.records.inspection import inspect
 from isd_gym.records.inspection.map_file import save_map

@@ -19,25 +19,22 @@ from program import refused
 from test_criteria import NONE
 from typer.testing import CliRunner
 
+from isd_gym import Diagnosis, Network, score, simulate
 from isd_gym import _commands as cli
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import score
 from isd_gym.diagnosis import (
-    Diagnosis,
+    CRITERIA,
     Effect,
+    Evidence,
     Gate,
     LawSet,
     Place,
     Quantity,
     Trace,
 )
-from isd_gym.diagnosis._selection.criteria import CRITERIA
-from isd_gym.diagnosis._verdict.evidence import Evidence
 from isd_gym.diagnosis._verdict.gates import gates_of
 from isd_gym.diagnosis.result import BestCandidate, ScreenedPlace, Tabulated
 from isd_gym.physics.elements import TYPES, CoulombFriction
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import simulate
 from isd_gym.records import schemas
 from isd_gym.view.report import charts, plots, steps
 from isd_gym.view.report import diagnosis as report

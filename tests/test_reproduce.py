@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from isd_gym import Network
 from isd_gym._commands._reproduce import car, page, rig
 from isd_gym._commands._reproduce.study import Study
 from isd_gym._commands.reproduce import show
 from isd_gym.benchmark.scoring import PAPER
-from isd_gym.physics.network import Network
 
 
 @pytest.mark.parametrize("frequency", [1.0, 5.0, 10.0])

@@ -8,7 +8,7 @@ import pytest
 from program import refused
 from scipy.special import kv
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError
 from isd_gym.physics import tracks
 from isd_gym.physics.road import (
     Road,

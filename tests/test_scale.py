@@ -6,11 +6,10 @@ import pytest
 from builders import damper, friction, oscillator, sines
 from program import refused
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network, Table, simulate
 from isd_gym.diagnosis._records.reading import read_record
-from isd_gym.physics.network import Network, own_time, slowest_time
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table, check
+from isd_gym.physics.network import own_time, slowest_time
+from isd_gym.records.data import check
 
 
 def rig(period, size):

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from program import printed, refused
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network
 from isd_gym.physics import elements
-from isd_gym.physics.network import Network, builtin_networks
+from isd_gym.physics.network import builtin_networks
 from isd_gym.records import schemas
 
 jsonschema = pytest.importorskip("jsonschema")

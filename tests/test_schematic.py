@@ -7,7 +7,8 @@ import pytest
 from builders import channel, damper, element, model, spring
 from program import assert_one_line, printed, run
 
-from isd_gym.physics.network import Network, builtin_networks
+from isd_gym import Network
+from isd_gym.physics.network import builtin_networks
 from isd_gym.view.report import schematic
 
 SVG = "http://www.w3.org/2000/svg"

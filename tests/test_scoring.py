@@ -8,9 +8,9 @@ import pytest
 from isd_gym.agents.policy import SHIPPED
 from program import refused
 
+from isd_gym import Network, score
 from isd_gym.benchmark.policies import Idle, passive
-from isd_gym.benchmark.scoring import Entry, frequency_weighting, score, weighted_rms
-from isd_gym.physics.network import Network
+from isd_gym.benchmark.scoring import Entry, frequency_weighting, weighted_rms
 
 CAR = Network.load("quarter-car-isd")
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from program import refused
 
-from isd_gym.env._environment import ISDSuspensionVectorEnv
-from isd_gym.env._sensors import NOISE, Sensors
+from isd_gym import ISDSuspensionVectorEnv
+from isd_gym.env import Sensors
+from isd_gym.env._sensors import NOISE
 
 BAD = {
     "noise": 1.5,

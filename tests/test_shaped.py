@@ -6,10 +6,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network
 from isd_gym.physics import elements as el
 from isd_gym.physics._value import value_of
-from isd_gym.physics.network import Network
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import json
 
 from program import run
 
-from isd_gym.physics.network import Network
+from isd_gym import Network
 from isd_gym.records.schemas import check
 
 

@@ -11,9 +11,9 @@ import textwrap
 import pytest
 from program import run
 
+from isd_gym import InputError
 from isd_gym._commands._streams import ALIKE, PLAINER, prepare_streams
 from isd_gym._common import jit
-from isd_gym._common.errors import InputError
 from isd_gym._common.files import whole
 from isd_gym._common.jit import _Files
 

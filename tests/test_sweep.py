@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 from program import assert_one_line, refused, run
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network, score
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import score
 from isd_gym.benchmark.sweep import items as engine
 from isd_gym.benchmark.sweep.conditions import drive_item, overall, sweep
 from isd_gym.benchmark.sweep.grid import Condition, Grid
-from isd_gym.physics.network import Network
 
 GRID = """
 policies = ["isd-passive", "skyhook"]

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from program import refused
 
-from isd_gym import baselines, simulate
-from isd_gym.physics.network import Network, linearise
+from isd_gym import Network, baselines, linearise, simulate
 
 D, V = np.linspace(-0.06, 0.06, 241), np.linspace(-2.0, 2.0, 401)
 

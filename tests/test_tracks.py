@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from program import assert_one_line, refused, run
 
+from isd_gym import Network, score
 from isd_gym.benchmark import cards
 from isd_gym.benchmark.policies import find_all
-from isd_gym.benchmark.scoring import measures, score
+from isd_gym.benchmark.scoring import measures
 from isd_gym.benchmark.tracks import TRACKS, find_track
-from isd_gym.physics.network import Network
 
 ENTRIES = sorted((Path(__file__).parents[1] / "benchmarks" / "entries").glob("*.json"))
 

@@ -8,7 +8,7 @@ from program import assert_one_line, refused, run
 
 from isd_gym._commands import train
 from isd_gym._commands.train import ranges, read_recipe
-from isd_gym.env.task import Options
+from isd_gym.env import Options
 
 library = pytest.importorskip("stable_baselines3")
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402

@@ -13,10 +13,9 @@ from isd_gym.agents._archives import convert
 from isd_gym.agents.policy import Policy
 from program import refused, run
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import drive
-from isd_gym.physics.network import Network
 
 sb3 = pytest.importorskip("stable_baselines3")
 from isd_gym.sb3 import ScoreCallback, make_vec_env, save_model  # noqa: E402

@@ -10,11 +10,9 @@ from builders import cart, channel, damper, element, spring
 from program import refused
 from scipy.integrate import solve_ivp
 
-from isd_gym import simulate
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Network, simulate
 from isd_gym._common.units import about_axis, convert
 from isd_gym.diagnosis._estimation.structure import base_structure
-from isd_gym.physics.network import Network
 
 J, G, C = 0.0033, 0.21, 4e-4
 PENDULUM = builders.model(

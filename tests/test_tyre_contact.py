@@ -8,9 +8,8 @@ import pytest
 from builders import element
 from program import python
 
-from isd_gym._common.errors import TyreContactWarning
+from isd_gym import Network, TyreContactWarning
 from isd_gym.physics._tyre_contact import pulling_share
-from isd_gym.physics.network import Network
 from isd_gym.physics.road import road
 from isd_gym.physics.vehicle import vehicle
 

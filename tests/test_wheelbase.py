@@ -7,7 +7,7 @@ import pytest
 from builders import decoupled_half_car
 from program import refused
 
-from isd_gym import baselines
+from isd_gym import ISDSuspensionVectorEnv, Network, StageCost, baselines
 from isd_gym.benchmark.driving import Crew, Entry, travel
 from isd_gym.benchmark.lq_bounds import (
     blind_gain,
@@ -18,10 +18,7 @@ from isd_gym.benchmark.lq_bounds import (
     wheelbase_bound,
 )
 from isd_gym.benchmark.policies import find
-from isd_gym.env._environment import ISDSuspensionVectorEnv
 from isd_gym.physics.car_prediction import CarWeights, car_model, car_regulator
-from isd_gym.physics.cost import StageCost
-from isd_gym.physics.network import Network
 from isd_gym.physics.road import Road
 from isd_gym.physics.vehicle import vehicle
 

@@ -9,20 +9,17 @@ import pytest
 from builders import friction
 from program import refused
 
-from isd_gym._common.errors import InputError
+from isd_gym import InputError, Table, diagnose, simulate
 from isd_gym.diagnosis import _result_builder as builder
-from isd_gym.diagnosis import diagnose
+from isd_gym.diagnosis import hypotheses
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
 from isd_gym.diagnosis._estimation.noise import white_weights
 from isd_gym.diagnosis._estimation.structure import add, base_structure
-from isd_gym.diagnosis._hypotheses.library import hypotheses
 from isd_gym.diagnosis._records.splitting import split_records
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._selection.held_out_table import row_of
 from isd_gym.diagnosis._simulation.problem import Problem, Record
-from isd_gym.physics.simulate import simulate
-from isd_gym.records.data import Table
-from isd_gym.view.report import write_report
+from isd_gym.view import write_report
 
 STEP = 0.01
 

@@ -8,8 +8,8 @@ import pytest
 from test_criteria import GOOD, NAMED, NONE, OPEN
 from test_law_sets import answer, row
 
+from isd_gym.diagnosis import CRITERIA
 from isd_gym.diagnosis._selection.conditions import gate, table_gates
-from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._verdict.gates import Reason, decide, gates_of
 from isd_gym.diagnosis._verdict.wording import (
     ADVICE,

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from isd_gym import Network, simulate
 from isd_gym.physics import elements as el
-from isd_gym.physics.network import Network
-from isd_gym.physics.simulate import Plant, simulate
+from isd_gym.physics.simulate import Plant
 
 #: laws that store or dissipate what they are given and nothing else, at the values drawn here
 PASSIVE = [
