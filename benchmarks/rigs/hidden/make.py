@@ -13,10 +13,11 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ..reference import simulate
-from .car import CAR, DAMPER, car_base, car_inputs, car_nuisances
+from .car import CAR, CAR_NUISANCES, DAMPER, car_base, car_inputs
 from .others import (
     OTHER,
     RIG,
+    RIG_NUISANCES,
     SCALED,
     Scale,
     decay_base,
@@ -26,7 +27,6 @@ from .others import (
     push_inputs,
     rig_base,
     rig_inputs,
-    rig_nuisances,
     scaled,
     stroke_inputs,
     two_base,
@@ -196,7 +196,8 @@ def _add_nuisances(
     r: Generator,
 ) -> list[Element]:
     """Add small effects that nobody knows at places without a hidden effect, and return these effects."""
-    pool = {"car": car_nuisances, "rig": rig_nuisances}.get(group, lambda r: [])(r)
+    draws = {"car": CAR_NUISANCES, "rig": RIG_NUISANCES}.get(group, [])
+    pool = [draw(r).add[0] for draw in draws]
     # a few per cent on a rough road as on a smooth one: motion goes with the root of its level
     for e in pool:
         power = {"cubic_stiffness": 1.0, "quadratic_damping": 0.5}.get(e["type"], 0.0)

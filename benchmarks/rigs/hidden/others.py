@@ -11,21 +11,23 @@ from ..families.draw import channel, model
 from .secret import (
     FINE,
     Array,
-    Element,
+    Draw,
     Model,
+    Pair,
     Secret,
     absorber,
     add,
     band_noise,
+    effect,
     element,
+    fading,
+    fault,
     relaxation,
-    sensor,
-    strange,
+    replaced,
+    sensor_gain,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.random import Generator
 
 
@@ -43,87 +45,27 @@ def rig_base(r: Generator, secret: Secret) -> Model:
 
 
 PISTON = ("piston", "ground")
-RIG: dict[str, Callable[[Generator], Secret]] = {
+RIG: dict[str, Draw] = {
     "rig_none": lambda r: Secret(),
     "rig_friction": lambda r: Secret(drop=["seal"]),
     "rig_damping": lambda r: Secret(drop=["leak"]),
     "rig_compliance": lambda r: Secret(drop=["oil"]),
     "rig_paper_story": lambda r: Secret(drop=["seal", "leak", "oil"]),
-    "rig_stribeck": lambda r: Secret(
-        replace={
-            "seal": {
-                "type": "stribeck_friction",
-                "level": r.uniform(350, 450),
-                "static_level": r.uniform(650, 850),
-                "stribeck_velocity": r.uniform(0.03, 0.06),
-            }
-        }
-    ),
-    "rig_quad": lambda r: add(
-        "quadratic_damping", *PISTON, damping=r.uniform(4e3, 8e3)
-    ),
-    "rig_cogging": lambda r: add(
-        "cogging_force",
-        *PISTON,
-        amplitude=r.uniform(80, 180),
-        pitch=0.0059,
-        phase=r.uniform(-np.pi, np.pi),
-    ),
-    "rig_asymmetric": lambda r: add(
-        "asymmetric_damping", *PISTON, extension=0.0, compression=r.uniform(500, 900)
-    ),
-    "rig_bump": lambda r: add(
-        "bump_stop",
-        *PISTON,
-        clearance=r.uniform(0.006, 0.009),
-        stiffness=r.uniform(2e5, 5e5),
-        damping=0.0,
-        side="both",
-    ),
-    "rig_centring": lambda r: add(
-        "linear_stiffness", *PISTON, stiffness=r.uniform(2e4, 5e4)
-    ),
-    "rig_hysteresis": lambda r: add(
-        "hysteresis",
-        *PISTON,
-        level=r.uniform(200, 400),
-        stiffness=r.uniform(1e5, 3e5),
-        exponent=1.0,
-        shape=0.5,
-    ),
-    "rig_sensor_gain": lambda r: sensor(
-        "sensor_gain", "force", gain=1 + r.choice([-1, 1]) * r.uniform(0.12, 0.2)
-    ),
-    "rig_out_fading": lambda r: Secret(
-        add=[
-            element(
-                "x_fading_damping", *PISTON, damping=1293.0, energy=r.uniform(600, 1200)
-            )
-        ],
-        replace={"leak": {"type": "linear_damping", "damping": 1.0}},
-        unknown=True,
-    ),
-    "rig_out_timed_friction": lambda r: strange(
-        "x_timed_friction",
-        *PISTON,
-        level=r.uniform(300, 500),
-        period=r.uniform(2.3, 3.7),
-        duty=0.4,
-    ),
-}
-
-
-def rig_nuisances(r: Generator) -> list[Element]:
-    return [
-        element("quadratic_damping", *PISTON, damping=r.uniform(70, 140)),
-        element(
-            "cogging_force",
-            *PISTON,
-            amplitude=r.uniform(4, 8),
-            pitch=0.0059,
-            phase=r.uniform(-np.pi, np.pi),
-        ),
-    ]
+    "rig_stribeck": replaced("seal", "stribeck_friction", level=(350, 450), static_level=(650, 850), stribeck_velocity=(0.03, 0.06)),
+    "rig_quad": effect("quadratic_damping", PISTON, damping=(4e3, 8e3)),
+    "rig_cogging": effect("cogging_force", PISTON, amplitude=(80, 180), pitch=0.0059, phase=(-np.pi, np.pi)),
+    "rig_asymmetric": effect("asymmetric_damping", PISTON, extension=0.0, compression=(500, 900)),
+    "rig_bump": effect("bump_stop", PISTON, clearance=(0.006, 0.009), stiffness=(2e5, 5e5), damping=0.0, side="both"),
+    "rig_centring": effect("linear_stiffness", PISTON, stiffness=(2e4, 5e4)),
+    "rig_hysteresis": effect("hysteresis", PISTON, level=(200, 400), stiffness=(1e5, 3e5), exponent=1.0, shape=0.5),
+    "rig_sensor_gain": sensor_gain("force", 0.12, 0.2),
+    "rig_out_fading": fading("leak", PISTON, 1293.0, (600, 1200)),
+    "rig_out_timed_friction": effect("x_timed_friction", PISTON, unknown=True, level=(300, 500), period=(2.3, 3.7), duty=0.4),
+}  # fmt: skip
+RIG_NUISANCES: list[Draw] = [
+    effect("quadratic_damping", PISTON, damping=(70, 140)),
+    effect("cogging_force", PISTON, amplitude=(4, 8), pitch=0.0059, phase=(-np.pi, np.pi)),
+]  # fmt: skip
 
 
 def rig_inputs(
@@ -251,7 +193,7 @@ class Scale:
     force: float
 
 
-def scaled(kind: str, where: tuple[str, str], r: Generator, s: Scale) -> Secret:
+def scaled(kind: str, where: Pair, r: Generator, s: Scale) -> Secret:
     share = r.uniform(0.15, 0.3) * s.force
     match kind:
         case "coulomb_friction":
@@ -301,66 +243,42 @@ BODY, ROD, UPPER, LOWER = (
     ("upper", "lower"),
     ("lower", "ground"),
 )
-SCALED: dict[str, tuple[str, tuple[str, str]]] = {
-    **{
-        f"mass_{label}": (kind, BODY)
-        for label, kind in {
-            "friction": "coulomb_friction",
-            "stribeck": "stribeck_friction",
-            "quad": "quadratic_damping",
-            "asymmetric": "asymmetric_damping",
-            "cubic": "cubic_stiffness",
-            "bump": "bump_stop",
-            "hysteresis": "hysteresis",
-        }.items()
-    },
-    "decay_friction": ("coulomb_friction", BODY),
-    "decay_quad": ("quadratic_damping", BODY),
-    "decay_cubic": ("cubic_stiffness", BODY),
-    **{
-        f"drive_{label}": (kind, ROD)
-        for label, kind in {
-            "friction": "coulomb_friction",
-            "asymmetric": "asymmetric_damping",
-            "quad": "quadratic_damping",
-            "cubic": "cubic_stiffness",
-            "gas_spring": "gas_spring",
-            "hysteresis": "hysteresis",
-            "bump": "bump_stop",
-        }.items()
-    },
-    "two_mass_friction": ("coulomb_friction", UPPER),
-    "two_mass_friction_foot": ("coulomb_friction", LOWER),
-    "two_mass_cubic": ("cubic_stiffness", UPPER),
-    "two_mass_asymmetric": ("asymmetric_damping", UPPER),
-    "two_mass_inertance": ("inertance", UPPER),
+SHORT = {
+    "friction": "coulomb_friction",
+    "stribeck": "stribeck_friction",
+    "quad": "quadratic_damping",
+    "asymmetric": "asymmetric_damping",
+    "cubic": "cubic_stiffness",
+    "gas_spring": "gas_spring",
+    "bump": "bump_stop",
+    "hysteresis": "hysteresis",
+    "inertance": "inertance",
 }
-OTHER: dict[str, Callable[[Generator], Secret]] = {
+
+
+def _scaled(group: str, place: Pair, names: str) -> dict[str, tuple[str, Pair]]:
+    return {f"{group}_{name}": (SHORT[name], place) for name in names.split()}
+
+
+SCALED: dict[str, tuple[str, Pair]] = {
+    **_scaled("mass", BODY, "friction stribeck quad asymmetric cubic bump hysteresis"),
+    **_scaled("decay", BODY, "friction quad cubic"),
+    **_scaled(
+        "drive", ROD, "friction asymmetric quad cubic gas_spring hysteresis bump"
+    ),
+    **_scaled("two_mass", UPPER, "friction"),
+    "two_mass_friction_foot": ("coulomb_friction", LOWER),
+    **_scaled("two_mass", UPPER, "cubic asymmetric inertance"),
+}
+OTHER: dict[str, Draw] = {
     "mass_none": lambda r: Secret(),
-    "mass_sensor_delay": lambda r: sensor(
-        "sensor_delay", "acceleration", delay=r.uniform(0.006, 0.012)
-    ),
-    "mass_out_mode": lambda r: absorber(r, "mass", r.uniform(2, 4), r.uniform(5, 7)),
-    "mass_out_parametric": lambda r: strange(
-        "x_parametric_stiffness",
-        *BODY,
-        stiffness=r.uniform(1500, 3000),
-        frequency=r.uniform(0.3, 0.8),
-    ),
+    "mass_sensor_delay": fault("sensor_delay", channel="acceleration", delay=(0.006, 0.012)),
+    "mass_out_mode": absorber("mass", (2, 4), (5, 7)),
+    "mass_out_parametric": effect("x_parametric_stiffness", BODY, unknown=True, stiffness=(1500, 3000), frequency=(0.3, 0.8)),
     "decay_none": lambda r: Secret(),
     "drive_none": lambda r: Secret(),
-    "drive_out_timed_friction": lambda r: strange(
-        "x_timed_friction",
-        *ROD,
-        level=r.uniform(80, 140),
-        period=r.uniform(2.3, 3.7),
-        duty=0.4,
-    ),
-    "drive_out_relaxation": lambda r: relaxation(
-        r, *ROD, r.uniform(1e4, 2e4), r.uniform(0.05, 0.2)
-    ),
+    "drive_out_timed_friction": effect("x_timed_friction", ROD, unknown=True, level=(80, 140), period=(2.3, 3.7), duty=0.4),
+    "drive_out_relaxation": relaxation(ROD, (1e4, 2e4), (0.05, 0.2)),
     "two_mass_none": lambda r: Secret(),
-    "two_mass_out_mode": lambda r: absorber(
-        r, "lower", r.uniform(3, 6), r.uniform(7, 10)
-    ),
-}
+    "two_mass_out_mode": absorber("lower", (3, 6), (7, 10)),
+}  # fmt: skip
