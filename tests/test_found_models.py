@@ -85,6 +85,15 @@ def test_the_true_model_of_a_long_stiffening_decay_errs_by_noise(tmp_path):
     assert row.rms == pytest.approx(1e-3, rel=0.1)
 
 
+def test_the_noise_of_an_irregular_motion_is_no_more_than_the_error():
+    """The spectrum of this motion is that of noise with a memory."""
+    push = 40.0 * np.random.default_rng(0).standard_normal(len(TIME))
+    rig = oscillator("felt acceleration mass")
+    columns = {"push": push} | simulate(rig, TIME, {"push": push})
+    (row,) = prediction_errors([Table(TIME, columns, "push")], rig).rows
+    assert row.noise == row.nrmse < 0.01
+
+
 def test_the_command_prints_the_table_and_writes_it(files):
     made = files / "errors.json"
     words = [

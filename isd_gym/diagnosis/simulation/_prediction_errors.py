@@ -44,7 +44,7 @@ class PredictionError:
     rms: float
     #: `rms` over the standard deviation of the measured signal within its record
     nrmse: float
-    #: RMS of the measurement noise over the same deviation; None where the noise is not known
+    #: RMS of the measurement noise over the same deviation, at most `nrmse`; None where the noise is not known
     noise: float | None
 
 
@@ -118,9 +118,8 @@ def prediction_errors(
         rms = channel_rms(errors)
         deviation = deviation_within(measured, range(len(measured)))
         for j, c in enumerate(network.outputs):
-            known = (
-                float(floors[j].deviation / deviation[j]) if floors[j].known else None
-            )
+            noise_level = min(floors[j].deviation, rms[j])
+            known = float(noise_level / deviation[j]) if floors[j].known else None
             rows.append(
                 PredictionError(
                     name,
