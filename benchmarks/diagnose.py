@@ -178,7 +178,8 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
 
     Network.load(case.model).save(place / "model.json")
     files = Case(tables("estimation"), place / "model.json", tables("validation"))
-    return files, case.answer, case.record()["truth"]
+    truth = {key: case.truth[key] for key in ("hidden", "nuisances")}
+    return files, case.answer, truth
 
 
 # --------------------------------------------------------------------------------------------------------- one case
@@ -273,7 +274,7 @@ def code_state() -> str:
 
 
 def run_all(jobs: list[Job], out: Path, count: int, limit: float) -> list[Row]:
-    """The rows of all cases that have one; what `out` has already is not run again."""
+    """Return the rows of all finished cases; cases with a row in `out` are not run again."""
     items = [{**asdict(job), "limit": limit} for job in jobs]
     if there := len(engine.stored(items, out)):
         print(f"{there} of {len(jobs)} are there already", flush=True)

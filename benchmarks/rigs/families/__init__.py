@@ -18,8 +18,9 @@ three nuisances, each below 1.5 % of the motion.
 
 from __future__ import annotations
 
+from ..case import Case
 from . import case as _case
-from .case import Case, Family
+from .case import Family
 from .rigs import FAMILIES
 from .unseen import UNSEEN
 

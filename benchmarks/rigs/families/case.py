@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.signal import lfilter
 
+from ..case import Case
 from .bench import (
     COARSE,
     Drive,
@@ -45,50 +46,6 @@ MAIN = {
 class Family:
     draw: Callable[[Generator], Rig]
     kinds: Mapping[str, Hidden]
-
-
-@dataclass(frozen=True)
-class Case:
-    """A rig: the model and records of the owner, and the hidden effects."""
-
-    kind: str
-    seed: int
-    model: Model
-    estimation: dict[str, NDArray[Any]]
-    validation: dict[str, NDArray[Any]] | None  # None: there is one record only
-    answer: list[list[Any]] | str
-    truth: dict[str, Any]
-    snr_db: float
-    spread: float
-    visibility: dict[
-        str, float
-    ]  # change of each channel by what is hidden, as a share of its deviation
-    irreducible: dict[
-        str, float
-    ]  # the same after the best fit of the model without it, as far as its owner allows
-
-    @property
-    def family(self) -> str:
-        return self.kind.split(".")[0]
-
-    @property
-    def name(self) -> str:
-        return f"{self.kind}_{self.seed:03d}"
-
-    def record(self) -> dict[str, Any]:
-        """The case's entry of a `truth.json`."""
-        return {
-            "kind": self.kind,
-            "answer": self.answer,
-            "truth": {
-                "hidden": self.truth["hidden"],
-                "nuisances": self.truth["nuisances"],
-            },
-            "snr_db": round(self.snr_db, 1),
-            "spread": self.spread,
-            "visibility": [round(v, 3) for v in self.visibility.values()],
-            "irreducible": [round(v, 3) for v in self.irreducible.values()],
-        }
 
 
 # ------------------------------------------------------------------------------------------------------ the case

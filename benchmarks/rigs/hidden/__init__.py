@@ -10,7 +10,7 @@ A force cell reads everything that acts between its terminals, so the record of 
 effects that stand side by side with that element.
 """
 
+from ..case import Case
 from .make import ALL_KINDS, family, make_case
-from .secret import Case
 
 __all__ = ["ALL_KINDS", "Case", "family", "make_case"]

@@ -12,6 +12,7 @@ from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from ..case import Case
 from ..reference import simulate
 from .car import CAR, CAR_NUISANCES, DAMPER, car_base, car_inputs
 from .others import (
@@ -31,7 +32,7 @@ from .others import (
     stroke_inputs,
     two_base,
 )
-from .secret import FINE, MAIN, Array, Case, Element, Model, Secret
+from .secret import FINE, MAIN, Array, Element, Model, Secret
 
 ALL_KINDS: list[str] = [*CAR, *RIG, *OTHER, *SCALED]
 """Every kind that `make_case` knows."""

@@ -1,4 +1,4 @@
-"""The hidden part of a test rig, and the case with its records."""
+"""The hidden part of a test rig."""
 
 from __future__ import annotations
 
@@ -23,45 +23,6 @@ MAIN = {
     "coulomb_friction": "level",
 }
 """The parameter of each type that the owner knows only roughly."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """One rig: model and records of its owner, and the hidden effects."""
-
-    kind: str
-    seed: int
-    model: Model
-    """`isd-model/1`, as its owner believes it."""
-    estimation: dict[str, Array]
-    validation: dict[str, Array]
-    answer: list[list[Any]] | str
-    """Pairs of an effect's name and its terminals, or channel, or None where several places are the same;
-    "unknown"; or empty where nothing is hidden. As in the shared blind rigs' `truth.json`."""
-    truth: dict[str, Any]
-    """`model`: the true network; `hidden`, `nuisances`: what of it the owner does not know."""
-    snr_db: float
-    spread: float
-    visibility: dict[str, float]
-    """RMS change of each channel that the hidden effect makes, in standard deviations of the noise."""
-
-    @property
-    def name(self) -> str:
-        return f"{self.kind}_{self.seed:03d}"
-
-    def record(self) -> dict[str, Any]:
-        """The case's entry of a `truth.json`."""
-        return {
-            "kind": self.kind,
-            "answer": self.answer,
-            "truth": {
-                "hidden": self.truth["hidden"],
-                "nuisances": self.truth["nuisances"],
-            },
-            "snr_db": self.snr_db,
-            "spread": self.spread,
-            "visibility": [round(v, 2) for v in self.visibility.values()],
-        }
 
 
 @dataclass
