@@ -124,59 +124,59 @@ def test_networks_lists_the_element_types():
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["scroe"], "Did you mean 'score'?"),
-        (["score", "passive", "--road", "moon"], "no road 'moon'"),
-        (["score", "passive", "--speed", "-3"], "'--speed'"),
-        (["score", "passive", "--json", "no/such/folder/x.json"], "no folder"),
-        (["simulate", "quarter-car-isd", "none.csv", "--out", "x.csv"], "none.csv"),
-        (["score"], "Missing argument"),
-        (["score", "mpcc"], "did you mean 'mpc'?"),
-        (["score", "passive", "--raod", "C"], "--raod"),
-        (["score", "passive", "--json", "there"], "it is a folder"),
+        ("scroe", "Did you mean 'score'?"),
+        ("score passive --road moon", "no road 'moon'"),
+        ("score passive --speed -3", "'--speed'"),
+        ("score passive --json no/such/folder/x.json", "no folder"),
+        ("simulate quarter-car-isd none.csv --out x.csv", "none.csv"),
+        ("score", "Missing argument"),
+        ("score mpcc", "did you mean 'mpc'?"),
+        ("score passive --raod C", "--raod"),
+        ("score passive --json there", "it is a folder"),
         (
-            ["simulate", "quarter-car-isd", "d.csv", "--out", "o.csv", "--step", "0"],
+            "simulate quarter-car-isd d.csv --out o.csv --step 0",
             "--step",
         ),
-        (["show", "mpc", "--seconds", "nan", "--out", "a.mp4"], "seconds"),
+        ("show mpc --seconds nan --out a.mp4", "seconds"),
         (
-            ["reproduce", "--out", "r", "--json", "no/such/x.json"],
+            "reproduce --out r --json no/such/x.json",
             "no folder 'no/such'",
         ),
-        (["train", "dqn", "--out", "r"], "not 'dqn'"),
-        (["score", "passive", "--network", "force-rig"], "'force-rig' is no car"),
+        ("train dqn --out r", "not 'dqn'"),
+        ("score passive --network force-rig", "'force-rig' is no car"),
         (
-            ["score", "passive", "--network", "quater-car-isd"],
+            "score passive --network quater-car-isd",
             "did you mean 'quarter-car-isd'?",
         ),
-        (["networks", "there"], "cannot read model 'there': it is a folder"),
-        (["sweep", "robust", "--out", "r", "--shard", "9/8"], "shard 9/8"),
-        (["show", "mpc", "--against"], "(see isd-gym show --help)"),
+        ("networks there", "cannot read model 'there': it is a folder"),
+        ("sweep robust --out r --shard 9/8", "shard 9/8"),
+        ("show mpc --against", "(see isd-gym show --help)"),
     ],
 )
 def test_a_slip_of_the_pen_is_one_line_and_leaves_nothing(args, message, tmp_path):
     (tmp_path / "there").mkdir()
-    assert_one_line(run(*args, cwd=tmp_path), message)
+    assert_one_line(run(*args.split(), cwd=tmp_path), message)
     assert [p.name for p in tmp_path.iterdir()] == ["there"]
 
 
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (["--validate", "none.csv"], "none.csv: no such file"),
-        (["--rename", "road"], "--rename wants COLUMN=CHANNEL"),
-        (["--unit", "road=furlong"], "furlong"),
-        (["--uncertain", "body.mass=5"], "wants a share from 0 to 1"),
-        (["--out", "taken"], "notes.txt"),
-        (["--json", "no/such/x.json"], "no folder"),
-        (["--model", "nowhere.json"], "nowhere"),
+        ("--validate none.csv", "none.csv: no such file"),
+        ("--rename road", "--rename wants COLUMN=CHANNEL"),
+        ("--unit road=furlong", "furlong"),
+        ("--uncertain body.mass=5", "wants a share from 0 to 1"),
+        ("--out taken", "notes.txt"),
+        ("--json no/such/x.json", "no folder"),
+        ("--model nowhere.json", "nowhere"),
         (
-            ["--unit", "acceleration=g"],
+            "--unit acceleration=g",
             "--unit: the model has no channel 'acceleration'",
         ),
-        (["--unit", "rod=m"], "did you mean 'road'?"),
-        (["--rename", "a=body_acc"], "--rename: the model has no channel 'body_acc'"),
-        (["./d.csv"], "d.csv: is named twice"),
-        (["--validate", "e.csv", "./d.csv"], "d.csv: is among the records to fit"),
+        ("--unit rod=m", "did you mean 'road'?"),
+        ("--rename a=body_acc", "--rename: the model has no channel 'body_acc'"),
+        ("./d.csv", "d.csv: is named twice"),
+        ("--validate e.csv ./d.csv", "d.csv: is among the records to fit"),
     ],
 )
 def test_a_diagnosis_is_not_begun_on_a_mistake(more, message, tmp_path):
@@ -189,8 +189,8 @@ def test_a_diagnosis_is_not_begun_on_a_mistake(more, message, tmp_path):
     )
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "notes.txt").write_text("mine")
-    words = ["diagnose", "d.csv", "--model", "quarter-car-isd", "--out", "found"]
-    assert_one_line(run(*words, *more, cwd=tmp_path), message)
+    words = f"diagnose d.csv --model quarter-car-isd --out found {more}"
+    assert_one_line(run(*words.split(), cwd=tmp_path), message)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["d.csv", "taken"]
 
 
@@ -199,16 +199,16 @@ def test_a_diagnosis_is_not_begun_on_a_mistake(more, message, tmp_path):
     [
         pytest.param(
             "pygame",
-            ["show", "passive", "--out", "a.mp4"],
+            "show passive --out a.mp4",
             "render",
             marks=pytest.mark.slow,
         ),
-        ("torch", ["train", "ppo", "--out", "run"], "agents"),
+        ("torch", "train ppo --out run", "agents"),
     ],
 )
 def test_a_missing_extra_is_named(missing, args, extra, tmp_path):
     code = (
-        f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['isd-gym', *{args!r}]\n"
+        f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['isd-gym', *{args.split()!r}]\n"
         "from isd_gym._commands import main; main()"
     )
     done = python(code, cwd=tmp_path)
