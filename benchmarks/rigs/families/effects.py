@@ -120,9 +120,13 @@ def link(kind: str, place: Pair, **parameters: Any) -> Change:
     return Change(({"type": kind, "between": list(place), **parameters},))
 
 
+def fixed(kind: str, law: Callable[[float, Scale], dict[str, float]]) -> Shape:
+    """Return a shape without a draw: `law` gives the parameters at a size."""
+    return lambda r, s, place: lambda x: link(kind, place, **law(x, s))
+
+
 # ------------------------------------------------------------------------------------------------ at two terminals
-def coulomb(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link("coulomb_friction", place, level=x * s.force)
+coulomb = fixed("coulomb_friction", lambda x, s: {"level": x * s.force})
 
 
 def stribeck(r: Generator, s: Scale, place: Pair) -> Sized:
@@ -136,22 +140,20 @@ def stribeck(r: Generator, s: Scale, place: Pair) -> Sized:
     )
 
 
-def quadratic(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link("quadratic_damping", place, damping=x * s.damping / s.rate)
+quadratic = fixed("quadratic_damping", lambda x, s: {"damping": x * s.damping / s.rate})
 
 
-def linear_damping(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link("linear_damping", place, damping=x * s.damping)
+linear_damping = fixed("linear_damping", lambda x, s: {"damping": x * s.damping})
 
 
-def linear_stiffness(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link("linear_stiffness", place, stiffness=x * s.stiffness)
+linear_stiffness = fixed(
+    "linear_stiffness", lambda x, s: {"stiffness": x * s.stiffness}
+)
 
 
-def inertance(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link(
-        "inertance", place, inertance=x * s.damping * s.travel / s.rate
-    )
+inertance = fixed(
+    "inertance", lambda x, s: {"inertance": x * s.damping * s.travel / s.rate}
+)
 
 
 def asymmetric(r: Generator, s: Scale, place: Pair) -> Sized:
@@ -164,26 +166,25 @@ def asymmetric(r: Generator, s: Scale, place: Pair) -> Sized:
     )
 
 
-def hardening(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link(
-        "cubic_stiffness", place, stiffness=x * s.stiffness / s.travel**2
-    )
+hardening = fixed(
+    "cubic_stiffness", lambda x, s: {"stiffness": x * s.stiffness / s.travel**2}
+)
 
 
-def softening(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link(
-        "cubic_stiffness", place, stiffness=-min(x, 0.06) * s.stiffness / s.travel**2
-    )
+softening = fixed(
+    "cubic_stiffness",
+    lambda x, s: {"stiffness": -min(x, 0.06) * s.stiffness / s.travel**2},
+)
 
 
-def sine(r: Generator, s: Scale, place: Pair) -> Sized:
-    """Gravity on a pendulum: the smaller the length of a radian, the further from linear; the stiffness is that of the rig."""
-    return lambda x: link(
-        "x_sine_less_linear",
-        place,
-        stiffness=s.stiffness,
-        length=s.travel / min(np.sqrt(2.0 * x), 0.7),
-    )
+# gravity on a pendulum: the smaller the length of a radian, the further from linear; the stiffness is that of the rig
+sine = fixed(
+    "x_sine_less_linear",
+    lambda x, s: {
+        "stiffness": s.stiffness,
+        "length": s.travel / min(np.sqrt(2.0 * x), 0.7),
+    },
+)
 
 
 def gas(r: Generator, s: Scale, place: Pair) -> Sized:
@@ -337,10 +338,10 @@ def switched_spring(r: Generator, s: Scale, place: Pair) -> Sized:
     )
 
 
-def position_damping(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: link(
-        "x_position_damping", place, damping=x * s.damping, length=s.travel
-    )
+position_damping = fixed(
+    "x_position_damping",
+    lambda x, s: {"damping": x * s.damping, "length": s.travel},
+)
 
 
 def timed_friction(r: Generator, s: Scale, place: Pair) -> Sized:
