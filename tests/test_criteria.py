@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_law_sets import COULOMB, CUBIC, DRAG, answer, row
+from test_law_sets import COULOMB, DRAG, SHARED, answer, row
 
 from isd_gym.diagnosis import CRITERIA, Criteria, Evidence
 from isd_gym.diagnosis._result_builder import ResultBuilder, closed
@@ -38,15 +38,8 @@ def test_a_law_of_every_set_of_the_band_is_named():
     assert decide(OPEN, GOOD).verdict == "ambiguous" and failed(OPEN) == [
         "distinguishable"
     ]
-    part = answer(
-        row(0.5),
-        row(0.2, COULOMB),
-        row(0.050, COULOMB, CUBIC),
-        row(0.052, COULOMB, DRAG),
-    )
-    assert decide(part, GOOD).verdict == "missing_effect" and failed(part) == [
-        "distinguishable"
-    ]
+    assert decide(SHARED, GOOD).verdict == "missing_effect"
+    assert failed(SHARED) == ["distinguishable"]
     assert decide(NONE, GOOD).verdict == "unknown_effect" and failed(NONE) == [
         "adequate"
     ]

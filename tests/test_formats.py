@@ -104,7 +104,7 @@ def test_a_matlab_7_3_file_has_its_vectors_and_units(tmp_path):
     assert list(read_table(tmp_path / "a.mat").columns) == ["force"]
 
 
-def test_a_matlab_7_3_file_leads_to_no_other_file(tmp_path, monkeypatch):
+def test_a_matlab_7_3_file_leads_to_no_other_file(tmp_path):
     (tmp_path / "secret").write_bytes(FORCE.tobytes())
 
     def outside(file):

@@ -33,6 +33,15 @@ def answer(*rows, criteria=CRITERIA):
     return answer_of(rows, LEAST, NOISE, criteria)
 
 
+#: friction is a member of both sets of the band
+SHARED = answer(
+    row(0.5),
+    row(0.2, COULOMB),
+    row(0.050, COULOMB, CUBIC),
+    row(0.052, COULOMB, DRAG),
+)
+
+
 def effects(found):
     return [m.effect for row in found.band[:1] for m in row.members]
 
@@ -62,16 +71,8 @@ def test_sets_of_other_kinds_within_the_width_leave_the_kind_open():
 
 
 def test_a_member_of_every_set_of_the_band_is_certain():
-    found = answer(
-        row(0.5),
-        row(0.2, COULOMB),
-        row(0.050, COULOMB, CUBIC),
-        row(0.052, COULOMB, DRAG),
-    )
-    assert effects(found) == [
-        "coulomb_friction",
-        "cubic_stiffness",
-    ] and found.certain == (True, False)
+    assert effects(SHARED) == ["coulomb_friction", "cubic_stiffness"]
+    assert SHARED.certain == (True, False)
 
 
 def test_a_rival_with_more_parameters_must_predict_better():

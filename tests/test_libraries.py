@@ -149,7 +149,7 @@ def test_skrl():
 
 @theirs
 @pytest.mark.slow
-def test_rllib_trains(tmp_path):
+def test_rllib_trains():
     pytest.importorskip("ray.rllib", reason="RLlib is of isd-gym[ray]")
     import ray
     from ray.rllib.algorithms.ppo import PPOConfig
