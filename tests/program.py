@@ -29,8 +29,15 @@ class Done(NamedTuple):
 def run(
     *words: Any, cwd: Path | None = None, env: dict[str, str] | None = None
 ) -> Done:
-    """Return what the program prints and ends with; nothing of the process is changed afterwards."""
+    """Return what the program prints and ends with; nothing of the process is changed afterwards.
+
+    A text among the words is a part of a command line.
+    """
     from isd_gym._commands import main
+
+    line = ["isd-gym"]
+    for word in words:
+        line += word.split() if isinstance(word, str) else [str(word)]
 
     out, err, interrupt = io.StringIO(), io.StringIO(), signal.getsignal(signal.SIGINT)
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
@@ -38,7 +45,7 @@ def run(
             patch.chdir(cwd)
         for name, value in {"MPLBACKEND": "Agg", **(env or {})}.items():
             patch.setenv(name, value)
-        patch.setattr(sys, "argv", ["isd-gym", *map(str, words)])
+        patch.setattr(sys, "argv", line)
         patch.setattr(sys, "unraisablehook", sys.unraisablehook)
         try:
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):

@@ -156,18 +156,8 @@ def test_shipped_policies_are_scored_beside_the_baselines_without_torch(
         assert head["training"]["curve"] and head["training"]["versions"]
     for absent in ("torch", "stable_baselines3", "isd_gym.sb3"):
         monkeypatch.setitem(sys.modules, absent, None)
-    words = [
-        "score",
-        "passive",
-        "lqg",
-        "ppo",
-        "sac",
-        "--episodes",
-        "2",
-        "--json",
-        "s.json",
-    ]
-    assert run(*words, cwd=tmp_path).returncode == 0
+    words = "score passive lqg ppo sac --episodes 2 --json s.json"
+    assert run(words, cwd=tmp_path).returncode == 0
     rows = {
         r["policy"]: r
         for r in json.loads((tmp_path / "s.json").read_text())["policies"]

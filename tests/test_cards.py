@@ -139,28 +139,27 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path):
         assert not done.returncode, done.stderr
         return " ".join(done.stdout.split())
 
-    on = ["--episodes", "3", "--duration", "0.5"]
-    go("score", "passive", "skyhook", *on, "--json", tmp_path / "brief.json")
+    on = "--episodes 3 --duration 0.5"
+    go("score passive skyhook --json", tmp_path / "brief.json", on)
     assert "1 track in" in go(
         "card", tmp_path / "brief.json", "--write", tmp_path / "card.json"
     )
-    assert "add against skyhook" in go(
-        "score", "add", *on, "--against", tmp_path / "card.json"
-    )
+    against = ("score add --against", tmp_path / "card.json", on)
+    assert "add against skyhook" in go(*against)
 
     def driven(*args, **kwargs):
         raise AssertionError("driven before it was refused")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isd_gym.benchmark.scoring.drive", driven)
-        for other in (
-            ["--duration", "0.6"],
-            ["--seed", "1"],
-            ["--road", "C"],
-            ["--sensors", "noise=1"],
-        ):
-            done = run("score", "add", *on, *other, "--against", tmp_path / "card.json")
-            assert_one_line(done, f"another {other[0][2:]}")
+        for name, value in {
+            "duration": 0.6,
+            "seed": 1,
+            "road": "C",
+            "sensors": "noise=1",
+        }.items():
+            done = run(*against, f"--{name} {value}")
+            assert_one_line(done, f"another {name}")
     assert (
         "brief: change" in (shown := go("card", "--card", tmp_path / "card.json"))
         and "skyhook" in shown

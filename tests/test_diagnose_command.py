@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from builders import QUARTER_CAR, drive_quarter_car, friction, oscillator
 from html_page import Page
-from typer.testing import CliRunner
+from program import printed
 
 from isd_gym import InputError, Network, Table, diagnose, read_table, simulate
-from isd_gym import _commands as cli
 from isd_gym.diagnosis import Hypothesis, SearchSettings
 from isd_gym.diagnosis import _workflow as workflow
 from isd_gym.diagnosis._records.reading import thin_long_record
@@ -89,12 +88,9 @@ class Outcome:
 
 def diagnosed(out, *words):
     """Run the command; every file in its folder is opened again and checked."""
-    done = CliRunner().invoke(
-        cli.app, ["diagnose", *map(str, words), "--out", str(out)]
-    )
-    assert done.exit_code == 0, (done.output, done.exception)
+    text = printed("diagnose", *words, "--out", out)
     document = json.loads((out / "diagnosis.json").read_text())
-    outcome = Outcome(out, document, done.output)
+    outcome = Outcome(out, document, text)
     check_folder(outcome)
     return outcome
 

@@ -6,13 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import typer
 from builders import oscillator
-from program import python, refused
-from typer.testing import CliRunner
+from program import printed, python, refused
 
 from isd_gym import Network, simulate
-from isd_gym._commands.export import command
 from isd_gym.physics.elements import ActuatorLag, SensorGain
 from isd_gym.physics.fmu import Running, export_fmu
 
@@ -130,12 +127,7 @@ def test_the_unit_validates_and_simulates_to_the_kernels_result(tmp_path):
         Network.load("quarter-car-isd"), description='odd "names" & <marks>'
     )
     (tmp_path / "model.json").write_text(json.dumps(model.to_dict()))
-    program = typer.Typer()
-    program.command()(command)
-    done = CliRunner().invoke(
-        program, [str(tmp_path / "model.json"), "--fmu", str(out)]
-    )
-    assert done.exit_code == 0, done.output
+    printed("export", tmp_path / "model.json", "--fmu", out)
     assert validate_fmu(str(out)) == []
     described = fmpy.read_model_description(str(out))
     known = {v.name: v for v in described.modelVariables}

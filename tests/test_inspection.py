@@ -2,16 +2,16 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from builders import QUARTER_CAR as CAR
 from builders import channel, damper, drive_quarter_car, model, spring
-from program import refused
-from typer.testing import CliRunner
+from program import assert_one_line, printed, refused
+from program import run as start
 
-from isd_gym import InputError, Network, Table, simulate
-from isd_gym._commands import app
+from isd_gym import Network, Table, simulate
 from isd_gym.diagnosis._records.reading import read_record
 from isd_gym.records.data import write_table
 from isd_gym.records.inspection import inspect, lines
@@ -153,9 +153,7 @@ def test_an_input_whose_outputs_are_all_turned_is_asked_for(tmp_path, run):
 
 
 @pytest.mark.parametrize("cell", ["OVERLOAD", "\u22120.5"])
-def test_a_text_among_the_numbers_is_told_and_the_column_stays(
-    tmp_path, run, program, cell
-):
+def test_a_text_among_the_numbers_is_told_and_the_column_stays(tmp_path, run, cell):
     time, columns = run
     file = written(
         tmp_path / "rec.csv", ",".join(["time", *columns]), time, *columns.values()
@@ -225,19 +223,14 @@ def test_the_terminal_holds_80_columns_and_the_page_fetches_nothing(tmp_path, ru
     assert max(map(len, lines(made, 80))) <= 80
 
 
-def test_the_command_writes_over_no_record(tmp_path, program):
+def test_the_command_writes_over_no_record(tmp_path):
     file = tmp_path / "rec.csv"
     write_table(file, Table(0.01 * np.arange(400), {"x": np.sin(0.1 * np.arange(400))}))
     before = file.read_bytes()
-    done = CliRunner().invoke(
-        program, ["inspect", str(file), "--json", str(tmp_path / "facts.json")]
-    )
-    assert done.exit_code == 0, done.output
+    printed("inspect", file, "--json", tmp_path / "facts.json")
     assert (tmp_path / "facts.json").exists()
-    done = CliRunner().invoke(program, ["inspect", str(file), "--json", str(file)])
-    assert isinstance(done.exception, InputError) and "it is an input file" in str(
-        done.exception
-    )
+    words = "it is an input file"
+    assert_one_line(start("inspect", file, "--json", file), words)
     assert file.read_bytes() == before
 
 
@@ -286,28 +279,20 @@ def test_overlapping_and_reversed_stamps_are_refused(order, words):
     refused(words, mended, raster(0.01 * order, x=np.arange(len(order))), [])
 
 
-@pytest.fixture(scope="module")
-def program():
-    """The program."""
-    return app
+def message_of(*words):
+    done = start(*words)
+    assert_one_line(done)
+    return done.stderr
 
 
-def message_of(program, *words):
-    done = CliRunner().invoke(program, [str(w) for w in words])
-    assert isinstance(done.exception, InputError), done.output
-    return str(done.exception)
-
-
-def simulated(program, folder, model, *more, data="rec.csv"):
-    data = "+".join(f"{folder / name}" for name in data.split("+"))
-    message = message_of(
-        program, "simulate", folder / model, data, *more, "--out", folder / "o.csv"
-    )
+def simulated(folder, model, *more):
+    files = (folder / model, folder / "rec.csv")
+    message = message_of("simulate", *files, *more, "--out", folder / "o.csv")
     assert not (folder / "o.csv").exists()
     return message
 
 
-def test_a_map_drives_a_simulation(tmp_path, run, program):
+def test_a_map_drives_a_simulation(tmp_path, run):
     time, columns = run
     write_table(tmp_path / "rec.csv", Table(time, {"base": 1e3 * columns["road"]}))
     (tmp_path / "car.json").write_text(json.dumps(CAR))
@@ -319,7 +304,7 @@ def test_a_map_drives_a_simulation(tmp_path, run, program):
         "--map",
         tmp_path / "map.json",
     ]
-    said(program, "simulate", *words, "--out", tmp_path / "out.csv")
+    printed("simulate", *words, "--out", tmp_path / "out.csv")
     seen = np.loadtxt(tmp_path / "out.csv", delimiter=",", skiprows=1)
     truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")
     np.testing.assert_allclose(
@@ -352,16 +337,14 @@ def test_a_map_drives_a_simulation(tmp_path, run, program):
         ({"chanels": {}}, "'chanels' was unexpected"),
     ],
 )
-def test_a_wrong_map_is_one_line_and_nothing_is_written(
-    tmp_path, run, program, change, words
-):
+def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, change, words):
     time, columns = run
     write_table(tmp_path / "rec.csv", Table(time, {"base": columns["road"]}))
     (tmp_path / "car.json").write_text(json.dumps(CAR))
     good = {"schema": "isd-map/1", "channels": {"road": {"column": "base"}}}
     (tmp_path / "map.json").write_text(json.dumps(good | change))
     assert re.search(
-        words, simulated(program, tmp_path, "car.json", "--map", tmp_path / "map.json")
+        words, simulated(tmp_path, "car.json", "--map", tmp_path / "map.json")
     )
 
 
@@ -376,7 +359,7 @@ SWING = model(
 
 
 @pytest.mark.parametrize("as_file", [False, True])
-def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
+def test_a_simulation_begins_as_it_is_told(tmp_path, as_file):
     time = 0.01 * np.arange(200)
     write_table(tmp_path / "rec.csv", Table(time, {"base": np.full(200, 3.0)}))
     (tmp_path / "swing.json").write_text(json.dumps(SWING))
@@ -389,7 +372,7 @@ def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
         else ["mass=0.01", "--initial", "mass.velocity=0.1"]
     )
     words = [tmp_path / "swing.json", tmp_path / "rec.csv", "--initial", *words]
-    said(program, "simulate", *words, "--out", tmp_path / "o.csv")
+    printed("simulate", *words, "--out", tmp_path / "o.csv")
     seen = np.loadtxt(tmp_path / "o.csv", delimiter=",", skiprows=1)[:, 1]
     truth = (
         0.003 + 0.007 * np.cos(20 * time) + 0.1 / 20 * np.sin(20 * time)
@@ -407,44 +390,38 @@ def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
         ("mass", "give NODE=VALUE"),
     ],
 )
-def test_a_wrong_start_is_one_line(tmp_path, program, word, words):
+def test_a_wrong_start_is_one_line(tmp_path, word, words):
     write_table(
         tmp_path / "rec.csv", Table(0.01 * np.arange(200), {"base": np.zeros(200)})
     )
     (tmp_path / "swing.json").write_text(json.dumps(SWING))
-    assert words in simulated(program, tmp_path, "swing.json", "--initial", word)
+    assert words in simulated(tmp_path, "swing.json", "--initial", word)
 
 
-def said(program, *words):
-    done = CliRunner().invoke(program, [str(w) for w in words])
-    assert done.exit_code == 0, (done.output, done.exception)
+def inspected(*words):
+    text = printed("inspect", *words)
     # a path is never wrapped
-    rows = [line for line in done.output.splitlines() if not line.startswith("map: ")]
-    assert words[0] != "inspect" or max(map(len, rows)) <= 80
-    return done.output
+    rows = [line for line in text.splitlines() if not line.startswith("map: ")]
+    assert max(map(len, rows)) <= 80
+    return text
 
 
-def test_a_file_without_a_header_is_read_by_the_names_that_are_told(
-    tmp_path, run, program
-):
+def test_a_file_without_a_header_is_read_by_the_names_that_are_told(tmp_path, run):
     time, columns = run
     file = written(tmp_path / "bare.csv", "", time, *columns.values())
     (tmp_path / "car.json").write_text(json.dumps(CAR))
     car, out = tmp_path / "car.json", tmp_path / "out.csv"
     for words in (["inspect", file], ["simulate", car, file, "--out", out]):
-        assert "--columns NAME,NAME,..." in message_of(program, *words)
+        assert "--columns NAME,NAME,..." in message_of(*words)
     assert "names 2 columns, line 1 has 5" in message_of(
-        program, "inspect", file, "--columns", "time,x"
+        "inspect", file, "--columns time,x"
     )
-    assert "name 2 of 2 is empty" in message_of(
-        program, "inspect", file, "--columns", "time,"
-    )
-    assert "names 'time' twice" in message_of(
-        program, "inspect", file, "--columns", "time,time"
-    )
+    assert "name 2 of 2 is empty" in message_of("inspect", file, "--columns time,")
+    assert "names 'time' twice" in message_of("inspect", file, "--columns time,time")
     names = ",".join(["time", *columns]).replace("travel", "travel [m]")
+    names = Path(names)  # one word, although it has a space
     asked = ["--columns", names, "--model", car, "--out", tmp_path / "map.json"]
-    text = said(program, "inspect", file, *asked)
+    text = inspected(file, *asked)
     assert "5 fields" not in text and "  travel " in text
     valid(tmp_path / "map.json")
     truth = simulate(CAR, time, {"road": columns["road"]}, interpolation="auto")[
@@ -452,7 +429,7 @@ def test_a_file_without_a_header_is_read_by_the_names_that_are_told(
     ]
     # the map remembers the names
     for more in (["--columns", names], ["--map", tmp_path / "map.json"]):
-        said(program, "simulate", car, file, "--out", out, *more)
+        printed("simulate", car, file, "--out", out, *more)
         np.testing.assert_allclose(
             np.loadtxt(out, delimiter=",", skiprows=1)[:, 3], truth, atol=1e-6
         )
@@ -465,7 +442,7 @@ TURNING = model("spin", [BEARING], [], ["angle angle wheel"], inertias={"wheel":
 @pytest.mark.parametrize("unit", ["deg", "rad"])
 @pytest.mark.parametrize("low", [0.0, -0.5])
 def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(
-    tmp_path, program, unit, low
+    tmp_path, unit, low
 ):
     time = 0.002 * np.arange(4000)
     turn = {"deg": 360.0, "rad": 2 * np.pi}[unit]
@@ -477,7 +454,7 @@ def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(
         turn * ((turns - low) % 1 + low),
     )
     file = written(tmp_path / "rec.csv", head, time, angle, turn * turns)
-    text = said(program, "inspect", file)
+    text = inspected(file)
     assert "angle: an angle that begins anew each turn" in text
     assert "total:" not in text  # that one goes on by itself
     network = Network.load(TURNING)

@@ -94,7 +94,7 @@ def test_both_doors_score_alike(made, name):
     by_class = score(Entry("own", space[name]), **DRIVE).policies[1]
     to = file.with_name("score.json")
     done = run(
-        "score", f"{file}:{name}", "--episodes", 3, "--duration", 0.5, "--json", to
+        "score", Path(f"{file}:{name}"), "--episodes 3 --duration 0.5 --json", to
     )
     assert done.returncode == 0, done.stderr
     by_name = json.loads(to.read_text())["policies"][1]
@@ -122,7 +122,7 @@ def test_both_doors_score_alike(made, name):
 )
 def test_a_wrong_controller_is_one_line(made, name, says):
     file, space = made
-    done = run("score", f"{file}{name}", "--episodes", 1, "--duration", 0.1)
+    done = run("score", Path(f"{file}{name}"), "--episodes 1 --duration 0.1")
     assert_one_line(done, says)
     if name in (":Wrong", ":Nothing"):  # by its class as well
         refused(says, score, Entry("own", space[name[1:]]), **DRIVE)
@@ -134,9 +134,11 @@ def test_a_wrong_controller_is_one_line(made, name, says):
 def test_controllers_are_scored_by_file_and_name(made):
     """A controller with memory, and a function, beside a policy of the same cost."""
     file, _ = made
-    to, names = file.with_name("s.json"), [f"{file}:{n}" for n in ("Remembers", "zero")]
-    brief = ["--episodes", 2, "--duration", 1, "--json", to]
-    done = run("score", "isd-passive", *names, *brief)
+    to, names = (
+        file.with_name("s.json"),
+        (Path(f"{file}:{n}") for n in ("Remembers", "zero")),
+    )
+    done = run("score isd-passive", *names, "--episodes 2 --duration 1 --json", to)
     assert done.returncode == 0, done.stderr
     rows = {row["policy"]: row for row in json.loads(to.read_text())["policies"]}
     assert list(rows) == ["passive", "isd-passive", "Remembers", "zero"]

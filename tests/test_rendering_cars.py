@@ -274,7 +274,7 @@ def test_show_films_cars(tmp_path, network, size):
     pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / "film.mp4"
     words = f"show skyhook --against passive --network {network} --seconds 0.4"
-    assert "0.4 s of skyhook and passive" in printed(*words.split(), "--out", out)
+    assert "0.4 s of skyhook and passive" in printed(words, "--out", out)
     film = picture_checks.read_mp4(out, size)
     assert len(film) == 21  # 50 a second, and the first
     assert (np.abs(film[-1] - film[0]) > 30).any(axis=2).mean() > 0.01
@@ -285,4 +285,4 @@ def test_show_films_cars(tmp_path, network, size):
 )
 def test_show_plays_cars_in_a_window(network, monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    printed("show", "passive", "--network", network, "--seconds", 0.1)
+    printed("show passive --network", network, "--seconds 0.1")

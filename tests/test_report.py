@@ -15,12 +15,10 @@ import numpy as np
 import pytest
 from builders import element, sines
 from html_page import Page
-from program import refused
+from program import printed, refused, run
 from test_criteria import NONE
-from typer.testing import CliRunner
 
 from isd_gym import Diagnosis, Network, score, simulate
-from isd_gym import _commands as cli
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.diagnosis import (
     CRITERIA,
@@ -600,41 +598,25 @@ def tables(folder, *names, head="time,road,current,{}"):
 def test_diagnose_takes_records_as_documented(told, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tables(tmp_path, "a.csv", "b.csv", "c.csv", "d.csv")
-    args = [
-        "diagnose",
-        "a.csv",
-        "b.csv",
-        "--model",
-        "quarter-car-isd",
-        "--out",
-        "found",
-    ]
-    done = CliRunner().invoke(
-        cli.app, [*args, "--validate", "c.csv", "d.csv", "--json", "x.json"]
-    )
-    assert done.exit_code == 0, done.output
+    fit = "diagnose a.csv b.csv --model quarter-car-isd --out found"
+    text = printed(fit, "--validate c.csv d.csv --json x.json")
     data, model, options = told[0]
     assert [t.source for t in data] == [
         "a.csv",
         "b.csv",
     ] and model.name == "quarter-car-isd"
     assert [t.source for t in options["validate"]] == ["c.csv", "d.csv"]
-    assert (
-        "The model lacks coulomb friction" in done.output
-        and "noise floor" in done.output
-    )
+    assert "The model lacks coulomb friction" in text and "noise floor" in text
     assert json.loads(Path("x.json").read_text())["schema"] == "isd-diagnosis/1"
     assert Path("found/report.html").exists()
     tables(tmp_path, "a.csv", head="time,z_r,current,{}")
-    named = [*args[:2], *args[3:], "--rename", "z_r=road", "--unit", "road=mm"]
-    assert CliRunner().invoke(cli.app, named).exit_code == 0
+    printed(
+        "diagnose a.csv --model quarter-car-isd --out found --rename z_r=road --unit road=mm"
+    )
     assert told[-1][0][0]["road"] == pytest.approx(1e-3)
     tables(tmp_path, "a.csv")
-    for also in (
-        ["--validate", "c.csv", "--validate=d.csv"],
-        ["--validate=c.csv", "d.csv"],
-    ):
-        assert CliRunner().invoke(cli.app, [*args, *also]).exit_code == 0
+    for also in ("--validate c.csv --validate=d.csv", "--validate=c.csv d.csv"):
+        printed(fit, also)
         assert [t.source for t in told[-1][2]["validate"]] == ["c.csv", "d.csv"]
         assert [t.source for t in told[-1][0]] == ["a.csv", "b.csv"]
 
@@ -649,22 +631,10 @@ def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(
         raise NameError("name 'Effect' is not defined")
 
     monkeypatch.setattr(report, "page", fail)
-    args = [
-        "diagnose",
-        "a.csv",
-        "--model",
-        "quarter-car-isd",
-        "--out",
-        "found",
-        "--json",
-        "x.json",
-    ]
-    done = CliRunner().invoke(cli.app, args)
-    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
-    assert (
-        "The model lacks coulomb friction" in done.stdout
-        and "noise floor" in done.stdout
-    )
+    done = run("diagnose a.csv --model quarter-car-isd --out found --json x.json")
+    assert done.returncode == 1
+    for words in ("The model lacks coulomb friction", "noise floor"):
+        assert words in done.stdout
     # a slow machine tells its progress before
     assert done.stderr.splitlines()[-1] == (
         "isd-gym: the report could not be drawn (NameError: name 'Effect' is not defined); the results are in 'found'"

@@ -117,7 +117,7 @@ def test_schema_and_reader_accept_the_same_units(unit):
 def test_score_json_of_a_half_car_is_valid(tmp_path):
     file = tmp_path / "score.json"
     words = "score passive lqg --network half-car-isd --point body_rear"
-    printed(*words.split(), "--episodes", 2, "--duration", 1, "--json", file)
+    printed(words, "--episodes 2 --duration 1 --json", file)
     score = json.loads(file.read_text())
     jsonschema.validate(score, schemas.load("isd-score/1"))
     assert score["comfort_point"] == "body_rear"

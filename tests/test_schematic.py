@@ -142,7 +142,7 @@ def test_what_was_found_stands_out():
 
 def test_draw_writes_an_svg(tmp_path):
     out = tmp_path / "car.svg"
-    printed("networks", "quarter-car-isd", "--draw", out)
+    printed("networks quarter-car-isd --draw", out)
     drawn = schematic.draw(Network.load("quarter-car-isd")).svg()
     assert out.read_text() == drawn + "\n"
 

@@ -55,7 +55,7 @@ def test_a_table_is_printed_in_every_encoding(variables, tmp_path):
     assert (tmp_path / "page" / "index.html").exists()
 
 
-def test_what_an_encoding_lacks_keeps_its_width(monkeypatch):
+def test_what_an_encoding_lacks_keeps_its_width():
     prepare_streams()
     for text in ("m/s²", "─━", "".join(ALIKE), "日本", "café"):
         assert len(text.encode("ascii", PLAINER)) == len(text)
@@ -120,7 +120,7 @@ def test_a_damaged_kernel_is_compiled_again(tmp_path):
         assert printed() == [b"42.0", b"1"], how
 
 
-def test_a_kernel_that_cannot_be_kept_is_used(tmp_path, monkeypatch):
+def test_a_kernel_that_cannot_be_kept_is_used(monkeypatch):
     def full(self, name, data):
         raise OSError(28, "No space left on device")
 
@@ -220,10 +220,7 @@ def test_settings_of_numba_that_cannot_be_read_are_one_line(tmp_path):
 def test_a_foreign_folder_does_not_hide_a_known_policy(tmp_path):
     for name in ("mpc", "ppo"):
         (tmp_path / name).mkdir()
-    short = ("--episodes", 1, "--duration", 0.1)
-    assert (
-        "no policy.json"
-        in run("score", "mpc", "ppo", "./mpc", *short, cwd=tmp_path).stderr
-    )
-    done = run("score", "mpc", "ppo", *short, cwd=tmp_path)
+    short = "score --episodes 1 --duration 0.1 mpc ppo"
+    assert "no policy.json" in run(short, "./mpc", cwd=tmp_path).stderr
+    done = run(short, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -263,14 +263,14 @@ def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path):
     bad, good, out = (tmp_path / name for name in ("grid.toml", "good.toml", "out"))
     bad.write_text(GRID.replace("isd-passive", "isd-pasive"))
     good.write_text(GRID)
-    for words in ((), ("--shard", "0/2")):
-        done = run("sweep", bad, "--out", out, *words)
+    for words in ("", "--shard 0/2"):
+        done = run("sweep", bad, "--out", out, words)
         assert_one_line(done, "no policy 'isd-pasive' (did you mean 'isd-passive'?)")
         assert not done.stdout
-    empty = run("sweep", good, "--out", out, "--shard", "77/78")
+    empty = run("sweep", good, "--out", out, "--shard 77/78")
     assert_one_line(empty, "shard 77/78 is empty: there are 18 items")
     assert not out.exists()  # neither of these has begun
-    part = run("sweep", good, "--out", tmp_path / "part", "--shard", "17/18")
+    part = run("sweep", good, "--out", tmp_path / "part", "--shard 17/18")
     assert part.returncode == 0 and "17 items are not there yet" in part.stdout
     assert "heavy" not in part.stdout  # no row without a figure
     whole = run("sweep", good, "--out", out)

@@ -42,12 +42,7 @@ def test_a_score_on_a_track_is_compared_with_its_card(tmp_path):
         "class Mine:\n    def reset(self): pass\n    def act(self, observation): return -2.0 * observation[2]\n"
     )
     done = run(
-        "score",
-        "mine.py:Mine",
-        "--track",
-        "active-bump",
-        "--json",
-        "mine.json",
+        "score mine.py:Mine --track active-bump --json mine.json",
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
@@ -55,12 +50,12 @@ def test_a_score_on_a_track_is_compared_with_its_card(tmp_path):
         "More: --full." in done.stdout
         and "road 'bump', 10 m/s, 1 x 20 s" in " ".join(done.stdout.split())
     )
-    shown = run("card", "mine.json", cwd=tmp_path)
+    shown = run("card mine.json", cwd=tmp_path)
     assert shown.returncode == 0, shown.stderr
     assert "active-bump" in shown.stdout and "Mine" in shown.stdout
     old = json.loads((tmp_path / "mine.json").read_text()) | {"version": "0.0.9"}
     (tmp_path / "mine.json").write_text(json.dumps(old))
-    other = run("card", "mine.json", cwd=tmp_path)
+    other = run("card mine.json", cwd=tmp_path)
     assert other.returncode == 2 and other.stderr.count("\n") == 1
     assert "the score is of version 0.0.9, the card of version 0.1.0" in other.stderr
 
@@ -71,9 +66,7 @@ def test_a_track_that_does_not_exist_is_told_in_one_line():
 
 
 def test_a_track_sets_the_conditions_alone():
-    done = run(
-        "score", "passive", "--track", "active-bump", "--road", "A", "--episodes", 2
-    )
+    done = run("score passive --track active-bump --road A --episodes 2")
     assert_one_line(done, "--track sets --road, --episodes; leave out one or the other")
 
 

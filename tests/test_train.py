@@ -108,7 +108,7 @@ def test_a_training_goes_on_where_ctrl_c_stopped_it(
         model.num_timesteps == model.scores[-1][0] == 64
     )  # a slow machine scores at checkpoints, too
     assert_one_line(
-        run(*command, "--seed", 1, cwd=tmp_path), "holds another training", "--out"
+        run(*command, "--seed 1", cwd=tmp_path), "holds another training", "--out"
     )
 
 
@@ -116,5 +116,5 @@ def test_a_training_goes_on_where_ctrl_c_stopped_it(
 def test_an_argument_that_the_algorithm_lacks_is_one_line(tmp_path):
     file = recipe(tmp_path, arguments={"n_step": 3})
     assert_one_line(
-        run("train", file, "--out", "run", cwd=tmp_path), "PPO does not take", "n_step"
+        run("train", file, "--out run", cwd=tmp_path), "PPO does not take", "n_step"
     )

@@ -1,9 +1,8 @@
-"""Archives of stock Stable-Baselines3 in scores, own controllers by file and name, and scores during a training."""
+"""Archives of stock Stable-Baselines3 in scores, and scores during a training."""
 
 import base64
 import json
 import pickle
-import sys
 import zipfile
 
 import gymnasium as gym
@@ -114,17 +113,8 @@ def test_a_stock_model_is_scored_as_it_predicts(
     assert_drives_as_predicted(
         convert(tmp_path / "m.zip", network=network), model, network
     )
-    drive_ = [
-        "--episodes",
-        1,
-        "--duration",
-        1,
-        "--network",
-        network,
-        "--json",
-        tmp_path / "s.json",
-    ]
-    code, out, err = run("score", tmp_path / "m.zip", *drive_)
+    brief = f"--episodes 1 --duration 1 --network {network} --json"
+    code, out, err = run("score", tmp_path / "m.zip", brief, tmp_path / "s.json")
     assert code == 0 and "m " in out, err
     assert ("m_vecnormalize.pkl" in err) == is_normalized
     held = json.loads((tmp_path / "s.json").read_text())
@@ -149,7 +139,7 @@ def test_a_stack_of_observations_is_scored_as_it_predicts(order, env_id, tmp_pat
         env = VecFrameStack(env, 3) if wrap == "stack" else VecNormalize(env)
     callback = ScoreCallback(1000, save=tmp_path / "m", **SHORT)
     model = learner("PPO", env).learn(64, callback=callback)
-    code, _, err = run("score", tmp_path / "m.zip", "--episodes", 1, "--duration", 0.1)
+    code, _, err = run("score", tmp_path / "m.zip", "--episodes 1 --duration 0.1")
     assert code == 0, err
     found = callback._cost(find(str(tmp_path / "m.zip"), Network.load(CAR)))
     assert found == pytest.approx(callback.history[-1][1], rel=1e-3)
@@ -216,10 +206,8 @@ def test_a_policy_that_learned_nothing_is_told_so(tmp_path, capsys):
         tmp_path / "m.zip"
     )
     assert "the cost of zero current" in capsys.readouterr().out
-    drives_ = ["--episodes", 2, "--duration", 0.5]
-    err = run(
-        "score", "passive", "isd-passive", "skyhook", tmp_path / "m.zip", *drives_
-    )[2]
+    words = "score --episodes 2 --duration 0.5 passive isd-passive skyhook"
+    err = run(words, tmp_path / "m.zip")[2]
     assert err.count("what zero current costs") == 1
     assert "ISDSuspensionLearning-v0" in err
     assert "m.zip" in err or "'m'" in err
@@ -240,13 +228,13 @@ def test_nothing_of_an_archive_is_run(tmp_path):
                 held[":serialized:"] = base64.b64encode(pickle.dumps(Bomb())).decode()
 
     rewritten(tmp_path / "m.zip", plant)
-    drive_ = ["--episodes", 1, "--duration", 0.1]
-    assert run("score", tmp_path / "m.zip", *drive_)[0] == 0
+    brief = "--episodes 1 --duration 0.1"
+    assert run("score", tmp_path / "m.zip", brief)[0] == 0
     (tmp_path / "vecnormalize.pkl").write_bytes(pickle.dumps(Bomb()))
-    code, _, err = run("score", tmp_path / "m.zip", *drive_)
+    code, _, err = run("score", tmp_path / "m.zip", brief)
     assert code == 2 and "not a saved VecNormalize" in err
-    none = ["--trained-with", "normalize=none"]
-    assert run("score", tmp_path / "m.zip", *none, *drive_)[0] == 0
+    none = "--trained-with normalize=none"
+    assert run("score", tmp_path / "m.zip", none, brief)[0] == 0
 
 
 class Pictures(gym.Env):
@@ -294,67 +282,11 @@ def other_archives(folder):
 def test_other_archives_are_one_line(tmp_path):
     for name, says in other_archives(tmp_path).items():
         code, _, err = run(
-            "score", tmp_path / f"{name}.zip", "--episodes", 1, "--duration", 0.1
+            "score", tmp_path / f"{name}.zip", "--episodes 1 --duration 0.1"
         )
         assert code == (0 if says is None else 2), (name, err)
         if says is not None:
             assert says in err and len(err.splitlines()) == 1, (name, err)
-
-
-OWN = """
-import numpy as np
-import helper_of_mine
-
-
-class Sky:
-    name = "my sky"
-
-    def reset(self):
-        self.velocity = 0.0
-
-    def act(self, observation):
-        self.velocity = 0.995 * self.velocity + 5e-3 * observation[0]
-        return helper_of_mine.GAIN * self.velocity
-
-
-class Many:
-    observation = "history"
-
-    def reset(self):
-        pass
-
-    def act(self, observation):
-        return 0.1
-
-    def act_batch(self, observations):
-        assert observations.shape[1] > 12 and np.abs(observations).max() <= 10
-        return np.full(len(observations), 0.1)
-
-
-def zero(observation):
-    return 0.0
-
-
-def nothing(observation):
-    return None
-
-
-def fails(observation):
-    return observation.nonsense
-
-
-class Wants:
-    def __init__(self, gain):
-        pass
-"""
-
-
-@pytest.fixture
-def own(tmp_path, monkeypatch):
-    (tmp_path / "mine.py").write_text(OWN)
-    (tmp_path / "helper_of_mine.py").write_text("GAIN = 8.0\n")
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    return tmp_path / "mine.py"
 
 
 def test_a_file_that_does_not_run_is_one_line(tmp_path):
@@ -363,7 +295,7 @@ def test_a_file_that_does_not_run_is_one_line(tmp_path):
         ("m.py:A", "m.py:2: SyntaxError"),
         ("none.py:A", "no Python file"),
     ):
-        code, _, err = run("score", tmp_path / name, "--episodes", 1, "--duration", 0.1)
+        code, _, err = run("score", tmp_path / name, "--episodes 1 --duration 0.1")
         assert code == 2 and says in err and len(err.splitlines()) == 1
 
 
