@@ -217,6 +217,14 @@ def test_a_rate_that_is_too_slow_is_told(tmp_path):
     )
 
 
+def test_two_runs_of_one_logger_are_told(tmp_path):
+    files = [tmp_path / "run1.csv", tmp_path / "run2.csv"]
+    for file in files:
+        write_table(file, Table(0.01 * np.arange(99), {"x": np.arange(99.0)}))
+    words = "the same columns as run1.csv; if they are two runs, inspect one of them"
+    assert words in map(str, inspect(files).oddities)
+
+
 def test_the_terminal_holds_80_columns_and_the_page_fetches_nothing(tmp_path, run):
     names = {c: f"a_rather_long_name_of_a_column_{c}" for c in run[1]}
     _, made = found(tmp_path, run, names)

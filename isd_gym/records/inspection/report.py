@@ -157,7 +157,7 @@ def inspect(
                 f"--unit: no column {shown(name)} (there are {', '.join(sorted(map(plain, known))[:12])})"
             )
     facts: list[Facts] = []
-    odd: list[Oddity] = []
+    odd = _repeated_columns(groups)
     groups = [[_continuous(raster, units, odd) for raster in group] for group in groups]
     for i, group in enumerate(groups):
         for k, raster in enumerate(group):
@@ -171,6 +171,22 @@ def inspect(
 
         found = suggest(groups, facts, network, known_columns, signs)
     return Inspection(groups, facts, odd, network, found, tuple(columns or ()), rate)
+
+
+def _repeated_columns(groups: list[list[Raster]]) -> list[Oddity]:
+    """Return a remark for each file with the columns of an earlier file: another run, not another logger."""
+    first: dict[frozenset[str], str] = {}
+    odd = []
+    for group in groups:
+        names = frozenset(name for raster in group for name in raster.columns)
+        name = group[0].name
+        if names in first:
+            text = f"the same columns as {plain(first[names])}"
+            odd.append(
+                Oddity(name, "", text, "if they are two runs, inspect one of them")
+            )
+        first.setdefault(names, name)
+    return odd
 
 
 def _continuous(raster: Raster, units: Mapping[str, str], odd: list[Oddity]) -> Raster:
