@@ -12,7 +12,7 @@ import pytest
 from isd_gym.agents._memory import Memory
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.baselines import make
-from program import refused, run
+from program import read_json, refused, run
 
 from isd_gym import Network
 from isd_gym.benchmark.policies import conventional
@@ -147,7 +147,7 @@ def test_shipped_policies_are_scored_beside_the_baselines_without_torch(
 ):
     """What is shipped is whole (its checksum is that of its weights), small, and ahead of the passive car."""
     for name in ("ppo", "sac"):
-        head = json.loads((SHIPPED / name / JSON_NAME).read_text())
+        head = read_json(SHIPPED / name / JSON_NAME)
         blob = (SHIPPED / name / WEIGHTS_NAME).read_bytes()
         assert (
             hashlib.sha256(blob).hexdigest() == head["weights"]["sha256"]
@@ -158,10 +158,7 @@ def test_shipped_policies_are_scored_beside_the_baselines_without_torch(
         monkeypatch.setitem(sys.modules, absent, None)
     words = "score passive lqg ppo sac --episodes 2 --json s.json"
     assert run(words, cwd=tmp_path).returncode == 0
-    rows = {
-        r["policy"]: r
-        for r in json.loads((tmp_path / "s.json").read_text())["policies"]
-    }
+    rows = {r["policy"]: r for r in read_json(tmp_path / "s.json")["policies"]}
     for name in ("ppo", "sac"):
         assert rows[name]["cost"]["change"] < -0.15
         assert rows[name]["tyre_load_rms"]["change"] < 0.05

@@ -1,12 +1,10 @@
 """How a model stands at the first sample: told node by node, or fitted to what was measured from there on."""
 
-import json
-
 import numpy as np
 import pytest
 from builders import QUARTER_CAR as CAR
 from builders import STRUT, drive_quarter_car, friction, spring
-from program import assert_one_line, run
+from program import assert_one_line, run, save_json
 
 from isd_gym import Network, Table, read_table, simulate
 from isd_gym.diagnosis.simulation import initial_state, state_of
@@ -92,7 +90,7 @@ def test_loggers_with_rates_and_clocks_of_their_own_are_fitted_on_their_grid(mov
 
 @pytest.fixture
 def files(tmp_path, moving):
-    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    save_json(tmp_path / "car.json", CAR)
     columns = {n: moving[n] for n in ("road", "travel")}
     write_table(tmp_path / "drive.csv", Table(moving.time, columns, "drive"))
     write_table(

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import tracks
-from program import assert_one_line, refused, run
+from program import assert_one_line, refused, run, save_json
 
 from isd_gym import score
 from isd_gym.benchmark import cards
@@ -104,10 +104,10 @@ def test_a_score_on_other_roads_or_without_episodes_is_refused(card, change, why
 def test_a_garbled_score_is_one_line(change, says, tmp_path):
     theirs = score(["add"], **ON).to_dict()
     path = tmp_path / "score.json"
-    path.write_text(json.dumps(theirs))
+    save_json(path, theirs)
     assert cards.read_score(path) == json.loads(json.dumps(theirs))
     change(theirs)
-    path.write_text(json.dumps(theirs))
+    save_json(path, theirs)
     refused(says, cards.read_score, path)
 
 
@@ -115,20 +115,20 @@ def test_a_garbled_card_with_a_right_digest_is_one_line(card, tmp_path):
     held = json.loads(json.dumps(card))
     held["tracks"][0]["policies"]["skyhook"]["episodes"]["cost"].pop()
     path = tmp_path / "card.json"
-    path.write_text(json.dumps({**held, "digest": cards.digest(held)}))
+    save_json(path, {**held, "digest": cards.digest(held)})
     refused("'skyhook' must have 4 episodes", cards.load, path)
     del held["tracks"][0]["policies"]["passive"]
-    path.write_text(json.dumps({**held, "digest": cards.digest(held)}))
+    save_json(path, {**held, "digest": cards.digest(held)})
     refused(r"tracks\[0\].policies: 'passive' is a required property", cards.load, path)
 
 
 def test_a_card_is_frozen(card, tmp_path):
     path = tmp_path / "card.json"
-    path.write_text(json.dumps(card))
+    save_json(path, card)
     assert cards.load(path) == card
     held = json.loads(json.dumps(card))
     held["tracks"][0]["policies"]["skyhook"]["episodes"]["cost"][0] *= 0.99
-    path.write_text(json.dumps(held))
+    save_json(path, held)
     refused("was altered", cards.load, path)
     refused("nowhere", cards.load, "nowhere")
 
@@ -205,7 +205,7 @@ def test_the_card_of_a_score_is_the_card_of_its_car(tmp_path):
         held["command"] = (
             f"isd-gym score passive skyhook --network {network} --json {files[network]}"
         )
-        files[network].write_text(json.dumps(held))
+        save_json(files[network], held)
 
     half = files["half-car-isd"]
     assert run("card", half, "--write", tmp_path / "card.json").returncode == 0

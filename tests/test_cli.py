@@ -1,13 +1,12 @@
 """The command line as a newcomer meets it: right answers, and one helpful line for wrong ones."""
 
-import json
 import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from program import assert_one_line, python, run
+from program import assert_one_line, python, read_json, run
 
 from isd_gym import Network, score
 from isd_gym._commands._score_table import print_score
@@ -52,7 +51,7 @@ def test_score_ends_with_what_puts_it_in_place(tmp_path):
     ):
         assert words in text
     assert "Left out" not in text
-    data = json.loads((tmp_path / "s.json").read_text())
+    data = read_json(tmp_path / "s.json")
     known = {"clairvoyant", "clairvoyant_point", "causal_bound", "ceiling_0"}
     assert known <= set(data["references"])
     best = float(
@@ -290,7 +289,7 @@ def test_the_answer_into_a_pipe_a_full_disk_or_a_link(tmp_path):
         # a quick program is done before its reader goes
         assert done.returncode == code or "| true" in command
     assert (tmp_path / "link.json").is_symlink()
-    assert json.loads((tmp_path / "target.json").read_text())["schema"] == "isd-score/1"
+    assert read_json(tmp_path / "target.json")["schema"] == "isd-score/1"
     assert '"schema": "isd-score/1"' in (tmp_path / "piped").read_text()
 
 
@@ -308,7 +307,7 @@ def test_nowhere_to_keep_the_kernel_is_one_line():
 
 def test_policies_lists_what_can_be_scored(tmp_path):
     done = run("policies --json", tmp_path / "p.json")
-    known = json.loads((tmp_path / "p.json").read_text())["policies"]
+    known = read_json(tmp_path / "p.json")["policies"]
     assert known == available() and all(known.values())
     assert {"passive", "isd-passive", "mpc", "lqg", "ppo", "sac"} <= set(known)
     for name in known:

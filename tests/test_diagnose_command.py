@@ -1,6 +1,5 @@
 """The command `isd-gym diagnose` to its end: every verdict and way, and every file that it writes opened again."""
 
-import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from builders import QUARTER_CAR, drive_quarter_car, friction, oscillator
 from html_page import Page
-from program import printed
+from program import printed, read_json
 
 from isd_gym import InputError, Network, Table, diagnose, read_table, simulate
 from isd_gym.diagnosis import Hypothesis, SearchSettings
@@ -89,7 +88,7 @@ class Outcome:
 def diagnosed(out, *words):
     """Run the command; every file in its folder is opened again and checked."""
     text = printed("diagnose", *words, "--out", out)
-    document = json.loads((out / "diagnosis.json").read_text())
+    document = read_json(out / "diagnosis.json")
     outcome = Outcome(out, document, text)
     check_folder(outcome)
     return outcome

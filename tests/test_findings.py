@@ -1,12 +1,12 @@
 """Probabilities of place, kind and law, from weighted candidates made by hand."""
 
-import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from program import read_json
 from test_criteria import GOOD
 from test_words import NONE, document
 
@@ -145,7 +145,7 @@ def test_a_probability_has_a_grade(probability, told):
 def test_the_frequencies_of_grades_are_those_of_the_first_looks():
     folder = Path(__file__).resolve().parents[1] / "benchmarks"
     stated, true = Counter(), Counter()
-    suites = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    suites = read_json(folder / "diagnosis.json")
     for suite in ("families 463", "families 472", "home 463", "home 472"):
         for level, bins in suites[suite]["reliability"].items():
             for b in bins:
@@ -153,7 +153,7 @@ def test_the_frequencies_of_grades_are_those_of_the_first_looks():
                 true["simulated", level, grade(b["low"])] += round(
                     b["names"] * b["right"]
                 )
-    for look in json.loads((folder / "first-looks.json").read_text(encoding="utf-8")):
+    for look in read_json(folder / "first-looks.json"):
         for rig in look["rigs"]:
             for level, statements in rig["stated"].items():
                 for probability, is_true in statements:

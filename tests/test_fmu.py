@@ -1,13 +1,12 @@
 """A network as an FMU for co-simulation: FMPy validates it and simulates it to the result of the kernel."""
 
-import json
 import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from builders import oscillator
-from program import printed, python, refused
+from program import printed, python, refused, save_json
 
 from isd_gym import Network, simulate
 from isd_gym.physics.elements import ActuatorLag, SensorGain
@@ -126,7 +125,7 @@ def test_the_unit_validates_and_simulates_to_the_kernels_result(tmp_path):
     model = replace(
         Network.load("quarter-car-isd"), description='odd "names" & <marks>'
     )
-    (tmp_path / "model.json").write_text(json.dumps(model.to_dict()))
+    save_json(tmp_path / "model.json", model.to_dict())
     printed("export", tmp_path / "model.json", "--fmu", out)
     assert validate_fmu(str(out)) == []
     described = fmpy.read_model_description(str(out))

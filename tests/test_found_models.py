@@ -1,12 +1,11 @@
 """What a found model is used for: errors on new records, ranges of an environment, a folder with its report."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from builders import channel, element, oscillator
-from program import assert_one_line, printed, refused, run
+from program import assert_one_line, printed, read_json, refused, run
 
 from isd_gym import ISDSuspensionEnv, Network, Table, simulate
 from isd_gym.diagnosis import Quantity
@@ -93,7 +92,7 @@ def test_the_command_prints_the_table_and_writes_it(files):
     records = (files / "a.csv", files / "b.csv")
     text = printed("simulate --compare --json", made, files / "rig.json", *records)
     assert all(w in text for w in ("all records", "RMS error", "own parameters"))
-    rows = json.loads(made.read_text())["errors"]
+    rows = read_json(made)["errors"]
     assert len(rows) == 3 and all(
         r["rms"] == pytest.approx(0.05, rel=0.1) for r in rows
     )

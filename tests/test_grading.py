@@ -1,9 +1,8 @@
 """The diagnosis' benchmark: the grades of answers, and the continuation of a stopped run."""
 
-import json
-
 import grading
 import pytest
+from program import save_json
 
 pytestmark = pytest.mark.tools
 
@@ -98,7 +97,7 @@ def test_cases_are_items_of_the_engine(tmp_path, monkeypatch, capsys):
     truth = {f"rig_{i:03d}": {"kind": "shaken", "answer": FRICTION} for i in range(3)}
     for name in truth:
         (rigs / name).mkdir(parents=True)
-    (tmp_path / "rigs.truth.json").write_text(json.dumps(truth))
+    save_json(tmp_path / "rigs.truth.json", truth)
     looked = []
 
     def fake(files, out):

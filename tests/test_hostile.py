@@ -32,7 +32,7 @@ from isd_gym.agents.policy import (
     Policy,
     read_safetensors,
 )
-from program import assert_one_line, python, refused, run
+from program import assert_one_line, python, read_json, refused, run, save_json
 
 from isd_gym import InputError, Network, Table, linearise, read_table, simulate
 from isd_gym._common.errors import plain, shown
@@ -100,7 +100,7 @@ def test_a_folder_of_a_sweep_may_hold_anything(tmp_path):
     merged, _ = sweep(grid, tmp_path / "out")
     folder = tmp_path / "out" / "items"
     items = sorted(folder.iterdir())
-    good = json.loads(items[0].read_text())
+    good = read_json(items[0])
     result = good["result"]
     strange = [{}, [], None, result | {"measures": {}}, result | {"fallbacks": "many"}]
     for name, value in {"tyre_load_rms": -1.2e15, "current_rms": 10**40, "cost": True}.items():  # fmt: skip
@@ -336,14 +336,14 @@ def spoilt(tmp_path, **change):
     """A shipped policy whose policy.json has other values at the given paths ('memory.filter.current')."""
     folder = tmp_path / "policy"
     folder.mkdir(exist_ok=True)
-    head = json.loads((SHIPPED / "ppo" / JSON_NAME).read_text())
+    head = read_json(SHIPPED / "ppo" / JSON_NAME)
     for path, value in change.items():
         *outer, last = path.split(".")
         place = head
         for key in outer:
             place = place[key]
         place[last] = value
-    (folder / JSON_NAME).write_text(json.dumps(head))
+    save_json(folder / JSON_NAME, head)
     (folder / WEIGHTS_NAME).write_bytes((SHIPPED / "ppo" / WEIGHTS_NAME).read_bytes())
     return folder
 

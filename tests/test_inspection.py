@@ -1,6 +1,5 @@
 """Loggers' files looked into: what is odd is told, columns find their channels, and bad maps are one line."""
 
-import json
 import re
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from builders import QUARTER_CAR as CAR
 from builders import channel, damper, drive_quarter_car, model, spring
-from program import assert_one_line, printed, refused
+from program import assert_one_line, printed, read_json, refused, save_json
 from program import run as start
 
 from isd_gym import Network, Table, simulate
@@ -49,9 +48,7 @@ def written(path, head, *columns):
 
 
 def valid(path):
-    pytest.importorskip("jsonschema").validate(
-        json.loads(path.read_text()), load("isd-map/1")
-    )
+    pytest.importorskip("jsonschema").validate(read_json(path), load("isd-map/1"))
     return path
 
 
@@ -303,9 +300,9 @@ def simulated(folder, model, *more):
 def test_a_map_drives_a_simulation(tmp_path, run):
     time, columns = run
     write_table(tmp_path / "rec.csv", Table(time, {"base": 1e3 * columns["road"]}))
-    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    save_json(tmp_path / "car.json", CAR)
     by = {"schema": "isd-map/1", "channels": {"road": {"column": "base", "unit": "mm"}}}
-    (tmp_path / "map.json").write_text(json.dumps(by))
+    save_json(tmp_path / "map.json", by)
     words = [
         tmp_path / "car.json",
         tmp_path / "rec.csv",
@@ -348,9 +345,9 @@ def test_a_map_drives_a_simulation(tmp_path, run):
 def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, change, words):
     time, columns = run
     write_table(tmp_path / "rec.csv", Table(time, {"base": columns["road"]}))
-    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    save_json(tmp_path / "car.json", CAR)
     good = {"schema": "isd-map/1", "channels": {"road": {"column": "base"}}}
-    (tmp_path / "map.json").write_text(json.dumps(good | change))
+    save_json(tmp_path / "map.json", good | change)
     assert re.search(
         words, simulated(tmp_path, "car.json", "--map", tmp_path / "map.json")
     )
@@ -370,9 +367,9 @@ SWING = model(
 def test_a_simulation_begins_as_it_is_told(tmp_path, as_file):
     time = 0.01 * np.arange(200)
     write_table(tmp_path / "rec.csv", Table(time, {"base": np.full(200, 3.0)}))
-    (tmp_path / "swing.json").write_text(json.dumps(SWING))
-    (tmp_path / "start.json").write_text(
-        json.dumps({"mass": {"displacement": 0.01, "velocity": 0.1}})
+    save_json(tmp_path / "swing.json", SWING)
+    save_json(
+        tmp_path / "start.json", {"mass": {"displacement": 0.01, "velocity": 0.1}}
     )
     words = (
         [tmp_path / "start.json"]
@@ -402,7 +399,7 @@ def test_a_wrong_start_is_one_line(tmp_path, word, words):
     write_table(
         tmp_path / "rec.csv", Table(0.01 * np.arange(200), {"base": np.zeros(200)})
     )
-    (tmp_path / "swing.json").write_text(json.dumps(SWING))
+    save_json(tmp_path / "swing.json", SWING)
     assert words in simulated(tmp_path, "swing.json", "--initial", word)
 
 
@@ -417,7 +414,7 @@ def inspected(*words):
 def test_a_file_without_a_header_is_read_by_the_names_that_are_told(tmp_path, run):
     time, columns = run
     file = written(tmp_path / "bare.csv", "", time, *columns.values())
-    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    save_json(tmp_path / "car.json", CAR)
     car, out = tmp_path / "car.json", tmp_path / "out.csv"
     for words in (["inspect", file], ["simulate", car, file, "--out", out]):
         assert "--columns NAME,NAME,..." in message_of(*words)

@@ -1,12 +1,11 @@
 """A user's controller drives alike from Python and by the name of its file."""
 
-import json
 import re
 import sys
 from pathlib import Path
 
 import pytest
-from program import assert_one_line, refused, run
+from program import assert_one_line, read_json, refused, run
 
 from isd_gym import score
 from isd_gym.benchmark.scoring import Entry
@@ -97,7 +96,7 @@ def test_both_doors_score_alike(made, name):
         "score", Path(f"{file}:{name}"), "--episodes 3 --duration 0.5 --json", to
     )
     assert done.returncode == 0, done.stderr
-    by_name = json.loads(to.read_text())["policies"][1]
+    by_name = read_json(to)["policies"][1]
     assert (
         by_class["cost"] == by_name["cost"] and by_class["current_rms"]["value"] > 0.01
     )
@@ -140,6 +139,6 @@ def test_controllers_are_scored_by_file_and_name(made):
     )
     done = run("score isd-passive", *names, "--episodes 2 --duration 1 --json", to)
     assert done.returncode == 0, done.stderr
-    rows = {row["policy"]: row for row in json.loads(to.read_text())["policies"]}
+    rows = {row["policy"]: row for row in read_json(to)["policies"]}
     assert list(rows) == ["passive", "isd-passive", "Remembers", "zero"]
     assert rows["zero"]["cost"]["value"] == rows["isd-passive"]["cost"]["value"]

@@ -1,12 +1,11 @@
 """Ordinary files of loggers and spreadsheets are read right, or refused in one line."""
 
-import json
 import re
 
 import numpy as np
 import pytest
 from builders import channel, damper, network, spring
-from program import refused, run
+from program import read_json, refused, run
 from scipy.io import savemat
 
 from isd_gym import InputError, Table, diagnose, read_table, simulate
@@ -111,7 +110,7 @@ def test_a_file_without_time_is_read_at_a_rate(tmp_path):
     save_map(found.map("rig.json"), tmp_path / "map.json")  # the map remembers the rate
     (record,) = records_of(path, RIG, WANTED, by=ChannelMap.load(tmp_path / "map.json"))
     check(record)
-    of_schema(json.loads((tmp_path / "map.json").read_text()), "isd-map/1", "the map")
+    of_schema(read_json(tmp_path / "map.json"), "isd-map/1", "the map")
     for rate in (0.0, float("nan"), float("inf"), -3.0):
         refused("--rate must be", records_of, path, RIG, WANTED, rate=rate)
 

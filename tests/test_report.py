@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from builders import element, sines
 from html_page import Page
-from program import printed, refused, run
+from program import printed, read_json, refused, run
 from test_criteria import NONE
 
 from isd_gym import Diagnosis, Network, score, simulate
@@ -333,10 +333,7 @@ def test_report_stands_alone_and_says_it_all(written):
         "351.2\u00a0kg", "confirm it with a new record", "Coulomb friction",
     ):  # fmt: skip
         assert words in page.text, words
-    assert (
-        json.loads((path.parent / "diagnosis.json").read_text())["verdict"]
-        == "missing_effect"
-    )
+    assert read_json(path.parent / "diagnosis.json")["verdict"] == "missing_effect"
     assert Network.load(path.parent / "model.json").element("seal").level == LEVEL
 
 
@@ -487,7 +484,7 @@ def test_score_report_stands_alone(small_score, tmp_path):
     names = {"trade_off", "histories", "spectra"}
     assert {p.stem for p in path.parent.glob("*.svg")} == names
     told = json.loads(json.dumps(small_score.to_dict()))
-    assert json.loads((path.parent / "score.json").read_text()) == told
+    assert read_json(path.parent / "score.json") == told
     row = next(r for r in small_score.policies if r["policy"] == "skyhook")
     assert f"{row['cost']['value']:.3f}" in page.text
     assert plots.percent(row["tyre_load_rms"]["change"]) in page.text
@@ -607,7 +604,7 @@ def test_diagnose_takes_records_as_documented(told, tmp_path, monkeypatch):
     ] and model.name == "quarter-car-isd"
     assert [t.source for t in options["validate"]] == ["c.csv", "d.csv"]
     assert "The model lacks coulomb friction" in text and "noise floor" in text
-    assert json.loads(Path("x.json").read_text())["schema"] == "isd-diagnosis/1"
+    assert read_json(Path("x.json"))["schema"] == "isd-diagnosis/1"
     assert Path("found/report.html").exists()
     tables(tmp_path, "a.csv", head="time,z_r,current,{}")
     printed(
@@ -640,7 +637,7 @@ def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(
         "isd-gym: the report could not be drawn (NameError: name 'Effect' is not defined); the results are in 'found'"
     )
     for file in ("x.json", "found/diagnosis.json"):
-        assert json.loads(Path(file).read_text())["verdict"] == "missing_effect"
+        assert read_json(Path(file))["verdict"] == "missing_effect"
     assert Network.load("found/model.json").element("seal").level == LEVEL
 
 

@@ -1,9 +1,8 @@
 """The reproduction: its pieces against known answers, and the page whole or not at all."""
 
-import json
-
 import numpy as np
 import pytest
+from program import read_json
 
 from isd_gym import Network
 from isd_gym._commands._reproduce import car, page, rig
@@ -53,7 +52,7 @@ def test_whole_page(tmp_path):
     names = {p.name for p in (tmp_path / "out").glob("*.svg")}
     assert text.count('<svg class="chart"') == len(names) == 5
     assert "http:" not in text.replace("http://www.w3.org", "") and "https:" not in text
-    data = json.loads((tmp_path / "out" / "reproduction.json").read_text())
+    data = read_json(tmp_path / "out" / "reproduction.json")
     assert data["schema"] == page.SCHEMA
     verdicts = {c["place"]: c["verdict"] for c in data["claims"]}
     assert verdicts["Table 7 (simulation)"] == "not possible on average"

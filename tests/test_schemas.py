@@ -6,7 +6,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from program import printed, refused
+from program import printed, read_json, refused
 
 from isd_gym import InputError, Network
 from isd_gym.physics import elements
@@ -118,7 +118,7 @@ def test_score_json_of_a_half_car_is_valid(tmp_path):
     file = tmp_path / "score.json"
     words = "score passive lqg --network half-car-isd --point body_rear"
     printed(words, "--episodes 2 --duration 1 --json", file)
-    score = json.loads(file.read_text())
+    score = read_json(file)
     jsonschema.validate(score, schemas.load("isd-score/1"))
     assert score["comfort_point"] == "body_rear"
     score["policies"][1]["tyre_load_rear_rms"] = 3.0

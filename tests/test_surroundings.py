@@ -1,7 +1,6 @@
 """The program with closed streams, other encodings, damaged files and full disks."""
 
 import importlib
-import json
 import os
 import resource
 import subprocess
@@ -9,7 +8,7 @@ import sys
 import textwrap
 
 import pytest
-from program import run
+from program import read_json, run
 
 from isd_gym import InputError
 from isd_gym._commands._streams import ALIKE, PLAINER, prepare_streams
@@ -41,7 +40,7 @@ def test_closed_streams_lose_nothing(closed, tmp_path):
     done = shell(f"{SCORE} --json s.json {closed}", tmp_path)
     assert (done.returncode, done.stderr) == (0, b"")
     assert bool(done.stdout) == (closed == "2>&-")
-    assert json.loads((tmp_path / "s.json").read_text())["schema"] == "isd-score/1"
+    assert read_json(tmp_path / "s.json")["schema"] == "isd-score/1"
 
 
 @pytest.mark.slow

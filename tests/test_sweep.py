@@ -1,6 +1,5 @@
 """Sweeps: every item once, whatever dies; the merged figures are the score's; bad grids are one line."""
 
-import json
 import os
 import signal
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from program import assert_one_line, refused, run
+from program import assert_one_line, read_json, refused, run
 
 from isd_gym import InputError, Network, score
 from isd_gym.benchmark.policies import find, passive
@@ -123,8 +122,7 @@ def test_a_sweep_says_what_the_score_says(tmp_path):
     grid = Grid(("skyhook",), conditions, episodes=5, batch=2, duration=1.0)
     merged, _ = sweep(grid, tmp_path / "out")
     assert (
-        merged["missing"] == 0
-        and json.loads((tmp_path / "out" / "sweep.json").read_text()) == merged
+        merged["missing"] == 0 and read_json(tmp_path / "out" / "sweep.json") == merged
     )
     entry = find("skyhook", heavy, model=plant)
     expected = score([entry], heavy, reference=passive(heavy), episodes=5, duration=1.0)

@@ -1,12 +1,11 @@
 """Tracks of the benchmark: conditions, what a policy may see, and the entries that others have made."""
 
-import json
 import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
-from program import assert_one_line, refused, run
+from program import assert_one_line, read_json, refused, run, save_json
 
 from isd_gym import Network, score
 from isd_gym.benchmark import cards
@@ -53,8 +52,8 @@ def test_a_score_on_a_track_is_compared_with_its_card(tmp_path):
     shown = run("card mine.json", cwd=tmp_path)
     assert shown.returncode == 0, shown.stderr
     assert "active-bump" in shown.stdout and "Mine" in shown.stdout
-    old = json.loads((tmp_path / "mine.json").read_text()) | {"version": "0.0.9"}
-    (tmp_path / "mine.json").write_text(json.dumps(old))
+    old = read_json(tmp_path / "mine.json") | {"version": "0.0.9"}
+    save_json(tmp_path / "mine.json", old)
     other = run("card mine.json", cwd=tmp_path)
     assert other.returncode == 2 and other.stderr.count("\n") == 1
     assert "the score is of version 0.0.9, the card of version 0.1.0" in other.stderr

@@ -1,10 +1,8 @@
 """`isd-gym train`: stock Stable-Baselines3 by a recipe, in a folder that goes on."""
 
-import json
-
 import pytest
 from isd_gym.agents.policy import Policy
-from program import assert_one_line, refused, run
+from program import assert_one_line, refused, run, save_json
 
 from isd_gym._commands import train
 from isd_gym._commands.train import ranges, read_recipe
@@ -39,7 +37,7 @@ def recipe(folder, algorithm="PPO", **changes):
         **changes,
     }
     file = folder / "recipe.json"
-    file.write_text(json.dumps(plan))
+    save_json(file, plan)
     return str(file)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from isd_gym.agents._archives import convert
 from isd_gym.agents.policy import Policy
-from program import refused, run
+from program import read_json, refused, run
 
 from isd_gym import InputError, Network
 from isd_gym.benchmark.policies import find, passive
@@ -117,7 +117,7 @@ def test_a_stock_model_is_scored_as_it_predicts(
     code, out, err = run("score", tmp_path / "m.zip", brief, tmp_path / "s.json")
     assert code == 0 and "m " in out, err
     assert ("m_vecnormalize.pkl" in err) == is_normalized
-    held = json.loads((tmp_path / "s.json").read_text())
+    held = read_json(tmp_path / "s.json")
     assert [row["policy"] for row in held["policies"]] == ["passive", "m"]
 
 

@@ -1,13 +1,12 @@
 """A candidate simulates every record of the user, and a finished diagnosis is never lost; the order of files decides nothing."""
 
-import json
 from dataclasses import replace
 
 import builders
 import numpy as np
 import pytest
 from builders import friction
-from program import refused
+from program import read_json, refused
 
 from isd_gym import InputError, Table, diagnose, simulate
 from isd_gym.diagnosis import _result_builder as builder
@@ -111,10 +110,7 @@ def test_a_finished_diagnosis_is_not_lost_where_a_model_does_not_simulate_a_whol
     assert all(np.isnan(y).all() for t in result.traces for y in t.after.values())
     assert any("no curve is drawn" in n for n in result.notes)
     page = write_report(result, tmp_path / "found")
-    assert (
-        page.exists()
-        and json.loads((tmp_path / "found" / "diagnosis.json").read_text())["effects"]
-    )
+    assert page.exists() and read_json(tmp_path / "found" / "diagnosis.json")["effects"]
 
 
 def test_every_held_out_record_with_inputs_gives_segments_to_both_roles():
