@@ -37,6 +37,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from json_files import read_json
+
 os.environ.update(
     {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 )  # cases have the cores
@@ -78,12 +80,12 @@ def in_folder(folder: Path, wanted: list[str]) -> Iterator[Job]:
         folder.with_name(f"{folder.name}.truth.json"),
     )
     if inside.exists() or beside.exists():
-        truth = json.loads((inside if inside.exists() else beside).read_text())
+        truth = read_json(inside if inside.exists() else beside)
         entries = {
             n: (t["kind"], t["answer"], t.get("truth")) for n, t in truth.items()
         }
     else:
-        expected = json.loads((ROOT / "benchmarks" / "real.json").read_text())
+        expected = read_json(ROOT / "benchmarks" / "real.json")
         entries = {n: (n, expected[n], None) for n in expected if (folder / n).is_dir()}
     if not entries:
         sys.exit(
@@ -246,7 +248,7 @@ def command(files: Case, out: Path) -> Any:
         raise RuntimeError(
             f"exit status {status or 0}, without {', '.join(missing) or 'fault'}: {last}"
         )
-    return json.loads((out / "diagnosis.json").read_text())
+    return read_json(out / "diagnosis.json")
 
 
 def line(row: Row) -> str:
@@ -288,7 +290,7 @@ def read(folders: list[Path]) -> list[Row]:
     """The rows of finished runs."""
     return said(
         [
-            json.loads(p.read_text())["result"]
+            read_json(p)["result"]
             for folder in folders
             for p in sorted(folder.glob("*.json"))
         ]
@@ -310,7 +312,7 @@ def summarise(rows: list[Row], path: Path) -> None:
         rows: Rows of the cases.
         path: The file; it is made if it does not exist.
     """
-    known = json.loads(path.read_text()) if path.exists() else {}
+    known = read_json(path) if path.exists() else {}
     seeds = sorted(
         {
             r["name"].rpartition("-")[2]

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from json_files import read_json, save_json
 
 POPULATIONS = ("exact", "small", "law")
 #: largest number of samples of a rig: a fit of a longer record takes minutes
@@ -194,11 +195,7 @@ def main() -> None:
         "--json", type=Path, help="file of the results; a run goes on with it"
     )
     args = parser.parse_args()
-    rows = (
-        json.loads(args.json.read_text())["rigs"]
-        if args.json and args.json.exists()
-        else []
-    )
+    rows = read_json(args.json)["rigs"] if args.json and args.json.exists() else []
     done = {(r["family"], r["population"], r["seed"]) for r in rows}
     for seed in range(*args.seeds):
         family = args.families[seed % len(args.families)]
@@ -225,9 +222,7 @@ def main() -> None:
                     p: summary([r for r in rows if r["population"] == p])
                     for p in args.populations
                 }
-                args.json.write_text(
-                    json.dumps({"summary": found, "rigs": rows}, indent=1) + "\n"
-                )
+                save_json(args.json, {"summary": found, "rigs": rows})
     for population in args.populations:
         print(
             population,

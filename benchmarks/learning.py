@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from json_files import read_json
+
 from isd_gym._commands.train import arguments, read_recipe
 
 RESULT = Path(__file__).with_suffix(".json")
@@ -132,7 +134,7 @@ def score_of(model_file: Path, network: str) -> float:
 
 def read() -> dict[str, Any]:
     """Return the results by setting and seed."""
-    return json.loads(RESULT.read_text(encoding="utf-8")) if RESULT.exists() else {}
+    return read_json(RESULT) if RESULT.exists() else {}
 
 
 def study(names: list[str], seeds: int) -> None:

@@ -9,7 +9,6 @@ with the element `tyre_lift_off`; speed of a batch of 1024 such cars over the li
 from __future__ import annotations
 
 import argparse
-import json
 import time
 import warnings
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from json_files import save_json
 
 from isd_gym import Network, TyreContactWarning
 from isd_gym.physics._tyre_contact import pulling_share
@@ -163,7 +163,7 @@ def main() -> None:
         "effects": effects,
         "batch_speed_of_lift_off": ratios,
     }
-    given.json.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    save_json(given.json, data)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ Medians of alternating repetitions, processor time of a single thread, so that o
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from unittest import mock
 
 import gymnasium as gym
 import numpy as np
+from json_files import save_json
 
 from isd_gym import Network
 from isd_gym.physics.road import paper_road
@@ -277,7 +277,7 @@ def main() -> None:
     for name, value in figures.items():
         print(f"{name:<65} {value:8.2f}")
     if given.json:
-        given.json.write_text(json.dumps(figures, indent=1) + "\n")
+        save_json(given.json, figures)
 
 
 if __name__ == "__main__":

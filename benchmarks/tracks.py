@@ -20,6 +20,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from json_files import read_json, save_json
+
 from isd_gym.benchmark import cards
 from isd_gym.benchmark.tracks import TRACKS
 from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
@@ -101,13 +103,13 @@ def drive_robust(folder: Path, jobs: int) -> dict[str, float]:
     spent = run(
         ["sweep", "robust", "--out", str(folder / "robust"), "--jobs", str(jobs)]
     )
-    found = json.loads((folder / "robust" / "sweep.json").read_text(encoding="utf-8"))
+    found = read_json(folder / "robust" / "sweep.json")
     kept = {
         k: found[k]
         for k in ("schema", "episodes", "seed", "duration", "overall", "missing")
     }
     kept["conditions"] = len(found["conditions"])
-    ROBUST.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    save_json(ROBUST, kept)
     print(f"robust: {spent:.0f} s", flush=True)
     return {"robust": spent}
 
@@ -122,7 +124,7 @@ def main() -> None:
         "--jobs", type=int, default=1, help="processes of the robust track"
     )
     given = parser.parse_args()
-    times = json.loads(TIMES.read_text(encoding="utf-8")) if TIMES.exists() else {}
+    times = read_json(TIMES) if TIMES.exists() else {}
     for name in given.only:
         with tempfile.TemporaryDirectory() as place:
             if name == "robust":
@@ -130,7 +132,7 @@ def main() -> None:
             else:
                 spent = make_card(name, Path(place))
         times[name] = {"date": time.strftime("%Y-%m-%d"), "processor_seconds": spent}
-        TIMES.write_text(json.dumps(times, indent=1) + "\n", encoding="utf-8")
+        save_json(TIMES, times)
     subprocess.run([sys.executable, str(ROOT / "docs" / "results.py")], check=True)
     thresholds = {
         name: reward_threshold(cards.load(name)) for name in REWARD_THRESHOLDS

@@ -11,10 +11,11 @@ the road's velocity, and the delay of the rear axle, wheelbase / speed. The benc
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
+
+from json_files import read_json, save_json
 
 from isd_gym import InputError, Network, baselines, score
 from isd_gym.benchmark.lq_bounds import wheelbase_bound
@@ -109,7 +110,7 @@ def main(argv: list[str] | None = None) -> None:
                   "duration": {"value": args.duration, "unit": "s"}, "wheelbase": {"value": max(car.wheels.behind), "unit": "m"}}  # fmt: skip
     out: dict[str, Any] = {**conditions, "speeds": []}
     if args.json.exists():
-        held = json.loads(args.json.read_text())
+        held = read_json(args.json)
         if {k: held.get(k) for k in conditions} != conditions:
             parser.error(f"{args.json} holds other conditions: name another file")
         out = held
@@ -126,7 +127,7 @@ def main(argv: list[str] | None = None) -> None:
         out["speeds"] = sorted(
             [*out["speeds"], one], key=lambda row: row["speed"]["value"]
         )
-        args.json.write_text(json.dumps(out, indent=1) + "\n")
+        save_json(args.json, out)
         for name, row in one["policies"].items():
             a, b = row["cost"], row[f"cost_against_{BASE}"]
             print(

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from json_files import read_json, save_json
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -297,7 +298,7 @@ def measure(name: str, folder: Path, out: Path) -> dict[str, Any]:
     """
     y = YARDSTICKS[name]
     wall, used = diagnose(y, folder, out)
-    said = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    said = read_json(out / "diagnosis.json")
     network, nominal = Network.load(out / "model.json"), Network.load(y.model)
     changed = {
         path: value
@@ -343,11 +344,7 @@ if __name__ == "__main__":
     )
     parser.add_argument("--json", type=Path, default=JSON)
     given = parser.parse_args()
-    found = (
-        json.loads(given.json.read_text(encoding="utf-8"))
-        if given.json.exists()
-        else {}
-    )
+    found = read_json(given.json) if given.json.exists() else {}
     with tempfile.TemporaryDirectory() as temporary:
         records = given.folder or Path(temporary)
         if given.folder is None:
@@ -356,4 +353,4 @@ if __name__ == "__main__":
             found[key] = measure(key, records, Path(temporary) / f"found-{key}")
             print(key, found[key]["figures"], found[key]["unit"], flush=True)
     ordered = {key: found[key] for key in YARDSTICKS if key in found}
-    given.json.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
+    save_json(given.json, ordered)

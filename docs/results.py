@@ -30,6 +30,7 @@ import controllers
 import grading
 import learning
 import tracks as tracks_of
+from json_files import read_json
 from scipy.stats import trim_mean
 from table import card_table, change_of, markdown, percent
 
@@ -61,14 +62,9 @@ SHOWN = {
 }
 
 
-def read(file: Path) -> Any:
-    """The content of a JSON file."""
-    return json.loads(file.read_text(encoding="utf-8"))
-
-
 def stored(name: str) -> Any:
     """The content of a file that a benchmark wrote."""
-    return read(BENCHMARKS / name)
+    return read_json(BENCHMARKS / name)
 
 
 # ------------------------------------------------------------------------------------------------ controllers
@@ -339,7 +335,7 @@ def each_road(card_name: str) -> str:
 def budget_of(policy: str) -> str:
     """Steps and time of the training of a shipped policy."""
     file = ROOT / "agents" / "policies" / policy / "policy.json"
-    training = read(file)["training"]
+    training = read_json(file)["training"]
     return f"{training['settings']['steps'] / 1e6:g} M steps, {training['seconds'] / 60:.0f} min of one core"
 
 
@@ -386,7 +382,7 @@ def tracks() -> str:
 
 def robust_row() -> tuple[float, *tuple[str, ...]]:
     """Row of the robust track: the mean change of J over the conditions."""
-    found = read(tracks_of.ROBUST)
+    found = read_json(tracks_of.ROBUST)
     rows = sorted(found["overall"], key=lambda row: row["change"]["value"])
     by = {row["policy"]: row["change"]["value"] for row in rows}
     cells = []
@@ -410,7 +406,7 @@ def robust_row() -> tuple[float, *tuple[str, ...]]:
 def regeneration() -> str:
     """Processor time of each card."""
     body = []
-    for name, found in read(tracks_of.TIMES).items():
+    for name, found in read_json(tracks_of.TIMES).items():
         for track, seconds in found["processor_seconds"].items():
             body.append([name, track, f"{seconds:.0f} s"])
     return markdown("card | track | processor time", body, "llr")
@@ -567,7 +563,7 @@ def mistaken() -> str:
 def measurements() -> str:
     """What is known of every public data set, what the diagnosis answers, and whether that is right."""
     body = []
-    for entry in read(MEASURED).values():
+    for entry in read_json(MEASURED).values():
         answer = entry.get("diagnosis")
         judged = {
             "right": "yes",
@@ -626,7 +622,7 @@ def first_looks() -> str:
 def first_looks_by_rig() -> str:
     """What was known of each rig before its first look, and the answer; without the rigs of `measurements`."""
     grades = {"right": "yes", "wrong": "**no**", "missed": "undecided"}
-    listed = read(MEASURED)
+    listed = read_json(MEASURED)
     body = [
         [f"{r['rig']} <small>({r['source']})</small>", r["known"], r["answer"], grades[r["law"]], grades[r["kind"]]]
         for look in stored("first-looks.json")
@@ -650,7 +646,7 @@ def sources() -> str:
             entry["records"],
             entry["model"],
         ]
-        for name, entry in read(MEASURED).items()
+        for name, entry in read_json(MEASURED).items()
     ]
     return markdown("name | source | licence | records | nominal model", body, "lllll")
 
@@ -676,13 +672,13 @@ def read_answers(folder: Path) -> None:
     Args:
         folder: holds NAME/diagnosis.json for every data set that was run.
     """
-    entries = read(MEASURED)
+    entries = read_json(MEASURED)
     expected = stored("real.json")
     for name, entry in entries.items():
         file = folder / name / "diagnosis.json"
         if not file.exists():
             continue
-        diagnosis = read(file)
+        diagnosis = read_json(file)
         before = entry.get("diagnosis", {})
         answer = answer_of(diagnosis)
         grade = before.get("grade") if before.get("answer") == answer else None
