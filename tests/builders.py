@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from isd_gym import Network, Table, simulate
+from isd_gym._common.arrays import rms as rms
 
 #: unit of a channel unless another one is given
 UNITS = {

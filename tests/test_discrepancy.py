@@ -6,7 +6,7 @@ from dataclasses import replace
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, named, table
+from builders import channel, damper, element, named, rms, table
 from program import refused
 from rigs import families
 from rigs.hidden import make_case
@@ -310,7 +310,7 @@ def test_noise_of_a_moved_node_does_not_rule_its_acceleration():
             seen = splined_input(noisy, None, step, every, sparse=False)[2][::every]
             wrong = (seen + (2.0 * math.pi) ** 2 * x)[5:-5]  # a spline's ends are free
             allowed = most * noise / step**2 + 0.01 * 0.01 * (2.0 * math.pi) ** 2
-            assert np.sqrt(np.mean(wrong**2)) < allowed, (step, noise, every)
+            assert rms(wrong) < allowed, (step, noise, every)
 
 
 def test_a_rig_that_moves_by_micrometres_may_have_a_stiff_cubic():
@@ -454,7 +454,7 @@ def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin):
             problem.simulate([net], i)[:, :, 0] - r.measured
             for i, r in enumerate(pieces)
         ]
-        off.append(max(float(np.sqrt(np.mean(e[: len(e) // 2] ** 2))) for e in errors))
+        off.append(max(rms(e[: len(e) // 2]) for e in errors))
         assert (
             all(b.follows(a) for a, b in zip(pieces[1:], pieces[2:], strict=False))
             or thin > 1

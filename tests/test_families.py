@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from builders import damper, element, model, spring
+from builders import damper, element, model, rms, spring
 from rigs import hidden
 from rigs.families import FAMILIES, make_case
 from rigs.families.plant import Signal, integrate
@@ -52,9 +52,9 @@ def test_every_law_moves_a_mass_as_the_other_integrator_says(kind, parameters):
     plain = simulate(without, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})[
         "x"
     ]
-    error = np.sqrt(np.mean((ran.position["mass"] - other) ** 2))
+    error = rms(ran.position["mass"] - other)
     assert error < 0.002 * np.std(other)
-    assert np.sqrt(np.mean((plain - other) ** 2)) > 20 * error  # the law is felt
+    assert rms(plain - other) > 20 * error  # the law is felt
 
 
 QUICK = "decay.none decay.friction decay.friction_and_sine spin.quadratic dyno.asymmetric cart.friction pushed.delay"
@@ -95,10 +95,7 @@ def test_seeds_decide_everything():
 def gaps(model, case):
     record = case.estimation
     y = simulate(model, record["time"], record, step=2e-5)
-    return {
-        k: float(np.sqrt(np.mean((y[k] - record[k]) ** 2)) / np.std(record[k]))
-        for k in y
-    }
+    return {k: float(rms(y[k] - record[k]) / np.std(record[k])) for k in y}
 
 
 @pytest.mark.parametrize("kind", hidden.ALL_KINDS)

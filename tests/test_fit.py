@@ -12,6 +12,7 @@ from builders import (
     network,
     oscillator,
     recorded,
+    rms,
     sines,
     spring,
 )
@@ -140,10 +141,7 @@ def test_of_many_records_each_finds_its_own_beginning():
         structure, structure.start, range(5)
     )
     for i, part in enumerate(parts):
-        assert (
-            np.sqrt(np.mean((part.measured - fit.outputs[i]) ** 2))
-            < 0.02 * part.measured.std()
-        )
+        assert rms(part.measured - fit.outputs[i]) < 0.02 * part.measured.std()
 
 
 def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion():
@@ -156,7 +154,7 @@ def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion():
     )
     said = few.simulate([net], 0)[:, 0, 0]
     seen = few.records[0].measured[:, 0]
-    assert np.sqrt(np.mean((said - seen) ** 2)) < 0.01 * seen.std()
+    assert rms(said - seen) < 0.01 * seen.std()
 
 
 def test_nothing_to_fit_is_a_fit_too():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from builders import decoupled_half_car
+from builders import decoupled_half_car, rms
 from program import refused
 
 from isd_gym import InputError, ISDSuspensionVectorEnv, Network, baselines, score
@@ -127,9 +127,7 @@ def test_score_of_a_half_car():
     )
     row, run = result.policies[1], result.runs["isd-passive"]
     travels = [row[f"suspension_travel_{c}_rms"]["value"] for c in ("front", "rear")]
-    assert row["suspension_travel_rms"]["value"] == pytest.approx(
-        np.sqrt(np.mean(np.square(travels)))
-    )
+    assert row["suspension_travel_rms"]["value"] == pytest.approx(rms(travels))
     assert (
         row["pitch_acceleration_rms"]["unit"] == "rad/s^2"
         and "change" in row["tyre_load_rear_rms"]

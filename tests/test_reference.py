@@ -6,7 +6,7 @@ from pathlib import Path
 import builders
 import numpy as np
 import pytest
-from builders import element
+from builders import element, rms
 from rigs import laws, reference
 from rigs.reference import simulate
 
@@ -103,5 +103,5 @@ def test_the_kernel_agrees_on_every_element_type(kind):
     ours = kernel(model, time, inputs)
     theirs = simulate(model, time, inputs, step=2e-5)
     for name, values in ours.items():
-        error = np.sqrt(np.mean((values - theirs[name]) ** 2))
-        assert error < 0.005 * np.sqrt(np.mean(values**2)), (name, error)
+        error = rms(values - theirs[name])
+        assert error < 0.005 * rms(values), (name, error)

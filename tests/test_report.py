@@ -13,7 +13,7 @@ import matplotlib
 import matplotlib.figure
 import numpy as np
 import pytest
-from builders import element, sines
+from builders import element, rms, sines
 from html_page import Page
 from program import printed, read_json, refused, run
 from test_criteria import NONE
@@ -282,7 +282,7 @@ def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
     measured = np.gradient(
         simulate(diagnosis.model, *_held(diagnosis))["device_travel"], STEP
     )[125:-125]
-    assert np.sqrt(np.mean((rate - measured) ** 2)) < 0.05 * measured.std()
+    assert rms(rate - measured) < 0.05 * measured.std()
 
 
 def test_the_first_figure_has_the_places_the_force_and_the_laws(diagnosis):

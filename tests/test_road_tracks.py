@@ -8,7 +8,6 @@ import pytest
 from program import refused
 from scipy.special import kv
 
-from isd_gym import InputError
 from isd_gym.physics import tracks
 from isd_gym.physics.road import (
     Road,
@@ -204,10 +203,13 @@ def test_bad_widths_sides_and_profiles():
     refused("no side 'middle': left or right", on_side, bump(), "middle")
     refused("road 'C' has no profile", on_side, iso_road("C"), "left")
     refused(r"no road 'bump-middle': paper.*bump-left", road, "bump-middle")
-    with pytest.raises(
-        InputError, match=r"shape \(2,\) or \(2, 2\) for left and right, not \(3, 2\)"
-    ):
-        Road("three", abscissa=np.arange(2.0), profile=np.zeros((3, 2)))
+    refused(
+        r"shape \(2,\) or \(2, 2\) for left and right, not \(3, 2\)",
+        Road,
+        "three",
+        abscissa=np.arange(2.0),
+        profile=np.zeros((3, 2)),
+    )
     refused("both abscissa and profile", replace, bump(), abscissa=None)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from program import assert_one_line, read_json, refused, run
 
-from isd_gym import InputError, Network, score
+from isd_gym import Network, score
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.sweep import items as engine
 from isd_gym.benchmark.sweep.conditions import drive_item, overall, sweep
@@ -319,14 +319,15 @@ def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable, clu
 @needs_ray
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path):
-    with pytest.raises(InputError, match=r"no Ray cluster at '127\.0\.0\.1:1'"):
-        engine.run(
-            noted,
-            _items(tmp_path, 1),
-            tmp_path / "out",
-            engine="ray",
-            address="127.0.0.1:1",
-        )
+    refused(
+        r"no Ray cluster at '127\.0\.0\.1:1'",
+        engine.run,
+        noted,
+        _items(tmp_path, 1),
+        tmp_path / "out",
+        engine="ray",
+        address="127.0.0.1:1",
+    )
 
 
 def test_without_ray_the_engine_says_what_to_install(tmp_path, monkeypatch):
