@@ -17,8 +17,7 @@ from scipy.signal.windows import tukey
 from ..._common.errors import InputError
 from ..._common.units import convert
 from ...physics import elements as el
-from ...physics.network import GROUND, Channel, Network, linearise
-from ...physics.network.frames import frames, order_told
+from ...physics.network import Channel, Network, linearise
 from ...physics.simulate import pace
 
 if TYPE_CHECKING:
@@ -40,10 +39,6 @@ RESOLUTION = 0.25  # step of the spectrum, in periods over the whole travel
 RESOLVED = 2.5  # samples of a period, at the typical speed, below which the period cannot be seen
 MOST_PERIODS = 20_000  # over the travel
 ALL = 1e9  # no upper limit of the band but the sampling
-BAND = 0.9  # of the thinned records' band that their low-pass keeps
-LOST = 0.25  # share of the residual's power beyond the noise that must not be lost
-#: samples of a record below which its simulated motion is used
-LEAST = 16
 
 
 @dataclass(frozen=True)
@@ -54,9 +49,6 @@ class Deconvolution:
     frequency: Array  # [Hz] of the band that is used
     first: int  # index of the first of them in a Fourier transform
     gain: NDArray[np.complex128]  # (frequencies, outputs), SI per N
-    moved: NDArray[
-        np.complex128
-    ]  # (frequencies, 2): travel and rate of the pair, per N
     factors: Array  # channel's unit -> SI
     samples: int
 
@@ -74,7 +66,6 @@ class Deconvolution:
         step, samples, names = float(time[1] - time[0]), len(time), list(measured)
         name = network.free_name("missing_force")
         outputs = []
-        seen = _moved_by_a_force(network, pair)
         for c in network.outputs:
             if c.name in names:
                 beside = c.element is not None and any(
@@ -82,11 +73,6 @@ class Deconvolution:
                 )
                 outputs.append(replace(c, element=(*c.elements, name)) if beside else c)
         factors = {c.name: convert(1.0, c.unit, c.si) for c in outputs}
-        if seen is not None:
-            outputs += [
-                network.probe(f"_{q}", q, between=seen)
-                for q in ("displacement", "velocity")
-            ]
         motor = el.Motor(name, pair, thrust_constant=1.0, ratio=1.0)  # type: ignore[call-arg]
         probe = replace(
             network,
@@ -110,22 +96,13 @@ class Deconvolution:
         if len(band) < 10:
             raise InputError("the record is too short to look for a force in it")
         answer = space.response(frequency[band])[:, :, space.inputs.index(name)]
-        order = [space.outputs.index(n) for n in names]
-        two = (
-            answer[:, len(order) :]
-            if seen is not None
-            else np.zeros((len(band), 2), complex)
-        )
+        gain = answer[:, [space.outputs.index(n) for n in names]]
         units = np.array([factors[n] for n in names])
-        return cls(
-            names, frequency[band], int(band[0]), answer[:, order], two, units, samples
-        )
+        return cls(names, frequency[band], int(band[0]), gain, units, samples)
 
-    def force(
-        self, residual: Mapping[str, Array], noise: Mapping[str, float]
-    ) -> tuple[Array, Array]:
-        """Return the force [N] (n,) that explains a residual best under white noise, and the motion it makes (n, 2), by Wiener's filter
-        with the force's own spectrum as prior (expectation maximisation)."""
+    def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> Array:
+        """Return the force [N] (n,) that explains a residual best under white noise, by Wiener's filter with the force's own spectrum as
+        prior (expectation maximisation)."""
         taper = tukey(self.samples, 0.1)
         band = slice(self.first, self.first + len(self.frequency))
         spectra = [
@@ -144,26 +121,9 @@ class Deconvolution:
             prior = np.maximum(uniform_filter1d(prior, width, mode="nearest"), 1e-30)
             w = sought / (seen + 1.0 / prior)
             prior = np.abs(w) ** 2 + 1.0 / (seen + 1.0 / prior)
-        whole = np.zeros((self.samples // 2 + 1, 3), complex)
-        whole[band, 0] = w
-        whole[band, 1:] = w[:, None] * self.moved
-        out = np.fft.irfft(whole, self.samples, axis=0)
-        return out[:, 0], out[:, 1:]
-
-
-def _moved_by_a_force(
-    network: Network, pair: tuple[str, str]
-) -> tuple[str, str] | None:
-    """Return the two nodes whose distance a force between a pair changes, the ground in place of nodes with prescribed rates; None
-    without any."""
-    if not order_told(network, pair):
-        return pair
-    riding = frames(network)
-    first, second = (
-        (network.moved_nodes[riding[n]] if n in riding else n) for n in pair
-    )
-    out = (pair[0], first) if pair[1] == GROUND else (second, pair[1])
-    return out if out[0] != out[1] else None
+        whole = np.zeros(self.samples // 2 + 1, complex)
+        whole[band] = w
+        return np.asarray(np.fft.irfft(whole, self.samples))
 
 
 def typical_advance(travels: Sequence[Array]) -> float:
@@ -214,7 +174,7 @@ def _missing_force(
         response = Deconvolution.of(
             fit.network, pair, record.time, signals, highest=ALL
         )
-        force, _ = response.force(left, {n: float(np.std(r)) for n, r in left.items()})
+        force = response.force(left, {n: float(np.std(r)) for n, r in left.items()})
     except (InputError, ValueError, np.linalg.LinAlgError):
         return None
     return force if np.isfinite(force).all() else None

@@ -148,14 +148,11 @@ def _reconstructed(d: Diagnosis, trace: Trace, pair: tuple[str, str]) -> Missing
     noise = {n: d.gap["noise_floor"][n] * float(np.std(measured[n])) for n in names}
     response = Deconvolution.of(d.refitted, pair, trace.time, measured)
     residuals = {n: measured[n] - trace.refit[n] for n in names}
-    force, moved = response.force(residuals, noise)
-    if d.effects or d.tabulated:
-        travel, rate = _motion(d.model, trace, pair)
-    else:  # motion of the old model, plus the motion due to the missing force
-        travel, rate = _motion(d.refitted, trace, pair)
-        travel, rate = travel + moved[:, 0], rate + moved[:, 1]
+    force = response.force(residuals, noise)
     edge = max(1, len(trace.time) // TAPER)
-    curve = Curve(travel, rate, force).part(slice(edge, len(trace.time) - edge))
+    curve = Curve(*_motion(d.model, trace, pair), force).part(
+        slice(edge, len(trace.time) - edge)
+    )
     return Missing(pair, curve)
 
 
