@@ -120,15 +120,26 @@ def recorded(
     return replace(blank, measured=seen[:, :, 0])
 
 
-def fitted(problem: Any, *noise: float, **options: Any) -> Any:
-    """Return the fit of a nominal model to records whose outputs have white noise of these deviations."""
+def fitter_of(problem: Any, *noise: float) -> tuple[Any, Any]:
+    """Return the fitter of records whose outputs have white noise of these deviations, and the structure of the nominal model."""
     from isd_gym.diagnosis._estimation.gauss_newton import Fitter
     from isd_gym.diagnosis._estimation.noise import white_weights
     from isd_gym.diagnosis._estimation.structure import base_structure
 
-    return Fitter(problem, white_weights(np.array(noise))).fit(
-        base_structure(problem.network), **options
-    )
+    fitter = Fitter(problem, white_weights(np.array(noise)))
+    return fitter, base_structure(problem.network)
+
+
+def fitted(problem: Any, *noise: float, **options: Any) -> Any:
+    """Return the fit of a nominal model to records whose outputs have white noise of these deviations."""
+    fitter, structure = fitter_of(problem, *noise)
+    return fitter.fit(structure, **options)
+
+
+def followed(problem: Any, *noise: float, **options: Any) -> Any:
+    """Return a nominal model with fitted initial states alone, likewise."""
+    fitter, structure = fitter_of(problem, *noise)
+    return fitter.follow(structure, structure.start, problem.estimation, **options)
 
 
 def decoupled_half_car() -> Network:

@@ -139,7 +139,7 @@ def test_a_spring_imitates_a_controller_and_friction_does_not():
     def imitated(law, name, network):
         push, position = controlled(law, seed=1, friction=0.3 * (law == "linear"))
         problem = Problem(network, [as_record(push, position)], ["fit"])
-        fit = builders.fitted(problem, 0.01, frozen=True)
+        fit = builders.followed(problem, 0.01)
         share = imitated_share(problem, fit, network.element(name), "push")
         return share, push, position, fit.outputs[0][:, 0]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from builders import damper, fitted, network, recorded, spring
+from builders import damper, followed, network, recorded, spring
 
 from isd_gym._common.arrays import rms
 from isd_gym.diagnosis import Hypothesis
@@ -33,9 +33,7 @@ def dropped(tyre=3e5, wheel=100.0, **more):
 def forces_of(dropped, state, samples=600):
     """Typical forces of a free motion from `state`, and the motion (samples, outputs)."""
     problem = Problem(dropped, [recorded(dropped, STEP, {}, samples, state)], ["fit"])
-    fit = fitted(
-        problem, 1e-6, 1e-6, initial={0: np.array(state)}, frozen=True, iterations=3
-    )
+    fit = followed(problem, 1e-6, 1e-6, initial={0: np.array(state)}, iterations=3)
     return place_forces(problem, fit), problem.records[0].measured
 
 
@@ -69,9 +67,7 @@ def test_a_model_that_stands_still_takes_its_scale_from_the_measured_motion():
         [Record("free", STEP, {}, np.stack([swing, 0.1 * swing], 1))],
         ["fit"],
     )
-    fit = fitted(
-        problem, 1e-5, 1e-5, initial={0: np.zeros(4)}, frozen=True, iterations=0
-    )
+    fit = followed(problem, 1e-5, 1e-5, initial={0: np.zeros(4)}, iterations=0)
     inertia = BODY * rms(swing) * (2 * np.pi * 1.6) ** 2
     assert place_forces(problem, fit).at(("body", "ground")) == pytest.approx(
         inertia, rel=0.3

@@ -102,7 +102,7 @@ def test_the_joint_fit_is_that_of_all_numbers_at_once():
     problem = problem_of(stand(), OFFSET, OFFSET)
     structure = base_structure(problem.network)
     fitter = Fitter(problem, white_weights(np.array([NOISE])))
-    fit = fitter.fit(structure, iterations=30, tolerance=1e-12)
+    fit = fitter.fit(structure, iterations=30)
     scale = [np.linalg.cholesky(fitter._information(structure, i)).T for i in range(2)]
     mean = np.array([f.mean for f in structure.free])
     sigma = np.array([f.sigma for f in structure.free])

@@ -92,7 +92,7 @@ def test_a_finished_diagnosis_is_not_lost_where_a_model_does_not_simulate_a_whol
     network, runs = tables(2)
 
     class Breaking(Fitter):
-        def fit(self, *args, **options):
+        def follow(self, *args, **options):
             raise InputError("the simulation breaks down at the start values")
 
     def breaks(*args, **options):

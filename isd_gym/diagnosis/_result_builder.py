@@ -358,19 +358,10 @@ class ResultBuilder:
 
     def _traces(self, final: Row) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
-        whole, evaluator, out = self.flow.whole, self.search.evaluator, []
+        whole, out = self.flow.whole, []
         nominal = base_structure(whole.network)
-        models: list[tuple[Structure, Array, Mapping[int, Array]]] = [
-            (nominal, nominal.start, {})
-        ]
-        for row in (self.answer.refit, final):
-            models.append(
-                (
-                    row.fit.structure,
-                    row.fit.x,
-                    evaluator.first_states(row.fit, row.held),
-                )
-            )
+        models = [(nominal, nominal.start)]
+        models += [(row.fit.structure, row.fit.x) for row in (self.answer.refit, final)]
         for i, record in enumerate(whole.records):
             before, refit, after = (
                 dict(zip(whole.channels, self._trace(*model, i).T, strict=True))
@@ -396,19 +387,13 @@ class ResultBuilder:
             )
         return tuple(out)
 
-    def _trace(
-        self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int
-    ) -> Array:
+    def _trace(self, structure: Structure, x: Array, index: int) -> Array:
         """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""
         fitter = Fitter(self.flow.whole, white_weights(self.search.least_noise))
-        for begun in ({}, {k: v for k, v in initial.items() if k == index}):
-            try:
-                fit = fitter.fit(
-                    structure, x, begun, records=[index], frozen=True, iterations=3
-                )
-            except BROKEN:
-                continue
-            return fit.outputs[index]
+        try:
+            return fitter.follow(structure, x, [index], iterations=3).outputs[index]
+        except BROKEN:
+            pass
         name = self.flow.whole.records[index].name
         self.lost.append(
             f"a model does not simulate the whole record {name}: no curve is drawn there"

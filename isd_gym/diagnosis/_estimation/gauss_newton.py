@@ -2,8 +2,7 @@
 
 Initial states of each record and offsets of the sensors are fitted with the parameters and eliminated from the normal equations.
 The offset of a sensor is one number for all records, unless the model has an offset per record. The training records determine the
-offset, and validation and test records use it (`Structure.offsets`). A computed slope is used again while its steps reduce the cost:
-a slope costs many simulations, a step costs one.
+offset, and validation and test records use it (`Structure.offsets`).
 """
 
 from __future__ import annotations
@@ -17,9 +16,8 @@ import numpy as np
 from ..._common.errors import InputError
 from ...physics.network import Network, assemble
 from .._simulation.problem import BROKEN, Problem
-from .initial_states import guess, motion_rows, next_states
+from .initial_states import guess, motion_rows
 from .least_squares import bounded_step, damped, damped_step
-from .noise import white_weights
 from .sensitivities import tangents
 
 if TYPE_CHECKING:
@@ -34,18 +32,12 @@ if TYPE_CHECKING:
     from .structure import Hypothesis, Structure
 
 
-#: further steps with the same derivatives, while their full steps reduce the cost; dampings that a step tries
-CHORDS, TRIES = 2, 6
 #: damping of the first step; dampings of a step of initial states alone
 DAMPING, EASED = 1e-4, (0.0, 0.03, 0.3, 3.0, 100.0)
-#: ratio of the cost per sample above which a record is restarted from the final state of the preceding record; largest number of rounds;
-#: largest cost of such a start, as a multiple of the cost of the fit
-UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
-#: error, as a share of the deviation, of a lost record, to be restarted from a fit of its first samples; noise of the first samples, as a
-#: share of the deviation; steps of the fit
-LOST, HEAD_NOISE, HEAD_STEPS = 0.5, 0.01, 8
-#: deviation below which a channel stands still
-STILL = 1e-100
+#: decrease of the cost, as a share, below which a fit ends
+TOLERANCE = 1e-4
+#: error of a lost record, as a share of the deviation
+LOST = 0.5
 
 
 @dataclass
@@ -296,15 +288,13 @@ class Fitter:
         self,
         structure: Structure,
         x: Array,
-        records: Sequence[int] | None = None,
-        initial: Mapping[int, Array] | None = None,
+        records: Sequence[int],
     ) -> Structure:
-        """Return the structure with the sensor offsets that records share, at fixed parameters, by default of those to fit by."""
+        """Return the structure with the sensor offsets that records share, at fixed parameters."""
         if not self.problem.shared_offset.any():
             return structure
         known = replace(structure, network=structure.at(x), free=())
-        begun = dict(initial or {})
-        fit = self.fit(known, np.zeros(0), begun, records=records)
+        fit = self.fit(known, np.zeros(0), records=records)
         return replace(structure, offsets=fit.structure.offsets)
 
     def fit(
@@ -316,20 +306,11 @@ class Fitter:
         *,
         iterations: int = 8,
         records: Sequence[int] | None = None,
-        tolerance: float = 1e-4,
-        frozen: bool = False,
     ) -> Fit:
-        """Fit the structure to records, by default those to fit by; if `frozen`, only initial states and the offsets of each record
-        move."""
+        """Fit the structure to records, by default those to fit by."""
         records = self.problem.estimation if records is None else records
         x = structure.start if x is None else x
-        if frozen and structure.offsets is None and not offset:
-            structure = self.with_offsets(structure, x, records, initial)
         at = self.begin(structure, x, initial, offset, records)
-        if frozen:
-            return self._result(
-                structure, self._states(structure, at, records, iterations, tolerance)
-            )
         mean, sigma = structure.mean, structure.sigma
         slopes = self.slopes(structure, at, records, True)
         if slopes is None:
@@ -341,20 +322,11 @@ class Fitter:
             if fresh is None:
                 break
             slopes, hessian = fresh, self._hessian(fresh)
-            before, there = at.total, False
-            for again in range(1 + CHORDS):
-                last = damping
-                then, damping = self._step(
-                    structure, at, slopes, records, damping, again > 0
-                )
-                if then is None:
-                    break
-                gain, at = 1.0 - then.total / at.total, then
-                # the slope is outdated after a large decrease of the cost
-                there = gain < 0.1 * tolerance and at.total > 0.8 * before
-                if gain < tolerance or damping > last:
-                    break
-            if there or at.total > (1.0 - tolerance) * before:
+            then, damping = self._step(structure, at, slopes, records, damping)
+            if then is None:
+                break
+            gain, at = 1.0 - then.total / at.total, then
+            if gain < TOLERANCE:
                 break
         return self._result(structure, at, hessian)
 
@@ -376,10 +348,8 @@ class Fitter:
         slopes: Mapping[int, Slope],
         records: Sequence[int],
         damping: float,
-        chord: bool,
     ) -> tuple[Point | None, float]:
-        """Return a point with a smaller cost, or None, and the next damping; `chord`: one try is enough, since the slopes are those of an
-        earlier point."""
+        """Return a point with a smaller cost, or None, and the next damping."""
         free = structure.free
         p, q = len(free), int(self.problem.shared_offset.sum())
         mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
@@ -413,7 +383,7 @@ class Fitter:
             points = self.seen_all(structure, [moved(d) for d in dampings], records)
             return [(then, then.total) for then in points]
 
-        return damped_step(take, at.total, damping, tries=1 if chord else TRIES)
+        return damped_step(take, at.total, damping)
 
     def _states(
         self,
@@ -421,7 +391,6 @@ class Fitter:
         at: Point,
         records: Sequence[int],
         iterations: int,
-        tolerance: float,
     ) -> Point:
         """Fit initial states and offsets of each record; parameters and shared offsets stay."""
         left = list(records)
@@ -447,7 +416,7 @@ class Fitter:
                 gains[i] = 1.0 - best.costs[i] / max(at.costs[i], 1e-300)
                 if gains[i] > 0.0:
                     at.take(best, i)
-            left = [i for i in left if gains[i] > tolerance]
+            left = [i for i in left if gains[i] > TOLERANCE]
         return at
 
     def _result(
@@ -484,136 +453,35 @@ class Fitter:
         structure: Structure,
         x: Array,
         records: Sequence[int],
-        initial: dict[int, Array] | None = None,
-        about: Sequence[Mapping[int, Array]] = (),
+        initial: Mapping[int, Array] | None = None,
         *,
         iterations: int = 8,
     ) -> Fit:
-        """Fit initial states and offsets of records from the cheapest of `initial` (or a guess), `about`, and without `initial` the final
-        state of the preceding record; the parameters stay."""
-        problem, net = self.problem, structure.at(x)
-        n0 = assemble(net.mechanical).size[0]
-        if structure.offsets is None and problem.shared_offset.any():
+        """Fit initial states and offsets of records, from `initial` or from a guess by the first samples; the parameters stay. Over many
+        periods the phase of a nonlinear motion follows its amplitude: a lost record starts again from a fit of its first samples."""
+        problem = self.problem
+        if structure.offsets is None:
             structure = self.with_offsets(structure, x, problem.estimation or records)
-        shared = structure.offsets
-        given = {i: v for i, v in (initial or {}).items() if len(v) == n0}
-        begun = {
-            i: [given[i] if i in given else guess(problem, net, i, offsets=shared)]
-            for i in records
-        }
-        for known in about:
-            for i, v in known.items():
-                if i in begun and len(v) == n0:
-                    begun[i].append(v)
-        at = self._states(
-            structure,
-            self._cheapest(structure, x, begun),
-            records,
-            iterations,
-            tolerance=1e-4,
-        )
-        pieces = problem.records
-        before = {
-            j: i
-            for i in records
-            for j in records
-            if j not in given and pieces[j].follows(pieces[i])
-        }
-        # a record with a residual like the others' has a good initial state
-        each = [at.costs[i] / len(pieces[i]) for i in records]
-        usual = min(
-            UNUSUAL * float(np.median(each)), NEAR * min(each)
-        )  # most of them may be astray
-        before = {
-            j: i for j, i in before.items() if at.costs[j] > usual * len(pieces[j])
-        }
-        for _ in range(ROUNDS if n0 and before else 0):
-            ends = next_states(
-                problem, structure, x, {i: at.initial[i] for i in before.values()}
-            )
-            ahead = {j: ends[i] for j, i in before.items()}
-            better = self._again(
-                structure,
-                at,
-                {j: [guess(problem, net, j, s, shared), s] for j, s in ahead.items()},
-                iterations,
-            )
-            before = {j: i for j, i in before.items() if i in better}
-            if not before:
-                break
-        self._follow_heads(structure, at, iterations)
-        return self._result(structure, at)
-
-    def _follow_heads(self, structure: Structure, at: Point, iterations: int) -> None:
-        """Restart lost records from a fit of their first samples, if closer: over many periods the phase of a nonlinear motion follows the
-        amplitude, and a fit from a rough guess ends in another optimum."""
-        problem, net, heads = self.problem, structure.at(at.x), self.problem.heads
-        longer = [
-            i for i in at.costs if len(heads.records[i]) < len(problem.records[i])
-        ]
+        at = self.begin(structure, x, initial, None, records)
+        at = self._states(structure, at, records, iterations)
         lost = [
-            i for i in longer if len(at.initial[i]) and not self._error(at, i) < LOST
+            i
+            for i in records
+            if not _mean_power(
+                problem.records[i].measured - at.outputs[i], problem.deviation([i])
+            )
+            < LOST**2
         ]
-        if not lost:
-            return
-        deviation = problem.deviation(lost)
-        few = Fitter(
-            heads,
-            white_weights(np.where(deviation > STILL, HEAD_NOISE * deviation, np.inf)),
-        )
-        begun = {
-            i: [guess(heads, net, i, offsets=structure.offsets), at.initial[i]]
-            for i in lost
-        }
-        started = few._cheapest(structure, at.x, begun)
-        found = few._states(
-            structure, started, lost, HEAD_STEPS, tolerance=1e-4
-        ).initial
-        self._again(structure, at, {i: [found[i]] for i in lost}, iterations, near=1.0)
-
-    def _error(self, at: Point, i: int) -> float:
-        """Return the error of a record as a share of its deviation, geometric mean over the channels that move."""
-        record, deviation = self.problem.records[i], self.problem.deviation([i])
-        moves = deviation > STILL
-        if not moves.any():
-            return 0.0
-        return math.sqrt(
-            _mean_power((record.measured - at.outputs[i])[:, moves], deviation[moves])
-        )
-
-    def _again(
-        self,
-        structure: Structure,
-        at: Point,
-        begun: Mapping[int, Sequence[Array]],
-        iterations: int,
-        near: float = NEAR,
-    ) -> list[int]:
-        """Restart records from the cheapest of several initial states, where its cost is below a multiple of the present one; return the
-        records whose fit has a smaller cost."""
-        there = self._cheapest(structure, at.x, begun)
-        tried = [j for j in begun if there.costs[j] < near * at.costs[j]]
-        if not tried:
-            return []
-        other = self._states(structure, there, tried, iterations, tolerance=1e-4)
-        better = [j for j in tried if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
-        for j in better:
-            at.take(other, j)
-        return better
-
-    def _cheapest(
-        self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]
-    ) -> Point:
-        """Return the point with the cheapest of several initial states for each record, offsets at zero."""
-        best = Point(x.copy(), {}, {})
-        for k in range(max(map(len, begun.values()), default=0)):
-            those = {i: s[k] for i, s in begun.items() if k < len(s)}
-            offset = {i: self.problem.nothing(i, structure.offsets) for i in those}
-            at = self.seen(structure, Point(x, those, offset), list(those))
-            for i in those:
-                if i not in best.costs or at.costs[i] < best.costs[i]:
-                    best.take(at, i)
-        return best
+        if lost:
+            few = Fitter(problem.heads, self.weights)
+            begun = few.begin(structure, x, None, None, lost)
+            begun = few._states(structure, begun, lost, iterations)
+            again = self.begin(structure, x, begun.initial, None, lost)
+            again = self._states(structure, again, lost, iterations)
+            for i in lost:
+                if again.costs[i] < at.costs[i]:
+                    at.take(again, i)
+        return self._result(structure, at)
 
     def normal_equations(
         self,
@@ -688,5 +556,5 @@ def gap(problem: Problem, fit: Fit) -> float:
 
 def _mean_power(residual: Array, deviation: Array) -> float:
     """Return the power of a residual (samples, channels) over the square of a deviation (channels,), geometric mean over channels."""
-    share = np.mean(residual**2, axis=0) / deviation**2
+    share = np.mean(residual**2, axis=0) / np.maximum(deviation**2, 1e-300)
     return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...physics.network import GROUND, Channel, Network, assemble
-from ...physics.network.frames import frames
 from .._simulation.node_motion import motion_rows_of
 from .structure import Structure, offsets_of, twin
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from ..._common.arrays import Array
     from ...physics.network import Assembly
@@ -111,76 +109,6 @@ def _rate_row(asm: Assembly, channel: Channel) -> Array | None:
             return None
         row += sign * own
     return row
-
-
-def states_along(
-    problem: Problem,
-    structure: Structure,
-    x: Array,
-    initial: Mapping[int, Array],
-    at: Sequence[int],
-) -> dict[int, list[Array]]:
-    """Return the states (states,) of each record's simulation at compared samples (negative: from the end), from the motion of the
-    nodes."""
-    net, time = structure.at(x), problem.time
-    pure = net.mechanical
-    nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
-    watched = replace(pure, outputs=tuple(_seen(pure, n) for n in nodes))
-    probe = problem.watching(watched)
-    network = replace(
-        net,
-        outputs=watched.outputs,
-        elements=tuple(e for e in net.elements if e.place != "channel"),
-    )
-    asm = assemble(pure)
-    cols = {part: asm.columns(part) for part in ("x", "r", "v")}
-    position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
-    if any(
-        c.quantity != "displacement" for c in pure.moving
-    ):  # seen from a frame that moves with them
-        position, velocity = position.copy(), velocity.copy()
-        position[:, cols["r"]] = 0.0
-        for node, j in frames(pure).items():
-            velocity[nodes.index(node), cols["v"].start + j] -= 1.0
-    inverse = np.linalg.pinv(
-        np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]])
-    )
-    begun = {i: x0[:, None] for i, x0 in initial.items()}
-    out: dict[int, list[Array]] = {}
-    for i, y in probe.simulate_all([network], list(initial), begun, like=net).items():
-        record, y = problem.records[i], y[:, :, 0]
-        v = np.gradient(y, record.step, axis=0)
-        r, rate = led(pure, record)
-        out[i] = []
-        for k in at:
-            k = min((k if k >= 0 else len(record) + k) * record.thin, len(y) - 1)
-            rest = [
-                m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k]
-                for m in (position, velocity)
-            ]
-            out[i].append(
-                inverse @ np.concatenate([y[k] - rest[0], time * (v[k] - rest[1])])
-            )
-    return out
-
-
-def _seen(network: Network, node: str) -> Channel:
-    """Return the output for a node's displacement in its frame: the ground, or a moved node of unknown position."""
-    riding = frames(network)
-    name = f"_{node}"
-    if node in riding:
-        return network.probe(
-            name, "displacement", between=(node, network.moved_nodes[riding[node]])
-        )
-    return network.probe(name, "displacement", at=node)
-
-
-def next_states(
-    problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array]
-) -> dict[int, Array]:
-    """Return the state (states,) one sample after the end of each record's simulation."""
-    ends = states_along(problem, structure, x, initial, (-2, -1))
-    return {i: 2 * last - before for i, (before, last) in ends.items()}
 
 
 def transfer_states(

@@ -13,22 +13,22 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
 
 Point = TypeVar("Point")
+#: further dampings that a step tries
+TRIES = 5
 
 
 def damped_step(
     take: Callable[[Sequence[float]], list[tuple[Point, float]]],
     cost: float,
     damping: float,
-    *,
-    tries: int,
 ) -> tuple[Point | None, float]:
     """Return a point with a lower cost, or None, and the next damping: less after a success. Where the first try fails, the best of
     several dampings, tenfold each, is taken. `take` returns the points of dampings and their costs, infinite if a simulation fails.
     """
     found, lower = take([damping])[0]
-    if not lower < cost and tries > 1:
+    if not lower < cost:
         least = max(10 * damping, 1e-3 if math.isfinite(lower) else 1.0)
-        dampings = [least * 10**k for k in range(tries - 1)]
+        dampings = [least * 10**k for k in range(TRIES)]
         points = take(dampings)
         k = int(np.argmin([each for _, each in points]))
         (found, lower), damping = points[k], dampings[k]

@@ -164,7 +164,7 @@ def answer_of(rows: Sequence[Row], least: Array, noise: Array, c: Criteria) -> A
         if row.error - chosen.error < width or table.is_alike(row, chosen)
     ]
     fewest = min(near, key=lambda row: (row.parameters, row.error))
-    simplest = simplest_law(same, fewest, table.noise, c)
+    simplest = simplest_law(same, fewest, table.noise, c, c.one_more_leaves)
     others = [
         row
         for row in near
@@ -224,13 +224,14 @@ def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
     return chosen
 
 
-def simplest_law(rows: Sequence[Row], best: Row, noise: float, c: Criteria) -> Row:
-    """Return the set with fewest parameters among those of the same kinds, unless the best one removes a share of what it leaves, as a
-    further law must."""
+def simplest_law(
+    rows: Sequence[Row], best: Row, noise: float, c: Criteria, leaves: float
+) -> Row:
+    """Return the set with fewest parameters among those of the same kinds, unless the best one leaves less than a share of what it
+    leaves."""
     alike = [
         row
         for row in rows
-        if row.kinds == best.kinds
-        and share_left(best, row, noise, c) >= c.one_more_leaves
+        if row.kinds == best.kinds and share_left(best, row, noise, c) >= leaves
     ]
     return min([*alike, best], key=lambda row: (row.parameters, row.error))

@@ -99,6 +99,11 @@ class Criteria:
     )
 
     @property
+    def on_its_way(self) -> float:
+        """Share of the squared error below which a law is worth a further step: the root of `one_more_leaves`, half of the way there."""
+        return float(self.one_more_leaves**0.5)
+
+    @property
     def least_explained(self) -> float:
         """Share of the excess error from which on a gap counts as explained: half of what `least_removed` allows is left, 0.75."""
         return 1.0 - 0.5 * self.least_removed

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._common.errors import InputError
 from .._estimation.gauss_newton import Fitter, residuals
-from .._estimation.initial_states import next_states, transfer_states
+from .._estimation.initial_states import transfer_states
 from .._estimation.noise import (
     Floor,
     floors_of,
@@ -24,7 +24,7 @@ from .._simulation.problem import BROKEN
 from .criteria import LEAST_NOISE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from ..._common.arrays import Array
     from .._estimation.gauss_newton import Fit
@@ -86,94 +86,33 @@ class HeldOutEvaluator:
     def held_fit(self, fit: Fit, near: Fit | None = None) -> Fit:
         """Return the simulation of the held-out records: parameters as fitted, initial states and offsets from each record, from the
         states of a simulation `near` it if given. Raise InputError where a law breaks down on a whole record of the user."""
-        p, fitter = self.problem, self.plain_fitter
-        if near is None:
-            held = fitter.follow(
-                fit.structure, fit.x, p.held, None, (self._states_after_training(fit),)
-            )
-        else:
-            states = transfer_states(p, near.network, near.initial, fit.structure)
-            held = fitter.follow(fit.structure, fit.x, p.held, states)
-        self._check_whole_records(fit, held)
+        p, begun = self.problem, {}
+        if near is not None:
+            begun = transfer_states(p, near.network, near.initial, fit.structure)
+        held = self.plain_fitter.follow(fit.structure, fit.x, p.held, begun)
+        broken = self._breakdowns(fit.structure, fit.x) - self._broken
+        if fit.hypotheses and broken:
+            raise InputError(f"the simulation breaks down on the record {min(broken)}")
         return held
 
     # -- whole records ------------------------------------------------------------------------------------
-    @cached_property
-    def _simulated_by_nominal(self) -> list[int]:
-        """Whole records that the nominal model simulates."""
+    def _breakdowns(self, structure: Structure, x: Array) -> set[str]:
+        """Return the names of the whole records on which a simulation breaks down, from the states that the first samples tell."""
         if self.whole is None:
-            return []
-        structure = base_structure(self.problem.network)
-        broken = self._broken_records(
-            structure, structure.start, range(len(self.whole.records)), {}
-        )
-        return [i for i in range(len(self.whole.records)) if i not in broken]
-
-    def first_states(self, *fits: Fit) -> dict[int, Array]:
-        """Return the initial states of whole records, from fits of the records that begin with them."""
-        out: dict[int, Array] = {}
-        pieces = [
-            (self.problem.records[j], f.initial[j]) for f in fits for j in f.initial
-        ]
-        for i, record in enumerate(self.whole.records if self.whole else []):
-            for piece, state in pieces:
-                if (
-                    piece.name == record.name
-                    and abs(piece.start - record.start) < 0.5 * record.interval
-                ):
-                    out[i] = state
-        return out
-
-    def _broken_records(
-        self,
-        structure: Structure,
-        x: Array,
-        records: Sequence[int],
-        initial: Mapping[int, Array],
-    ) -> list[int]:
-        """Return the whole records on which a simulation breaks down."""
-        assert self.whole is not None
-        fitter = Fitter(self.whole, white_weights(self.least_noise))
-        out = []
-        for (
-            i
-        ) in records:  # one by one: a record that breaks down must not hide the others
-            at = fitter.begin(
-                structure, x, {k: v for k, v in initial.items() if k == i}, None, [i]
-            )
+            return set()
+        fitter, out = Fitter(self.whole, white_weights(self.least_noise)), set()
+        # one by one: a record that breaks down must not hide the others
+        for i, record in enumerate(self.whole.records):
+            at = fitter.begin(structure, x, None, None, [i])
             if not np.isfinite(fitter.seen(structure, at, [i]).total):
-                out.append(i)
+                out.add(record.name)
         return out
 
-    def _check_whole_records(self, fit: Fit, held: Fit) -> None:
-        """Raise InputError for effects that break down on a whole record of the user."""
-        if not fit.structure.hypotheses or self.whole is None:
-            return
-        # a model that breaks down from the start that the first samples tell owes its success to start values that no sensor sees
-        for states in (self.first_states(fit, held), {}):
-            broken = self._broken_records(
-                fit.structure, fit.x, self._simulated_by_nominal, states
-            )
-            if broken:
-                raise InputError(
-                    f"the simulation breaks down on the record {self.whole.records[broken[0]].name}"
-                )
-
-    def _states_after_training(self, fit: Fit) -> dict[int, Array]:
-        """Return the initial states of held-out records that continue a training record."""
-        p = self.problem
-        continues = {
-            j: i
-            for j in p.held
-            for i in p.estimation
-            if p.records[j].follows(p.records[i])
-        }
-        if not continues or not len(next(iter(fit.initial.values()))):
-            return {}
-        ends = next_states(
-            p, fit.structure, fit.x, {i: fit.initial[i] for i in continues.values()}
-        )
-        return {j: ends[i] for j, i in continues.items()}
+    @cached_property
+    def _broken(self) -> set[str]:
+        """Names of the whole records on which the nominal model breaks down."""
+        structure = base_structure(self.problem.network)
+        return self._breakdowns(structure, structure.start)
 
     # -- noise --------------------------------------------------------------------------------------------
     def noise_share(self, held: Fit) -> Array:

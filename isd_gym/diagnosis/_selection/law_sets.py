@@ -10,12 +10,12 @@ import numpy as np
 from .._estimation.gauss_newton import Fitter, gap, residuals
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.noise import balanced_weights
-from .._estimation.structure import add, base_structure, parameter_values
+from .._estimation.structure import base_structure
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import SEARCH, TimeLimit, TimeUp
 from .answer import answer_of, simplest_law
 from .held_out_table import row_of
-from .plain_fits import FAILS, Stage, freed, go_on, try_fit
+from .plain_fits import FAILS, Stage, go_on
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -66,7 +66,7 @@ class Search:
 
     def run(self, refitted: Fit) -> Answer:
         """Search from the refitted nominal model."""
-        rows = self.score([refitted])
+        rows = self.score([self._polished(refitted)])
         try:
             with self.clock.until(SEARCH):
                 self._extend(rows)
@@ -78,8 +78,11 @@ class Search:
         return answer_of(rows, self.least_noise, self.noise, self.criteria)
 
     def _extend(self, rows: list[Row]) -> None:
-        """Append the rows of sets with one more law each, from the best sets of the step before."""
-        s, noise = self.settings, float(np.sqrt(np.mean(self.noise**2)))
+        """Append the rows of sets with one more law each, from the best sets of the step before. The search ends where no further law can
+        be material, or where the last law is not on its way to being needed."""
+        s, c, noise = self.settings, self.criteria, float(np.mean(self.noise**2))
+        if np.all(rows[0].validation < c.material):
+            return
         front = [rows[0].fit]
         for depth in range(s.depth):
             label = (
@@ -103,46 +106,19 @@ class Search:
             sound = [row for row in new if row.is_sound]
             best = min(sound, key=lambda row: row.error, default=None)
             rows += new
-            if best is not None and depth:
-                fewer = self._with_fewer(fitter, best.fit)
-                rows += self.score([self._polished(fit) for fit in fewer])
-            if best is None or best.error > s.least_step * before:
+            if best is None or (best.error / before) ** 2 > c.on_its_way:
                 break
-            if best.error**2 - noise**2 < s.good_enough**2:
+            if best.error**2 - noise < c.material**2:
                 break
             front = [row.fit for row in self._front(sound)]
-
-    def _with_fewer(self, fitter: Fitter, fit: Fit) -> list[Fit]:
-        """Return fits with one law less, from the values of a fit: alone, a law may have ended in another optimum."""
-        laws = list(zip(fit.hypotheses, fit.elements, strict=True))
-        out = []
-        for k in range(len(laws)):
-            structure = base_structure(self.problem.network)
-            try:
-                for law, element in laws[:k] + laws[k + 1 :]:
-                    structure = add(
-                        freed(structure, law), law, parameter_values(element)
-                    )
-                x = structure.start_from(fit.values)
-            except FAILS:
-                continue
-            fewer = try_fit(
-                fitter,
-                structure,
-                x,
-                None,
-                None,
-                self.settings.further_steps,
-            )
-            out += [fewer] if fewer is not None else []
-        return out
 
     def _front(self, rows: Sequence[Row]) -> list[Row]:
         """Return the best sets of distinct kinds, each with the simplest law of its kinds."""
         out: dict[object, Row] = {}
+        c = self.criteria
         for row in sorted(rows, key=lambda row: row.error):
             if row.kinds not in out and len(out) < self.settings.beam:
-                out[row.kinds] = simplest_law(rows, row, 0.0, self.criteria)
+                out[row.kinds] = simplest_law(rows, row, 0.0, c, c.on_its_way)
         return list(out.values())
 
     def score(self, fits: Sequence[Fit]) -> list[Row]:

@@ -18,9 +18,8 @@ import numpy as np
 
 from ..._common.errors import InputError
 from ...physics.elements import beside
-from .._estimation.gauss_newton import Fit, Fitter, gap
+from .._estimation.gauss_newton import Fit, Fitter
 from .._estimation.initial_states import transfer_states
-from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.structure import FAR, WIDE, add, parameter_values
 from .._hypotheses.law_matching import residual_of, starts_of
 from .._hypotheses.library import hypotheses
@@ -283,58 +282,34 @@ class Stage:
 
     # -- fits ---------------------------------------------------------------------------------------------
     def first_fit(self, starts: Sequence[Start]) -> Fit | None:
-        """Return the best brief fit of a law from its best starts, with the states of the set and with those that the first samples tell; None
-        where all simulations break down."""
-        begun = [
-            self.brief(start, start.x, states)
-            for start in starts[: self.rules.fitted]
-            for states in self.states(start)
-        ]
-        if self.is_lost:
-            first = starts[0]
-            x = fit_segments(self.problem, first.structure, first.x, self.coarse)
-            if x is not None:
-                begun.append(self.brief(first, x, None))
+        """Return the best brief fit of a law from its best starts; None where all simulations break down."""
+        begun = [self.brief(start) for start in starts[: self.rules.fitted]]
         found = [fit for fit in begun if fit is not None]
         return min(found, key=lambda fit: fit.cost, default=None)
 
-    def brief(
-        self, start: Start, x: Array, states: dict[int, Array] | None
-    ) -> Fit | None:
-        """Return a fit of a few steps from parameters `x` and states; the offsets are those of the set where the states are."""
-        offset = None if states is None else self.now.offset
-        return try_fit(
-            self.coarse, start.structure, x, states, offset, self.rules.first_steps
-        )
-
-    @cached_property
-    def is_lost(self) -> bool:
-        """Return whether the set may have lost the phase of a lightly damped motion: the best start of each law is fitted to growing segments,
-        too."""
-        is_free = not self.problem.network.inputs or is_lightly_damped(
-            self.problem.network
-        )
-        return is_free and gap(self.problem, self.now) > self.rules.lost**2
-
-    def states(self, start: Start) -> list[dict[int, Array] | None]:
-        """Return the initial states of a start: the states of the set, and None for a guess from the first samples; the cheaper choice alone
-        where both cost nearly the same."""
-        p, now = self.problem, self.now
-        fresh = self.cost(start, None)
+    def brief(self, start: Start) -> Fit | None:
+        """Return a fit of a few steps, from the states of the set or from those that the first samples tell, whichever cost less; the
+        offsets are those of the set where the states are."""
+        p, now, structure = self.problem, self.now, start.structure
+        begun: list[tuple[dict[int, Array] | None, dict[int, Array] | None]]
+        begun = [(None, None)]
         try:
-            carried = transfer_states(p, now.network, now.initial, start.structure)
+            carried = transfer_states(p, now.network, now.initial, structure)
+            begun.append((carried, now.offset))
         except FAILS:
-            return [None] if math.isfinite(fresh) else []
-        cost = self.cost(start, carried)
-        found = sorted([(cost, 0), (fresh, 1)])
-        if found[1][0] < self.rules.alike * found[0][0]:
-            del found[1]
-        return [None if k else carried for value, k in found if math.isfinite(value)]
+            pass
+        states, offset = min(begun, key=lambda at: self.cost(start, *at))
+        steps = self.rules.first_steps
+        return try_fit(self.coarse, structure, start.x, states, offset, steps)
 
-    def cost(self, start: Start, states: dict[int, Array] | None) -> float:
+    def cost(
+        self,
+        start: Start,
+        states: dict[int, Array] | None,
+        offset: dict[int, Array] | None,
+    ) -> float:
         """Return the cost of a start from states, or from states that the first samples tell; infinite where the simulation breaks down."""
         p, fitter = self.problem, self.coarse
-        offset = None if states is None else self.now.offset
         try:
             at = fitter.begin(start.structure, start.x, states, offset, p.estimation)
             return fitter.seen(start.structure, at, p.estimation).total

@@ -16,8 +16,6 @@ class SearchSettings:
     starts_further: int = 12
     #: starts of a law that are fitted
     fitted: int = 2
-    #: ratio of the costs of two initial states below which a start is fitted from the cheaper one alone
-    alike: float = 1.1
     #: laws that are fitted as first law and as further law of a set, those with the smallest misfit of a start first
     shortlist: int = 30
     shortlist_further: int = 12
@@ -35,18 +33,12 @@ class SearchSettings:
     scored_further: int = 10
     #: sets to which a further law is added
     beam: int = 2
-    #: error of the best set over the error before its last law, above which the search ends
-    least_step: float = 0.93
-    #: error beyond noise that is good enough, as a share of the deviation
-    good_enough: float = 0.012
     #: largest number of effects
     depth: int = 3
     #: smallest number of samples of a window or segment
     shortest: int = 80
     #: error of the refitted model (share of the deviation, mean over channels) above which records are compared in segments
     astray: float = 0.5
-    #: error of a set with a lightly damped motion (share of the deviation) above which its phase may be lost
-    lost: float = 0.1
     #: length of a segment, in the rig's time scale
     segment: float = 16.0
     #: smallest length of a segment, in the time scale of the slowest channel

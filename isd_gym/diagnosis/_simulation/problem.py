@@ -124,14 +124,6 @@ class Record:
         """Return the values (samples, ...) at the compared samples."""
         return values[self.before * self.thin :: self.thin][: len(self)]
 
-    def follows(self, other: Record) -> bool:
-        """Return whether this record starts at the end of `other`."""
-        begin, end = (
-            self.start + self.lead * self.interval,
-            other.start + (other.lead + len(other)) * other.interval,
-        )
-        return self.name == other.name and abs(begin - end) < 0.5 * self.interval
-
     def read(self, values: Array) -> Array:
         """Return the compared samples of simulated outputs, filtered like the measurement."""
         if self.taps is None and not self.lead:
@@ -226,6 +218,8 @@ MAX_THINNING, MIN_SAMPLES = 4, 500
 WHOLE = math.lcm(*range(1, MAX_THINNING + 1))
 #: least number of samples that give an initial state
 LEAST_HEAD = 20
+#: smallest length of a record beside a longer one in one call, as a share
+SIMILAR = 0.8
 #: largest number of samples of all lanes in one call
 LARGEST = 2_000_000
 
@@ -455,15 +449,20 @@ class Problem:
         *,
         like: Network | None = None,
     ) -> dict[int, Array]:
-        """The same over several records, those of one length side by side in one call of the kernel."""
+        """The same over several records, those of similar length side by side in one call of the kernel."""
+        # a rate by differences would see what comes after the last sample
+        is_exact = any(assemble(networks[0].mechanical).outputs_by_difference)
         groups: dict[tuple[Any, ...], list[int]] = {}
-        for i in records:
+        for i in sorted(records, key=lambda i: -self.records[i].samples):
             r = self.records[i]
-            groups.setdefault((r.samples, r.step, self.every(r), *r.slopes), []).append(
-                i
-            )
+            key = (r.step, self.every(r), *r.slopes)
+            longest = self.records[groups.get(key, [i])[0]].samples
+            if r.samples < (longest if is_exact else SIMILAR * longest):
+                groups[*key, longest] = groups.pop(key)
+            groups.setdefault(key, []).append(i)
         out: dict[int, Array] = {}
-        for (samples, *_), members in groups.items():
+        for members in groups.values():
+            samples = self.records[members[0]].samples
             size = max(1, LARGEST // (samples * len(networks)))
             for k in range(0, len(members), size):
                 out |= self._side_by_side(
@@ -478,7 +477,7 @@ class Problem:
         initial: Mapping[int, Array] | None,
         like: Network | None,
     ) -> dict[int, Array]:
-        """Every network over every record of `members`, which are equally long: one lane each, record by record."""
+        """Every network over every record of `members`, the longest first: one lane each, record by record."""
         check_time()
         records = [self.records[i] for i in members]
         record, wide = records[0], len(networks)
@@ -504,7 +503,7 @@ class Problem:
             self._distort(out, networks, record.step)
         read = {}
         for k, (i, r) in enumerate(zip(members, records, strict=True)):
-            own = out[:, :, k * wide : (k + 1) * wide]
+            own = out[: r.samples, :, k * wide : (k + 1) * wide]
             read[i] = r.reading(own) if r.reading else r.read(own)
         return read
 
@@ -515,12 +514,17 @@ class Problem:
         record, first = records[0], networks[0]
         every, sparse = self.every(record), self._sparse(record)
         motored = any(e.place == "element" for e in first.elements)
+        total = every * (record.samples - 1) + 1
 
         def lanes(columns: Sequence[Array]) -> Array:
-            """A column a record, for all of its lanes."""
+            """A column a record, for all of its lanes; shorter records go on with their last value."""
             if len(columns) == 1 and not motored:
                 return columns[0]
-            return np.repeat(np.stack(columns, axis=1), len(networks), axis=1)
+            full = np.empty((total, len(columns)))
+            for k, x in enumerate(columns):
+                full[: len(x), k] = x
+                full[len(x) :, k] = x[-1]
+            return np.repeat(full, len(networks), axis=1)
 
         curves = {}
         slopes = {}
@@ -539,12 +543,14 @@ class Problem:
                 ]
             if motored and c.quantity == "current":
                 step = record.step / every
-                made = [
-                    effective_current(n, c.elements[0], f[:, None], step)
-                    for f in fine
-                    for n in networks
-                ]
-                inputs[c.name] = np.concatenate(made, axis=1)
+                driven = lanes(fine)
+                for lane in range(driven.shape[1]):
+                    n = networks[lane % len(networks)]
+                    one = driven[:, lane : lane + 1]
+                    driven[:, lane : lane + 1] = effective_current(
+                        n, c.elements[0], one, step
+                    )
+                inputs[c.name] = driven
             else:
                 inputs[c.name] = lanes(fine)
         return inputs, slopes

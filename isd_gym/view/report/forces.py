@@ -164,8 +164,9 @@ def _motion(
     step = float(trace.time[1] - trace.time[0])
     measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
     problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)])
-    fit = Fitter(problem, white_weights(measured.std(axis=0))).fit(
-        base_structure(network), frozen=True, iterations=3
+    structure = base_structure(network)
+    fit = Fitter(problem, white_weights(measured.std(axis=0))).follow(
+        structure, structure.start, [0], iterations=3
     )
     found = motions(problem, fit, (pair,))
     if pair not in found:
