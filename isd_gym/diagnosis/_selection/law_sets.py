@@ -113,10 +113,10 @@ class Search:
             front = [row.fit for row in self._front(sound)]
 
     def _front(self, rows: Sequence[Row]) -> list[Row]:
-        """Return the best sets of distinct kinds, each with the simplest law of its kinds."""
+        """Return the best sets of distinct kinds on validation and training records, each with the simplest law of its kinds."""
         out: dict[object, Row] = {}
         c = self.criteria
-        for row in sorted(rows, key=lambda row: row.error):
+        for row in sorted(rows, key=lambda row: row.error * row.training_error):
             if row.kinds not in out and len(out) < self.settings.beam:
                 out[row.kinds] = simplest_law(rows, row, 0.0, c, c.on_its_way)
         return list(out.values())
