@@ -14,6 +14,8 @@ import numpy as np
 from .plant import Array, Element, Model, Signal
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.random import Generator
 
 
@@ -193,25 +195,31 @@ UNIT = {
 }
 
 
+def _with_unit(given: Element | str) -> Element:
+    if isinstance(given, str):
+        name, quantity, *nodes = given.split()
+        place = {"between": nodes} if nodes[1:] else {"at": nodes[0]}
+        given = channel(name, quantity, **place)
+    return {**given, "unit": UNIT[given["quantity"]]}
+
+
 def model(
     name: str,
     masses: dict[str, float],
     elements: list[Element],
-    inputs: list[Element],
-    outputs: list[Element],
+    inputs: Sequence[Element | str],
+    outputs: Sequence[Element | str],
     bodies: dict[str, Any] | None = None,
 ) -> Model:
-    channels = [
-        [{**c, "unit": UNIT[c["quantity"]]} for c in side] for side in (inputs, outputs)
-    ]
+    """Return a model; a channel may be a text of its name, quantity and nodes ("travel displacement body wheel")."""
     return {
         "schema": "isd-model/1",
         "name": name,
         "masses": masses,
         **({"bodies": bodies} if bodies else {}),
         "elements": elements,
-        "inputs": channels[0],
-        "outputs": channels[1],
+        "inputs": [_with_unit(c) for c in inputs],
+        "outputs": [_with_unit(c) for c in outputs],
     }
 
 
@@ -228,5 +236,5 @@ def reading(
     )
 
 
-def channel(name: str, quantity: str, **place: str) -> Element:
+def channel(name: str, quantity: str, **place: Any) -> Element:
     return {"name": name, "quantity": quantity, **place}

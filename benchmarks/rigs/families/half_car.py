@@ -75,7 +75,7 @@ def half_car(r: Generator) -> Rig:
         "half_car",
         masses,
         elements,
-        [channel(f"road_{end}", "displacement", at=f"road_{end}") for end in ENDS],
+        [f"road_{end} displacement road_{end}" for end in ENDS],
         sensors(r),
         {"body": {"mass": body, "inertia": {"pitch": inertia}, "points": points}},
     )
@@ -98,26 +98,19 @@ def half_car(r: Generator) -> Rig:
     )
 
 
-def sensors(r: Generator) -> list[Element]:
+def sensors(r: Generator) -> list[Element | str]:
     """The body's accelerations at its ends, or of its centre and its pitch; travels and wheels' accelerations."""
     if r.random() < 0.5:
-        out = [
-            channel(f"body_acceleration_{end}", "acceleration", at=f"body_{end}")
-            for end in ENDS
-        ]
+        out = [f"body_acceleration_{end} acceleration body_{end}" for end in ENDS]
     else:
+        pitch = {"body": "body", "axis": "pitch"}
         out = [
-            channel("body_acceleration", "acceleration", at="body"),
-            channel(
-                "pitch_acceleration", "angular_acceleration", body="body", axis="pitch"
-            ),
+            "body_acceleration acceleration body",
+            channel("pitch_acceleration", "angular_acceleration", **pitch),
         ]
     for end in ENDS:
-        pair = {"between": [f"body_{end}", f"wheel_{end}"]}
-        out.append({"name": f"travel_{end}", "quantity": "displacement", **pair})
-        out.append(
-            channel(f"wheel_acceleration_{end}", "acceleration", at=f"wheel_{end}")
-        )
+        out.append(f"travel_{end} displacement body_{end} wheel_{end}")
+        out.append(f"wheel_acceleration_{end} acceleration wheel_{end}")
     return out
 
 

@@ -56,7 +56,7 @@ def shaken(r: Generator, sensors: str = "position") -> Rig:
         "shaken",
         {"mass": m},
         elements,
-        [channel("base", "displacement", at="base")],
+        ["base displacement base"],
         out[sort],
     )
     drives = at_rest(excitation(r, t, size), "base")
@@ -80,7 +80,7 @@ def shaken2(r: Generator) -> Rig:
         "shaken2",
         {"lower": m, "upper": upper},
         elements,
-        [channel("base", "displacement", at="base")],
+        ["base displacement base"],
         out,
     )
     pairs = (("lower", "base"), ("upper", "lower"), ("lower", "ground"))
@@ -118,7 +118,7 @@ def three(r: Generator) -> Rig:
     keep = [o for o in out if r.random() < 0.75] or out
     size = amplitude(r, t.omega)
     push = size * sum(masses.values()) * t.omega**2 * 0.5
-    net = model("three", masses, elements, [channel("push", "force", at="one")], keep)
+    net = model("three", masses, elements, ["push force one"], keep)
     pairs = (("one", "ground"), ("two", "one"), ("three", "two"))
     return rig_of(
         net,
@@ -196,7 +196,7 @@ def resonator(r: Generator) -> Rig:
         "resonator",
         {"mass": m},
         spring_damper("mass", "ground", m, t.omega, zeta),
-        [channel("push", "force", at="mass")],
+        ["push force mass"],
         [reading(r, sort, "mass")],
     )
     signals = [
@@ -220,7 +220,7 @@ def pushed(r: Generator) -> Rig:
         "pushed",
         {"mass": m},
         spring_damper("mass", "ground", m, t.omega, zeta),
-        [channel("push", "force", at="mass")],
+        ["push force mass"],
         out,
     )
     return rig_of(net, at_rest(excitation(r, t, push), "push"), t, size, (), (SOIL,))
@@ -259,9 +259,7 @@ def cart(r: Generator) -> Rig:
         )
         drives = at_rest(signals, "current")
     else:
-        net = model(
-            "cart", {"mass": m}, [guide], [channel("push", "force", at="mass")], out
-        )
+        net = model("cart", {"mass": m}, [guide], ["push force mass"], out)
         drives = at_rest(excitation(r, t, force, 0.1, 1.5), "push")
     return rig_of(net, drives, t, size, ("mass.mass",), (SOIL,))
 
@@ -288,9 +286,7 @@ def dyno(r: Generator) -> Rig:
         if r.random() < 0.5
         else reading(r, "force", "rod")
     )
-    net = model(
-        "dyno", {}, elements, [channel("stroke", "displacement", at="rod")], [cell]
-    )
+    net = model("dyno", {}, elements, ["stroke displacement rod"], [cell])
     signals = excitation(r, t, size, 0.2, 1.5)
     return rig_of(
         net, at_rest(signals, "stroke"), t, size, (), (("rod", "ground"),), (26.0, 50.0)

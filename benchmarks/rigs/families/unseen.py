@@ -114,7 +114,7 @@ def press(r: Generator) -> Rig:
         "press",
         {"head": m},
         elements,
-        [channel("stroke", "displacement", at="rod")],
+        ["stroke displacement rod"],
         out,
     )
     drives = at_rest(excitation(r, t, size, 0.2, 2.0), "stroke")
@@ -207,8 +207,8 @@ def isolator(r: Generator) -> Rig:
     if r.random() < 0.5:
         out.append(reading(r, "displacement", "table", "base"))
     inputs = [
-        channel("base", "displacement", at="base"),
-        channel("push", "force", at="table"),
+        "base displacement base",
+        "push force table",
     ]
     net = model(
         "isolator",
@@ -246,9 +246,7 @@ def dry(r: Generator) -> Rig:
         )
     )
     out = [reading(r, str(r.choice(["displacement", "velocity"])), "slide")]
-    net = model(
-        "dry", {"slide": m}, elements, [channel("push", "force", at="slide")], out
-    )
+    net = model("dry", {"slide": m}, elements, ["push force slide"], out)
     drives = at_rest(excitation(r, t, push), "push")
     return rig_of(net, drives, t, size, (), (SLIDE,))
 

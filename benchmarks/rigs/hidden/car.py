@@ -60,14 +60,14 @@ def car_base(r: Generator, _: Secret) -> Model:
             )
         )
     inputs = [
-        channel("road", "displacement", at="road"),
+        "road displacement road",
         channel("current", "current", element="motor"),
     ]
     outputs = [
-        channel("body_acceleration", "acceleration", at="body"),
-        channel("suspension_travel", "displacement", between=["body", "wheel"]),
+        "body_acceleration acceleration body",
+        "suspension_travel displacement body wheel",
         channel("tyre_force", "force", element="tyre"),
-        channel("device_travel", "displacement", between=["piston", "joint"]),
+        "device_travel displacement piston joint",
     ]
     masses = {"body": 345.0, "wheel": 45.0}
     return model("quarter-car-isd", masses, elements, inputs, outputs)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..families.draw import channel, model
+from ..families.draw import model
 from .secret import (
     FINE,
     Array,
@@ -39,8 +39,8 @@ def rig_base(r: Generator, secret: Secret) -> Model:
         element("linear_damping", *PISTON, name="leak", damping=1293.0),
         element("coulomb_friction", *PISTON, name="seal", level=500.0),
     ]
-    inputs = [channel("displacement", "displacement", at="top")]
-    outputs = [channel("force", "force", at="top")]
+    inputs = ["displacement displacement top"]
+    outputs = ["force force top"]
     return model("force-rig", {}, elements, inputs, outputs)
 
 
@@ -97,10 +97,10 @@ def mass_base(r: Generator, secret: Secret) -> Model:
         element("linear_stiffness", *BODY, name="spring", stiffness=mass * w**2),
         element("linear_damping", *BODY, name="damper", damping=2 * ratio * mass * w),
     ]
-    inputs = [channel("push", "force", at="mass")]
+    inputs = ["push force mass"]
     outputs = [
-        channel("position", "displacement", at="mass"),
-        channel("acceleration", "acceleration", at="mass"),
+        "position displacement mass",
+        "acceleration acceleration mass",
     ]
     return model("one-mass", {"mass": mass}, elements, inputs, outputs)
 
@@ -119,8 +119,8 @@ def drive_base(r: Generator, secret: Secret) -> Model:
         element("linear_damping", *ROD, name="damper", damping=r.uniform(800, 2000)),
         element("inertance", *ROD, name="inerter", inertance=r.uniform(10, 40)),
     ]
-    inputs = [channel("stroke", "displacement", at="rod")]
-    outputs = [channel("force", "force", at="rod")]
+    inputs = ["stroke displacement rod"]
+    outputs = ["force force rod"]
     return model("strut-on-machine", {}, elements, inputs, outputs)
 
 
@@ -135,11 +135,11 @@ def two_base(r: Generator, secret: Secret) -> Model:
         element("linear_stiffness", *LOWER, name="foot", stiffness=k1),
         element("linear_damping", *LOWER, name="pad", damping=c1),
     ]
-    inputs = [channel("push", "force", at="upper")]
+    inputs = ["push force upper"]
     outputs = [
-        channel("upper_acceleration", "acceleration", at="upper"),
-        channel("lower_acceleration", "acceleration", at="lower"),
-        channel("stroke", "displacement", between=["upper", "lower"]),
+        "upper_acceleration acceleration upper",
+        "lower_acceleration acceleration lower",
+        "stroke displacement upper lower",
     ]
     masses = {"upper": upper, "lower": lower}
     return model("two-mass", masses, elements, inputs, outputs)
