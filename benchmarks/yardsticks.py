@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from json_files import read_json, save_json
+from rigs.families.draw import element, model
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -66,81 +67,72 @@ class Yardstick(NamedTuple):
     picture: tuple[tuple[str, str], float, str, str]
 
 
-def _element(name: str, kind: str, node: str, **values: float) -> dict[str, Any]:
-    return {"name": name, "type": kind, "between": [node, "ground"], **values}
+def _free(channel: str, quantity: str, node: str) -> dict[str, Any]:
+    """Return an output with an unknown offset."""
+    return {"name": channel, "quantity": quantity, "at": node, "offset": "free"}
 
 
-def _channel(
-    name: str, quantity: str, node: str, unit: str, **more: str
-) -> dict[str, Any]:
-    return {"name": name, "quantity": quantity, "at": node, "unit": unit, **more}
-
-
+MASS, CARRIAGE = ("mass", "ground"), ("carriage", "ground")
 YARDSTICKS = {
     "silverbox": Yardstick(
         "silverbox",
-        {
-            "schema": "isd-model/1",
-            "name": "silverbox",
-            "masses": {"mass": 5.28e-6},
-            "elements": [
-                _element("spring", "linear_stiffness", "mass", stiffness=1.01),
-                _element("damper", "linear_damping", "mass", damping=2.3e-4),
+        model(
+            "silverbox",
+            {"mass": 5.28e-6},
+            [
+                element("linear_stiffness", "spring", *MASS, stiffness=1.01),
+                element("linear_damping", "damper", *MASS, damping=2.3e-4),
             ],
-            "inputs": [_channel("drive", "force", "mass", "N")],
-            "outputs": [
-                _channel("position", "displacement", "mass", "m", offset="free")
-            ],
+            ["drive force mass"],
+            [_free("position", "displacement", "mass")],
+        )
+        | {
             "uncertainty": {
                 "mass.mass": 0.05,
                 "spring.stiffness": 0.05,
                 "damper.damping": 0.2,
-            },
+            }
         },
         ("test_multisine", "test_arrow_full", "test_arrow_no_extrapolation"),
         50,
         "mV",
         1e3,
-        (("mass", "ground"), 0.3, "elongation", "position [V]"),
+        (MASS, 0.3, "elongation", "position [V]"),
     ),
     "emps": Yardstick(
         "emps",
-        {
-            "schema": "isd-model/1",
-            "name": "emps",
-            "masses": {"carriage": 95.0},
-            "elements": [
-                _element("guide", "linear_damping", "carriage", damping=220.0)
-            ],
-            "inputs": [_channel("force", "force", "carriage", "N")],
-            "outputs": [_channel("displacement", "displacement", "carriage", "m")],
-            "uncertainty": {"carriage.mass": 0.1, "guide.damping": 0.5},
-        },
+        model(
+            "emps",
+            {"carriage": 95.0},
+            [element("linear_damping", "guide", *CARRIAGE, damping=220.0)],
+            ["force force carriage"],
+            ["displacement displacement carriage"],
+        )
+        | {"uncertainty": {"carriage.mass": 0.1, "guide.damping": 0.5}},
         ("test",),
         20,
         "mm",
         1e3,
-        (("carriage", "ground"), 0.3, "rate", "velocity [m/s]"),
+        (CARRIAGE, 0.3, "rate", "velocity [m/s]"),
     ),
     "emps-inverse": Yardstick(
         "emps",
-        {
-            "schema": "isd-model/1",
-            "name": "emps-inverse",
-            "masses": {},
-            "elements": [
-                _element("carriage", "inertance", "carriage", inertance=95.0),
-                _element("guide", "linear_damping", "carriage", damping=200.0),
+        model(
+            "emps-inverse",
+            {},
+            [
+                element("inertance", "carriage", *CARRIAGE, inertance=95.0),
+                element("linear_damping", "guide", *CARRIAGE, damping=200.0),
             ],
-            "inputs": [_channel("displacement", "displacement", "carriage", "m")],
-            "outputs": [_channel("force", "force", "carriage", "N", offset="free")],
-            "uncertainty": {"carriage.inertance": 0.05, "guide.damping": 0.3},
-        },
+            ["displacement displacement carriage"],
+            [_free("force", "force", "carriage")],
+        )
+        | {"uncertainty": {"carriage.inertance": 0.05, "guide.damping": 0.3}},
         ("test",),
         0,
         "%",
         100.0,
-        (("carriage", "ground"), 0.3, "rate", "velocity [m/s]"),
+        (CARRIAGE, 0.3, "rate", "velocity [m/s]"),
     ),
 }
 
