@@ -1142,19 +1142,13 @@ def _channel(output: Mapping[str, Any], run: Trajectory) -> Array:
 
 
 def simulate(
-    model: Model,
-    time: ArrayLike,
-    inputs: Mapping[str, ArrayLike],
-    *,
-    step: float = 1e-5,
-    initial: Mapping[str, tuple[float, float]] | None = None,
-    derivatives: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
+    model: Model, time: ArrayLike, inputs: Mapping[str, ArrayLike], **options: Any
 ) -> dict[str, Array]:
     """The model's outputs at `time`, by name.
 
     model: `isd-model/1` as read from JSON. time (samples,) [s], uniform. inputs: by name, (samples,), in SI.
-    step: the longest step [s]. initial: node -> (displacement [m], velocity [m/s]) of free nodes, others at
-    rest at zero. derivatives: input name -> (velocity, acceleration) of a displacement input.
+    options, as for `trajectories`: step: the longest step [s]. initial: node -> (displacement [m], velocity [m/s])
+    of free nodes, others at rest at zero. derivatives: input name -> (velocity, acceleration) of a displacement input.
     """
     delay = {
         e["channel"]: e["delay"]
@@ -1162,15 +1156,7 @@ def simulate(
         if e["type"] == "sensor_delay"
     }
     delays = tuple(sorted({0.0, *delay.values()}))
-    runs = trajectories(
-        model,
-        time,
-        inputs,
-        step=step,
-        initial=initial,
-        derivatives=derivatives,
-        delays=delays,
-    )
+    runs = trajectories(model, time, inputs, delays=delays, **options)
     table = {}
     for output in model["outputs"]:
         name = output["name"]
