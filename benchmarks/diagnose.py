@@ -32,7 +32,6 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -266,7 +265,6 @@ def line(row: Row) -> str:
     )
 
 
-@cache
 def code_state() -> str:
     """A fingerprint of the sources that a verdict rests on."""
     digest = hashlib.sha1()
