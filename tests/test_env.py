@@ -148,6 +148,16 @@ def test_a_seed_of_a_batch_is_whole_numbers(seed):
     env.reset(seed=[3, None]), env.reset(seed=np.array([1, 2]))
 
 
+def test_an_infinite_action_of_a_batch_is_refused_without_a_warning():
+    many = gym.make_vec("ISDSuspension-v0", 3)
+    many.reset(seed=0)
+    actions = np.zeros((3, 1), np.float32)
+    actions[1] = np.inf
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        refused("action 1 is not finite", many.step, actions)
+
+
 def test_check_env_passes_with_and_without_pygame(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     with warnings.catch_warnings(record=True) as seen:

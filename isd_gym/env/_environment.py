@@ -564,7 +564,6 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
             Onlooker(self.task, i)
             for i in range(num_envs if render_mode is not None else 0)
         ]
-        self._zeros = np.zeros(num_envs)
         names = ("speed", "cost", *self.task.step_info, *self.task.batch.drawn)
         self._info_names = (*names, *(f"_{name}" for name in names))
         self._lock = Lock()
@@ -702,13 +701,11 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
             raise InputError(
                 f"the actions must have shape {self.action_space.shape}, not {target.shape}"
             )
+        is_finite = np.isfinite(target)
+        if not is_finite.all():
+            first = int(np.argmin(is_finite.all(axis=1)))
+            raise InputError(f"action {first} is not finite")
         task.actions[:] = target.T
-        sums = [
-            row.dot(self._zeros) for row in task.actions
-        ]  # 0 times a number that is not finite is nan, which is cheaper than a mask
-        if any(sums):
-            finite = np.isfinite(task.actions).all(axis=0)
-            raise InputError(f"action {int(np.argmin(finite))} is not finite")
         revived = (
             np.flatnonzero(self._done)
             if self._any_done and self.autoreset_mode is AutoresetMode.NEXT_STEP
