@@ -145,25 +145,76 @@ class CarsLayout(NamedTuple):
     results: int  # total number of rows
 
 
+def _in_order(first: int, **sizes: int) -> dict[str, int]:
+    """Return the start of each part; the parts follow one another from `first` on."""
+    starts = {}
+    for name, size in sizes.items():
+        starts[name] = first
+        first += size
+    return starts
+
+
 def cars_layout(size: CarSize) -> CarsLayout:
     """Return the places of the numbers of cars."""
-    na, corners, nc, tracks = size
+    accelerations, corners, currents, tracks = size
     filters = size.filters
-    track = TABLES + 3 * corners
-    leader = track + 2 * corners
-    height = 6 * nc
-    gain = height + 3 * corners
-    measured = na + CORNER_SIGNALS * corners
-    bounds = 2 + na + 2 * corners + nc
+    measured = accelerations + CORNER_SIGNALS * corners
+    setup = _in_order(
+        TABLES,
+        columns=3 * corners,
+        track=corners,
+        behind=corners,
+        leader=tracks,
+        current_of=currents,
+    )
+    cars = _in_order(
+        0,
+        current=currents,
+        lagged=currents,
+        lag_pole=currents,
+        saturation=currents,
+        delay=currents,
+        target=currents,
+        height=corners,
+        height_rate=corners,
+        late=corners,
+        gain=filters,
+        pole=filters,
+        rough=filters,
+        value=1,
+        outputs=measured,
+    )
+    ways = _in_order(0, profile=tracks, profile_end=tracks, counter=tracks)
+    settings = _in_order(
+        2,
+        weights=accelerations + 2 * corners + currents,
+        bounds=measured,
+        lifted=corners,
+    )
+    results = _in_order(
+        REWARD + 1,
+        cost=accelerations + 3,
+        tyre_load=corners,
+        exceeds=2,
+        shaped=1,
+        broken=1,
+        results=0,
+    )
     return CarsLayout(
-        na, corners, nc, tracks, filters, size.sum_filters, measured, measured + corners,
-        TABLES, track, track + corners, leader, leader + tracks,
-        0, nc, 2 * nc, 3 * nc, 4 * nc, 5 * nc, height, height + corners, height + 2 * corners,
-        gain, gain + filters, gain + 2 * filters, gain + 3 * filters, gain + 3 * filters + 1,
-        0, tracks, 2 * tracks,
-        2, bounds, bounds + measured,
-        REWARD + 1, na + 4, na + 4 + corners, na + 6 + corners, na + 7 + corners, na + 8 + corners,
-    )  # fmt: skip
+        accelerations=accelerations,
+        corners=corners,
+        currents=currents,
+        tracks=tracks,
+        filters=filters,
+        sum_filters=size.sum_filters,
+        measured=measured,
+        signals=measured + corners,
+        **setup,
+        **cars,
+        **ways,
+        **settings,
+        **results,
+    )
 
 
 class Layout(NamedTuple):
@@ -234,43 +285,86 @@ class Layout(NamedTuple):
 
 def layout(ints: Any) -> Layout:
     """Return the layout of `ints`; also called in compiled code."""
-    n, m, nc, nl, ns = (
-        ints[STATES],
-        ints[INPUTS],
-        ints[CURRENTS],
-        ints[LAWS],
-        ints[SMOOTH],
-    )
-    rows, columns, differ, parameters, instant = (
-        ints[ROWS], ints[COLUMNS], ints[DIFFER], ints[PARAMETERS], ints[INSTANT],
-    )  # fmt: skip
-    start, end, current = n, n + m, n + 2 * m
-    last = current + nc
-    force = last + nl * differ
-    step = force + nl
-    step_columns = force + ns
+    states = ints[STATES]
+    inputs = ints[INPUTS]
+    laws = ints[LAWS]
+    smooth = ints[SMOOTH]
+    outputs = ints[OUTPUTS]
+    rows = ints[ROWS]
+    columns = ints[COLUMNS]
+    differ = ints[DIFFER]
+    parameters = ints[PARAMETERS]
+    instant = ints[INSTANT]
+    current = states + 2 * inputs
+    last = current + ints[CURRENTS]
+    force = last + laws * differ
+    step = force + laws
+    step_columns = force + smooth
     acting = step + rows
-    failed = acting + 9 * nl
+    failed = acting + 9 * laws
     scratch = failed + 2
-    outcome = scratch + (nl * (nl + 4) + WIDTH - 1) // WIDTH
-    ny = ints[OUTPUTS]
-    out_rows = (ny + 2 * nl * instant + 3) // 4 * 4
+    outcome = scratch + (laws * (laws + 4) + WIDTH - 1) // WIDTH
+    out_rows = (outputs + 2 * laws * instant + 3) // 4 * 4
     gains = 1 + rows * step_columns
-    spans = gains + nl * rows
-    upper = spans + ns
-    devices = max(ns, nl - ns, 1)
+    spans = gains + laws * rows
+    upper = spans + smooth
+    devices = max(smooth, laws - smooth, 1)
     out = upper + CLOSED * devices
     own = out + out_rows * columns
     return Layout(
-        n, m, nc, nl, ns, ints[WAY], ny, rows, columns, differ, parameters, instant,
-        SIZES, SIZES + nl,
-        start, end, current, last, force,
-        step, step + n, step + n + nl,
-        acting, acting + nl, acting + 2 * nl, acting + 3 * nl, acting + 4 * nl, acting + 5 * nl, acting + 6 * nl,
-        acting + 7 * nl, acting + 8 * nl, failed, scratch, outcome, outcome + out_rows,
-        1, step_columns, gains, spans, devices, upper, upper + 1, upper + 2, upper + 3, upper + 4, upper + 5, upper + 6, upper + 7,
-        out, out_rows, own, own + nl * parameters,
-    )  # fmt: skip
+        states=states,
+        inputs=inputs,
+        currents=ints[CURRENTS],
+        laws=laws,
+        smooth=smooth,
+        way=ints[WAY],
+        outputs=outputs,
+        rows=rows,
+        columns=columns,
+        differ=differ,
+        parameters=parameters,
+        instant=instant,
+        code=SIZES,
+        differs=SIZES + laws,
+        start=states,
+        end=states + inputs,
+        current=current,
+        last=last,
+        force=force,
+        step=step,
+        first=step + states,
+        other=step + states + laws,
+        acting=acting,
+        memory=acting + laws,
+        elongation=acting + 2 * laws,
+        rate=acting + 3 * laws,
+        factor=acting + 4 * laws,
+        tried=acting + 5 * laws,
+        answer=acting + 6 * laws,
+        coming=acting + 7 * laws,
+        tried_rate=acting + 8 * laws,
+        failed=failed,
+        scratch=scratch,
+        outcome=outcome,
+        height=outcome + out_rows,
+        matrix=1,
+        step_columns=step_columns,
+        gains=gains,
+        spans=spans,
+        devices=devices,
+        upper=upper,
+        lower=upper + 1,
+        per_elongation=upper + 2,
+        per_rate=upper + 3,
+        per_friction=upper + 4,
+        level=upper + 5,
+        give=upper + 6,
+        give_stopped=upper + 7,
+        out=out,
+        out_rows=out_rows,
+        own=own,
+        size=own + laws * parameters,
+    )
 
 
 def aligned(*shape: int) -> np.ndarray:
