@@ -124,7 +124,7 @@ class _Inert:
 
 
 class _InertUnpickler(pickle.Unpickler):
-    """Unpickler that calls nothing of what a pickle names."""
+    """Unpickler that replaces every class and function of a pickle by an inert class."""
 
     def find_class(self, module: str, name: str) -> Any:
         return type("_Inert", (_Inert,), {"made": f"{module}.{name}"})

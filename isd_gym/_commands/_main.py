@@ -68,7 +68,7 @@ def _warn(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning on stderr: a warning of this package as one line, others as Python prints them."""
+    """Print a warning on stderr. Warnings about the tyre contact take one line; other warnings keep Python's format."""
     if issubclass(category, TyreContactWarning):
         typer.echo(f"isd-gym: {message}", err=True)
     else:

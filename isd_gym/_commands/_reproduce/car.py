@@ -121,9 +121,7 @@ def _draw(study: Study, found: Score, policy: str) -> None:
             beside.loglog(f[keep], power[keep], **how)
         title = name.replace("_", " ")
         above.set_ylabel(f"{title}\n[{unit}]")
-        beside.set_title(title)
-        beside.set_ylabel(f"({unit})²/Hz")
-        beside.set_xlabel("frequency [Hz]")
+        beside.set(title=title, xlabel="frequency [Hz]", ylabel=f"({unit})²/Hz")
     rows[-1].set_xlabel("time [s]")
     for fig, ax in (histories, rows[0]), (spectra, columns[0]):
         fig.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3)

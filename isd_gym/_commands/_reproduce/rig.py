@@ -142,9 +142,7 @@ def figure_6(study: Study) -> None:
             "peak": float(np.quantile(size, 0.99)),
         }
         ax.plot(time - time[0], force / 1e3, color=STYLES[rig].colour)
-        ax.set_title(label)
-        ax.set_xlabel("time [s]")
-        ax.set_ylabel("force [kN]")
+        ax.set(title=label, xlabel="time [s]", ylabel="force [kN]")
     study.figures["figure_6"] = level
     study.picture(
         fig,
@@ -202,9 +200,8 @@ def figures_3_4(study: Study) -> None:
         how = {"color": look.colour, "ls": look.line, "marker": look.marker, "ms": 4}
         left.loglog(marks, amplitude, label=label, **how)
         right.semilogx(marks, np.degrees(np.angle(response)), **how)
-    for ax, what in (left, "force, first harmonic [N]"), (right, "phase [°]"):
-        ax.set_xlabel("frequency [Hz]")
-        ax.set_ylabel(what)
+    left.set(xlabel="frequency [Hz]", ylabel="force, first harmonic [N]")
+    right.set(xlabel="frequency [Hz]", ylabel="phase [°]")
     fig.legend(loc="outside upper left", ncols=3)
     study.figures["figures_3_4"] = ratio
     study.picture(
@@ -234,9 +231,8 @@ def figure_7(study: Study) -> None:
         how = {"color": STYLES[rig].colour, "ls": STYLES[rig].line}
         left.plot(1e3 * x, force / 1e3, label=label, **how)
         right.plot(np.gradient(x, time), force / 1e3, **how)
-    left.set_xlabel("displacement [mm]")
-    left.set_ylabel("force [kN]")
-    right.set_xlabel("velocity [m/s]")
+    left.set(xlabel="displacement [mm]", ylabel="force [kN]")
+    right.set(xlabel="velocity [m/s]")
     fig.legend(loc="outside upper left", ncols=2)
     study.figures["figure_7"] = peak
     study.picture(
