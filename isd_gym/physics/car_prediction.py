@@ -17,7 +17,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import expm
 
 from .prediction import (
     ROAD_INTENSITY,
@@ -25,9 +24,13 @@ from .prediction import (
     Sensors,
     device_reach,
     equations,
+    feedback,
+    held_over_step,
     lift,
+    of_currents,
     riccati,
     steady_gain,
+    weighted,
     white_covariance,
 )
 from .vehicle import Vehicle, state_channels, vehicle
@@ -269,14 +272,9 @@ def car_model(
     ):  # motion above the leaders' roads, and heights of the corners over their leaders
         white[:n, c] -= T[:, t]
         white[n:, c] -= [float(track == t) for track in tracks]
-    wide = np.hstack([inputs, white])
-    big = np.zeros((size + wide.shape[1],) * 2)
-    big[:size, :size], big[:size, size:] = A * step, wide * step
-    phi = expm(big)
-    move, ramps = (
-        phi[:n, :size],
-        phi[:n, size + inputs.shape[1] : size + wide.shape[1]] / step,
-    )
+    last = size + inputs.shape[1]
+    phi = held_over_step(A, np.hstack([inputs, white]), step)[:n]
+    move, ramps = phi[:, :size], phi[:, last:] / step
     total, states = n + len(line.shift), slice(n, None)
     full = np.zeros((total, total))
     full[:n, :n] = move[:, :n]
@@ -293,7 +291,7 @@ def car_model(
         return np.hstack([rows[:, x], rows[:, r] @ line.heights])
 
     below = np.zeros((len(line.shift), inputs.shape[1]))
-    effects = np.vstack([phi[:n, size : size + inputs.shape[1]], below])
+    effects = np.vstack([phi[:, size:last], below])
     out = parts.out[:count]
     return CarModel(
         car=car,
@@ -316,13 +314,6 @@ def car_model(
         lift=T,
         drifts=drifts(car, parts.out[:, x], total),
         road_intensity=road_intensity,
-    )
-
-
-def of_currents(rows: np.ndarray, currents: list[int | None]) -> np.ndarray:
-    """Return the columns of the currents (rows, currents); zero for a corner without a motor."""
-    return np.column_stack(
-        [np.zeros(len(rows)) if j is None else rows[:, j] for j in currents]
     )
 
 
@@ -407,17 +398,13 @@ def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, flo
     q, r = weights.of(model)
     A, B, k = model.A, model.inputs, model.motion
     C, D = model.C @ A, model.C @ B + model.feedthrough
-    Q, N, R = (
-        C.T @ (q[:, None] * C),
-        C.T @ (q[:, None] * D),
-        D.T @ (q[:, None] * D) + np.diag(r),
-    )
+    Q, R, N = weighted(C, D, q)
+    R += np.diag(r)
     V = np.zeros((model.n, model.n))
     V[:k, :k] = riccati(model.network, A[:k, :k], B[:k], Q[:k, :k], R, N[:k])
     for _ in range(model.n - k + 1):
-        across = B.T @ V @ A + N.T
-        K = np.linalg.solve(R + B.T @ V @ B, across)
-        V = Q + A.T @ V @ A - across.T @ K
+        K = feedback(A, B, V, R, N)
+        V = Q + A.T @ V @ A - (B.T @ V @ A + N.T).T @ K
         V = 0.5 * (V + V.T)
     worth = V + model.C.T @ (q[:, None] * model.C)
     return K, float(np.trace(worth @ model.W))

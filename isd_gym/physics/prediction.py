@@ -260,33 +260,23 @@ def prediction_model(
     A = rate[:, x]
     white = rate[:, v] - T
     motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
-    current = rate[:, cols["I"]] if motor is not None else np.zeros((len(A), 1))
+    currents = [None if motor is None else cols["I"].start]
     n, k = len(A), len(parts.laws)
-    inputs = np.hstack([current, rate[:, apart], white])
-    big = np.zeros((n + inputs.shape[1],) * 2)
-    big[:n, :n], big[:n, n:] = A * step, inputs * step
-    phi = expm(big)
-
-    def through(block: np.ndarray) -> np.ndarray:
-        return (
-            block[:, cols["I"]][:, :1]
-            if motor is not None
-            else np.zeros((len(block), 1))
-        )
-
+    inputs = np.hstack([of_currents(rate, currents), rate[:, apart], white])
+    phi = held_over_step(A, inputs, step)
     return Model(
         network=network,
         step=step,
-        A=phi[:n, :n],
-        B=phi[:n, n],
-        G=phi[:n, n + 1 : n + 1 + k],
+        A=phi[:, :n],
+        B=phi[:, n],
+        G=phi[:, n + 1 : n + 1 + k],
         W=white_covariance(A, white, road_intensity, step),
-        P=phi[:n, n + 1 + k] / step,
+        P=phi[:, n + 1 + k] / step,
         C=out[:6, x],
-        D=through(out)[:6, 0],
+        D=of_currents(out, currents)[:6, 0],
         F=out[:6, apart],
         S=R[:, x],
-        SI=through(R)[:, 0],
+        SI=of_currents(R, currents)[:, 0],
         SF=R[:, apart],
         E=parts.E[:, x],
         laws=parts.laws,
@@ -296,6 +286,21 @@ def prediction_model(
         nodes=out[6:, x],
         lift=T[:, 0],
     )
+
+
+def of_currents(rows: np.ndarray, currents: Sequence[int | None]) -> np.ndarray:
+    """Return the columns of the currents (rows, currents); zero for a corner without a motor."""
+    return np.column_stack(
+        [np.zeros(len(rows)) if j is None else rows[:, j] for j in currents]
+    )
+
+
+def held_over_step(A: np.ndarray, inputs: np.ndarray, step: float) -> np.ndarray:
+    """Return the state after a step by the state and by held inputs (n, n + inputs), from the rates by both."""
+    n = len(A)
+    big = np.zeros((n + inputs.shape[1],) * 2)
+    big[:n, :n], big[:n, n:] = A * step, inputs * step
+    return expm(big)[:n]
 
 
 def white_covariance(
@@ -386,10 +391,8 @@ def riccati(
     """Return the solution (n, n) of a discrete Riccati equation of A, B, Q, R and optionally N."""
     try:
         return solve_discrete_are(A, B, Q, R, s=N)
-    except (
-        np.linalg.LinAlgError,
-        ValueError,
-    ):  # no solution; matrices that overflow or are ill-conditioned
+    # no solution; matrices that overflow or are ill-conditioned
+    except (np.linalg.LinAlgError, ValueError):
         raise InputError(
             f"no linear-quadratic controller can be computed for network '{network.name}': a part of it neither decays "
             "nor can be moved or seen, or a value is out of proportion; check values and units of its elements"
@@ -398,18 +401,27 @@ def riccati(
 
 def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
     """Return gain K (n,) of ``I = -K x`` and value matrix (n, n) of the linear-quadratic regulator without friction."""
-    q = weights.signals[:, None]
-    C, D = (
-        model.C @ model.A,
-        model.C @ model.B + model.D,
-    )  # signals at the end of the step
-    Q, R = C.T @ (q * C), np.array([[D @ (q[:, 0] * D) + weights.current]])
-    N = (C.T @ (q[:, 0] * D))[:, None]
-    V = riccati(model.network, model.A, model.B[:, None], Q, R, N)
-    K = np.linalg.solve(
-        R + model.B[None] @ V @ model.B[:, None], model.B[None] @ V @ model.A + N.T
-    )[0]
-    return K, V
+    # signals at the end of the step
+    C, D = model.C @ model.A, model.C @ model.B + model.D
+    Q, R, N = weighted(C, D[:, None], weights.signals)
+    R += weights.current
+    V = riccati(model.network, model.A, model.inputs, Q, R, N)
+    return feedback(model.A, model.inputs, V, R, N)[0], V
+
+
+def weighted(
+    C: np.ndarray, D: np.ndarray, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the weights Q of the state, R of the inputs and N of their product, from weights q of the signals ``C x + D u``."""
+    q = q[:, None]
+    return C.T @ (q * C), D.T @ (q * D), C.T @ (q * D)
+
+
+def feedback(
+    A: np.ndarray, B: np.ndarray, V: np.ndarray, R: np.ndarray, N: np.ndarray
+) -> np.ndarray:
+    """Return the optimal gain (inputs, n) of ``u = -K x`` for the value V (n, n) of the next state."""
+    return np.linalg.solve(R + B.T @ V @ B, B.T @ V @ A + N.T)
 
 
 def preview_regulator(
@@ -445,20 +457,21 @@ def preview_regulator(
 
 def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
     """Return gain (n+1,) and value matrix of the regulator of the change of current, with the state (x, preceding I)."""
-    n = model.n
-    A = np.zeros((n + 1, n + 1))
-    A[:n, :n], A[:n, n], A[n, n] = model.A, model.B, 1.0
-    B = np.append(model.B, 1.0)[:, None]
-    C = np.column_stack([model.C @ model.A, model.C @ model.B + model.D])
+    A, B = _with_current(model)
     D = (model.C @ model.B + model.D)[:, None]
-    q = weights.signals[:, None]
-    Q, R, N = C.T @ (q * C), D.T @ (q * D), C.T @ (q * D)
-    Q[n, n] += weights.current
+    C = np.hstack([model.C @ model.A, D])
+    Q, R, N = weighted(C, D, weights.signals)
+    Q[-1, -1] += weights.current
     R += weights.current + weights.move
-    N[n] += weights.current
+    N[-1] += weights.current
     V = riccati(model.network, A, B, Q, R, N)
-    K = np.linalg.solve(R + B.T @ V @ B, B.T @ V @ A + N.T)[0]
-    return K, V
+    return feedback(A, B, V, R, N)[0], V
+
+
+def _with_current(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return state matrix and response to the change of current of a model with the state (x, preceding I)."""
+    A = np.block([[model.A, model.inputs], [np.zeros(model.n), 1.0]])
+    return A, A[:, -1:].copy()
 
 
 def kalman_gain(
@@ -548,12 +561,10 @@ def statistical_linearisation(
         if not names or model.thrust == 0.0:
             break
         K, _ = move_regulator(model, weights)
-        A = np.zeros((model.n + 1,) * 2)
-        A[:-1, :-1], A[:-1, -1], A[-1, -1] = model.A, model.B, 1.0
-        B = np.append(model.B, 1.0)
+        A, B = _with_current(model)
         W = np.zeros_like(A)
         W[:-1, :-1] = model.W
-        spread = stationary(A - np.outer(B, K), W)
+        spread = stationary(A - B * K, W)
         change = 0.0
         for j in free.friction:
             row = np.append(free.S[j], 0.0)
