@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from ._table import Table
+
+    #: whether another channel moves from a first sample on for a number of samples
+    Moving = Callable[[int, int], bool]
 
 Level = Literal["error", "warning", "note"]
 Span = tuple[float, float]
@@ -126,6 +130,65 @@ class Scale:
         return bool(factors) and all(1 / ALIKE < f < ALIKE for f in factors)
 
 
+@dataclass(frozen=True)
+class _Channel:
+    """A channel of a record, with its grain and its runs of equal samples."""
+
+    name: str  # name
+    quantity: str  # key of `QUANTITIES`
+    is_input: bool  # whether the model is driven by the channel
+    x: np.ndarray  # samples (n,) [SI]
+    time: np.ndarray  # time stamps (n,) [s]
+
+    @functools.cached_property
+    def starts(self) -> np.ndarray:
+        """First sample of each run of equal samples."""
+        return np.r_[0, np.flatnonzero(np.diff(self.x)) + 1]
+
+    @functools.cached_property
+    def lengths(self) -> np.ndarray:
+        """Number of samples of each run."""
+        return np.diff(np.r_[self.starts, len(self.x)])
+
+    @functools.cached_property
+    def levels(self) -> np.ndarray:
+        """Value of each run."""
+        return self.x[self.starts]
+
+    @functools.cached_property
+    def resolution(self) -> float:
+        """Smallest usual step between values."""
+        gaps = np.diff(np.unique(self.x))
+        return float(np.quantile(gaps[gaps > 1e-9 * np.ptp(self.x)], 0.1))
+
+    @functools.cached_property
+    def noise(self) -> float:
+        """Standard deviation of the noise; 0 if 70 dB below the signal.
+
+        The noise follows from eighth differences, which suppress signals below a tenth of the sampling rate, in
+        windows of 50 samples outside of rest. Low quantiles over the windows exclude friction and impacts, which
+        are intermittent.
+        """
+        moves = np.repeat(self.lengths < 5, self.lengths)
+        jagged = np.abs(np.diff(self.x, 8))[sliding_window_view(moves, 9).all(axis=1)]
+        if len(jagged) < 50:
+            return 0.0
+        windows = jagged[: len(jagged) // 50 * 50].reshape(-1, 50)
+        quiet = float(np.quantile(np.median(windows, axis=1), 0.05))
+        noise = quiet / (0.55 * math.sqrt(math.comb(16, 8)))
+        return noise if noise > 3e-4 * np.std(self.x) else 0.0
+
+    @property
+    def ends(self) -> tuple[tuple[float, str], tuple[float, str]]:
+        """Largest and smallest value, without negative zeros, and their names."""
+        largest, smallest = float(self.x.max()), float(self.x.min())
+        return (largest + 0.0, "largest"), (smallest + 0.0, "smallest")
+
+    def finding(self, level: Level, text: str, flags: np.ndarray) -> Finding:
+        """Return a finding on the flagged samples (n,)."""
+        return Finding(level, self.name, text, _spans(flags, self.time))
+
+
 def check(
     table: Table,
     *,
@@ -163,9 +226,9 @@ def check(
     Raises:
         InputError: The table lacks a channel, or a quantity is unknown.
     """
-    channels = {**inputs, **outputs}
     values = {
-        name: _in_si(table, name, quantity) for name, quantity in channels.items()
+        name: _in_si(table, name, quantity)
+        for name, quantity in {**inputs, **outputs}.items()
     }
     scale = scale or Scale()
     found = _named("time", _check_time(table.time))
@@ -177,44 +240,32 @@ def check(
     time = table.uniform().time
     found += _check_content(values, inputs, outputs, time)
     dead = {f.channel for f in found if f.check in ("finite", "constant")}
-    alive = [name for name in values if name not in dead]
-    grains = {name: _grain(values[name]) for name in alive}
+    alive = [
+        _Channel(name, quantity, name in inputs, values[name], time)
+        for name, quantity in {**inputs, **outputs}.items()
+        if name not in dead
+    ]
     are_explained = scale.explains(values)
-    for name in alive:
-        x, quantity, is_input = values[name], channels[name], name in inputs
-        of_model = scale.factor(name, x)
-        if name not in outputs:
+    for channel in alive:
+        if channel.name in outputs:
+            of_model = scale.factor(channel.name, channel.x)
+        else:
             of_model = 1.0 if are_explained else math.nan
-        found += _named(
-            "magnitude", _check_magnitude(name, quantity, x, table.step, of_model)
-        )
-        if name not in outputs and quantity in COMMANDED:
+        magnitude = _check_magnitude(channel, table.step, of_model)
+        found += _named("magnitude", magnitude)
+        if channel.name not in outputs and channel.quantity in COMMANDED:
             continue
-        others = [(values[n], grains[n][0]) for n in alive if n != name]
-        held = _check_held(
-            name, quantity, x, time, *grains[name], is_input, REST * scale.time, others
-        )
+        others = [c for c in alive if c is not channel]
+        held = _check_held(channel, REST * scale.time, others)
         found += _named("held", held)
-        if all(
-            f.level == "note" for f in held
-        ):  # a jump may be the end of a frozen stretch
-            noise, resolution = grains[name]
-            is_command = is_input and noise <= resolution
-            grain = max(3 * noise, resolution)
-            found += _named(
-                "jumps", _check_spikes(name, quantity, x, time, grain, is_command)
-            )
+        # a jump may be the end of a frozen stretch
+        if all(f.level == "note" for f in held):
+            found += _named("jumps", _check_spikes(channel))
     drives = [values[n] for n in inputs]
-    moving = {name: _moves(values[name], drives) for name in alive if name in outputs}
+    moving = {c.name: _moves(c.x, drives) for c in alive if c.name in outputs}
     found += _named("silent", _check_silent(moving))
-    finite = {n: x for n, x in values.items() if np.all(np.isfinite(x))}
-    # probability that two samples are equal at rest
-    chance = {
-        name: min(1.0, resolution / (2.5 * noise))
-        for name, (noise, resolution) in grains.items()
-        if noise > resolution
-    }
-    found += _named("copies", _check_copies(finite, chance, time))
+    found += _named("copies", _check_same_columns(values))
+    found += _named("copies", _check_repeats(alive, time))
     return sorted(found, key=lambda f: ("error", "warning", "note").index(f.level))
 
 
@@ -380,47 +431,32 @@ def spread_and_speed(x: np.ndarray, step: float, quantity: str) -> tuple[float, 
     return spread, float(np.std(x[lag:] - x[:-lag])) / (lag * step)
 
 
-def _check_magnitude(
-    name: str, quantity: str, x: np.ndarray, step: float, of_model: float
-) -> list[Finding]:
+def _check_magnitude(channel: _Channel, step: float, of_model: float) -> list[Finding]:
     """Return findings on impossible amplitudes; `of_model` is the ratio to the model's amplitude and has
     priority (NaN: unknown)."""
+    x, quantity = channel.x, channel.quantity
     unit, doubtful, impossible, least = QUANTITIES[quantity]
     spread, speed = spread_and_speed(x, step, quantity)
-    text = f"{quantity} reaches {spread:.4g} {unit}"
     if 1 / ALIKE < of_model < ALIKE:
         doubtful, impossible, least, speed = math.inf, math.inf, 0.0, 0.0
+    level: Level = "warning"
+    text = f"{quantity} reaches {spread:.4g} {unit}"
     if spread > impossible or speed > MAX_SPEED:
+        level = "error"
         text += f" at {speed:.3g} m/s" if speed > MAX_SPEED else ""
-        return [
-            Finding(
-                "error",
-                name,
-                f"{text}, which cannot be: a wrong unit, or columns swapped?",
-            )
-        ]
-    if SLIP[0] < max(of_model, 1 / of_model) < SLIP[1]:
-        text += f", {'a thousand times' if of_model > 1 else 'a thousandth of'} what the model says for these inputs"
-        return [Finding("warning", name, f"{text}: a wrong unit?")]
-    if spread > doubtful:
-        return [Finding("warning", name, f"{text}: a wrong unit, or columns swapped?")]
-    if np.ptp(x) < 2 * least:
-        return [
-            Finding(
-                "warning",
-                name,
-                f"{quantity} stays within {np.ptp(x):.2g} {unit}: a wrong unit?",
-            )
-        ]
-    if quantity == "acceleration" and abs(abs(np.mean(x)) - 9.81) < 0.3:
-        return [
-            Finding(
-                "warning",
-                name,
-                f"has a mean of {np.mean(x):.3g} m/s^2: gravity is still in it",
-            )
-        ]
-    return []
+        text += ", which cannot be: a wrong unit, or columns swapped?"
+    elif SLIP[0] < max(of_model, 1 / of_model) < SLIP[1]:
+        times = "a thousand times" if of_model > 1 else "a thousandth of"
+        text += f", {times} what the model says for these inputs: a wrong unit?"
+    elif spread > doubtful:
+        text += ": a wrong unit, or columns swapped?"
+    elif np.ptp(x) < 2 * least:
+        text = f"{quantity} stays within {np.ptp(x):.2g} {unit}: a wrong unit?"
+    elif quantity == "acceleration" and abs(abs(np.mean(x)) - 9.81) < 0.3:
+        text = f"has a mean of {np.mean(x):.3g} m/s^2: gravity is still in it"
+    else:
+        return []
+    return [Finding(level, channel.name, text)]
 
 
 def _check_content(
@@ -437,16 +473,17 @@ def _check_content(
             where = _spans(bad, time)
             text = f"{bad.sum()} samples are not finite, first at t = {where[0][0]:.6g} s: split the record there"
             found.append(Finding("error", name, text, where, "finite"))
-        elif (
-            value := _constant(x, 0 if name in inputs else GLITCHES)
-        ) is not None and name in inputs:
+            continue
+        value = _constant(x, 0 if name in inputs else GLITCHES)
+        if value is None:
+            continue
+        level: Level = "error"
+        text = f"is constant ({value:.6g}): a dead sensor, or an empty column? Take it out of the model's outputs"
+        if name in inputs:
+            level = "note"
+            text = f"is constant ({value:.6g})"
             idle.append(name)
-            found.append(
-                Finding("note", name, f"is constant ({value:.6g})", check="constant")
-            )
-        elif value is not None:
-            text = f"is constant ({value:.6g}): a dead sensor, or an empty column? Take it out of the model's outputs"
-            found.append(Finding("error", name, text, check="constant"))
+        found.append(Finding(level, name, text, check="constant"))
     if idle and outputs and len(idle) == len(inputs):
         text = f"no input changes ({', '.join(idle)}): the outputs are compared with free motion"
         found.append(Finding("warning", "", text, check="constant"))
@@ -483,101 +520,71 @@ def _moves(x: np.ndarray, drives: list[np.ndarray]) -> bool:
     )
 
 
-def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first index and the length of each run of equal samples."""
-    starts = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
-    return starts, np.diff(np.r_[starts, len(x)])
-
-
-def _grain(x: np.ndarray) -> tuple[float, float]:
-    """Return the noise (standard deviation; 0 if 70 dB below the signal) and the resolution of a channel.
-
-    The noise follows from eighth differences, which suppress signals below a tenth of the sampling rate, in
-    windows of 50 samples outside of rest. Low quantiles over the windows exclude friction and impacts, which
-    are intermittent.
-    """
-    lengths = _runs(x)[1]
-    moving = sliding_window_view(np.repeat(lengths < 5, lengths), 9).all(axis=1)
-    jagged = np.abs(np.diff(x, 8))[moving]
-    gaps = np.diff(np.unique(x))
-    resolution = float(np.quantile(gaps[gaps > 1e-9 * np.ptp(x)], 0.1))
-    if len(jagged) < 50:
-        return 0.0, resolution
-    windows = jagged[: len(jagged) // 50 * 50].reshape(-1, 50)
-    noise = float(np.quantile(np.median(windows, axis=1), 0.05)) / (
-        0.55 * math.sqrt(math.comb(16, 8))
-    )
-    return (noise if noise > 3e-4 * np.std(x) else 0.0), resolution
-
-
 def held_samples(name: str, x: np.ndarray, time: np.ndarray) -> list[Finding]:
     """Return findings on clipping, frozen stretches and slow sampling of a column (n,) of unknown quantity; none for a constant column."""
     if _constant(x) is not None:
         return []
-    return _check_held(name, "force", x, time, *_grain(x), False, REST * CAR, [])
+    return _check_held(_Channel(name, "force", False, x, time), REST * CAR, [])
 
 
-def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) -> bool:
+def _sticks(channel: _Channel, least: int) -> bool:
     """Return whether a channel rests at many levels, possibly its extremes, and leaves each level continuously.
 
     After a dropout the channel returns at another level.
     """
-    rests = np.flatnonzero((lengths >= least) & (starts + lengths < len(x)))
-    if len(np.unique(x[starts[rests]])) < 5:
+    x, after = channel.x, channel.starts + channel.lengths
+    rests = np.flatnonzero((channel.lengths >= least) & (after < len(x)))
+    levels = channel.levels[rests]
+    if len(np.unique(levels)) < 5:
         return False
-    away = np.abs(x[starts[rests] + lengths[rests]] - x[starts[rests]])
+    away = np.abs(x[after[rests]] - levels)
     steps = np.abs(np.diff(x))
     return bool(np.median(away) < 2.0 * np.median(steps[steps > 0]))
 
 
-def _turns_on_stairs(
-    x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, value: float
-) -> bool:
+def _turns_on_stairs(channel: _Channel, value: float) -> bool:
     """Return whether a channel rests at a value once, and at levels just before and just after it, as a coarse encoder does where the motion
     turns; a clipped channel enters and leaves the value in motion."""
-    at = np.flatnonzero((x[starts] == value) & (lengths >= STAIR))
+    starts, lengths = channel.starts, channel.lengths
+    is_long, is_value = lengths >= STAIR, channel.levels == value
+    at = np.flatnonzero(is_value & is_long)
     if len(at) != 1:
         return False
     first, length = int(starts[at[0]]), int(lengths[at[0]])
-    near = (lengths >= STAIR) & (x[starts] != value)
+    near = is_long & ~is_value
     before = near & (starts < first) & (starts + lengths >= first - length)
     after = near & (starts > first) & (starts <= first + 2 * length)
     return bool(before.any() and after.any())
 
 
-def _moving_during(
-    others: Sequence[tuple[np.ndarray, float]],
-) -> Callable[[int, int], bool]:
-    """Return a function that tells whether one of the `others` (samples and noise) moves from a first sample for a number of samples.
+def _moving_during(others: Sequence[_Channel]) -> Moving:
+    """Return a function that tells whether one of the `others` moves from a first sample for a number of samples; always without others.
 
     A channel moves if its power, without that of its noise, is at least `STILL` of its usual power in
     stretches of equal length.
     """
 
     @functools.cache
-    def usual(channel: int, length: int) -> float:
-        x, noise = others[channel]
-        return (
-            float(x[: len(x) // length * length].reshape(-1, length).var(axis=1).mean())
-            - noise**2
-        )
+    def usual(k: int, length: int) -> float:
+        x = others[k].x
+        stretches = x[: len(x) // length * length].reshape(-1, length)
+        return float(stretches.var(axis=1).mean()) - others[k].noise ** 2
 
     def moving(first: int, length: int) -> bool:
         length = max(length, 2)
-        for k, (x, noise) in enumerate(others):
-            here = min(first, len(x) - length)
-            power = float(x[here : here + length].var()) - noise**2
+        for k, other in enumerate(others):
+            here = min(first, len(other.x) - length)
+            power = float(other.x[here : here + length].var()) - other.noise**2
             if usual(k, length) > 0 and power > STILL * usual(k, length):
                 return True
-        return False
+        return not others
 
     return moving
 
 
-def _missed_power(
-    x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: np.ndarray
-) -> float:
-    """Return the share of the power of x (n,) that frozen stretches miss (see `check`)."""
+def _missed_power(channel: _Channel, held: np.ndarray) -> float:
+    """Return the share of a channel's power that frozen runs miss (see `check`)."""
+    x, starts, lengths = channel.x, channel.starts, channel.lengths
     frozen = np.repeat(held, lengths)
     sound = np.cumsum(np.r_[0, frozen])
 
@@ -603,186 +610,145 @@ def _missed_power(
     return missed / (len(x) * float(np.var(x)))
 
 
-@dataclass(frozen=True)
-class _Runs:
-    """A channel as runs of equal samples."""
-
-    name: str  # name of the channel
-    x: np.ndarray  # samples (n,)
-    time: np.ndarray  # time stamps (n,) [s]
-    noise: float  # standard deviation of the noise
-    resolution: float  # smallest usual step between values
-    starts: np.ndarray  # first sample of each run
-    lengths: np.ndarray  # number of samples of each run
-    #: whether another channel moves from a sample on for a number of samples; None without other channels
-    moving: Callable[[int, int], bool] | None
-
-    def finding(self, level: Level, text: str, flags: np.ndarray) -> Finding:
-        """Return a finding on the flagged samples (n,)."""
-        return Finding(level, self.name, text, _spans(flags, self.time))
-
-    def at_end(self, value: float, what: str, text: str, level: Level) -> list[Finding]:
-        """Return findings on samples at the largest or the smallest value."""
-        x = self.x
-        longest = int(np.argmax(np.where(x[self.starts] == value, self.lengths, 0)))
-        moves = self.moving is None or self.moving(
-            int(self.starts[longest]), int(self.lengths[longest])
-        )
-        if not moves:
-            return []
-        flags = x == value
-        share = flags.sum() * (value - x.mean()) ** 2 / (len(x) * np.var(x))
-        if abs(value) >= 0.5 * self.resolution:
-            is_severe = share > (RAILS if level == "note" else CLIPPED)
-            return [self.finding("error" if is_severe else level, text, flags)]
-        if (
-            self.moving is None or share <= CLIPPED
-        ):  # at rest, or a sensor of one direction
-            return []
-        text = f"{flags.sum()} samples are exactly 0, its {what} value, while other channels move"
-        text += ": is one direction alone measured?"
-        return [self.finding(level, text, flags)]
+def _at_end(
+    channel: _Channel,
+    moving: Moving,
+    is_alone: bool,
+    end: tuple[float, str],
+    text: str,
+    level: Level,
+) -> list[Finding]:
+    """Return findings on samples at the largest or the smallest value, an `end` of the channel."""
+    x, (value, what) = channel.x, end
+    longest = int(np.argmax(np.where(channel.levels == value, channel.lengths, 0)))
+    if not moving(int(channel.starts[longest]), int(channel.lengths[longest])):
+        return []
+    flags = x == value
+    share = flags.sum() * (value - x.mean()) ** 2 / (len(x) * np.var(x))
+    if abs(value) >= 0.5 * channel.resolution:
+        is_severe = share > (RAILS if level == "note" else CLIPPED)
+        return [channel.finding("error" if is_severe else level, text, flags)]
+    # at rest, or a sensor of one direction
+    if is_alone or share <= CLIPPED:
+        return []
+    text = f"{flags.sum()} samples are exactly 0, its {what} value, while other channels move: is one direction alone measured?"
+    return [channel.finding(level, text, flags)]
 
 
 def _check_held(
-    name: str,
-    quantity: str,
-    x: np.ndarray,
-    time: np.ndarray,
-    noise: float,
-    resolution: float,
-    is_input: bool,
-    rest: float,
-    others: Sequence[tuple[np.ndarray, float]],
+    channel: _Channel, rest: float, others: Sequence[_Channel]
 ) -> list[Finding]:
     """Return findings on clipping, frozen sensors, dropouts and slow sampling.
 
     All are runs of exactly equal samples, longer than `rest` [s] or frequent. In a channel with noise, many
     equal samples have no innocent cause except a resolution coarser than the momentary noise. A channel
     without noise (an encoder, a command, a simulation) may rest: only a dead stop in mid-motion is reported.
-    The affected share of the signal separates warnings from errors (see `check`). `others`: samples and noise of each further channel.
+    The affected share of the signal separates warnings from errors (see `check`).
     """
-    moving = _moving_during(others) if others else None
-    runs = _Runs(name, x, time, noise, resolution, *_runs(x), moving)
-    if slow := _sampled_slowly(runs):
+    if slow := _sampled_slowly(channel):
         return slow
-    if noise > resolution:
-        found, held, level, worst = _stops_in_noise(runs)
+    moving, is_alone = _moving_during(others), not others
+    if channel.noise > channel.resolution:
+        found, held, level, worst = _stops_in_noise(channel, moving, is_alone)
     else:
-        is_position = quantity in ("displacement", "angle") and not is_input
-        found, held, level, worst = _dead_stops(runs, rest, is_position, is_input)
-    if moving is not None:
-        stretches = zip(runs.starts[held], runs.lengths[held], strict=True)
-        held[held] = [moving(int(first), int(length)) for first, length in stretches]
+        found, held, level, worst = _dead_stops(channel, moving, is_alone, rest)
+    stretches = zip(channel.starts[held], channel.lengths[held], strict=True)
+    held[held] = [moving(int(first), int(length)) for first, length in stretches]
     if held.any():
-        flags = np.repeat(held, runs.lengths)
-        begin = time[np.argmax(flags)]
+        flags = np.repeat(held, channel.lengths)
+        begin = channel.time[np.argmax(flags)]
         text = f"does not change for {flags.sum()} samples, first at t = {begin:.6g} s: frozen, dropped out?"
-        is_severe = (
-            worst != level
-            and _missed_power(x, held, runs.starts, runs.lengths) > MISSED
-        )
-        found.append(runs.finding(worst if is_severe else level, text, flags))
+        if worst != level and _missed_power(channel, held) > MISSED:
+            level = worst
+        found.append(channel.finding(level, text, flags))
     return found
 
 
-def _sampled_slowly(runs: _Runs) -> list[Finding]:
+def _sampled_slowly(channel: _Channel) -> list[Finding]:
     """Return a finding on a channel that holds each value for several samples.
 
     An encoder at constant speed also gives stairs, of one resolution each.
     """
-    usual = int(np.bincount(runs.lengths).argmax())
-    stairs = (
-        usual > 1
-        and np.mean(runs.lengths == usual) > 0.6
-        and len(np.unique(runs.x)) > 20
-    )
-    if (
-        not stairs
-        or np.median(np.abs(np.diff(runs.x[runs.starts]))) <= 1.5 * runs.resolution
-    ):
+    usual = int(np.bincount(channel.lengths).argmax())
+    is_held = usual > 1 and np.mean(channel.lengths == usual) > 0.6
+    if not is_held or len(np.unique(channel.x)) <= 20:
+        return []
+    if np.median(np.abs(np.diff(channel.levels))) <= 1.5 * channel.resolution:
         return []
     text = f"holds each value for {usual} samples: sampled more slowly than the table"
-    return [Finding("warning", runs.name, text)]
+    return [Finding("warning", channel.name, text)]
 
 
-def _stops_in_noise(runs: _Runs) -> tuple[list[Finding], np.ndarray, Level, Level]:
+def _stops_in_noise(
+    channel: _Channel, moving: Moving, is_alone: bool
+) -> tuple[list[Finding], np.ndarray, Level, Level]:
     """Return findings on clipping of a noisy channel, which runs are frozen, and the usual and the worst level of a finding on these."""
-    x, starts, lengths, noise, resolution = (
-        runs.x,
-        runs.starts,
-        runs.lengths,
-        runs.noise,
-        runs.resolution,
-    )
-    n = len(x)
-    equal = max(
-        np.sum(lengths[lengths < 5] - 1) / n,
-        min(0.9, resolution / (2.5 * noise)),
-        1.0 / n,
-    )
-    least = max(
-        5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal))
-    )  # n equal^(least - 1) < 1e-4
-    sticks = _sticks(x, starts, lengths, least)
+    x, lengths, levels = channel.x, channel.lengths, channel.levels
+    n, per_noise = len(x), channel.resolution / channel.noise
+    # probability that two samples are equal
+    equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, per_noise / 2.5), 1 / n)
+    # n equal^(least - 1) < 1e-4
+    least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))
+    sticks = _sticks(channel, least)
     found: list[Finding] = []
     settled: list[float] = []  # values at which the channel is clipped or rests
-    for value, what in _ends(x):
-        is_rest = sticks or _turns_on_stairs(x, starts, lengths, value)
-        count = 0 if is_rest else np.sum(x == value)
+    for value, what in channel.ends:
+        if sticks or _turns_on_stairs(channel, value):
+            continue
+        count = np.sum(x == value)
         # at neighbouring values
-        beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise
+        beside = (np.sum(np.abs(x - value) < channel.noise) - count) * per_noise
         if count >= max(least, 5 + 10 * beside):
             settled.append(value)
             text = f"is clipped: {count} samples sit exactly at the {what} value, {value:.6g}"
-            found += runs.at_end(value, what, text, "warning")
-    held = (lengths >= least) & ~np.isin(x[starts], settled)
-    held[held] = ~_calm(x, starts[held], lengths[held], min(noise, 2 * resolution))
-    rests = (
-        np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1
-    )  # simulated stick and slip
+            end = value, what
+            found += _at_end(channel, moving, is_alone, end, text, "warning")
+    held = (lengths >= least) & ~np.isin(levels, settled)
+    held[held] = ~_calm(channel, held)
+    # simulated stick and slip
+    rests = np.sum(held) > 10 and len(np.unique(levels[held])) == 1
     return found, held, "warning", "warning" if rests or sticks else "error"
 
 
 def _dead_stops(
-    runs: _Runs, rest: float, is_position: bool, is_input: bool
+    channel: _Channel, moving: Moving, is_alone: bool, rest: float
 ) -> tuple[list[Finding], np.ndarray, Level, Level]:
     """Return findings on dead stops at the ends of a channel without noise, which runs are frozen, and the usual and the worst level of a
     finding on these."""
-    x, starts, lengths = runs.x, runs.starts, runs.lengths
-    into = np.abs(np.diff(x, prepend=x[0]))[
-        starts
-    ]  # last step, compared with the curvature just before
+    x, starts, lengths = channel.x, channel.starts, channel.lengths
+    # last step, compared with the curvature just before
+    into = np.abs(np.diff(x, prepend=x[0]))[starts]
     second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
     curved = np.array(
         [np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts]
     )
-    held = (lengths >= 5) & (into > 4 * (curved + runs.resolution))
+    held = (lengths >= 5) & (into > 4 * (curved + channel.resolution))
+    is_position = channel.quantity in ("displacement", "angle") and not channel.is_input
     level: Level = "warning" if is_position else "note"  # no mass stops dead
     found: list[Finding] = []
     settled: list[float] = []
-    for value, what in _ends(x):
-        if np.sum(held & (x[starts] == value)) > 1:
+    for value, what in channel.ends:
+        if np.sum(held & (channel.levels == value)) > 1:
             settled.append(value)
             text = (
                 f"stops dead at its {what} value, {value:.6g}, time and again: clipped?"
             )
-            found += runs.at_end(value, what, text, level)
-    step = runs.time[1] - runs.time[0]
-    held &= (lengths * step > rest) & ~np.isin(x[starts], settled)
-    if runs.moving is None or is_input or _sticks(x, starts, lengths, 5):
+            end = value, what
+            found += _at_end(channel, moving, is_alone, end, text, level)
+    step = channel.time[1] - channel.time[0]
+    held &= (lengths * step > rest) & ~np.isin(channel.levels, settled)
+    if is_alone or channel.is_input or _sticks(channel, 5):
         return found, held, level, level
     return found, held, level, "error" if is_position else "warning"
 
 
-def _calm(
-    x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, step: float
-) -> np.ndarray:
-    """Return True for each run of equal samples before and after which x (n,) changes by at most `step` per sample.
+def _calm(channel: _Channel, held: np.ndarray) -> np.ndarray:
+    """Return True for each held run before and after which the channel changes by at most its grain per sample.
 
     Such a channel came to rest; a frozen sensor stops in mid-motion.
     """
-    steps, around = np.abs(np.diff(x)), 10
+    step = min(channel.noise, 2 * channel.resolution)
+    steps, around = np.abs(np.diff(channel.x)), 10
 
     def quiet(first: int, stop: int) -> bool:
         part = steps[max(first, 0) : stop]
@@ -791,31 +757,23 @@ def _calm(
     return np.array(
         [
             quiet(a - around, a) and quiet(a + k - 1, a + k - 1 + around)
-            for a, k in zip(starts, lengths, strict=True)
+            for a, k in zip(channel.starts[held], channel.lengths[held], strict=True)
         ],
         dtype=bool,
     )
 
 
-def _ends(x: np.ndarray) -> tuple[tuple[float, str], tuple[float, str]]:
-    """Return the largest and the smallest value of x (n,), without negative zeros, and their names."""
-    return (float(x.max()) + 0.0, "largest"), (float(x.min()) + 0.0, "smallest")
-
-
-def _check_spikes(
-    name: str,
-    quantity: str,
-    x: np.ndarray,
-    time: np.ndarray,
-    grain: float,
-    is_command: bool,
-) -> list[Finding]:
+def _check_spikes(channel: _Channel) -> list[Finding]:
     """Return findings on one to three samples far from their neighbours on both sides, and on jumps of a displacement.
 
     "Far" means four times any step within ten samples on either side, twelve times the noise, and four times
     the 97 % quantile of all steps. (Friction makes an acceleration jump to and fro, but by no more than its
     other jumps.)
     """
+    x, quantity, time = channel.x, channel.quantity, channel.time
+    noise, resolution = channel.noise, channel.resolution
+    grain = max(3 * noise, resolution)
+    is_command = channel.is_input and noise <= resolution
     n, around = len(x), 10
     d = np.abs(np.diff(x))
     largest = sliding_window_view(d, around).max(
@@ -824,31 +782,24 @@ def _check_spikes(
     usual = float(np.quantile(d, 0.97))
     flags = np.zeros(n, bool)
     # short pulses are plausible in a command, and in a force or an acceleration: an impact
-    for width in (
-        (1,) if is_command or quantity in ("force", "acceleration") else (1, 2, 3)
-    ):
+    is_sudden = is_command or quantity in ("force", "acceleration")
+    for width in (1,) if is_sudden else (1, 2, 3):
         s = np.arange(around + 1, n - width - around)
         local = np.maximum(largest[s - 1 - around], largest[s + width])
-        before, after = x[s - 1], x[s + width]
-        off = np.array(
-            [
-                x[s + k] - before - (after - before) * (k + 1) / (width + 1)
-                for k in range(width)
-            ]
-        )
-        least = np.where(
-            np.abs(np.sign(off).sum(axis=0)) == width, np.abs(off).min(axis=0), 0.0
-        )
-        back = np.abs(after - before) <= (width + 1) * local
-        hit = s[back & (least > 4 * np.maximum(local, grain)) & (least > 4 * usual)]
-        for k in range(width):
-            flags[hit + k] = True
+        before, change = x[s - 1], x[s + width] - x[s - 1]
+        inside = np.arange(width)[:, None]
+        off = x[s + inside] - before - change * (inside + 1) / (width + 1)
+        is_one_side = np.abs(np.sign(off).sum(axis=0)) == width
+        least = np.where(is_one_side, np.abs(off).min(axis=0), 0.0)
+        is_back = np.abs(change) <= (width + 1) * local
+        far = 4 * np.maximum(np.maximum(local, grain), usual)
+        flags[s[is_back & (least > far)] + inside] = True
     found = []
     if flags.any():
         text = f"{flags.sum()} samples are spikes or dropouts, first at t = {time[np.argmax(flags)]:.6g} s"
         many = flags.mean() > 0.005 and quantity in ("displacement", "velocity")
         level: Level = "error" if many else "warning"
-        found.append(Finding(level, name, text, _spans(flags, time)))
+        found.append(channel.finding(level, text, flags))
     if quantity == "displacement":
         s = np.arange(around, n - 1 - around)
         local = np.maximum(largest[s - around], largest[s + 1])
@@ -858,43 +809,42 @@ def _check_spikes(
         if len(at):
             text = f"jumps by {d[at[0]]:.3g} m in one sample after t = {time[at[0]]:.6g} s: samples lost?"
             where = tuple((float(time[i]), float(time[i + 1])) for i in at[:20])
-            found.append(Finding("error", name, text, where))
+            found.append(Finding("error", channel.name, text, where))
     return found
 
 
-def _check_copies(
-    values: dict[str, np.ndarray], chance: dict[str, float], time: np.ndarray
-) -> list[Finding]:
-    """Return findings on identical columns, and on samples that repeat although the channels with a `chance` are noisy."""
+def _check_same_columns(values: Mapping[str, np.ndarray]) -> list[Finding]:
+    """Return findings on columns that are equal to an earlier column."""
     found = []
-    names = [n for n, x in values.items() if np.ptp(x) > 0]
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            if np.array_equal(values[first], values[second]):
-                found.append(
-                    Finding("error", second, f"is the same column as '{first}'")
-                )
-    rows = np.column_stack([values[n] for n in chance] or [np.arange(len(time))])
+    names = [n for n, x in values.items() if np.all(np.isfinite(x)) and np.ptp(x) > 0]
+    for first, second in itertools.combinations(names, 2):
+        if np.array_equal(values[first], values[second]):
+            text = f"is the same column as '{first}'"
+            found.append(Finding("error", second, text))
+    return found
+
+
+def _check_repeats(channels: Sequence[_Channel], time: np.ndarray) -> list[Finding]:
+    """Return a finding on samples that all noisy channels repeat, later by a common time."""
+    noisy = [c for c in channels if c.noise > c.resolution]
+    if len(noisy) < 2:
+        return []
+    rows = np.column_stack([c.x for c in noisy])
     order = np.lexsort(rows.T)
     same = np.all(rows[order[1:]] == rows[order[:-1]], axis=1)
     shift, count = np.unique(np.abs(order[1:] - order[:-1])[same], return_counts=True)
-    if len(chance) > 1 and len(shift):
-        by = int(shift[count.argmax()])
-        flags = np.zeros(len(rows), bool)
-        flags[by:] = np.all(rows[by:] == rows[:-by], axis=1)
-        # a periodic simulation without noise repeats throughout
-        twice = np.sum(np.all(rows[2 * by :] == rows[: -2 * by], axis=1))
-        if flags.sum() >= max(
-            5, 3 * twice, 10 * len(rows) * math.prod(chance.values())
-        ):
-            where = _spans(flags, time)
-            text = f"{flags.sum()} samples, first at t = {where[0][0]:.6g} s, repeat those {by * (time[1] - time[0]):.4g} s"
-            found.append(
-                Finding(
-                    "error" if flags.sum() >= 20 else "warning",
-                    "",
-                    f"{text} earlier",
-                    where,
-                )
-            )
-    return found
+    if not len(shift):
+        return []
+    by = int(shift[count.argmax()])
+    flags = np.zeros(len(rows), bool)
+    flags[by:] = np.all(rows[by:] == rows[:-by], axis=1)
+    # a periodic simulation without noise repeats throughout
+    twice = np.sum(np.all(rows[2 * by :] == rows[: -2 * by], axis=1))
+    # probability that two samples are equal at rest
+    chance = math.prod(c.resolution / (2.5 * c.noise) for c in noisy)
+    if flags.sum() < max(5, 3 * twice, 10 * len(rows) * chance):
+        return []
+    where = _spans(flags, time)
+    earlier = f"{by * (time[1] - time[0]):.4g} s earlier"
+    text = f"{flags.sum()} samples, first at t = {where[0][0]:.6g} s, repeat those {earlier}"
+    return [Finding("error" if flags.sum() >= 20 else "warning", "", text, where)]
