@@ -30,7 +30,7 @@ from scipy.optimize import nnls
 
 from isd_gym import Network, StageCost, baselines
 from isd_gym._common.files import write_text
-from isd_gym.benchmark.scoring import Entry, drive
+from isd_gym.benchmark.scoring import Conditions, Entry, drive
 
 
 class Daqp:
@@ -269,12 +269,13 @@ def programs(steps: int) -> dict[str, Any]:
 def closed_loop(episodes: int, duration: float) -> dict[str, Any]:
     """Cost of `mpc` by solver on the same roads."""
     net = Network.load("quarter-car-isd")
+    conditions = Conditions(episodes=episodes, seed=SEED, duration=duration)
     out = {}
     for solver in SOLVERS:
         entry = Entry(
             f"mpc, {solver}", lambda s=solver: baselines.make("mpc", solver=SOLVERS[s])
         )
-        run = drive(entry, net, episodes=episodes, seed=SEED, duration=duration)
+        run = drive(entry, net, conditions)
         out[solver] = {
             "cost": float(run.cost(StageCost()).mean()),
             "fallbacks": run.fallbacks,

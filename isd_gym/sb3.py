@@ -24,10 +24,11 @@ from ._common.files import check_file, whole
 from ._common.inputs import is_whole
 from .benchmark.driving import Entry
 from .benchmark.policies import find, passive
-from .benchmark.scoring import IDLE, LEARN, drive
+from .benchmark.scoring import IDLE, LEARN, Conditions, drive
 from .env import ISDSuspensionVectorEnv
 from .env.history import history_of
 from .env.task import CONTROL_STEP
+from .physics.road import road as find_road
 from .physics.vehicle import CURRENT_LIMIT, SLEW_RATE
 
 if TYPE_CHECKING:
@@ -329,18 +330,15 @@ class ScoreCallback(BaseCallback):
     def _cost(self, entry: Entry) -> float:
         """Return J of a policy on the validation roads."""
         task, options = self._task, self._task.options
-        run = drive(
-            entry,
-            task.network,
-            road=options.road,
-            speed=options.speed,
-            episodes=self.roads,
-            seed=VALIDATION_SEED,
-            duration=self.duration,
-            cost=task.cost,
-            sensors=task.sensors,
-            timed=0,
+        conditions = Conditions(
+            find_road(options.road),
+            options.speed,
+            self.roads,
+            VALIDATION_SEED,
+            self.duration,
+            task.sensors,
         )
+        run = drive(entry, task.network, conditions, timed=0)
         return float(run.cost(task.cost).mean())
 
     def _change(self, cost: float) -> float:

@@ -9,7 +9,7 @@ from isd_gym.benchmark import ceilings as module
 from isd_gym.benchmark import lq_bounds as bounds
 from isd_gym.benchmark.ceilings import ceiling, passive_cost, reachable
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import drive
+from isd_gym.benchmark.scoring import Conditions, drive
 from isd_gym.physics.prediction import (
     Weights,
     prediction_model,
@@ -32,7 +32,7 @@ def _linear():
 
 def test_passive_cost_in_expectation_is_what_is_driven():
     exact = passive_cost(CAR, PAPER, 20.0, 20.0, COST)
-    run = drive(passive(CAR), CAR, episodes=64, seed=7000)
+    run = drive(passive(CAR), CAR, Conditions(episodes=64, seed=7000))
     cost = run.cost(COST)
     assert abs(cost.mean() - exact) < 3 * cost.std() / 8
 
@@ -100,12 +100,12 @@ def test_the_ceiling_is_above_every_causal_controller():
     assert found.standard_error < 0.003
     # proven is farther away than what is searched
     assert -0.6 < found.proven_change < found.change < -0.24
-    idle = drive(passive(CAR), CAR, episodes=4).cost(COST).mean()
+    idle = drive(passive(CAR), CAR, Conditions(episodes=4)).cost(COST).mean()
     for name in (
         "mpc-friction",
         "lqr-full",
     ):  # the full state is no knowledge of the road
-        own = drive(find(name, CAR), CAR, episodes=4).cost(COST).mean()
+        own = drive(find(name, CAR), CAR, Conditions(episodes=4)).cost(COST).mean()
         assert own / idle - 1 > found.change
 
 
@@ -128,20 +128,20 @@ def test_a_score_quotes_no_ceiling_of_few_roads(monkeypatch):
 
 
 def test_the_clairvoyant_optimum_is_that_of_the_score():
-    found = reachable("quarter-car-isd")
+    found = reachable(CAR, Conditions())
     assert found["value"].shape == (32,) and np.all(found["lower"] < found["value"])
     cost = COST(
         found["body_acceleration"], found["suspension_travel"]
     )  # the cost belongs to the triple
     np.testing.assert_allclose(cost, found["value"], rtol=1e-4)
     assert (
-        reachable("quarter-car-isd", seed=900_000) is None
-        and reachable("quarter-car-isd", speed=21.0) is None
+        reachable(CAR, Conditions(seed=900_000)) is None
+        and reachable(CAR, Conditions(speed=21.0)) is None
     )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["lqr-full", "mpc-friction"])  # the best ones
 def test_no_causal_controller_is_better_on_its_road(name):
-    own = drive(find(name, CAR), CAR, episodes=32).cost(COST)
-    assert np.all(own > reachable("quarter-car-isd")["value"])
+    own = drive(find(name, CAR), CAR, Conditions()).cost(COST)
+    assert np.all(own > reachable(CAR, Conditions())["value"])

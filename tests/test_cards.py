@@ -9,7 +9,7 @@ from program import assert_one_line, refused, run, save_json
 
 from isd_gym import score
 from isd_gym.benchmark import cards
-from isd_gym.benchmark.scoring import fingerprints
+from isd_gym.benchmark.scoring import Conditions
 from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
 ON = {"episodes": 4, "duration": 0.5}
@@ -173,8 +173,10 @@ def test_the_shipped_cards_are_whole():
             rows = cards.ranking(card, track["track"])
             assert len(rows) == len(track["policies"]) >= 4
             speed, duration = (track[k]["value"] for k in ("speed", "duration"))
-            own = fingerprints(track["road"], speed, duration, track["seed"], 2)
-            assert np.allclose(own, track["roads"][:2], rtol=1e-6, atol=1e-9)
+            own = Conditions(track["road"], speed, 2, track["seed"], duration)
+            assert np.allclose(
+                own.fingerprints, track["roads"][:2], rtol=1e-6, atol=1e-9
+            )
 
 
 @pytest.mark.parametrize("name", sorted(REWARD_THRESHOLDS))

@@ -10,7 +10,9 @@ from program import assert_one_line, python, read_json, run
 
 from isd_gym import Network, score
 from isd_gym._commands._score_table import print_score
+from isd_gym.benchmark.ceilings import reachable
 from isd_gym.benchmark.policies import available, find
+from isd_gym.benchmark.scoring import Conditions
 from isd_gym.physics.elements import TYPES
 
 
@@ -69,7 +71,16 @@ def test_score_ends_with_what_puts_it_in_place(tmp_path):
         and -0.6 < point["suspension_travel_change"] < -0.1
     )
     assert "{" not in text
-    row = next(r for r in data["policies"] if r["policy"] == "lqg")
+    ground, row = (
+        next(r for r in data["policies"] if r["policy"] == name)
+        for name in ("passive", "lqg")
+    )
+    before, after = (r["cost"]["value"] for r in (ground, row))
+    least = reachable(Network.load("quarter-car-isd"), Conditions())["value"].mean()
+    assert ground["share_of_reachable_gain"] == 0.0
+    assert row["share_of_reachable_gain"] == pytest.approx(
+        (before - after) / (before - least)
+    )
     assert 0 < row["share_of_reachable_gain"] < row["share_of_causal_gain"] < 1
 
 

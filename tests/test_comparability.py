@@ -7,6 +7,7 @@ from isd_gym import Network, score
 from isd_gym.benchmark import ceilings as beside
 from isd_gym.benchmark.comparability import Comparable, comparable
 from isd_gym.benchmark.policies import find, passive
+from isd_gym.benchmark.scoring import Conditions
 from isd_gym.view.report import score as page
 
 CAR = Network.load("quarter-car-isd")
@@ -29,13 +30,9 @@ CAR = Network.load("quarter-car-isd")
     ],
 )
 def test_every_condition_counts(change, left_out):
-    usual = {
-        "network": CAR,
-        "road": "paper",
-        "episodes": 32,
-        "duration": 20.0,
-    }
-    found = comparable(**usual | change)
+    change = dict(change)
+    network, reference = change.pop("network", CAR), change.pop("reference", "passive")
+    found = comparable(network, Conditions(**change), reference=reference)
     assert {name for name, reason in vars(found).items() if reason} == left_out
     assert (found.left_out is None) == (not left_out)
 

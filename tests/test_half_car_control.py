@@ -8,7 +8,7 @@ from program import refused
 from isd_gym import InputError, ISDSuspensionVectorEnv, Network, baselines, score
 from isd_gym.benchmark.driving import Crew, travel
 from isd_gym.benchmark.policies import conventional, find, passive
-from isd_gym.benchmark.scoring import drive
+from isd_gym.benchmark.scoring import Conditions, drive
 from isd_gym.physics.vehicle import vehicle
 
 HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")
@@ -141,7 +141,7 @@ def test_score_of_a_half_car():
 
 def test_comfort_is_evaluated_at_the_driver_or_where_one_asks():
     """The acceleration of a point is that of the network's own output there."""
-    run = drive(find("isd-passive", HALF), HALF, episodes=1, duration=1.0)
+    run = drive(find("isd-passive", HALF), HALF, Conditions(episodes=1, duration=1.0))
     assert HALF.bodies[0].points[2].x == 0.1
     z, pitch = run.signals["body_acceleration"], run.signals["pitch_acceleration"]
     np.testing.assert_allclose(run.acceleration_at("driver"), z - 0.1 * pitch)

@@ -9,7 +9,7 @@ from scipy.signal import lsim, sawtooth
 
 from isd_gym import Network, linearise, simulate
 from isd_gym.benchmark.policies import Idle
-from isd_gym.benchmark.scoring import Entry, drive
+from isd_gym.benchmark.scoring import Conditions, Entry, drive
 from isd_gym.physics.road import paper_road
 
 STEP = 1e-3
@@ -75,7 +75,8 @@ def test_linear_network_is_exact():
 
 def test_long_run_on_the_papers_road_is_the_analytic_value():
     idle = Entry("passive", lambda: Idle("passive"))
-    run = drive(idle, Network.load("quarter-car-passive"), episodes=256, duration=40.0)
+    long = Conditions(episodes=256, duration=40.0)
+    run = drive(idle, Network.load("quarter-car-passive"), long)
     keep = slice(1000, None)  # past the start from rest
     assert rms(run.body_acceleration[keep]) == pytest.approx(0.828, rel=0.01)
     assert rms(run.suspension_travel[keep]) == pytest.approx(7.16e-3, rel=0.01)

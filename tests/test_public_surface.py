@@ -43,13 +43,12 @@ isd_gym.benchmark
 isd_gym.benchmark.cards
     also BUILT_IN CLOSE SAME built_in digest load make match ranking read_score track
 isd_gym.benchmark.ceilings
-    also Ceiling FEWEST FIGURES SEED SETTINGS bounds_beside ceiling fronts known_ceilings passive_cost
-    reachable
+    also Ceiling FEWEST FIGURES SEED SETTINGS bounds_beside ceiling fronts passive_cost reachable
 isd_gym.benchmark.comparability
     also Comparable NAMES comparable
 isd_gym.benchmark.driving
-    Controller Entry cost_of
-    also Crew Driver Idle travel
+    Conditions Controller Entry cost_of
+    also Crew Driver Idle rounded travel
 isd_gym.benchmark.lq_bounds
     Best LQPoint best_acceleration lq_bound
     also CarBound Linear blind_gain ideal linear_car lq_front reference simulated_cost stationary
@@ -57,10 +56,9 @@ isd_gym.benchmark.lq_bounds
 isd_gym.benchmark.policies
     Entry Idle available conventional find find_all passive
 isd_gym.benchmark.scoring
-    Controller Entry Idle LIMITS PAPER Run SCHEMA Score comfort_point drive frequency_weighting score
-    weighted_rms
-    also IDLE LEARN MEASURES PRINTED check_size compare corner_measures fingerprints idle_policies measures
-    units unscored
+    Conditions Controller Entry Idle LIMITS PAPER Run SCHEMA Score comfort_point drive frequency_weighting
+    score weighted_rms
+    also IDLE LEARN MEASURES PRINTED compare corner_measures idle_policies measures units unscored
 isd_gym.benchmark.show
     also FPS SIZE WIDE film live snapshots
 isd_gym.benchmark.sweep
@@ -93,7 +91,7 @@ isd_gym.env.task
     SHOWN STATE_BOUND Task USUAL_SPEED info_maker usual_level
 isd_gym.physics
 isd_gym.physics.car_prediction
-    also CarModel CarWeights WholeCar car_model car_regulator columns continuous drifts of_currents
+    also CarModel CarWeights WholeCar car_model car_regulator columns continuous drifts
 isd_gym.physics.cost
     FULL_CAR HALF_CAR QUARTER_CAR StageCost square
     also LARGEST MOTIONS Signal
@@ -117,9 +115,9 @@ isd_gym.physics.network.frames
     also complete frames order_told unknown
 isd_gym.physics.prediction
     also DESIGN_SPEED Equations Laws Linearised Model N_SENSORS PAPER_CAR ROAD_INTENSITY SLIDING Sensors
-    Weights device_reach dry equations equivalent_damping kalman_gain lift move_regulator paper_reach
-    prediction_model preview_regulator regulator riccati stationary statistical_linearisation steady_gain
-    white_covariance
+    Weights device_reach dry equations equivalent_damping feedback held_over_step kalman_gain lift
+    move_regulator of_currents paper_reach prediction_model preview_regulator regulator riccati stationary
+    statistical_linearisation steady_gain weighted white_covariance
 isd_gym.physics.road
     NAMES Road bump iso_road on_side paper_road pothole profiled recorded road sweep
     also ISO_CLASSES PAPER_KAPPA PRINTED_KAPPA REFERENCE_FREQUENCY STEEPEST

@@ -74,17 +74,6 @@ def test_table_holds_what_the_contract_asks():
     assert second["energy"]["value"] == pytest.approx(3.8 * 9 * 3, rel=0.3)
 
 
-def test_share_of_the_reachable_gain():
-    entries = [passive(CAR), Entry("isd-passive", lambda: Idle("isd-passive"))]
-    brief = {"reference": entries[0], "episodes": 2, "duration": 2.0}
-    costs = [r["cost"]["value"] for r in score(entries, CAR, **brief).policies]
-    known = score(entries, CAR, **brief, clairvoyant=np.full(2, costs[0] - 0.2))
-    assert known.policies[0]["share_of_reachable_gain"] == 0.0
-    assert known.policies[1]["share_of_reachable_gain"] == pytest.approx(
-        (costs[0] - costs[1]) / 0.2
-    )
-
-
 def test_policies_of_the_same_name_are_called_by_their_paths(tmp_path):
     """A copy of a shipped policy brings the name of the shipped one along, and a policy may be called like the reference."""
     shipped, copies = SHIPPED / "ppo", [tmp_path / "one", tmp_path / "other"]

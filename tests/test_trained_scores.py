@@ -14,7 +14,7 @@ from program import read_json, refused, run
 
 from isd_gym import Network
 from isd_gym.benchmark.policies import find, passive
-from isd_gym.benchmark.scoring import drive
+from isd_gym.benchmark.scoring import Conditions, drive
 
 sb3 = pytest.importorskip("stable_baselines3")
 from isd_gym.sb3 import ScoreCallback, make_vec_env, save_model  # noqa: E402
@@ -353,10 +353,10 @@ def test_references_on_validation_roads_are_those_of_drive():
     callback = ScoreCallback(100, **SHORT)
     learner("PPO", make_vec_env(4, network="half-car-isd")).learn(64, callback=callback)
     net = Network.load("half-car-isd")
-    drives = dict(episodes=2, duration=0.5, seed=VALIDATION_SEED)
+    drives = Conditions(episodes=2, duration=0.5, seed=VALIDATION_SEED)
     cost = callback._task.cost
-    base = drive(passive(net), net, **drives).cost(cost).mean()
-    own = drive(find("skyhook", net, speed=20.0), net, **drives).cost(cost).mean()
+    base = drive(passive(net), net, drives).cost(cost).mean()
+    own = drive(find("skyhook", net, speed=20.0), net, drives).cost(cost).mean()
     assert callback.references["skyhook"] == pytest.approx(
         100 * (own / base - 1), rel=1e-9
     )

@@ -21,7 +21,7 @@ def _sentence(result: Any) -> str:
         return f"{plain(best['policy'], 40)} has the smallest cost."
     interval = (
         f" [{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
-        if result.episodes > 1
+        if result.conditions.episodes > 1
         else ""
     )
     return f"{plain(best['policy'], 40)}: J {100 * q['change']:+.1f} %{interval} against passive."
@@ -52,7 +52,7 @@ class _Table:
             out = _quantity(name, digits, scale)(row)
             if q.get("change", 0.0) != 0.0:
                 out += ("\n" if self.is_narrow else " ") + f"{100 * q['change']:+.1f} %"
-                if self.result.episodes > 1:
+                if self.result.conditions.episodes > 1:
                     out += f"\n[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
             return out
 
@@ -131,15 +131,16 @@ class _Table:
 
 
 def _title(result: Any) -> str:
+    drives = result.conditions
     ahead = sorted({row["preview"]["value"] for row in result.policies} - {0.0})
     sight = (
         f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
     )
     interval = (
-        ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
+        ", 95 % interval" if drives.episodes > 1 else "; one episode has no interval"
     )
     return (
-        f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
+        f"{plain(result.plant.name)}, road {shown(drives.road.name)}, {drives.speed:g} m/s, {drives.episodes} x {drives.duration:g} s, "
         f"{result.drives}{sight}; RMS, change against passive{interval}"
     )
 

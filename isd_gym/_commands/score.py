@@ -113,9 +113,9 @@ def command(
 
     Example: isd-gym score passive isd-passive mpc
     """
-    from ..benchmark import ceilings as bounds
+    from ..benchmark.ceilings import bounds_beside
     from ..benchmark.policies import find_all, passive
-    from ..benchmark.scoring import IDLE, LEARN, check_size, idle_policies, unscored
+    from ..benchmark.scoring import IDLE, LEARN, Conditions, idle_policies, unscored
     from ..benchmark.scoring import score as run
     from ..env import Sensors
     from ..physics.network import Network
@@ -137,8 +137,8 @@ def command(
 
         check_report(report)
     plant = Network.load(network)
-    check_size(vehicle(plant), episodes, duration)
-    ground = find_road(road)
+    drives = Conditions(find_road(road), speed, episodes, seed, duration, senses)
+    drives.check(vehicle(plant))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     entries = find_all(
@@ -146,27 +146,12 @@ def command(
     )
     if chosen is not None:
         chosen.check(entries)
-    drives: dict[str, Any] = {
-        "road": ground,
-        "speed": speed,
-        "episodes": episodes,
-        "seed": seed,
-        "duration": duration,
-        "sensors": senses,
-    }
     card = place = None
     if against is not None:
         from ..benchmark import cards
 
         card = cards.load(against)
-        place = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]
-    ceilings = bounds.known_ceilings(plant, ground, speed, duration)
-
-    def least_change(preview: float) -> float | None:
-        found = ceilings(preview)
-        return None if found is None else found.change
-
-    known = bounds.reachable(plant, ground, speed, episodes, seed, duration)
+        place = cards.match(unscored(entries, plant, drives).to_dict(), card)["track"]
     with progress() as update:
         warm_up(update)
         result = run(
@@ -174,13 +159,11 @@ def command(
             plant,
             reference=passive(plant),
             point=point,
-            clairvoyant=None if known is None else known["value"],
-            ceiling=least_change,
             progress=update,
-            **drives,
+            **vars(drives),
         )
     result.model = belief if belief != plant else None
-    result.references |= bounds.bounds_beside(result, known, ceilings)
+    result.references |= bounds_beside(result)
     made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
     write_json(json_file, made)
     if report is not None:
@@ -189,7 +172,7 @@ def command(
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)
     print_score(result, full=full)
-    for name in idle_policies(result, **drives):
+    for name in idle_policies(result):
         typer.echo(
             f"'{name}' costs what zero current costs, within {100 * IDLE:g} %. {LEARN}",
             err=True,

@@ -286,7 +286,7 @@ def finish(out: Path, plant: Network) -> None:
     policy.save(out / "policy")
     typer.echo(
         f"cost J {row['cost']['value']:.4f}, {100 * row['cost']['change']:+.1f} % against passive on "
-        f"{result.episodes} scoring roads; policy in '{out / 'policy'}'"
+        f"{result.conditions.episodes} scoring roads; policy in '{out / 'policy'}'"
     )
 
 

@@ -17,7 +17,7 @@ def command() -> None:
     import numpy as np
 
     from ..benchmark.policies import find
-    from ..benchmark.scoring import drive
+    from ..benchmark.scoring import Conditions, drive
     from ..env import Sensors
     from ..physics.network import Network
     from ..physics.simulate import simulate
@@ -40,16 +40,16 @@ def command() -> None:
         begin = time.perf_counter()
         simulate(network, times, {c.name: 0.0 * times for c in network.inputs})
         for episodes in (1, 2):
-            drive(find("passive", network), network, episodes=episodes, duration=0.05)
+            brief = Conditions(episodes=episodes, duration=0.05)
+            drive(find("passive", network), network, brief)
         ready(what, begin)
     for name in ("lqg-preview", "mpc-friction", "mpc"):
         begin = time.perf_counter()
         for episodes in (1, 2):
-            drive(
-                find(name, plant),
-                plant,
+            noisy = Conditions(
                 episodes=episodes,
                 duration=0.05,
                 sensors=Sensors(noise=1.0, road_error=1e-3),
             )
+            drive(find(name, plant), plant, noisy)
         ready(name, begin)

@@ -13,7 +13,6 @@ import functools
 import hashlib
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -32,7 +31,7 @@ from .lq_bounds import linear_car, lq_front, wheelbase_bound
 from .policies import conventional
 
 if TYPE_CHECKING:
-    from .scoring import Score
+    from .scoring import Conditions, Score
 
 #: first seed of the roads of the ceiling, which were not used for tuning
 SEED = 600_000
@@ -225,33 +224,29 @@ def ceiling(
     return Ceiling(preview, np.array(reached), np.array(proven), passive)
 
 
-def reachable(
-    network: Network | str | Path,
-    road: str | Road = "paper",
-    speed: float = 20.0,
-    episodes: int = 32,
-    seed: int | None = None,
-    duration: float = 20.0,
-) -> dict[str, np.ndarray] | None:
+def reachable(network: Network, conditions: Conditions) -> dict[str, np.ndarray] | None:
     """Return the clairvoyant optimum of consecutive episodes.
 
     Args:
         network: The plant.
-        road: The road.
-        speed: Speed [m/s].
-        episodes: Number of episodes.
-        seed: Seed of episode 0; None for the scoring roads.
-        duration: Length of an episode [s].
+        conditions: Conditions of a score.
 
     Returns:
         Arrays (episodes,): `value` (least known cost), `lower` (proven), and RMS of body_acceleration [m/s^2],
         suspension_travel [m] and tyre_load [N] at that cost. None if an episode is unknown.
     """
-    network, ground = Network.load(network), find_road(road)
+    seed = conditions.seed
     stream = {"stream": "scoring"} if seed is None else {}
-    key = _episode_key(network, ground, speed, duration, StageCost(), **stream)
+    key = _episode_key(
+        network,
+        conditions.road,
+        conditions.speed,
+        conditions.duration,
+        StageCost(),
+        **stream,
+    )
     seeds = _stored("clairvoyant.json").get(key, {}).get("seeds", {})
-    wanted = [str((seed or 0) + i) for i in range(episodes)]
+    wanted = [str((seed or 0) + i) for i in range(conditions.episodes)]
     if any(s not in seeds for s in wanted):
         return None
     names = {"acceleration": "body_acceleration", "travel": "suspension_travel"}
@@ -261,44 +256,47 @@ def reachable(
     }
 
 
-def known_ceilings(
-    plant: Any, road: Any, speed: float, duration: float
-) -> Callable[[float], Ceiling | None]:
-    """Return a function from preview [s] to the causal ceiling of controllers with that preview, or None."""
-    return functools.cache(
-        lambda preview: ceiling(plant, road, speed, duration, preview=preview)
-    )
-
-
-def bounds_beside(
-    result: Any,
-    optimum: dict[str, Any] | None,
-    ceilings: Callable[[float], Ceiling | None],
-) -> dict[str, Any]:
-    """Return one line per bound of a score, and one line about the bounds left out."""
+def bounds_beside(result: Score) -> dict[str, Any]:
+    """Return one line per bound of a score, and one line about the bounds left out; every row gets its shares of the known gains."""
     lines: dict[str, Any] = {}
-    allowed = result.comparable
+    allowed, drives = result.comparable, result.conditions
     not_computed = "not computed for these conditions"
-    if optimum is None or allowed.clairvoyant:
-        allowed = replace(allowed, clairvoyant=allowed.clairvoyant or not_computed)
-    else:
-        lines |= _optimum(result, optimum)
+    if not allowed.clairvoyant:
+        optimum = reachable(result.plant, drives)
+        if optimum is None:
+            allowed = replace(allowed, clairvoyant=not_computed)
+        else:
+            lines |= _optimum(result, optimum)
     if not allowed.lq_bound and (line := _wheelbase_bound(result) or _lq_bound(result)):
         lines["causal_bound"] = line
     if not allowed.ceiling:
-        found = {
-            s: ceilings(s)
-            for s in sorted({row["preview"]["value"] for row in result.policies})
-        }
-        lines |= {
-            f"ceiling_{s:g}": bound.sentence
-            for s, bound in found.items()
-            if bound is not None
-        }
-        if not any(found.values()):
+        found = _ceilings(result)
+        lines |= found
+        if not found:
             allowed = replace(allowed, ceiling=not_computed)
     if allowed.left_out:
         lines["left_out"] = allowed.left_out
+    return lines
+
+
+def _ceilings(result: Score) -> dict[str, str]:
+    """Return a line per known causal ceiling of the previews of a score; every row with a known ceiling gets its `share_of_causal_gain`."""
+    drives, lines = result.conditions, {}
+    for seconds in sorted({row["preview"]["value"] for row in result.policies}):
+        bound = ceiling(
+            result.plant,
+            drives.road,
+            drives.speed,
+            drives.duration,
+            preview=seconds,
+        )
+        if bound is None:
+            continue
+        lines[f"ceiling_{seconds:g}"] = bound.sentence
+        for row in result.policies:
+            if row["preview"]["value"] == seconds:
+                share = row["cost"]["change"] / bound.change
+                row["share_of_causal_gain"] = share + 0.0
     return lines
 
 
@@ -308,7 +306,7 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     Returns:
         Change of the tyre load, and curve (k, 2) of travel change and acceleration change.
     """
-    if score.plant is None or score.comparable.lq_bound:
+    if score.comparable.lq_bound:
         return []
     travel = [
         -0.5,
@@ -326,8 +324,8 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     ]
     conditions: dict[str, Any] = {
         "network": score.plant,
-        "speed": score.speed,
-        "road": score.ground,
+        "speed": score.conditions.speed,
+        "road": score.conditions.road,
     }
     try:
         curves = [(tyre, lq_front(tyre, travel, **conditions)) for tyre in (0.0, 0.03)]
@@ -336,7 +334,7 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     return [(tyre, curve) for tyre, curve in curves if len(curve) > 2]
 
 
-def _optimum(result: Any, optimum: dict[str, Any]) -> dict[str, Any]:
+def _optimum(result: Score, optimum: dict[str, Any]) -> dict[str, Any]:
     """Return the clairvoyant optimum as a line, and the changes of its RMS against passive over all episodes."""
     own = result.runs["passive"]
     cost, least, proven = (
@@ -350,6 +348,10 @@ def _optimum(result: Any, optimum: dict[str, Any]) -> dict[str, Any]:
     if np.isfinite(proven):
         line += f"; proven, without end stops: not below {proven:.3f} ({100 * (proven / cost - 1):+.1f} %)"
     line += "."
+    gain = cost - least
+    for row in result.policies:
+        reached = cost - row["cost"]["value"]
+        row["share_of_reachable_gain"] = reached / gain
     changes = {
         f"{n}_change": float(
             np.sqrt(np.mean(optimum[n] ** 2) / np.mean(getattr(own, n) ** 2)) - 1
@@ -359,13 +361,16 @@ def _optimum(result: Any, optimum: dict[str, Any]) -> dict[str, Any]:
     return {"clairvoyant": line, "clairvoyant_point": changes}
 
 
-def _wheelbase_bound(result: Any) -> str | None:
+def _wheelbase_bound(result: Score) -> str | None:
     """Return the linear-quadratic bound of a car with two axles as a line; every row gets its share of that gain (`share_of_lq_gain`)."""
     if not result.plant.bodies:
         return None
     try:
         bound = wheelbase_bound(
-            result.plant, speed=result.speed, road=result.ground, cost=result.cost
+            result.plant,
+            speed=result.conditions.speed,
+            road=result.conditions.road,
+            cost=result.cost,
         )
     except InputError:  # no bound for this road or this car
         return None
@@ -378,7 +383,7 @@ def _wheelbase_bound(result: Any) -> str | None:
     )
 
 
-def _lq_bound(result: Any) -> str | None:
+def _lq_bound(result: Score) -> str | None:
     """Return the causal linear-quadratic bound beside the best policy without preview, as a line."""
     blind = [row for row in result.policies if not row["preview"]["value"]]
     if not blind:
@@ -396,8 +401,8 @@ def _lq_bound(result: Any) -> str | None:
             changes[2],
             [changes[1]],
             network=result.plant,
-            speed=result.speed,
-            road=result.ground,
+            speed=result.conditions.speed,
+            road=result.conditions.road,
         )
     except InputError:  # no bound for this car
         return None

@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-from ..physics.road import road as find_road
 from ..physics.vehicle import vehicle
 
 if TYPE_CHECKING:
     from ..physics.network import Network
-    from ..physics.road import Road
+    from .driving import Conditions
 
 #: smallest sample for statements about the mean over roads, equal to the benchmark's; duration in seconds
 EPISODES, DURATION = 32, 20.0
@@ -56,15 +55,14 @@ NAMES = {
 
 
 def comparable(
-    network: Network,
-    road: str | Road,
-    episodes: int,
-    duration: float,
-    *,
-    reference: str = "passive",
+    network: Network, conditions: Conditions, *, reference: str = "passive"
 ) -> Comparable:
     """Decide which bounds may be shown beside a score."""
-    ground = find_road(road)
+    ground, episodes, duration = (
+        conditions.road,
+        conditions.episodes,
+        conditions.duration,
+    )
     if reference != "passive":
         return Comparable(
             *[f"changes are against {reference}, not passive"] * len(fields(Comparable))

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from .._common.errors import InputError, shown
-from ..physics.vehicle import CURRENT_LIMIT, kind, vehicle
+from .._common.inputs import check_memory
+from .._common.seeds import generators
+from ..env import Sensors
+from ..physics.road import Road, paper_road
+from ..physics.road import road as find_road
+from ..physics.vehicle import CURRENT_LIMIT, Vehicle, kind, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -20,10 +26,67 @@ if TYPE_CHECKING:
     from ..physics.network import Network
 
 __all__ = [
+    "Conditions",
     "Controller",
     "Entry",
     "cost_of",
 ]
+
+
+def rounded(values: np.ndarray) -> list[float]:
+    """Return values with nine significant digits, as files store them."""
+    return [float(f"{value:.9g}") for value in values]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions under which policies drive.
+
+    Attributes:
+        road: Road; a name or a file is read.
+        speed: Speed [m/s].
+        episodes: Number of episodes, on consecutive roads.
+        seed: Seed of episode 0; None for the scoring roads.
+        duration: Length of an episode [s].
+        sensors: Imperfections of the sensors.
+    """
+
+    road: Road = field(default_factory=paper_road)
+    speed: float = 20.0
+    episodes: int = 32
+    seed: int | None = None
+    duration: float = 20.0
+    sensors: Sensors = field(default_factory=Sensors)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "road", find_road(self.road))
+        object.__setattr__(self, "sensors", Sensors.of(self.sensors))
+
+    @property
+    def fingerprints(self) -> list[list[float]]:
+        """Fingerprint of each episode's road: its heights [m] at every tenth of the episode."""
+        out = []
+        for rng in generators(self.seed, 0, self.episodes):
+            heights = self.road.heights(self.duration, speed=self.speed, rng=rng)
+            rows = heights[np.linspace(0, len(heights) - 1, 11).astype(int)[1:]]
+            out.append(rounded(rows))
+        return out
+
+    def check(self, car: Vehicle) -> None:
+        """Check before long work that number and length of episodes are positive, and that their signals fit into the memory."""
+        from ..env.task import CONTROL_STEP
+
+        episodes, duration = self.episodes, self.duration
+        if episodes < 1:
+            raise InputError(f"episodes must be at least 1, not {episodes}")
+        if not 0 < duration < math.inf:
+            raise InputError(f"duration must be positive and finite, not {duration}")
+        # twice: the signals and their measures
+        signals = 2 * (len(car.channels) + len(car.driven))
+        what = f"{shown(episodes)} episode{'s' * (episodes != 1)} of {duration:g} s"
+        # huge integers have no float
+        size = 8.0 * signals * duration / CONTROL_STEP * min(episodes, 10**30)
+        check_memory(size, what, "score fewer or shorter episodes")
 
 
 class Controller(Protocol):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,27 +9,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._common.errors import InputError, shown
-from .._common.inputs import check_memory
-from .._common.seeds import generators, named_roads
+from .._common.seeds import named_roads
 from .._common.version import __version__
-from ..env import Sensors
 from ..physics.cost import StageCost, square
 from ..physics.network import Network
-from ..physics.road import road as find_road
 from ..physics.vehicle import Vehicle, vehicle
 from .comparability import Comparable, comparable
-from .driving import Controller, Crew, Entry, Idle, travel
+from .driving import Conditions, Controller, Crew, Entry, Idle, rounded, travel
 from .policies import find_all, passive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from ..physics.road import Road
-
 __all__ = [
     "LIMITS",
     "PAPER",
     "SCHEMA",
+    "Conditions",
     "Controller",
     "Entry",
     "Idle",
@@ -104,6 +99,12 @@ class Run:
         """Vertical acceleration of the body at its centre of gravity [m/s^2] (steps, episodes)."""
         return self.signals["body_acceleration"]
 
+    @property
+    def _motions(self) -> list[np.ndarray]:
+        """Accelerations of the body (steps, episodes): vertical [m/s^2], then of each axis [rad/s^2]."""
+        axes = [self.signals[f"{axis}_acceleration"] for axis in self.car.axes]
+        return [self.body_acceleration, *axes]
+
     suspension_travel = _of_corners("suspension_travel", "m")
     tyre_load = _of_corners("tyre_load", "N")
     device_travel_rate = _of_corners("device_travel_rate", "m/s")
@@ -122,12 +123,8 @@ class Run:
             InputError: The body has no such point.
         """
         where = _position(self.car, point)
-        motions = [
-            self.body_acceleration,
-            *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes),
-        ]
         total = np.zeros_like(self.body_acceleration)
-        for arm, motion in zip(self.car.arms(*where), motions, strict=True):
+        for arm, motion in zip(self.car.arms(*where), self._motions, strict=True):
             total += arm * motion
         return total
 
@@ -155,13 +152,9 @@ class Run:
         Returns:
             Mean cost (episodes,) [-].
         """
-        motions = [
-            self.body_acceleration,
-            *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes),
-        ]
         currents = self.of("current")
         all_signals = [
-            *motions,
+            *self._motions,
             *self.of("suspension_travel"),
             *self.of("tyre_load"),
             *currents,
@@ -236,52 +229,22 @@ def weighted_rms(acceleration: np.ndarray, step: float) -> np.ndarray:
     return np.sqrt(np.mean(np.fft.irfft(spectrum * gain, n, axis=0) ** 2, axis=0))
 
 
-def check_size(car: Vehicle, episodes: int, duration: float) -> None:
-    """Check before long work that number and length [s] of episodes are positive, and that their signals fit
-    into the memory."""
-    from ..env.task import CONTROL_STEP
-
-    if episodes < 1:
-        raise InputError(f"episodes must be at least 1, not {episodes}")
-    if not 0 < duration < math.inf:
-        raise InputError(f"duration must be positive and finite, not {duration}")
-    signals = 2 * (
-        len(car.channels) + len(car.driven)
-    )  # twice: the signals and their measures
-    what = f"{shown(episodes)} episode{'s' * (episodes != 1)} of {duration:g} s"
-    # huge integers have no float
-    size = 8.0 * signals * duration / CONTROL_STEP * min(episodes, 10**30)
-    check_memory(size, what, "score fewer or shorter episodes")
-
-
 def drive(
     entry: Entry,
     network: Network,
+    conditions: Conditions,
     *,
-    road: Any = "paper",
-    speed: float = 20.0,
-    episodes: int = 32,
-    seed: int | None = None,
     first: int = 0,
-    duration: float = 20.0,
-    cost: StageCost | None = None,
-    sensors: Sensors | None = None,
     timed: int = _TIMED,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
-    """Drive one policy over all episodes, on consecutive roads.
+    """Drive one policy over all episodes.
 
     Args:
         entry: The policy, on its own plant, if any.
         network: Plant of a policy without a plant of its own.
-        road: The road.
-        speed: Speed [m/s].
-        episodes: Number of episodes.
-        seed: Seed of episode 0; None for the scoring roads.
+        conditions: Road, speed, episodes and sensors.
         first: Index of the first episode.
-        duration: Length of an episode [s].
-        cost: Stage cost of the reward; None for the usual one.
-        sensors: Imperfections of the sensors.
         timed: Number of decisions of a batched policy that are repeated one at a time to measure the time.
         progress: Called now and then with the finished share.
 
@@ -292,28 +255,31 @@ def drive(
     from ..env.task import CONTROL_STEP
 
     plant = entry.network or network
-    check_size(vehicle(plant), episodes, duration)
+    conditions.check(vehicle(plant))
+    episodes = conditions.episodes
     crew = Crew(entry, episodes)
     env = ISDSuspensionVectorEnv(
         episodes,
         network=plant,
         allow_passive=True,
-        road=road,
-        speed=speed,
+        road=conditions.road,
+        speed=conditions.speed,
         observation=crew.observation,
         preview=crew.preview or None,
-        cost=cost,
-        duration=duration,
-        sensors=sensors,
+        duration=conditions.duration,
+        sensors=conditions.sensors,
         autoreset_mode="disabled",
     )
-    steps = round(duration / CONTROL_STEP)
+    steps = round(conditions.duration / CONTROL_STEP)
     car, batch = env.task.vehicle, env.task.batch
     names = [*(c.name for c in car.channels), *(c.named("current") for c in car.driven)]
     width = len(car.channels)
     signals = np.empty((len(names), steps, episodes))
     seen = []
-    for leg in travel(crew, env, steps, seed=seed, first=first, progress=progress):
+    legs = travel(
+        crew, env, steps, seed=conditions.seed, first=first, progress=progress
+    )
+    for leg in legs:
         k = leg.step
         signals[:width, k], signals[width:, k] = batch.out[:width], batch.currents
         if crew.batched and k < timed:
@@ -500,8 +466,6 @@ def _policy_row(
     run: Run,
     own: dict[str, tuple[np.ndarray, str]],
     reference: dict[str, tuple[np.ndarray, str]],
-    clairvoyant: np.ndarray | None,
-    ceiling: Callable[[float], float | None] | None,
 ) -> dict[str, Any]:
     """Return the row of a policy in a score, from its `measures` and those of the reference."""
     row: dict[str, Any] = {"policy": name}
@@ -509,11 +473,6 @@ def _policy_row(
         key: compare(key, values, reference[key][0], unit)
         for key, (values, unit) in own.items()
     }
-    reachable = None
-    if clairvoyant is not None:
-        before, after = reference["cost"][0].mean(), own["cost"][0].mean()
-        reachable = float((before - after) / (before - np.mean(clairvoyant)))
-    bound = ceiling(run.preview) if ceiling is not None else None
     return row | {
         "limit_violations": run.limit_violations,
         "fallbacks": run.fallbacks,
@@ -521,68 +480,37 @@ def _policy_row(
             "median": float(np.median(run.times)),
             "p99_9": float(np.quantile(run.times, 0.999)),
         },
-        "share_of_reachable_gain": reachable,
+        "share_of_reachable_gain": None,
         "preview": {"value": run.preview, "unit": "s"},
-        "share_of_causal_gain": row["cost"]["change"] / bound + 0.0 if bound else None,
+        "share_of_causal_gain": None,
     }
-
-
-def _rounded(values: np.ndarray) -> list[float]:
-    """Return values with nine significant digits, as files store them."""
-    return [float(f"{value:.9g}") for value in values]
-
-
-def fingerprints(
-    road: Any, speed: float, duration: float, seed: int | None, episodes: int
-) -> list[list[float]]:
-    """Return a fingerprint of each episode's road: its heights [m] at every tenth of the episode."""
-    ground = find_road(road)
-    out = []
-    for rng in generators(seed, 0, episodes):
-        heights = ground.heights(duration, speed=speed, rng=rng)
-        rows = heights[np.linspace(0, len(heights) - 1, 11).astype(int)[1:]]
-        out.append(_rounded(rows))
-    return out
 
 
 @dataclass
 class Score:
     """Result of `score`."""
 
-    road: str  # name of the road
-    speed: float  # speed [m/s]
-    network: str  # name of the plant
-    episodes: int  # number of episodes
-    duration: float  # length of an episode [s]
-    seed: int | None  # seed of episode 0; None for the scoring roads
+    plant: Network  # the network
+    conditions: Conditions  # road, speed, episodes and sensors
     policies: list[dict[str, Any]]  # one row per policy (`isd-score/1`)
-    sensors: Sensors = field(default_factory=Sensors)  # imperfections of the sensors
     #: values of `measures` by policy and name, one per episode
     raw: dict[str, dict[str, list[float]]] = field(repr=False, default_factory=dict)
-    #: fingerprint of each road, see `fingerprints`
-    roads: list[list[float]] = field(repr=False, default_factory=list)
-    runs: dict[str, Run] = field(
-        repr=False, default_factory=dict
-    )  # signals by policy, for reports
-    references: dict[str, Any] = field(
-        default_factory=dict
-    )  # bounds and published figures, as sentences
-    plant: Network | None = field(repr=False, default=None)  # the network
-    ground: Road | None = field(repr=False, default=None)  # the road
-    comparable: Comparable = field(
-        default_factory=Comparable
-    )  # allowed bounds and published figures
+    # signals by policy, for reports
+    runs: dict[str, Run] = field(repr=False, default_factory=dict)
+    # bounds and published figures, as sentences
+    references: dict[str, Any] = field(default_factory=dict)
+    # allowed bounds and published figures
+    comparable: Comparable = field(default_factory=Comparable)
     cost: StageCost = field(default_factory=StageCost)  # stage cost of the car
     reference: str = "passive"  # name of the reference of the changes
     point: str = ""  # point of the body of the evaluation by ISO 2631-1
-    model: Network | None = field(
-        repr=False, default=None
-    )  # model of the controllers, where it is not the plant
+    # model of the controllers, where it is not the plant
+    model: Network | None = field(repr=False, default=None)
 
     @property
     def shift(self) -> dict[str, float]:
         """Parameters of the plant over those of the controllers' model, where both have them and differ [-]."""
-        if self.model is None or self.plant is None:
+        if self.model is None:
             return {}
         assumed = {
             name: value for name, value in self.model.parameters.items() if value
@@ -597,12 +525,12 @@ class Score:
     @property
     def drives(self) -> str:
         """Name of the roads, such as 'scoring roads 0 to 31'."""
-        return named_roads(self.seed, self.episodes)
+        return named_roads(self.conditions.seed, self.conditions.episodes)
 
     @property
     def comfort(self) -> str:
         """Point of the body of the evaluation by ISO 2631-1, for a car with several points; otherwise ''."""
-        return self.point if self.plant is not None and self.plant.bodies else ""
+        return self.point if self.plant.bodies else ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the score as plain data.
@@ -610,56 +538,40 @@ class Score:
         Returns:
             Content of a score file (`isd-score/1`).
         """
-        return {
+        conditions = self.conditions
+        out: dict[str, Any] = {
             "schema": SCHEMA,
             "version": __version__,
-            "road": self.road,
-            "speed": {"value": self.speed, "unit": "m/s"},
-            "network": self.network,
-            "episodes": self.episodes,
-            "duration": {"value": self.duration, "unit": "s"},
-            "seed": self.seed,
-            **({} if self.sensors.perfect else {"sensors": self.sensors.to_dict()}),
-            **({"comfort_point": self.comfort} if self.comfort else {}),
-            **(
-                {"model": {"name": self.model.name, "shift": self.shift}}
-                if self.model
-                else {}
-            ),
+            "road": conditions.road.name,
+            "speed": {"value": conditions.speed, "unit": "m/s"},
+            "network": self.plant.name,
+            "episodes": conditions.episodes,
+            "duration": {"value": conditions.duration, "unit": "s"},
+            "seed": conditions.seed,
+        }
+        if not conditions.sensors.perfect:
+            out["sensors"] = conditions.sensors.to_dict()
+        if self.comfort:
+            out["comfort_point"] = self.comfort
+        if self.model is not None:
+            out["model"] = {"name": self.model.name, "shift": self.shift}
+        return out | {
             "policies": self.policies,
             "references": self.references,
-            "roads": self.roads,
+            "roads": conditions.fingerprints,
             "raw": self.raw,
         }
 
 
 def unscored(
-    entries: Sequence[Entry],
-    network: Network,
-    *,
-    road: Any,
-    speed: float,
-    episodes: int,
-    duration: float,
-    seed: int | None,
-    sensors: Sensors | None = None,
+    entries: Sequence[Entry], network: Network, conditions: Conditions
 ) -> Score:
     """Return the conditions of a score before driving, without quantities and episodes."""
     rows = [
         {"policy": e.name, "preview": {"value": Crew(e, 1).preview, "unit": "s"}}
         for e in entries
     ]
-    return Score(
-        road=getattr(road, "name", str(road)),
-        speed=speed,
-        network=network.name,
-        episodes=episodes,
-        duration=duration,
-        seed=seed,
-        policies=rows,
-        sensors=sensors or Sensors(),
-        roads=fingerprints(road, speed, duration, seed, episodes),
-    )
+    return Score(network, conditions, rows)
 
 
 #: relative difference from the cost J of zero current within which a policy is said to do nothing
@@ -668,34 +580,23 @@ IDLE = 0.005
 LEARN = "A trained policy with this cost learned nothing: train longer, on ISDSuspensionLearning-v0, see docs/tutorials/train.md."
 
 
-def idle_policies(result: Score, **drives: Any) -> list[str]:
+def idle_policies(result: Score) -> list[str]:
     """Return the policies of a score whose cost J is that of zero current, within `IDLE`.
 
     Args:
         result: The score.
-        drives: Road, speed and further arguments of `drive` of that score.
 
     Returns:
         Names; none for a network without motors.
     """
     network = result.plant
-    acting = [
-        row
-        for row in result.policies
-        if row["policy"] not in ("passive", "isd-passive")
-    ]
-    if (
-        network is None
-        or not acting
-        or all(corner.motor is None for corner in vehicle(network).corners)
-    ):
+    idle = ("passive", "isd-passive")
+    acting = [row for row in result.policies if row["policy"] not in idle]
+    has_motor = any(corner.motor is not None for corner in vehicle(network).corners)
+    if not acting or not has_motor:
         return []
-    still = drive(
-        Entry("isd-passive", lambda: Idle("isd-passive", network)),
-        network,
-        timed=0,
-        **drives,
-    )
+    entry = Entry("isd-passive", lambda: Idle("isd-passive", network))
+    still = drive(entry, network, result.conditions, timed=0)
     cost = float(still.cost(result.cost).mean())
     return [
         row["policy"] for row in acting if abs(row["cost"]["value"] / cost - 1.0) < IDLE
@@ -707,17 +608,10 @@ def score(
     network: Network | str = "quarter-car-isd",
     *,
     reference: Entry | None = None,
-    road: Any = "paper",
-    speed: float = 20.0,
-    episodes: int = 32,
-    seed: int | None = None,
-    duration: float = 20.0,
     cost: StageCost | None = None,
-    sensors: Sensors | None = None,
     point: str | None = None,
-    clairvoyant: np.ndarray | None = None,
-    ceiling: Callable[[float], float | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
+    **conditions: Any,
 ) -> Score:
     """Score policies against a reference on the same roads.
 
@@ -728,83 +622,47 @@ def score(
         policies: Names or entries.
         network: The plant.
         reference: Reference of the changes; None for the conventional passive car.
-        road: The road.
-        speed: Speed [m/s].
-        episodes: Number of episodes.
-        seed: Seed of episode 0; None for the scoring roads.
-        duration: Length of an episode [s].
         cost: Stage cost; None for the usual one of the car.
-        sensors: Imperfections of the sensors.
         point: Point of the body of the evaluation by ISO 2631-1; None for `comfort_point`.
-        clairvoyant: Least known cost of each episode (episodes,), for the share of the reachable gain.
-        ceiling: Returns the change of J at the ceiling of controllers with a given preview [s], or None; for the
-            share of the causal gain, which is omitted for small samples (`comparability`).
         progress: Called now and then with the name of a policy and its finished share.
+        conditions: Values of `Conditions` by name: `road`, `speed` [m/s], `episodes`, `seed`, `duration` [s] and `sensors`.
 
     Raises:
         InputError: An argument is invalid, a policy is unknown or named twice, or a car breaks.
     """
     network = Network.load(network)
     car = vehicle(network)
-    check_size(car, episodes, duration)
+    drives = Conditions(**conditions)
+    drives.check(car)
     cost = StageCost.of(cost, car.axes, len(car.corners))
     point = point or comfort_point(car)
     _position(car, point)
-    conditions: dict[str, Any] = {
-        "speed": speed,
-        "episodes": episodes,
-        "duration": duration,
-        "seed": seed,
-    }
     named = [policies] if isinstance(policies, str | Entry) else policies
-    entries = find_all(named, network, cost=cost, speed=speed)
+    entries = find_all(named, network, cost=cost, speed=drives.speed)
     reference = reference or passive(network)
-    ground = find_road(road)
-    allowed = comparable(
-        network,
-        ground,
-        episodes,
-        duration,
-        reference=reference.name,
-    )
-    if allowed.ceiling:
-        ceiling = None
     names = [e.name for e in entries]
     if twice := next((n for n in names if names.count(n) > 1), None):
         raise InputError(f"policy {shown(twice, 200)} is named twice")
     todo = list(entries) if reference.name in names else [reference, *entries]
-    runs = {
-        entry.name: drive(
-            entry,
-            network,
-            road=road,
-            **conditions,
-            cost=cost,
-            sensors=sensors,
-            progress=progress and partial(progress, entry.name),
-        )
-        for entry in todo
-    }
+    runs = {}
+    for entry in todo:
+        tell = progress and partial(progress, entry.name)
+        runs[entry.name] = drive(entry, network, drives, progress=tell)
     found = {name: measures(run, cost, point) for name, run in runs.items()}
     rows = [
-        _policy_row(name, run, found[name], found[reference.name], clairvoyant, ceiling)
+        _policy_row(name, run, found[name], found[reference.name])
         for name, run in runs.items()
     ]
     return Score(
-        road=getattr(road, "name", str(road)),
-        network=network.name,
-        **conditions,
-        policies=rows,
-        sensors=sensors or Sensors(),
+        network,
+        drives,
+        rows,
         raw={
-            name: {key: _rounded(values) for key, (values, _) in own.items()}
+            name: {key: rounded(values) for key, (values, _) in own.items()}
             for name, own in found.items()
         },
-        roads=fingerprints(road, **conditions),
         runs=runs,
-        plant=network,
-        ground=ground,
-        comparable=allowed,
+        comparable=comparable(network, drives, reference=reference.name),
         cost=cost,
         reference=reference.name,
         point=point,

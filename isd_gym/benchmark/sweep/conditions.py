@@ -11,6 +11,7 @@ import numpy as np
 from ..._common.errors import InputError
 from ..._common.files import claim_folder, write_text
 from ...physics.network import Network
+from ...physics.road import road as find_road
 from .grid import SCHEMA, Condition, Grid, belongings
 from .items import key_of, run, shard, stored
 
@@ -51,7 +52,7 @@ def drive_item(
     """
     from ...physics.cost import StageCost
     from ..policies import find
-    from ..scoring import drive, measures
+    from ..scoring import Conditions, drive, measures
 
     for name, digest in (files or {}).items():
         if belongings([name]).get(name) != digest:
@@ -64,18 +65,8 @@ def drive_item(
     entry = find(
         policy, plant, model=Network.load(c.model or c.network), speed=c.speed, **ahead
     )
-    driven = drive(
-        entry,
-        plant,
-        road=c.road,
-        speed=c.speed,
-        episodes=episodes,
-        seed=seed,
-        first=first,
-        duration=duration,
-        sensors=c.sensors,
-        timed=0,
-    )
+    drives = Conditions(find_road(c.road), c.speed, episodes, seed, duration, c.sensors)
+    driven = drive(entry, plant, drives, first=first, timed=0)
     found = measures(
         driven, StageCost.of(None, driven.car.axes, len(driven.car.corners))
     )

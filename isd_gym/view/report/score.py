@@ -168,10 +168,10 @@ class Shown:
     @property
     def level(self) -> list[str]:
         """Policies that are indistinguishable from the best: the 95 % paired interval of the difference in cost includes zero."""
-        if self.score.episodes < 2:
+        if self.score.conditions.episodes < 2:
             return []
         draws = np.random.default_rng(0).integers(
-            self.score.episodes, size=(2000, self.score.episodes)
+            self.score.conditions.episodes, size=(2000, self.score.conditions.episodes)
         )
         out = []
         for name in self.names:
@@ -184,7 +184,7 @@ class Shown:
     def interval(self, q: dict[str, Any]) -> str:
         """Return the 95 % interval of a change, such as ``[−24.3, −21.9] %``; '' without an interval."""
         if (
-            self.score.episodes < 2
+            self.score.conditions.episodes < 2
             or q.get("low") is None
             or q["low"] == q["high"] == 0.0
         ):
@@ -252,7 +252,7 @@ def histories(shown: Shown) -> Chart:
         pictures[f"the hardest for {shown.reference}"] = hardest
     choices, captions = {}, {}
     for about, episode in pictures.items():
-        road = road_name(shown.score.seed, episode)
+        road = road_name(shown.score.conditions.seed, episode)
         choices[f"{road}: {about}"] = panels(episode)
         captions[f"{road}: {about}"] = caption(
             "histories",
